@@ -1,4 +1,4 @@
-"""Angles that belong together: clusters on many circles at once."""
+"""Clustering of angles, on many circles at once."""
 
 from __future__ import annotations
 
@@ -26,15 +26,18 @@ class AngleClusters:
         return len(self.owner)
 
     def votes(self, by: IntArray, which: BoolArray | None = None) -> IntArray:
-        """(c,) how many different of those who gave the angles (`by`, (k,)) gave one of each
-        cluster; which: (k,) angles that count, all by default."""
+        """(c,) number of different voters with an angle in each cluster.
+
+        by: (k,) voter who gave each angle; which: (k,) angles that count, all by default.
+        """
         given = np.stack([self.of, by])
         if which is not None:
             given = given[:, which]
         return np.bincount(np.unique(given, axis=1)[0], minlength=len(self))
 
     def well_seen(self, share: FloatArray, least: float) -> BoolArray:
-        """(c,) the clusters that have at least such a share (c,), and the best of each circle."""
+        """(c,) whether a cluster has at least the share `least`, or the largest share of its
+        circle; share: (c,)."""
         out = share >= least
         first = np.flatnonzero(np.diff(self.owner, prepend=-1))
         out[np.lexsort((-share, self.owner))[first]] = True
@@ -42,7 +45,8 @@ class AngleClusters:
 
 
 def cluster_angles(angle_rad: FloatArray, owner: IntArray, gap_rad: float) -> AngleClusters:
-    """Cut the angles of each circle (`owner`) wherever two neighbours are `gap_rad` apart.
+    """Single-linkage clusters of the angles (k,) [rad] of each circle (`owner`, (k,)), cut at gaps
+    wider than `gap_rad`.
 
     All circles at once: sort by (owner, angle), open every circle at its widest gap, so that no
     cluster straddles the seam, and cut the sorted row. O(k log k).

@@ -1,7 +1,6 @@
-"""Tables: dataclasses whose fields are columns with one row for each thing.
+"""Tables: dataclasses whose fields are columns with one row per item.
 
-A column is an array, a `Ragged`, a sequence of other values, or a table; one that is not known is
-None, whichever rows are asked for.
+A column is an array, a `Ragged`, another sequence, a table, or None where it is not known.
 """
 
 from __future__ import annotations
@@ -24,24 +23,24 @@ Table = TypeVar("Table", bound=_Dataclass)
 
 
 def take(table: Table, rows: NDArray[Any] | slice) -> Table:
-    """The given rows of a table, by their numbers, a mask or a slice."""
+    """The given rows of a table: indices, a mask or a slice."""
     return type(table)(*(_taken(getattr(table, name), rows) for name in table.__dataclass_fields__))
 
 
 def joined(tables: Sequence[Table]) -> Table:
-    """The rows of one or more tables of one kind, one table after the other."""
+    """The rows of one or more tables of the same type, concatenated."""
     first = tables[0]
     columns = ([getattr(part, name) for part in tables] for name in first.__dataclass_fields__)
     return type(first)(*map(_end_to_end, columns))
 
 
 def columns_of(table: object, names: Iterable[str], rows: NDArray[Any]) -> dict[str, Any]:
-    """The given rows of some columns, by name: of a table that has columns of several things."""
+    """The given rows of the named columns of a table, by name."""
     return {name: _taken(getattr(table, name), rows) for name in names}
 
 
 def columns_and(table: object, more: Mapping[str, Any]) -> dict[str, Any]:
-    """The columns named, each with more rows behind its own."""
+    """The columns named in `more`, each with the rows given there appended."""
     return {name: _end_to_end([getattr(table, name), rows]) for name, rows in more.items()}
 
 

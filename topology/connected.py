@@ -1,4 +1,4 @@
-"""Things that hang together by pairs of them."""
+"""Connected components of a graph given by its links."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from .arrays import IntArray
 
 
 def connected(one: IntArray, other: IntArray, count: int) -> IntArray:
-    """(count,) connected component of each of so many nodes, numbered by their first nodes.
+    """(count,) connected component of each of `count` nodes, numbered by their first nodes.
 
-    one, other: (k,) the nodes at both ends of each link. O(count + k).
+    one, other: (k,) nodes at the two ends of each link. O(count + k).
     """
     links = coo_array((np.ones(len(one)), (one, other)), shape=(count, count))
     return connected_components(links, directed=False)[1].astype(np.int64)

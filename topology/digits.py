@@ -1,13 +1,13 @@
-"""How many digits a number in a document means.
+"""Rounding of numbers in documents.
 
-Sums come out differently in their last digits on different processors. Documents say what was
-found and no more, so that they are the same everywhere, and so are all that is made from them.
+The last digits of floating point sums depend on the processor. Documents hold only the digits that
+carry meaning, so that they, and all that is derived from them, are the same everywhere.
 
 * Positions, lengths, paths: millimetres. No centre of a junction is known to better than 3 cm.
-* Branches: 0.1 mrad, a hundredth of what one pass tells of a branch.
-* Transforms: also microradians, which turn a point a kilometre away by a millimetre.
+* Branches: 0.1 mrad, a hundredth of the error of one pass.
+* Transforms: also microradians, which move a point a kilometre away by a millimetre.
 * Evidence: 0.01 bit, odds to 1 %.
-* Sigmas, rates and the calibration: four digits, more than 10⁷ readings could tell of them.
+* Sigmas, rates and the calibration: four significant digits, more than 10⁷ readings could support.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ BRANCH = 4
 TURN = 6
 BITS = 2
 SIGNIFICANT = 4
-"""Decimals; of sigmas, rates and the calibration all digits. Why so many: above."""
+"""Decimals; for sigmas, rates and the calibration significant digits. Reasons: see above."""
 
 LARGEST_PLAIN = 1e9
-"""Larger numbers, or none at all, are left to numpy."""
+"""Above this, and for arrays, numpy rounds."""
 
 
 def rounded(values: Any, decimals: int = TURN) -> Any:
-    """Numbers as they stand in documents: rounded, and never the two zeros 0.0 and -0.0."""
+    """Numbers as they stand in documents: rounded, with -0.0 as 0.0."""
     if isinstance(values, float) and abs(values) < LARGEST_PLAIN:  # as numpy does, without it
         return round(values * 10.0**decimals) / 10.0**decimals + 0.0
     array = np.round(np.asarray(values, np.float64), decimals) + 0.0
@@ -36,5 +36,5 @@ def rounded(values: Any, decimals: int = TURN) -> Any:
 
 
 def significant(value: float) -> float:
-    """A number to the digits that an estimate of an uncertainty has."""
+    """A number rounded to `SIGNIFICANT` digits, for estimated uncertainties."""
     return float(f"{value:.{SIGNIFICANT - 1}e}") + 0.0

@@ -39,7 +39,7 @@ Number = TypeVar("Number", np.float64, np.int64)
 
 
 def edge_keys(source: IntArray, target: IntArray) -> list[int]:
-    """The `key` of every edge: its number among the edges that join the same two vertices."""
+    """The `key` of every edge: its index among the edges between the same two vertices."""
     seen: dict[tuple[int, int], int] = {}
     keys = []
     for u, v in zip(source.tolist(), target.tolist(), strict=True):
@@ -51,7 +51,7 @@ def edge_keys(source: IntArray, target: IntArray) -> list[int]:
 
 def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     """The node-link dict of a map, ready for `json`; inverse of `map_from_document`. Turning points
-    are its last nodes."""
+    become its last nodes."""
     topomap = with_turning_points(topomap)
     observations: list[list[dict[str, Any]]] = [[] for _ in range(len(topomap))]
     for vertex, time_ns in zip(
@@ -102,7 +102,7 @@ def _closure_to_document(closure: Closure) -> dict[str, Any]:
 
 
 def _node_certainty(topomap: TopoMap, vertex: int) -> dict[str, Any]:
-    """What is known of the errors of a vertex, and its confidence if that is below 1."""
+    """The sigmas of a vertex where they are known, and its confidence if it is below 1."""
     out: dict[str, Any] = {}
     if topomap.position_sigma is not None:
         out["sigma_m"] = significant(float(topomap.position_sigma[vertex]))
@@ -143,15 +143,15 @@ def edges_to_document(graph: Graph) -> list[dict[str, Any]]:
 
 
 def _rounded_together(paths: Sequence[FloatArray]) -> tuple[list[list[float]], list[int]]:
-    """The points of all paths as they stand in documents, and where each path begins."""
+    """The points of all paths, rounded for documents, and the offsets of the paths in them."""
     stops = np.cumsum([0, *map(len, paths)]).tolist()
     return rounded(np.concatenate([np.zeros((0, 2)), *paths]), METRES), stops
 
 
 def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
-    """The map that a parsed document describes; `name` (a path) appears in errors.
+    """The map of a parsed document; `name` (a path) appears in errors.
 
-    Raises DocumentError with the place of the first fault if the schema is not followed.
+    Raises DocumentError with the location of the first fault if the schema is not followed.
     """
     d = validated(MapDocument, doc, name)
     if [node.id for node in d.nodes] != list(range(len(d.nodes))):
@@ -203,7 +203,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
 
 
 def _lengths(paths: Sequence[FloatArray]) -> FloatArray:
-    """Of each path how long it is [m]; paths have two points or more."""
+    """(k,) lengths [m] of paths of two points or more."""
     size = np.array([len(path) for path in paths], np.int64)
     step = np.diff(np.concatenate([np.zeros((0, 2)), *paths]), axis=0)
     between = np.cumsum(size)[:-1] - 1
@@ -222,7 +222,7 @@ def _noise(values: dict[str, float]) -> RunNoise:
 
 
 def vertex_fields(nodes: Sequence[Vertex]) -> dict[str, Any]:
-    """What nodes of a document say, as fields of a TopoMap."""
+    """The nodes of a document as fields of a TopoMap."""
     sigma = [node.sigma_m for node in nodes if node.sigma_m is not None]
     return {
         "xy": np.array([(node.x, node.y) for node in nodes], np.float64).reshape(-1, 2),
@@ -233,7 +233,7 @@ def vertex_fields(nodes: Sequence[Vertex]) -> dict[str, Any]:
 
 
 def edge_fields(edges: Sequence[MapEdge]) -> dict[str, Any]:
-    """What edges of a document say, as fields of a TopoMap; ends by the ids of their nodes."""
+    """The edges of a document as fields of a TopoMap; their ends are ids of nodes."""
     whole = ("source", "target", "traversals")
     branches = ("source_branch", "target_branch")
     return {
@@ -265,14 +265,15 @@ def _times_known(rows: Sequence[list[tuple[int, int]] | None]) -> tuple[IntArray
 def _in_rows(
     rows: Sequence[Sequence[tuple[float, float]]], dtype: type[Number]
 ) -> tuple[NDArray[Number], ...]:
-    """Rows of pairs as arrays (k, 2); one by one they would take thrice as long."""
+    """Rows of pairs as arrays (k, 2); converted together, three times as fast as one by one."""
     numbers = chain.from_iterable(chain.from_iterable(rows))
     flat = np.fromiter(numbers, dtype, 2 * sum(map(len, rows))).reshape(-1, 2)
     return parted(flat, map(len, rows))
 
 
 def read_map(path: Path) -> TopoMap:
-    """The map of a `maps/<run>.json`; DocumentError if it cannot be read or is no such document."""
+    """The map of a `maps/<run>.json`. Raises DocumentError if it cannot be read or does not follow
+    the schema."""
     return map_from_document(read_json(path), str(path))
 
 

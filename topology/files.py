@@ -1,4 +1,5 @@
-"""Files of documents: nothing is opened that could block or act, nothing is left half written."""
+"""Reading and atomic writing of documents: no opening of FIFOs or devices, no half-written
+files."""
 
 from __future__ import annotations
 
@@ -19,24 +20,24 @@ from pydantic_core import from_json, to_json
 from .errors import DocumentError
 
 LARGEST_BYTES = 1 << 30
-"""A document can be no larger: one junction with its corridors takes about 1 kB."""
+"""Upper bound of a document's size: one junction with its corridors takes about 1 kB."""
 
 LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
-"""Names of the files that `write_atomically` fills; only a process that was killed leaves any."""
+"""Names of the temporary files of `write_atomically`; only a killed process leaves any behind."""
 
 
 WRITTEN_TOGETHER = 1000
-"""Entries of a long list."""
+"""Entries of an iterator that are encoded at once."""
 
 
 class Json(bytes):
-    """JSON text that stands for its value."""
+    """JSON text of a value, to be written as it is."""
 
     __slots__ = ()
 
 
 def encoded(value: Any) -> Json:
-    """A value as it stands in documents; ValueError where it holds what JSON does not."""
+    """A value as JSON; ValueError where it holds what JSON cannot express (NaN, infinity)."""
     text = to_json(value)
     if b"NaN" in text or b"Infinity" in text:
         json.dumps(value, allow_nan=False)  # which tells numbers from words
@@ -49,10 +50,10 @@ def read_json(path: Path) -> Any:
 
 
 def parsed(data: bytes, path: Path) -> Any:
-    """JSON text as a value, or a DocumentError that names where it lies.
+    """The value of JSON text, or a DocumentError that names `path`.
 
-    Refused are nesting deeper than 200, text that is no UTF-8 or holds halves of characters, NaN
-    and Infinity.
+    Refused are nesting deeper than 200, text that is not UTF-8 or has lone surrogates, NaN and
+    Infinity.
     """
     try:
         return from_json(data, allow_inf_nan=False)
@@ -61,8 +62,8 @@ def parsed(data: bytes, path: Path) -> Any:
 
 
 def document_bytes(path: Path) -> bytes:
-    """The bytes of a document. DocumentError on what is no file (links, FIFOs, devices), cannot be
-    read, or is implausibly long."""
+    """The bytes of a document. DocumentError on what is not a regular file (links, FIFOs, devices),
+    cannot be read, or is larger than `LARGEST_BYTES`."""
     try:
         return read_bytes(path)
     except OSError as error:
@@ -70,7 +71,8 @@ def document_bytes(path: Path) -> bytes:
 
 
 def read_bytes(path: Path) -> bytes:
-    """The bytes of a document, as `opened`; DocumentError, too, on implausibly long ones."""
+    """The bytes of a document; raises as `opened`, and DocumentError if it is larger than
+    `LARGEST_BYTES`."""
     with opened(path) as file:
         if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
             raise DocumentError(f"{path}: is larger than {LARGEST_BYTES >> 30} GiB")
@@ -78,8 +80,8 @@ def read_bytes(path: Path) -> bytes:
 
 
 def opened(path: Path) -> BufferedReader:
-    """A file to be read; nothing that could block or act on being opened is opened. Raises
-    DocumentError on what is no file, OSError where it cannot be read."""
+    """A regular file opened for reading, without following links or blocking on FIFOs. Raises
+    DocumentError on what is not a regular file, OSError where it cannot be read."""
     if not stat.S_ISREG(os.lstat(path).st_mode):
         raise DocumentError(f"{path}: is a {kind_of(path)}, not a document; remove it")
     # Whoever puts something else there meanwhile is refused as well.
@@ -88,17 +90,18 @@ def opened(path: Path) -> BufferedReader:
 
 
 def kind_of(path: Path) -> str:
-    """What lies at a path, in a word."""
+    """The kind of file at a path, in a word."""
     mode = os.lstat(path).st_mode
     kinds = {stat.S_IFREG: "file", stat.S_IFDIR: "folder", stat.S_IFLNK: "link"}
     return kinds.get(stat.S_IFMT(mode), "FIFO, a device or a socket")
 
 
 def write_json(path: Path, doc: Any) -> None:
-    """Write a document atomically: after a crash the old file or the new one is there, whole.
+    """Write a document atomically: after a crash either the old file or the new one is there,
+    whole.
 
-    Lists in it that are iterators are made, and written, some entries at a time; of their entries
-    some may be `Json` already, or several in a row.
+    Values of the top-level dict that are iterators are consumed and written in parts; their entries
+    may be `Json`, also of several entries separated by commas.
     """
 
     def fill(temporary: Path) -> None:
@@ -141,9 +144,9 @@ def write_atomically(path: Path, write: Callable[[Path], object]) -> None:
 
 
 def write_together(writes: Mapping[Path, Callable[[Path], object]]) -> None:
-    """Write files that belong together: all are filled before the first is moved to its place.
+    """Write several files: all are filled before the first is moved to its place.
 
-    Where one cannot be written (a full disk), none is. They are moved in their order.
+    If one cannot be filled (a full disk), none is moved. They are moved in the order given.
     """
     with ExitStack() as stack:
         filled = {}
@@ -159,7 +162,7 @@ def write_together(writes: Mapping[Path, Callable[[Path], object]]) -> None:
 
 @contextmanager
 def _temporary(folder: Path) -> Iterator[Path]:
-    """An empty file, which is gone afterwards unless it was moved."""
+    """An empty temporary file, removed afterwards unless it was moved."""
     folder.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=".topobatch-", suffix=".tmp", dir=folder)
     os.close(handle)
@@ -171,7 +174,7 @@ def _temporary(folder: Path) -> Iterator[Path]:
 
 @contextmanager
 def _named(path: Path) -> Iterator[None]:
-    """Errors name the file that was to be written, and not what stood for it meanwhile."""
+    """Make OSErrors name the file that was to be written instead of its temporary file."""
     try:
         yield
     except OSError as error:

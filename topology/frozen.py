@@ -1,4 +1,4 @@
-"""Checking of arrays at the birth of a value."""
+"""Checked, read-only arrays as fields of frozen dataclasses."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 
 def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: str) -> NDArray[Any]:
-    """A read-only, C-contiguous copy-if-needed of `array` with the given dtype and shape.
+    """`array` as a read-only, C-contiguous array of the given dtype and shape, copied if needed.
 
-    `None` in the shape stands for any length. Raises ValueError on another shape, on values
-    that are not finite, and on fractions where integers are wanted.
+    `None` in the shape stands for any length. Raises ValueError on another shape, on values that
+    are not finite, and on fractions where integers are needed.
     """
     given = np.asarray(array)
     out = np.ascontiguousarray(given, dtype=dtype)
@@ -32,7 +32,7 @@ def frozen_array(array: Any, dtype: Any, shape: tuple[int | None, ...], name: st
 
 
 def freeze(value: Any, dtype: Any, /, **shapes: tuple[int | None, ...]) -> None:
-    """Put `frozen_array` in the place of fields of a frozen dataclass, at its birth."""
+    """Replace fields of a frozen dataclass by their `frozen_array`, in `__post_init__`."""
     for name, shape in shapes.items():
         object.__setattr__(value, name, frozen_array(getattr(value, name), dtype, shape, name))
 
@@ -44,7 +44,7 @@ def _fits(want: int | None, got: int) -> bool:
 def frozen_rows(
     arrays: Sequence[Any], dtype: Any, columns: int, name: str
 ) -> tuple[NDArray[Any], ...]:
-    """Arrays (k, columns), each of a length of its own, as parts of one that is frozen: many short
+    """Arrays (k, columns) of different lengths, as views of one frozen array, so that many short
     ones are checked at once. Raises ValueError as `frozen_array` does."""
     given = [np.asarray(array) for array in arrays]
     for array in given:

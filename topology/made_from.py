@@ -7,13 +7,16 @@ from collections.abc import Mapping
 from typing import Any
 
 LEAST_TOLD = 0.005
-"""Smaller shares are 0 %."""
+"""Smaller shares of the way are not mentioned."""
 
 
 def junctions_told(info: Mapping[str, Any]) -> str:
-    """Source of a map's junctions, drift before and after, shares of the way; "" where detections
-    were read and nothing else was there. info: of the map, from a document of anybody's: what is
-    not as `ingest` writes it is not told."""
+    """Source of a map's junctions, drift before and after scan matching, and shares of the way
+    driven.
+
+    info: of the map, possibly from a foreign document: what is not as `ingest` writes it is left
+    out. Empty where detections were read and there was nothing else to choose from.
+    """
     junctions = _inside(_inside(info, "source"), "junctions")
     way, topic = junctions.get("from"), junctions.get("topic")
     passed_over = junctions.get("passed_over", ())

@@ -12,17 +12,19 @@ from .se2 import turned_axes
 from .topomap import TopoMap
 
 LEAST_TURN_RAD = 1e-4
-"""No corridor keeps its heading better than this, 1 sigma: it keeps information finite, and is far
-below what an odometry without noise is told to be (3e-4 in a corridor)."""
+"""Lower bound of a corridor's heading error, 1 sigma: keeps the information finite; an odometry
+without noise is assumed to have more (3e-4 in a corridor)."""
 
 LEAST_STEP_M = 0.001
-"""Nor its length, to which documents are rounded."""
+"""Lower bound of a corridor's position error, 1 sigma: the precision of documents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """Relative poses between vertices, or rows: source, target: (k,); measurement: (k, 3)
-    T_source_target; information: (k, 3, 3)."""
+    """Relative poses between vertices.
+
+    source, target: (k,); measurement: (k, 3) T_source_target; information: (k, 3, 3).
+    """
 
     source: IntArray
     target: IntArray
@@ -31,14 +33,13 @@ class Measurements:
 
 
 def odometry_measurements(topomap: TopoMap) -> Measurements:
-    """Relative poses along the corridors of a map, loops left out, in the map's directions (so that
-    the turn is 0), with the errors of the odometry between them.
+    """Relative poses along the corridors of a map, without loops, with the errors of the odometry.
 
-    For a pose graph whose vertices are centres as this map saw them: an error of a vertex's centre
-    is common to all of its corridors, and enters where that vertex is tied to other maps. What the
-    single passes by a junction differ by remains in each corridor as far as the odometry lets it
-    (`_followed`). Errors of turns: a robot enters a corridor straight or at a right angle, a
-    quarter of π in the mean, half of it at each end.
+    Axes are those of the map, so that the measured turn is 0. The vertices of the pose graph are
+    junction centres as this map saw them: the error of a centre is common to all of its corridors,
+    and enters where the vertex is tied to other maps; only the scatter of the single passes about
+    it remains in each corridor (`_followed`). For errors of turns, the robot is taken to enter
+    corridors straight or at a right angle equally often: π/4 in the mean, half of it at each end.
     """
     noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)
@@ -72,21 +73,21 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
 
 
 def _followed(leg: FloatArray, seen: float) -> FloatArray:
-    """(k,) share of the variance `seen` of a centre by which a pass is placed, between legs of an
-    odometry of variances `leg` [m²] each.
+    """(k,) share of the variance `seen` [m²] of a junction centre by which the position of a pass
+    errs, between legs of odometry with variances `leg` (k,) [m²].
 
-    A random walk of q per leg that is observed at every pass to r: predicted from the passes before
-    it is known to P = (q + √(q² + 4 q r)) / 2 (where the Riccati equation of its Kalman filter
-    stands still), from those after it likewise, and smoothed to r · P / (P + 2 r).
+    A random walk with variance q per leg, observed at every pass with variance r: the steady state
+    of its Kalman filter predicts a pass from those before it with P = (q + √(q² + 4 q r)) / 2
+    (Riccati equation), from those after it likewise, and the smoother gives r · P / (P + 2 r).
     """
     ahead = (leg + np.sqrt(leg * (leg + 4 * seen))) / 2
     return np.asarray(ahead / (ahead + 2 * seen))
 
 
 def map_pose_graph(topomap: TopoMap) -> PoseGraph:
-    """The vertices of a map as poses, its corridors as what the odometry measured between them.
+    """A map as a pose graph: vertices are poses, corridors are the odometry's measurements.
 
-    Headings are turns against the map's frame: all 0 where the map lies as it was drawn.
+    Headings are rotations relative to the map's frame, 0 for the map as it was drawn.
     """
     pose = np.column_stack([topomap.xy, np.zeros(len(topomap))])
     parts = odometry_measurements(topomap)

@@ -17,12 +17,11 @@ class Odometry:
     """Poses of the robot in a drifting frame, by time.
 
     time_ns: (n,) int64, strictly ascending; pose: (n, 3) T_odom_base as x, y [m], theta [rad];
-    breaks: (k,) int64, ascending rows i at which the chain is broken between i - 1 and i (the
-    odometry was reset or the robot carried): motion across a break is unknown; jumps: (j,) int64,
-    ascending rows i so that the step from i - 1 to i is of unknown size; jump_sigma: (j, 2) 1 sigma
-    of these steps [m, per axis] and of their turn [rad]; jump_other: (j, 3) the likeliest other
-    motion in these steps, forward, to the left [m] and turn [rad].
-    Raises ValueError on a wrong shape, a NaN, or times that do not ascend.
+    breaks: (k,) int64, ascending rows i with unknown motion between i - 1 and i (the odometry was
+    reset or the robot carried); jumps: (j,) int64, ascending rows i whose step from i - 1 is of
+    unknown size; jump_sigma: (j, 2) 1 sigma of these steps per axis [m] and of their turn [rad];
+    jump_other: (j, 3) the most likely alternative motion in these steps: forward, left [m] and turn
+    [rad]. Raises ValueError on a wrong shape, a NaN, or times that do not ascend.
     """
 
     time_ns: IntArray
@@ -49,12 +48,12 @@ class Odometry:
 
     @property
     def cuts(self) -> IntArray:
-        """(c,) rows that begin a stretch of known motion: breaks and jumps, ascending."""
+        """(c,) first rows of the stretches of known motion: breaks and jumps, ascending."""
         return np.union1d(self.breaks, self.jumps)
 
     @property
     def step_m(self) -> FloatArray:
-        """(n,) way from the row before [m]; 0 for the first row and across a break."""
+        """(n,) distance from the previous row [m]; 0 for the first row and across a break."""
         step = np.zeros(len(self))
         step[1:] = np.hypot(*np.diff(self.pose[:, :2], axis=0).T)
         step[self.breaks] = 0.0
@@ -62,22 +61,24 @@ class Odometry:
 
     @property
     def turn_rad(self) -> FloatArray:
-        """(n,) turn since the row before [rad, signed]; 0 for the first row and across a break."""
+        """(n,) signed turn since the previous row [rad]; 0 for the first row and across a break."""
         turn = np.zeros(len(self))
         turn[1:] = wrap(np.diff(self.pose[:, 2]))
         turn[self.breaks] = 0.0
         return turn
 
     def delayed(self, by_s: float) -> Odometry:
-        """The same poses, each so much later."""
+        """The same poses, `by_s` seconds later."""
         return replace(self, time_ns=self.time_ns + round(by_s * 1e9))
 
     def at(self, time_ns: IntArray) -> FloatArray:
-        """(m, 3) poses at any times, linear between rows, held at the ends. O(n + m log n)."""
+        """(m, 3) poses at any times (m,), linearly interpolated, held at the ends. O(n + m log
+        n)."""
         return self.interpolator()(time_ns)
 
     def interpolator(self) -> Callable[[IntArray], FloatArray]:
-        """`at`, for many questions: what all of them need is made once. O(n), then O(m log n)."""
+        """`at` as a function for repeated use, with its tables precomputed. O(n), then O(m log
+        n)."""
         origin = self.time_ns[0]
         t = (self.time_ns - origin).astype(np.float64)
         theta = self.pose[0, 2] + np.concatenate([[0.0], np.cumsum(wrap(np.diff(self.pose[:, 2])))])
@@ -94,7 +95,7 @@ class Odometry:
 
 
 def _rows_within(rows: IntArray, count: int) -> bool:
-    """Whether rows ascend strictly and each has one before it among so many."""
+    """Whether rows ascend strictly and lie in [1, count)."""
     if len(rows) == 0:
         return True
     return bool(rows[0] >= 1 and rows[-1] < count and (rows[1:] > rows[:-1]).all())

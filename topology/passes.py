@@ -12,7 +12,7 @@ from .ragged import Ragged
 from .se2 import wrap
 
 NO_BRANCH = -1
-"""Stands where a branch index is unknown."""
+"""Index of an unknown branch."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,7 @@ class Passes:
 
 
 def check_passes(time_ns: IntArray, branches: Ragged, support: Ragged) -> None:
-    """ValueError if passes (p,) with such branches are none, or not by time."""
+    """Raise ValueError unless branches and support have the same p rows as `time_ns`, by time."""
     if len(branches) != len(time_ns) or not np.array_equal(branches.offsets, support.offsets):
         raise ValueError("branches and support must have one row per pass, of equal lengths")
     if np.any(np.diff(time_ns) < 0):

@@ -1,4 +1,4 @@
-"""Polylines: (k, 2) points in a row."""
+"""Polylines: (k, 2) arrays of points."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from .arrays import FloatArray, IntArray
 
 
 def simplify(path: FloatArray, tolerance: float) -> FloatArray:
-    """Fewer points, none of the old ones farther than `tolerance` from the new line.
+    """A polyline with fewer points, none of the old ones farther than `tolerance` [m] from it.
 
-    Douglas and Peucker's rule; both ends stay, even when they coincide. O(k · points kept).
+    Douglas and Peucker's algorithm; both ends stay, even if they coincide. O(k · points kept).
     """
     keep = np.zeros(len(path), bool)
     keep[[0, -1]] = True
@@ -34,14 +34,15 @@ def simplify(path: FloatArray, tolerance: float) -> FloatArray:
 
 
 def way_of(path: FloatArray) -> FloatArray:
-    """(k,) way from the first point of a polyline (k, 2) to each of its points [m]."""
+    """(k,) arc length from the first point of a polyline (k, 2) to each of its points [m]."""
     out, step = np.zeros(max(len(path), 1)), path[1:] - path[:-1]
     np.cumsum(np.hypot(step[:, 0], step[:, 1]), out=out[1:])
     return out
 
 
 def leaving_rad(path: FloatArray, end: int) -> float:
-    """Direction in which a polyline leaves its first point (end 0) or its last one (1) [rad]."""
+    """Direction [rad] in which a polyline leaves its first point (end 0) or its last one (end
+    1)."""
     x, y = path[1] - path[0] if end == 0 else path[-2] - path[-1]
     return float(np.arctan2(y, x))
 
@@ -49,14 +50,13 @@ def leaving_rad(path: FloatArray, end: int) -> float:
 def join_centres(
     track: FloatArray, begin: FloatArray, end: FloatArray, junction_m: float
 ) -> FloatArray:
-    """The corridor between the centres of two junctions, from a track that led from one to the
-    other.
+    """A corridor between the centres of two junctions, from the track driven between them.
 
-    track: (k, 2); begin, end: (2,) centres [m]. What was driven within `junction_m` of a centre
-    (cutting its corner, turning round) is left out, and the corridor is straight there. A robot
-    that passes aside of a centre, farther off, drives as far as one that passes through it: from
-    where it is nearest the track is bent onto the centre, the less the farther on. Returns (j, 2)
-    from `begin` to `end`, straight where the track is a single point.
+    track: (k, 2); begin, end: (2,) centres [m]. Points within `junction_m` of a centre (cut
+    corners, turning round) are dropped, and the corridor is straight there. A track that passes a
+    centre farther off is shifted onto it where it is nearest, with the shift decreasing linearly to
+    zero at the other end. Returns (j, 2) from `begin` to `end`, straight if the track is a single
+    point.
     """
     if len(track) < 2:
         return np.stack([begin, end])
@@ -72,8 +72,9 @@ def join_centres(
 
 
 def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[int, FloatArray]:
-    """The first point of a track (k, 2) beyond the `reach` [m] of a centre that it comes from, or
-    where it is nearest if it is never within; and by how much (2,) [m] it passes aside then."""
+    """Index of the first point of a track (k, 2) beyond `reach` [m] of the centre that it starts
+    at, or of the nearest point if none is within; and the offset (2,) [m] of that nearest point,
+    else 0."""
     away = np.hypot(*(track - centre).T)
     inside = np.flatnonzero(away < reach)
     if len(inside):
@@ -83,11 +84,12 @@ def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[i
 
 
 def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
-    """A path without what it drove for nothing: from where it first comes back to within `near_m`
-    of an earlier point, what lies between the two is left out.
+    """A path (k, 2) without its detours: where it first comes back to within `near_m` [m] of an
+    earlier point, the points between are removed.
 
-    Coming back takes three times `near_m` of way at least: a tight bend is none. The way out and
-    the last way back count. O(k log k), however often the path comes back.
+    Only returns after more than three times `near_m` of driving count, so that tight bends stay. Of
+    a place visited several times, the way out and the last way back remain. O(k log k), however
+    often the path comes back.
     """
     from scipy.spatial import cKDTree
 
@@ -108,8 +110,8 @@ def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
 
 
 def _last_about(path: FloatArray, near_m: float) -> IntArray:
-    """(k,) row of a point than which none within `near_m` comes later: the last one in the squares
-    of this size about each."""
+    """(k,) upper bound of the index of the last point within `near_m` of each point: the last one
+    in the 3 × 3 grid cells around it."""
     x, y = np.floor((path - path.min(axis=0)) / near_m).astype(np.int64).T
     width = int(y.max()) + 3
     square = x * width + y
@@ -126,18 +128,19 @@ def _last_about(path: FloatArray, near_m: float) -> IntArray:
 
 
 def loop_width(path: FloatArray) -> float:
-    """How far apart the way there and the way back of a closed path lie, in the mean [m]: twice the
-    area between them over its length. Parts that go round the other way count against it."""
+    """Mean distance [m] between the way out and the way back of a closed path: twice its enclosed
+    area over its length. Parts with the opposite orientation are subtracted."""
     x, y = (path - path[0]).T
     area = abs(float(x[:-1] @ y[1:] - x[1:] @ y[:-1])) / 2
     return 2 * area / max(float(way_of(path)[-1]), 1e-9)
 
 
 def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArray:
-    """A driven path whose tight turns are made corners: where the lines before and after meet.
+    """A driven path whose tight turns are replaced by corners: where the lines before and after
+    meet.
 
-    A turn is tight if all of it, `least_rad` or more, happens within `reach_m` to either side:
-    there a robot cuts the corner of a corridor, by some 0.1 m at a right angle.
+    A turn is tight if it amounts to `least_rad` [rad] or more within `reach_m` [m] to either side:
+    there a robot cuts the corner of a corridor, by about 0.1 m at a right angle.
     """
     way = way_of(path)
     x, y = path.T
@@ -176,10 +179,11 @@ def with_corners(path: FloatArray, reach_m: float, least_rad: float) -> FloatArr
 
 
 class Ways:
-    """Polylines, of which it is asked how near others lie to them."""
+    """Nearest-neighbour search on polylines."""
 
     def __init__(self, paths: Sequence[FloatArray], step_m: float) -> None:
-        """step_m: between the points that stand for a path [m]. O(k log k), of so many points."""
+        """step_m: spacing [m] of the points by which a path is represented. O(k log k) in their
+        number."""
         from scipy.spatial import cKDTree
 
         dense = [_dense(path, step_m) for path in paths]
@@ -187,7 +191,7 @@ class Ways:
         self._tree = cKDTree(np.concatenate(dense)) if dense else None
 
     def away(self, path: FloatArray) -> FloatArray:
-        """How far points along a path lie from the ways [m], inf where there are none."""
+        """(m,) distances [m] of points along a path from the polylines, inf if there are none."""
         points = _dense(path, self._step_m)
         if self._tree is None:
             return np.full(len(points), np.inf)

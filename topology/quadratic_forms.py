@@ -1,7 +1,7 @@
-"""How large the square of an error in several dimensions gets, whose axes are known unequally well.
+"""Quantiles of quadratic forms of normal errors with unequal variances.
 
-A radius of one sigma holds 68.3 % of the errors along a line, but 63.2 % (the root mean square of
-both coordinates) or 39.3 % (one coordinate's sigma) of those in a plane.
+A radius of one sigma holds 68.3 % of the errors along a line, but of errors in a plane 63.2 %
+(sigma the root mean square of the distance) or 39.3 % (sigma of one coordinate).
 """
 
 from __future__ import annotations
@@ -11,15 +11,15 @@ import numpy as np
 from .arrays import FloatArray
 
 ONE_SIGMA = 0.6827
-"""Share of the errors of one dimension that lie within one sigma."""
+"""Probability that a normal error lies within one sigma."""
 
 
 def quadratic_quantile(matrix: FloatArray, share: float) -> FloatArray:
-    """(k,) what xᵀ Q x exceeds in 1 - share of all cases, of normal x of covariance C.
+    """(k,) quantile of xᵀ Q x for the probability `share`, x normal with mean 0 and covariance C.
 
-    matrix: (k, n, n) C Q. The χ² of the same first three cumulants (Hall, Buckley and Eagleson,
-    1988): exact where all axes err alike or one alone, of two or three axes within 0.01 of the
-    share.
+    matrix: (k, n, n) C Q. Approximated by a shifted and scaled χ² with the same first three
+    cumulants (Hall, Buckley and Eagleson, 1988): exact where all axes have the same variance or
+    only one has any, otherwise within 0.01 of the probability for n = 2 and 3.
     """
     from scipy.special import chdtri
 

@@ -1,4 +1,4 @@
-"""Lists of different lengths in two flat arrays, so that they can be vectorised over."""
+"""Lists of different lengths in two flat arrays, for vectorised code."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ Number = TypeVar("Number", bound=np.generic)
 
 
 def numbered(counts: IntArray) -> tuple[IntArray, IntArray]:
-    """The row of every thing, and its number in that row, of (n,) rows with so many things."""
+    """For rows with `counts` (n,) items each: the row of every item, and its index in that row."""
     row = np.repeat(np.arange(len(counts)), counts)
     return row, np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def parted(values: NDArray[Number], sizes: Iterable[int]) -> tuple[NDArray[Number], ...]:
-    """Rows of so many values each, one behind the other; `np.split` takes thrice as long."""
+    """Consecutive views of `values` of the given sizes; three times as fast as `np.split`."""
     stops = np.cumsum([0, *sizes]).tolist()
     return tuple(values[start:stop] for start, stop in pairwise(stops))
 
@@ -50,7 +50,7 @@ class Ragged:
 
     @classmethod
     def from_rows(cls, rows: Iterable[Sequence[float] | NDArray[Any]]) -> Ragged:
-        """Join rows into one Ragged."""
+        """A Ragged with these rows."""
         arrays = [np.asarray(row, np.float64).reshape(-1) for row in rows]
         counts = [len(a) for a in arrays]
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -59,12 +59,12 @@ class Ragged:
 
     @classmethod
     def by_owner(cls, owner: IntArray, values: FloatArray, count: int) -> Ragged:
-        """So many rows of values whose rows (`owner`) ascend."""
+        """A Ragged with `count` rows from values sorted by their row (`owner`)."""
         return cls(np.searchsorted(owner, np.arange(count + 1)), values)
 
     @classmethod
     def joined(cls, parts: Sequence[Ragged]) -> Ragged:
-        """The rows of several in a row."""
+        """The rows of several, concatenated."""
         counts = np.concatenate([np.zeros(1, np.int64), *(p.counts for p in parts)])
         return cls(np.cumsum(counts), np.concatenate([np.zeros(0), *(p.values for p in parts)]))
 
@@ -83,7 +83,7 @@ class Ragged:
 
     @property
     def owner(self) -> IntArray:
-        """(len(values),) row that each value belongs to."""
+        """(len(values),) row of each value."""
         return np.repeat(np.arange(len(self), dtype=np.int64), self.counts)
 
     def take(self, rows: IntArray | Sequence[int]) -> Ragged:

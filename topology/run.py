@@ -43,16 +43,17 @@ class Detections:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPasses:
-    """Junctions driven by, one row per pass, in the robot's frame at `time_ns`.
+    """Passes by junctions that were detected in scans, one row each, in the robot's frame at
+    `time_ns`.
 
     time_ns: (p,) when the robot was nearest to the centre, not descending; start_ns, end_ns: (p,)
-    while it was within reach; centre: (p, 2) [m]; branches: p rows of headings [rad] of which at
-    least one is there; support: the same rows, share of the variants of the settings that show the
-    branch (0..1]; confidence: (p,) share of the variants that show the junction with just these
-    branches (0..1]; windows: (p,) overlapping windows that show it; clearance_m: (p,) distance of
-    the centre from the nearest wall [m]; shared_m: (p,) 1 sigma of each coordinate of the centre
-    [m] that its walls leave open, and askew_rad: of headings that all passes of a place share;
-    resolution_m: nearer to each other, junctions show as one.
+    first and last time within reach; centre: (p, 2) [m]; branches: p rows of headings [rad], at
+    least one each; support: the same rows, share (0..1] of the detector's variants that show the
+    branch; confidence: (p,) share (0..1] of the variants that show the junction with exactly these
+    branches; windows: (p,) number of overlapping windows that show it; clearance_m: (p,) distance
+    of the centre from the nearest wall [m]; shared_m: (p,) 1 sigma per axis [m] of the centre's
+    error that all passes by a place have in common; askew_rad: the same of headings [rad];
+    resolution_m: junctions nearer to each other than this show as one.
     """
 
     time_ns: IntArray
@@ -80,10 +81,10 @@ class ScanPasses:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Anchored:
-    """Points that hang on the robot's pose at some times, so that they follow when it is corrected.
+    """Points in the robot's frame at given times, so that they move with corrections of its poses.
 
-    anchor_ns: (k,) ascending times; anchor: (n,) index into them; xy: (n, 2) float32 [m] in the
-    robot's frame at that time.
+    anchor_ns: (k,) ascending times; anchor: (n,) index of each point's time; xy: (n, 2) float32 [m]
+    in the robot's frame at that time.
     """
 
     anchor_ns: IntArray
@@ -102,10 +103,10 @@ class Anchored:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPicture:
-    """What the detector of junctions looked at, thinned, for drawing.
+    """The input of the scan detector, thinned out for drawing.
 
     walls: points of scans, one per cell of the grid; skeleton: pixels of the skeleton nearest to
-    the way driven; window_m: half the side of the window about a junction [m].
+    the track; window_m: half the side of the window around a junction [m].
     """
 
     walls: Anchored
@@ -115,10 +116,8 @@ class ScanPicture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
-    """Junctions that scans show, beside the odometry that the scans corrected; noise: of both.
-
-    picture: what was looked at, if it was kept.
-    """
+    """Junctions detected in scans; noise: of the odometry corrected by scan matching and of the
+    passes; picture: the detector's input, if it was kept."""
 
     passes: ScanPasses
     noise: RunNoise
@@ -126,11 +125,11 @@ class Scanned:
 
 
 class Grid(NamedTuple):
-    """An occupancy grid, in place of a run.
+    """An occupancy grid, ingested in place of a run.
 
-    free, unknown: (h, w) cells known to be free, and of which nothing is known, row 0 at the
-    least y; resolution_m: of a cell; origin: x, y [m], yaw [rad] of the corner of cell (0, 0) in
-    the map's frame; frame: its name.
+    free, unknown: (h, w) cells known to be free, and unknown cells, row 0 at the smallest y;
+    resolution_m: side of a cell; origin: x, y [m], yaw [rad] of the corner of cell (0, 0) in the
+    map's frame; frame: its name.
     """
 
     free: BoolArray
@@ -144,10 +143,10 @@ class Grid(NamedTuple):
 class Run:
     """One recorded run: `name` (file name without its suffix), odometry, detections.
 
-    source: where it came from (topics used, types, counts), for the document's `graph.source`:
-    JSON values that depend on the content alone, not on the container, the path or the machine.
-    warnings: one sentence per thing found wrong with the log, with a count.
-    scanned: of a run whose junctions were found in scans, what was found; its detections are empty.
+    source: topics, types and counts for the document's `graph.source`: JSON values that depend on
+    the content alone, not on the container, the path or the machine; warnings: one sentence, with a
+    count, per kind of fault found in the log; scanned: of a run whose junctions were detected in
+    scans; its detections are then empty.
     """
 
     name: str

@@ -25,14 +25,14 @@ def rotation(theta_rad: float) -> FloatArray:
 
 
 def turned(xy: FloatArray, theta_rad: Any) -> FloatArray:
-    """Vectors (..., 2), each turned by its angle: by one for all, or by angles (...,)."""
+    """Vectors (..., 2) rotated by one angle, or by angles (...,) [rad]."""
     c, s = np.cos(theta_rad), np.sin(theta_rad)
     x, y = xy[..., 0], xy[..., 1]
     return np.stack([c * x - s * y, s * x + c * y], axis=-1)
 
 
 def turned_axes(theta_rad: FloatArray) -> FloatArray:
-    """(k, 3, 3) diag(R(θ), 1) of angles (k,): turns x and y, and leaves directions."""
+    """(k, 3, 3) diag(R(θ), 1) of angles (k,) [rad]."""
     out = np.zeros((len(theta_rad), 3, 3))
     out[:, 0, 0] = out[:, 1, 1] = np.cos(theta_rad)
     out[:, 1, 0] = np.sin(theta_rad)
@@ -42,7 +42,7 @@ def turned_axes(theta_rad: FloatArray) -> FloatArray:
 
 
 def compose(T_a_b: Any, T_b_c: Any) -> FloatArray:
-    """T_a_c, broadcast over leading axes of both (..., 3)."""
+    """T_a_c, broadcast over the leading axes of both (..., 3)."""
     ab, bc = np.asarray(T_a_b, np.float64), np.asarray(T_b_c, np.float64)
     c, s = np.cos(ab[..., 2]), np.sin(ab[..., 2])
     x = ab[..., 0] + c * bc[..., 0] - s * bc[..., 1]
@@ -60,12 +60,12 @@ def inverse(T_a_b: Any) -> FloatArray:
 
 
 def between(T_w_a: Any, T_w_b: Any) -> FloatArray:
-    """T_a_b of two poses in one frame: where b is, seen from a."""
+    """T_a_b of two poses in one frame: pose b in the frame of a."""
     return compose(inverse(T_w_a), T_w_b)
 
 
 def apply(T_a_b: Any, xy_b: Any) -> FloatArray:
-    """Points (..., 2) of frame b in frame a; one transform, or one per point."""
+    """Points (..., 2) of frame b in frame a; one transform for all, or one per point."""
     ab, p = np.asarray(T_a_b, np.float64), np.asarray(xy_b, np.float64)
     c, s = np.cos(ab[..., 2]), np.sin(ab[..., 2])
     x = ab[..., 0] + c * p[..., 0] - s * p[..., 1]
@@ -78,11 +78,11 @@ def rigid_from_sums(
 ) -> tuple[Any, Any, Any]:
     """Weighted least-squares rigid motion of points b = x + iy onto points a, from their sums.
 
-    The one fit of the house (§3.1; orthogonal Procrustes in closed form; no scaling, no
-    reflection): the turn is the direction of Σ w (a - ā) conj(b - b̄), and b̄ comes to lie on ā.
-    weight: Σ w, positive; sum_a: Σ w a; sum_b: Σ w b; sum_ab: Σ w a conj(b): numbers, or arrays of
-    as many fits; lever: added to the sum [m²], for what else is known of the turn. Returns the turn
-    as a unit number (0 where nothing tells it) and the two weighted means ā and b̄.
+    The only rigid fit of the project (§3.1; orthogonal Procrustes in closed form, without scaling
+    or reflection): the rotation is the direction of Σ w (a - ā) conj(b - b̄), and b̄ is moved onto
+    ā. weight: Σ w, positive; sum_a: Σ w a; sum_b: Σ w b; sum_ab: Σ w a conj(b): numbers, or arrays
+    for many fits at once; lever: added to the sum [m²], for other information on the rotation.
+    Returns the rotation as a unit number (0 where undetermined) and the weighted means ā and b̄.
     """
     mean_a, mean_b = sum_a / weight, sum_b / weight
     turn = sum_ab - sum_a * mean_b.conjugate() + lever
@@ -90,14 +90,14 @@ def rigid_from_sums(
 
 
 _TINY = 1e-300
-"""Keeps 0 / 0 away, and changes no other quotient."""
+"""Avoids 0 / 0 without changing any other quotient."""
 
 
 def fit_rigid(xy_a: Any, xy_b: Any) -> FloatArray:
-    """Least-squares T_a_b with `xy_a ≈ apply(T_a_b, xy_b)`: `rigid_from_sums` of equal weights.
+    """Least-squares T_a_b with `xy_a ≈ apply(T_a_b, xy_b)`: `rigid_from_sums` with equal weights.
 
-    xy_a, xy_b: (n, 2). One pair, or pairs that all coincide, leave the rotation undetermined: theta
-    is 0 then. Raises ValueError on no pairs, and on shapes that differ.
+    xy_a, xy_b: (n, 2). One pair, or pairs that all coincide, leave the rotation undetermined; theta
+    is 0 then. Raises ValueError without pairs and on shapes that differ.
     """
     a, b = np.asarray(xy_a, np.float64), np.asarray(xy_b, np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2 or len(a) == 0:
@@ -114,10 +114,10 @@ def fit_groups(
     weight: FloatArray,
     turn: ComplexArray | None = None,
 ) -> FloatArray:
-    """(count, 3) weighted least-squares T_a_b of every group of pairs (n, 2), all at once.
+    """(count, 3) weighted least-squares T_a_b of every group of pairs, all at once.
 
-    group: (n,) group of each pair, every group present; weight: (n,); turn: (count,) rotations
-    given as unit numbers, 0 for those to be found.
+    xy_a, xy_b: (n, 2); group: (n,) group of each pair, every group present; weight: (n,); turn:
+    (count,) given rotations as unit numbers, 0 for those to be estimated.
     """
     a: ComplexArray = xy_a[:, 0] + 1j * xy_a[:, 1]
     b: ComplexArray = xy_b[:, 0] + 1j * xy_b[:, 1]
@@ -140,10 +140,10 @@ def _grouped(group: IntArray, value: ComplexArray) -> ComplexArray:
 
 
 def yaw_from_quaternion(x: Any, y: Any, z: Any, w: Any) -> Any:
-    """Rotation about the vertical axis [rad] of unit or non-unit quaternions (x, y, z, w).
+    """Rotation about the vertical axis [rad] of quaternions (x, y, z, w), normalised or not.
 
-    For a pure yaw this is 2·atan2(z, w); a roll or pitch on top is projected away (ZYX Euler). What
-    is not finite, or too large to be squared, may give nan.
+    For a pure yaw this is 2·atan2(z, w); roll and pitch are projected away (ZYX Euler). NaN where a
+    component is not finite or its square overflows.
     """
     with np.errstate(invalid="ignore", over="ignore"):
         return np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z)

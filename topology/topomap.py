@@ -19,24 +19,24 @@ EDGE_COLUMNS = (
     *("source", "target", "source_branch", "target_branch"),
     *("length", "length_sigma", "traversals", "paths"),
 )
-"""What a `Graph` says of each vertex, and of each edge …"""
+"""Fields of `Graph` with one row per vertex, and per edge."""
 
 MAP_VERTEX_COLUMNS = (*VERTEX_COLUMNS, "position_sigma", "branch_sigma", "confidence")
 MAP_EDGE_COLUMNS = (*EDGE_COLUMNS, "traversal_ns")
-"""… and what a `TopoMap` does."""
+"""The same of `TopoMap`."""
 
 ALL_SURE = frozen_array(np.ones(1), np.float64, (1,), "confidence")
-"""In place of a confidence for every vertex."""
+"""Default confidence: 1 for every vertex."""
 
 
 @dataclass(frozen=True, slots=True)
 class RunNoise:
-    """How well a run was measured: 1 sigma values and rates, estimated from the run itself."""
+    """Noise of a run's measurements: 1 sigma values and rates, estimated from the run itself."""
 
     along_m_per_sqrt_m: float = 0.01
     """Odometry: random walk of the position along the way."""
     heading_rad_per_sqrt_m: float = 0.009
-    """Odometry: random walk of the heading with the way driven."""
+    """Odometry: random walk of the heading with the distance driven."""
     heading_rad_per_sqrt_rad: float = 0.014
     """Odometry: random walk of the heading with the angle turned."""
     scale: float = 0.005
@@ -46,22 +46,23 @@ class RunNoise:
     branch_rad: float = 0.05
     """Branch heading of one pass."""
     miss_rate: float = 0.02
-    """Share of passes in which a junction went unseen."""
+    """Share of passes in which a junction was not detected."""
     phantom_rate: float = 0.005
-    """Invented junctions per corridor driven."""
+    """False detections of junctions per corridor driven."""
     branch_fault_rate: float = 0.03
-    """Share of passes that saw a branch too many or too few."""
+    """Share of passes with a branch missing or invented."""
     shared_centre_m: float = 0.0
-    """Junction centre, per axis, of all passes alike (median): scans that see the same walls put it
-    where no number of passes corrects it."""
+    """Error of a junction centre, per axis, that all of its passes have in common (median): scans
+    see the same walls at each pass, so that it does not average out."""
 
 
 @dataclass(frozen=True, slots=True)
 class Closure:
-    """One question "are these two visits the same place?" and its answer.
+    """The question whether two passes were by the same place, and its answer.
 
-    round: of the loop closure in which it was answered, from 1 on; accepted_round: in which it had
-    been accepted, if this takes it back; revised: it was answered otherwise later on.
+    round: of the loop closure in which it was answered, from 1 on; accepted_round: the round in
+    which it had been accepted, if this takes it back; revised: whether a later round answered
+    otherwise.
     """
 
     time_a_ns: int
@@ -79,11 +80,11 @@ class Graph:
     """`n` vertices and `m` edges laid out in the plane (a multigraph, loops allowed).
 
     xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad], ascending in [-pi, pi).
-    kind: n names ("junction", "dead_end", "bend").
-    source, target: (m,) vertex indices. source_branch, target_branch: (m,) row-local branch by
-    which the edge leaves its source / target, NO_BRANCH where unknown. length: (m,) way along the
-    corridor [m]; length_sigma: (m,) 1 sigma [m]; traversals: (m,) times driven.
-    paths: m polylines (k, 2) [m] from source to target, k >= 2.
+    kind: n names ("junction", "dead_end", "bend"). source, target: (m,) vertex indices.
+    source_branch, target_branch: (m,) row-local branch by which the edge leaves its source /
+    target, NO_BRANCH where unknown. length: (m,) length along the corridor [m]; length_sigma: (m,)
+    1 sigma [m]; traversals: (m,) times driven. paths: m polylines (k, 2) [m] from source to target,
+    k >= 2.
     """
 
     xy: FloatArray
@@ -118,20 +119,17 @@ class TopoMap(Graph):
     """The topological map of a run.
 
     run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
-    observation_vertex, observation_time_ns: (k,) one row per pass, by time.
-    noise: what loop closure and matching allow for, with their caution; fitted_noise: what the
-    closed run itself shows, None where that is not known.
-    position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, and branch_sigma: n rows, of
-    each branch heading [rad], with the map as a whole laid over the truth; None where not known.
-    traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's source and at its
-    target each time that it drove the edge (from target to source, the second is the earlier one);
-    None where that is not known.
-    confidence: (n,) in (0, 1], how sure the detector is that a vertex has the branches that it
-    gives it, or one number for all: 1 for maps from detections. shows_bends: whether its detector
-    shows places with two branches; those of scans and grids show where ways fork or end alone.
-    turning_points: ends of ways that lead from a vertex to no other one; `with_turning_points` of
-    `turning_vertices.py` makes vertices of them.
-    Raises ValueError where shapes, indices or values do not fit.
+    observation_vertex, observation_time_ns: (k,) one row per pass, by time. noise: used by loop
+    closure and matching, conservative; fitted_noise: estimated from the closed run, None if it is
+    not known. position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, branch_sigma: n
+    rows, 1 sigma of each branch heading [rad], both with the map as a whole aligned to the truth;
+    None where not known. traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's
+    source and at its target on each traversal (driven from target to source, the second is the
+    earlier one); None where not known. confidence: (n,) in (0, 1], probability that a vertex has
+    exactly its branches, or one number for all: 1 for maps from detections. shows_bends: whether
+    the detector reports places with two branches; those of scans and grids do not. turning_points:
+    dead ends of the track that are not vertices; `turning_vertices.with_turning_points` makes
+    vertices of them. Raises ValueError where shapes, indices or values do not fit.
     """
 
     run: str
@@ -148,7 +146,7 @@ class TopoMap(Graph):
     shows_bends: bool = True
     turning_points: TurningPoints = NO_TURNING_POINTS
     info: Mapping[str, Any] = field(default_factory=dict)
-    """What else the document's `graph` holds: source, settings, warnings. JSON values only."""
+    """Other entries of the document's `graph`: source, settings, warnings. JSON values only."""
 
     def __post_init__(self) -> None:
         n, m, k = len(self.xy), len(self.source), len(self.observation_vertex)
@@ -206,8 +204,8 @@ class TopoMap(Graph):
 
     @property
     def pieces(self) -> int:
-        """How many parts it has of which nothing tells how they lie to each other: 1, or more where
-        the odometry broke and the parts are only drawn side by side."""
+        """Number of parts whose relative poses are unknown: more than 1 where the odometry broke
+        and the parts are only drawn side by side."""
         count: int = self.info.get("pieces", 1)
         return count
 
@@ -218,8 +216,8 @@ class TopoMap(Graph):
 
     @property
     def centre_variance(self) -> FloatArray:
-        """(n,) variance of each coordinate of the vertices by their own passes alone [m²]: what
-        these differ by, and what they are off by alike."""
+        """(n,) variance of each coordinate of a vertex [m²] from its own passes alone: their
+        scatter, averaged, and the error that they have in common."""
         noise = self.measured
         own = noise.centre_m**2 / np.maximum(self.passes, 1) + noise.shared_centre_m**2
         return np.asarray(own)

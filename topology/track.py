@@ -1,4 +1,4 @@
-"""The robot's track around given places: by which way it came and by which way it left."""
+"""The robot's track around given places: from which direction it came and in which it left."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from .odometry import Odometry
 class TrackDirections:
     """Headings [rad, odometry frame] from a place to where the robot came from and went to.
 
-    arriving, leaving: (p,); NaN where the log begins, ends, is broken or jumps too
-    near to the place.
+    arriving, leaving: (p,); NaN where the log begins, ends, breaks or jumps too near to the place.
     """
 
     arriving: FloatArray
@@ -23,35 +22,35 @@ class TrackDirections:
 
 
 def way_along(odometry: Odometry) -> FloatArray:
-    """(n,) way driven up to each row [m]; does not grow across a break."""
+    """(n,) distance driven up to each row [m]; constant across a break."""
     return np.cumsum(odometry.step_m)
 
 
 def piece_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
-    """(m,) number of the unbroken piece of odometry that each time falls in."""
+    """(m,) index of the unbroken piece of odometry at each time."""
     starts = odometry.time_ns[odometry.breaks]
     return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
 
 
 def stretch_of(odometry: Odometry, time_ns: IntArray) -> IntArray:
-    """(m,) number of the stretch without breaks and jumps that each time falls in."""
+    """(m,) index of the stretch without breaks and jumps at each time."""
     starts = odometry.time_ns[odometry.cuts]
     return np.searchsorted(starts, np.asarray(time_ns, np.int64), side="right")
 
 
 def way_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
-    """(m,) way driven up to each time [m]."""
+    """(m,) distance driven up to each time [m]."""
     return interpolated(odometry, way_along(odometry), time_ns)
 
 
 def walked_at(odometry: Odometry, time_ns: IntArray) -> FloatArray:
-    """(m, 2) way driven [m] and angle turned [rad], either way round, up to each time."""
+    """(m, 2) distance driven [m] and absolute angle turned [rad] up to each time."""
     turned = interpolated(odometry, np.cumsum(np.abs(odometry.turn_rad)), time_ns)
     return np.column_stack([way_at(odometry, time_ns), turned])
 
 
 def interpolated(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> FloatArray:
-    """(m,) values (n,) of the rows of an odometry at any times, held at the ends."""
+    """(m,) values (n,) of an odometry's rows, interpolated at any times, held at the ends."""
     origin = odometry.time_ns[0]
     times = (odometry.time_ns - origin).astype(np.float64)
     query = (np.asarray(time_ns, np.int64) - origin).astype(np.float64)
@@ -60,7 +59,7 @@ def interpolated(odometry: Odometry, values: FloatArray, time_ns: IntArray) -> F
 
 
 def point_at(odometry: Odometry, way_m: FloatArray) -> FloatArray:
-    """(…, 2) where the robot was after so much of the way (…), in the odometry's frame."""
+    """(…, 2) position of the robot, in the odometry frame, after a distance `way_m` (…) [m]."""
     way = way_along(odometry)
     # Strictly ascending ways, so that standing still does not make the interpolation ambiguous.
     keep = np.flatnonzero(np.concatenate([[True], np.diff(way) > 0]))
@@ -69,7 +68,7 @@ def point_at(odometry: Odometry, way_m: FloatArray) -> FloatArray:
 
 
 def by_begin(times_ns: IntArray) -> IntArray:
-    """Drives (t, 2), each with the times at its two ends, whichever came first, in their order."""
+    """Traversals (t, 2), each with the times at its two ends, sorted by the earlier one."""
     ordered: IntArray = times_ns[np.argsort(times_ns.min(axis=1), kind="stable")]
     return ordered
 
@@ -77,11 +76,12 @@ def by_begin(times_ns: IntArray) -> IntArray:
 def times_between(
     odometry: Odometry, time_ns: IntArray, first: IntArray, near_m: float
 ) -> IntArray:
-    """When the robot left each place and came to the next one: (k, 2), in whole milliseconds.
+    """Times (k, 2) at which the robot left a place and arrived at the next one, in whole
+    milliseconds [ns].
 
-    time_ns: (v,) when it was at the places; first: (k,) places that it left for the next one. What
-    it does within `near_m` of a place (it stands, it turns on the spot) is not on the way: the way
-    there is taken to be driven at the speed of the rest.
+    time_ns: (v,) when it was at the places; first: (k,) places that it left for the next one. Time
+    spent within `near_m` [m] of a place (standing, turning on the spot) does not count: that
+    distance is taken to be driven at the mean speed of the rest.
     """
     way, at = way_along(odometry), way_at(odometry, time_ns)
     begin, end = at[first], at[first + 1]
@@ -107,10 +107,10 @@ def track_directions(
     search_m: float = 3.0,
     step_m: float = 0.05,
 ) -> TrackDirections:
-    """Directions in which the track leaves a circle of `reach_m` around each place.
+    """Directions in which the track leaves a circle of radius `reach_m` [m] around each place.
 
     time_ns: (p,) when the robot was at the place; centre: (p, 2) its position in the odometry
-    frame. The track is looked at `search_m` either way. O(p · search / step + n).
+    frame. The track is searched `search_m` [m] either way. O(p · search / step + n).
     """
     way = way_along(odometry)
     here = way_at(odometry, time_ns)

@@ -1,8 +1,8 @@
-"""Ways that were driven out of a junction and back, or only to it or from it: where they end.
+"""Dead ends of the track: drives out of a junction and back, or only to it or from it.
 
-Scans show junctions, and no dead ends. Where the robot came back to the junction that it left, as
-out of a room, the farthest that it drove is the end of a way; so are the first and the last place
-of its track. Whether the way leads on there is not said.
+Scans show junctions but no dead ends. If the robot came back to the junction that it had left, as
+from a room, the farthest point of its drive is a dead end of the track; so are the first and the
+last point of the track. Whether the corridor leads on there is not known.
 """
 
 from __future__ import annotations
@@ -25,14 +25,17 @@ from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, Turning
 from .visits import Visits, draw_track
 
 LEAVING_M = 1.5
-"""A turning point's heading is that of so much of its way: where scans take those of branches."""
+"""The heading of a turning point is measured over this distance [m], as scans measure branches."""
 
 
 class _Excursion(NamedTuple):
-    """One drive from a vertex to where it was farthest from it, and back unless the track begins or
-    ends there. path: (p, 2) [m] from the vertex, length: of it [m]; way_m: driven; returns: whether
-    it came back; time_ns: when it came to the end; traversal_ns: (t, 2) when it was at the vertex
-    and at the end."""
+    """One drive from a vertex to its farthest point, and back unless the track begins or ends
+    there.
+
+    path: (p, 2) [m] from the vertex; length: of it [m]; way_m: distance driven; returns: whether it
+    came back; time_ns: when it arrived at the farthest point; traversal_ns: (t, 2) when it was at
+    the vertex and at that point.
+    """
 
     vertex: int
     branch: int
@@ -46,8 +49,8 @@ class _Excursion(NamedTuple):
 
 
 class TurnedBack(NamedTuple):
-    """points: ends of ways; out_and_back_m, ends_m: way [m] driven besides along what the map has,
-    but not to its end: out of a junction and back, and at the ends of tracks."""
+    """The turning points of a run. out_and_back_m, ends_m: distance [m] driven on partial
+    traversals of known corridors: out of a junction and back, and at the ends of the track."""
 
     points: TurningPoints
     out_and_back_m: float = 0.0
@@ -61,9 +64,10 @@ def turning_points(
     least_m: float,
     settings: MapBuildingSettings,
 ) -> TurnedBack:
-    """The ends of ways longer than `least_m` [m] that no corridor of the map stands for.
+    """The turning points more than `least_m` [m] from their vertex that no corridor of the map
+    leads to.
 
-    Which those are says `told_by_deepest`; near a known way is within `least_m`.
+    Which those are is decided by `told_by_deepest`; corridors within `least_m` count as the same.
     """
     every = _excursions(topomap, odometry, visits, settings)
     found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
@@ -87,15 +91,15 @@ def turning_points(
 
 
 class Drive(Protocol):
-    """A drive from a vertex to the end of a way."""
+    """A drive from a vertex to a dead end."""
 
     @property
     def vertex(self) -> int:
-        """Where it began."""
+        """Vertex that it starts at."""
 
     @property
     def branch(self) -> int:
-        """By which it left, local to the vertex, or NO_BRANCH."""
+        """Row-local branch by which it left, or NO_BRANCH."""
 
     @property
     def path(self) -> FloatArray:
@@ -103,7 +107,7 @@ class Drive(Protocol):
 
     @property
     def length(self) -> float:
-        """Of the path [m]."""
+        """Length of the path [m]."""
 
 
 D = TypeVar("D", bound=Drive)
@@ -117,13 +121,16 @@ def told_by_deepest(
     sound_m: float,
     near_m: float,
 ) -> tuple[list[list[D]], list[D]]:
-    """The drives to each end of a way, the deepest first, and those that tell of none.
+    """Drives grouped by the dead end that they lead to, the deepest first in each group; and the
+    other drives.
 
-    Of several drives by one branch the deepest tells where the way ends; those that came as far,
-    to within `sound_m`, lead there, too. The way of a branch that a corridor of the graph leaves by
-    is known; so is one by no branch that stays within `near_m` of known ways. ranked: the longest
-    first, with numbers that tell drives by no branch apart and in which order their ends come;
-    corridors: around a vertex.
+    Of several drives by one branch the deepest defines the dead end; those that came as far, to
+    within `sound_m` [m], lead there, too. Drives by a branch that a corridor of the graph leaves by
+    are left out, and so are drives by an unknown branch that stay within `near_m` [m] of known
+    corridors.
+
+    ranked: drives, the longest first, with numbers that distinguish drives by unknown branches and
+    order their dead ends; corridors: gives those around a vertex.
     """
     ends = ((graph.source, graph.source_branch), (graph.target, graph.target_branch))
     known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
@@ -150,8 +157,8 @@ def told_by_deepest(
 def _excursions(
     topomap: TopoMap, odometry: Odometry, visits: Visits, settings: MapBuildingSettings
 ) -> Iterator[_Excursion]:
-    """Every drive between two visits of one vertex, and before the first and after the last visit
-    of each unbroken track."""
+    """All drives between two consecutive visits of the same vertex, and before the first and after
+    the last visit of each unbroken piece of the track."""
     branches = _branches_driven(topomap, odometry, visits, settings)
     visits, real, xy = _with_ends(odometry, visits, topomap.xy)
     away, home = (np.full(len(real), NO_BRANCH) for _ in range(2))
@@ -179,9 +186,12 @@ def _excursions(
 
 
 class _Drive(NamedTuple):
-    """The drive from a visit to the next one. begins, ends: it has no visit at that end, for the
-    track begins or ends there; at_end: there it is the farthest from its vertex; far_way_m: way
-    driven up to where it is the farthest."""
+    """The drive from a visit to the next one.
+
+    begins, ends: whether there is no visit at that end because the track begins or ends there;
+    at_end: whether its farthest point is that end of the track; far_way_m: distance driven [m] up
+    to the farthest point.
+    """
 
     visit: int
     vertex: int
@@ -201,8 +211,11 @@ def _drives(
     known: tuple[BoolArray, IntArray, IntArray],
     settings: MapBuildingSettings,
 ) -> Iterator[_Drive]:
-    """Drives out and back, or half of that. visits: with the ends of tracks; xy: of all vertices;
-    known: (v,) which visits are no such ends, by which branch the robot left, and came."""
+    """Drives out and back, or only one way at the ends of the track.
+
+    visits: including the ends of the track; xy: (n, 2) of all vertices; known: (v,) each: whether a
+    visit is a real one, the branch by which the robot left, and by which it arrived.
+    """
     real, away, home = known
     way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
     within = (np.diff(visits.piece) == 0) & (np.diff(way) > settings.moved_m)
@@ -220,7 +233,7 @@ def _drives(
         vertex = int(v[visit] if begins else u[visit])
         halves = [] if begins else [(points[: far + 1], out if out != NO_BRANCH else back)]
         halves += [] if ends else [(points[far:][::-1], back if back != NO_BRANCH else out)]
-        # Who wanders drives farther, nobody less far.
+        # Detours only lengthen a drive: the shorter one of out and back is nearer to the corridor.
         path, branch = min(
             ((_line(half, xy[vertex], settings), branch) for half, branch in halves),
             key=lambda line: float(way_of(line[0])[-1]),
@@ -240,19 +253,20 @@ def _drives(
 
 
 def _is_corridor(points: FloatArray, out: int, back: int, settings: MapBuildingSettings) -> bool:
-    """Whether a drive back to where it began went round something, by two branches: a corridor."""
+    """Whether a drive back to its start left and returned by two branches around an obstacle: a
+    corridor."""
     return out != back and NO_BRANCH not in (out, back) and is_ring(points, settings)
 
 
 def _line(half: FloatArray, centre: FloatArray, settings: MapBuildingSettings) -> FloatArray:
-    """(p, 2) the way from a vertex to the last of the points that were driven from it on."""
+    """(p, 2) centre line from a vertex to the last point driven."""
     return centre_line(half, centre, half[-1], settings)
 
 
 def _branches_driven(
     topomap: TopoMap, odometry: Odometry, visits: Visits, settings: MapBuildingSettings
 ) -> tuple[IntArray, IntArray]:
-    """(v,) branches by which the robot left its visits, and came to them."""
+    """(v,) each: branches by which the robot left its visits, and by which it arrived."""
     track = track_directions(odometry, visits.time_ns, visits.centre)
     there, turn = topomap.branches.take(visits.vertex), visits.pose[:, 2]
     leaving = nearest_branch(there, track.leaving + turn, settings.match_rad)
@@ -262,8 +276,9 @@ def _branches_driven(
 def _with_ends(
     odometry: Odometry, visits: Visits, xy: FloatArray
 ) -> tuple[Visits, BoolArray, FloatArray]:
-    """Visits with the begin and the end of each unbroken track among them, as vertices of their
-    own, where the next visit sees them; which of them are visits; and where all vertices lie."""
+    """Visits extended by the two ends of each unbroken track as vertices of their own, positioned
+    by the nearest visit; (v,) whether each is a real visit; and (n, 2) positions of all vertices
+    [m]."""
     pieces = np.unique(visits.piece)
     rows = np.concatenate([[0], odometry.breaks, [len(odometry)]])
     row = np.concatenate([rows[pieces], rows[pieces + 1] - 1])
@@ -291,10 +306,10 @@ def _with_ends(
 
 
 def farthest(points: FloatArray, near_m: float) -> int:
-    """The point of a track (p, 2) that is the farthest from its first one along what it shows to
-    be passable: between any two of its points within `near_m` [m]. O(area covered / near²).
+    """Index of the point of a track (p, 2) with the longest shortest path from its first point,
+    where points within `near_m` [m] of each other are connected. O(area covered / near²).
 
-    A robot goes round corners: what is farthest as the crow flies need not be the end of a way.
+    Straight-line distance would not do: a robot goes round corners.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
@@ -311,7 +326,8 @@ def farthest(points: FloatArray, near_m: float) -> int:
 
 
 def _standing(odometry: Odometry, way_m: FloatArray) -> tuple[IntArray, IntArray]:
-    """(k,) when the robot had driven so far first, and last: in between it stood."""
+    """(k,) each: first and last time [ns] at which the robot had driven the distances `way_m` (k,)
+    [m]."""
     way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
     moved = np.diff(way) > 0
     come, last = np.concatenate([[True], moved]), np.append(moved, True)
@@ -325,7 +341,7 @@ def _standing(odometry: Odometry, way_m: FloatArray) -> tuple[IntArray, IntArray
 def _as_points(
     kept: list[list[_Excursion]], topomap: TopoMap, settings: MapBuildingSettings
 ) -> TurningPoints:
-    """Drives to the same ends, the deepest first, as turning points."""
+    """Groups of drives to the same dead ends, the deepest first, as turning points."""
     if not kept:
         return NO_TURNING_POINTS
     deepest = [group[0] for group in kept]
@@ -355,14 +371,15 @@ def _as_points(
 
 
 def _turn_sigma(topomap: TopoMap, vertex: IntArray) -> FloatArray:
-    """(k,) 1 sigma [rad] of directions told from a vertex: no surer than any of its branches."""
+    """(k,) 1 sigma [rad] of directions seen from vertices: that of the least certain branch
+    there."""
     if topomap.branch_sigma is None:
         return np.full(len(vertex), topomap.measured.branch_rad)
     return np.array([topomap.branch_sigma[v].max(initial=0.0) for v in vertex.tolist()])
 
 
 def _heading(path: FloatArray) -> float:
-    """Direction [rad] from the last point of a path to where it comes from."""
+    """Direction [rad] in which a path, followed backwards, leaves its last point."""
     back = path[::-1]
     way = way_of(back)
     at = min(LEAVING_M, float(way[-1]))

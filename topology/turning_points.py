@@ -1,4 +1,4 @@
-"""Ends of ways that the robot did not drive on from: it turned round, or its log begins or ends."""
+"""Dead ends of the track: where the robot turned round, or its log begins or ends."""
 
 from __future__ import annotations
 
@@ -12,33 +12,32 @@ from .passes import NO_BRANCH
 
 TURNING_POINT, TRACK_END = "turning_point", "track_end"
 KINDS = (TURNING_POINT, TRACK_END)
-"""Where the robot turned round; where its log begins or ends."""
+"""The robot turned round; its log begins or ends."""
 
 WAY_COLUMNS = ("length", "length_sigma", "traversals", "paths", "traversal_ns")
-"""What is said of the ways to them, as of the edges of a map."""
+"""Fields of the corridors that lead to them, as of the edges of a map."""
 
 ROWS: dict[str, tuple[type, int]] = {
     "paths": (np.float64, 2),
     "traversal_ns": (np.int64, 2),
     "time_ns": (np.int64, 1),
 }
-"""Of the fields that are an array for each of them: what it holds, and in how many columns."""
+"""Fields that hold one array per turning point: its dtype and number of columns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurningPoints:
-    """The ends of k ways that were driven out of a junction and back to it, or only to it or from
-    it, beside the vertices of a map: where a robot turns round is its own choice, says nothing of
-    the building, and takes no part in telling places apart.
+    """Dead ends of k drives out of a junction and back, or only to it or from it.
 
-    kind: k of `KINDS`; vertex: (k,) of the map, that the way leads to; branch: (k,) row-local
-    branch of it, NO_BRANCH where unknown; heading: (k,) direction [rad] in which the way leaves the
-    point; length, length_sigma: (k,) [m] of the way, along paths: k polylines (p, 2) [m] from the
-    vertex to the point; position_sigma: (k,) [m] and branch_sigma: (k,) [rad], of the point and of
-    its heading; traversals: (k,) times driven; traversal_ns: k arrays (t, 2), by time: when the
-    robot was at the vertex and at the point each time, none where that is not known; time_ns: k
-    arrays (q, 1): when it was there.
-    Raises ValueError where shapes or values do not fit.
+    They are kept beside the vertices of a map: where a robot turns round is its own choice, so that
+    they are not used to recognise places. kind: k of `KINDS`; vertex: (k,) vertex that the corridor
+    starts at; branch: (k,) row-local branch of it, NO_BRANCH where unknown; heading: (k,) direction
+    [rad] in which the corridor leaves the turning point; length, length_sigma: (k,) [m] along
+    paths: k polylines (p, 2) [m] from the vertex to the point; position_sigma: (k,) [m] of the
+    point; branch_sigma: (k,) [rad] of its heading; traversals: (k,) times driven; traversal_ns: k
+    arrays (t, 2), by time: when the robot was at the vertex and at the point on each, empty where
+    not known; time_ns: k arrays (q, 1): when it was at the point. Raises ValueError where shapes or
+    values do not fit.
     """
 
     kind: tuple[str, ...]
@@ -78,7 +77,7 @@ class TurningPoints:
 
     @property
     def xy(self) -> FloatArray:
-        """(k, 2) where they are [m]."""
+        """(k, 2) positions [m]."""
         return np.array([path[-1] for path in self.paths], np.float64).reshape(-1, 2)
 
 

@@ -1,4 +1,5 @@
-"""Turning points as vertices of a map, for documents, drawings and route graphs, and back."""
+"""Conversion of turning points to vertices of a map, for documents, drawings and route graphs, and
+back."""
 
 from __future__ import annotations
 
@@ -13,8 +14,8 @@ from .turning_points import KINDS, NO_TURNING_POINTS, WAY_COLUMNS, TurningPoints
 
 
 def with_turning_points(topomap: TopoMap) -> TopoMap:
-    """The map with its turning points as its last vertices, of one branch each, and the ways to
-    them as its last edges. They are as sure as the junctions that they hang on."""
+    """The map with its turning points as its last vertices, of one branch each, and the corridors
+    to them as its last edges. Their confidence is that of the junctions they start from."""
     t = topomap.turning_points
     if len(t) == 0:
         return topomap
@@ -47,8 +48,8 @@ def with_turning_points(topomap: TopoMap) -> TopoMap:
 
 
 def without_turning_points(topomap: TopoMap) -> TopoMap:
-    """The reverse: vertices that are turning points become `turning_points` of the map. Raises
-    ValueError where they are not the last ones, or have another way than one from a junction."""
+    """The inverse: vertices that are turning points become `turning_points` of the map. Raises
+    ValueError if they are not the last ones, or have other corridors than one from a junction."""
     n = next((k for k, kind in enumerate(topomap.kind) if kind in KINDS), len(topomap))
     k = len(topomap) - n
     if k == 0:

@@ -1,8 +1,8 @@
-"""How far off the vertices of a map may be, together: samples of the posterior of its pose graph.
+"""Joint errors of the vertices of a map, as samples of the posterior of its pose graph.
 
-What a map says of positions is correlated: neighbours share the odometry's errors, far vertices
-only where loops tie them. Samples of the whole tell the error of any function of the positions
-(a corridor's length, the place of one junction seen from another, a rigid fit) by one product.
+Position errors are correlated: neighbouring vertices share the odometry's errors, distant ones only
+where loops tie them. From samples, the error of any function of the positions (the length of a
+corridor, the position of one junction relative to another, a rigid fit) follows by one product.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from .frozen import freeze
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VertexErrors:
-    """sample: (n, 3, s) errors of x, y [m] and of the map's turn [rad] at each vertex, mean 0.
+    """Samples of the joint error of all vertices.
 
-    own: (n,) how much of what fixes the turn at a vertex are readings of its own branches, 0 to 1.
-
-    The frame in which they are given is arbitrary and common to each sample: only what does not
-    depend on it (distances, rigid fits) means anything.
+    sample: (n, 3, s) errors of x, y [m] and of the map's rotation [rad] at each vertex, mean 0;
+    own: (n,) in [0, 1], how much of the information on the rotation at a vertex comes from readings
+    of its own branches. The samples have an arbitrary common frame each: only functions that do not
+    depend on it (distances, rigid fits) are meaningful.
     """
 
     sample: FloatArray
@@ -35,25 +35,25 @@ class VertexErrors:
         freeze(self, np.float64, own=(len(self.sample),))
 
     def distance_errors(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
-        """(k, s) errors [m] of the distance from vertices a to vertices b, which lie at xy (n, 2):
-        to first order those along the line between the two, 0 where they coincide."""
+        """(k, s) errors [m] of the distances between vertices a and b (k,), with xy (n, 2) the
+        positions: to first order the error along the connecting line; 0 where they coincide."""
         step = xy[b] - xy[a]
         unit = step / np.maximum(np.hypot(*step.T), 1e-9)[:, None]
         off = self.sample[b, :2] - self.sample[a, :2]
         return np.asarray((off * unit[:, :, None]).sum(axis=1))
 
     def distance_sigma(self, xy: FloatArray, a: IntArray, b: IntArray) -> FloatArray:
-        """(k,) 1 sigma [m] of these distances; of vertices that coincide the larger of both axes
-        counts."""
+        """(k,) 1 sigma [m] of these distances; for vertices that coincide, the larger one of both
+        axes."""
         along = np.sqrt(np.mean(self.distance_errors(xy, a, b) ** 2, axis=1))
         off = self.sample[b, :2] - self.sample[a, :2]
         either = np.sqrt(np.mean(off**2, axis=2).max(axis=1))
         return np.asarray(np.where(np.hypot(*(xy[b] - xy[a]).T) > 1e-6, along, either))
 
     def as_a_whole(self, xy: FloatArray, piece: IntArray) -> VertexErrors:
-        """The errors that are left when a map is laid rigidly over the truth: those of its shape.
+        """The errors that remain after aligning the map rigidly to the truth.
 
-        xy: (n, 2) vertices; piece: (n,) number of the rigid body that each is part of.
+        xy: (n, 2) positions; piece: (n,) rigid piece of each vertex, aligned separately.
         """
         out = self.sample.copy()
         for k in np.unique(piece):
@@ -62,27 +62,28 @@ class VertexErrors:
         return VertexErrors(out, self.own)
 
     def position_sigma(self) -> FloatArray:
-        """(n,) 1 sigma [m] of each coordinate, the mean of both."""
+        """(n,) 1 sigma [m] per coordinate, root mean square of both."""
         return np.asarray(np.sqrt(np.mean(self.sample[:, :2] ** 2, axis=(1, 2))))
 
     def turn_sigma(self) -> FloatArray:
-        """(n,) 1 sigma [rad] of the map's turn at each vertex."""
+        """(n,) 1 sigma [rad] of the map's rotation at each vertex."""
         return np.asarray(np.sqrt(np.mean(self.sample[:, 2] ** 2, axis=1)))
 
     def branch_sigma(self, owner: IntArray, reading: FloatArray) -> FloatArray:
-        """(b,) 1 sigma [rad] of branch headings, each of vertex `owner` and read to `reading`
-        [rad].
+        """(b,) 1 sigma [rad] of the headings of branches in the map.
 
-        Where the building's grid fixes the turn at a vertex by the branches' own readings, the
-        errors of both cancel in part: with variances r of a reading and s of the turn, cov = -s ·
-        own. No less than half of the reading's own sigma.
+        owner: (b,) vertex of each branch; reading: (b,) 1 sigma of its reading [rad]. Where the
+        building's grid fixes the rotation at a vertex by the readings of its own branches, the two
+        errors cancel in part: with variances r of a reading and s of the rotation, cov = -s · own.
+        The result is at least half of the reading's own sigma.
         """
         turn = self.turn_sigma() ** 2 * (1 - 2 * self.own)
         return np.asarray(np.sqrt(np.maximum(reading**2 + turn[owner], 0.25 * reading**2)))
 
 
 def _without_rigid_motion(sample: FloatArray, xy: FloatArray) -> FloatArray:
-    """(n, 3, s) errors less the shift and turn that fit them best; of one vertex, all of them."""
+    """(n, 3, s) errors minus the best-fitting shift and rotation; of a single vertex all is
+    removed."""
     arm = xy - xy.mean(axis=0)
     out = sample.copy()
     out[:, :2] -= sample[:, :2].mean(axis=0)

@@ -1,4 +1,4 @@
-"""When the robot was at which vertex, and the track between two visits, drawn in the map."""
+"""When the robot was at which vertex, and the track between two visits in the map frame."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .track import point_at, way_at
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visits:
-    """When the robot was at which vertex, by time: passes, and drives by that went undetected.
+    """When the robot was at which vertex, by time, whether it was detected or not.
 
-    time_ns, vertex: (v,); seen: (v,) whether a pass tells it; pose: (v, 3) corrected: position in
-    the map and turn from the odometry's frame to the map's; centre: (v, 2) the vertex in the
-    odometry frame at that time; piece: (v,) unbroken piece of odometry.
+    time_ns, vertex: (v,); seen: (v,) whether there is a detection; pose: (v, 3) position in the map
+    [m] and rotation from the odometry frame to the map frame [rad]; centre: (v, 2) the vertex in
+    the odometry frame at that time [m]; piece: (v,) unbroken piece of odometry.
     """
 
     time_ns: IntArray
@@ -32,11 +32,11 @@ class Visits:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PassesAtPlaces:
-    """By which vertices the passes of a run were, and how it lies by that.
+    """The vertices of a run's passes, with their layout.
 
     place: (p,) vertex of each pass, negative for none; fair: (p,) whether the pass shows its vertex
-    as it is, so that its branches count; turn: (p,) from the odometry's frame to the map's [rad];
-    xy: (n, 2) vertices [m]; visits: by time.
+    correctly, so that its branches count; turn: (p,) from the odometry frame to the map frame
+    [rad]; xy: (n, 2) vertices [m]; visits: by time.
     """
 
     place: IntArray
@@ -48,11 +48,11 @@ class PassesAtPlaces:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnTrack:
-    """Pieces of the track between visits, bent to meet the vertices at their ends.
+    """Pieces of the track between visits, deformed to meet the vertices at their ends.
 
-    owner: (k,) number of the piece each point belongs to; offsets: (m + 1,) rows of each piece;
-    way: (k,) way driven [m]; odom, xy: (k, 2) in the odometry's frame and in the map's; turn: (k,)
-    between the two.
+    owner: (k,) piece of each point; offsets: (m + 1,) first point of each piece; way: (k,) distance
+    driven [m]; odom, xy: (k, 2) in the odometry frame and in the map frame; turn: (k,) rotation
+    between the two [rad].
     """
 
     owner: IntArray
@@ -66,10 +66,10 @@ class DrawnTrack:
 def draw_track(
     odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray, step_m: float
 ) -> DrawnTrack:
-    """The track from visit `first[k]` to the next one, for all k at once.
+    """The track from visit `first[k]` to the next one, in the map frame, for all k at once.
 
-    All pieces are sampled in one flat row. Each point is placed as seen from either visit, and
-    between the two views by the way driven; what is left at the ends is spread likewise.
+    All pieces are sampled every `step_m` [m] or less in one flat array. Each point is transformed
+    as seen from either visit, and interpolated between the two by the distance driven.
     """
     at = way_at(odometry, visits.time_ns)
     length = at[first + 1] - at[first]

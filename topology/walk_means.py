@@ -1,4 +1,4 @@
-"""Random walks seen through means: what a mean over several messages differs from another by."""
+"""Variances of differences between means of a random walk over groups of messages."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from .ragged import numbered
 class WalkMeans:
     """Means of random walks over groups of messages, one group after the other.
 
-    middle: (g, k) how far each of k walks had come at the middle of each group, in the unit that
-    its variance grows with (metres driven, radians turned); NaN for groups without a message.
-    lost: (g, k) by how much less the mean over a group varies than the walk at its middle.
+    middle: (g, k) mean argument of each of k walks in each group, in the unit that the walk's
+    variance grows with (metres driven, radians turned); NaN for groups without a message. lost: (g,
+    k) by how much the variance of the group's mean is smaller than that of the walk at its middle.
     """
 
     middle: FloatArray
@@ -24,11 +24,11 @@ class WalkMeans:
 
     @classmethod
     def of(cls, walked: FloatArray, group: IntArray, count: int) -> WalkMeans:
-        """Of messages sorted by group and time: walked (m, k), ascending; group (m,) < count.
+        """From messages sorted by group and time: walked (m, k), ascending; group (m,) < count.
 
-        A walk W of variance c at c has cov(W(c), W(d)) = min(c, d): the mean over a group varies by
-        the mean of the lesser of two of its c, which is their mean less half of their mean
-        difference.
+        A walk W with variance c at c has cov(W(c), W(d)) = min(c, d): the variance of the mean over
+        a group is the mean of min(c, d) over its pairs, i.e. their mean minus half of their mean
+        absolute difference.
         """
         size = np.bincount(group, minlength=count)
         n = np.where(size > 0, size, np.nan)[:, None]
@@ -42,7 +42,7 @@ class WalkMeans:
         return cls(middle, total(lead * (walked - middle[group])) / n**2)
 
     def between(self, first: IntArray, second: IntArray) -> FloatArray:
-        """(m, k) variances, of walks of unit variance, of how much the mean over each group
-        `second` differs from that over a group `first` before it."""
+        """(m, k) variances, for walks of unit variance, of the difference between the means over
+        groups `second` and over earlier groups `first` (m,)."""
         out: FloatArray = (self.middle - self.lost)[second] - (self.middle + self.lost)[first]
         return out

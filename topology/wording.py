@@ -19,7 +19,7 @@ def utc(time_ns: int, form: str = "%Y-%m-%d %H:%M:%S") -> str:
 
 
 def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:
-    """Names in one line: the first `most` of them, and how many more there are."""
+    """Names in one line: the first `most` of them and the number of the others."""
     rest = len(names) - most
     return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
@@ -30,5 +30,6 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
 
 
 def to_turning_points(number: int) -> str:
-    """After a count of corridors: how many of them lead to no other junction, where any do."""
+    """Suffix after a count of corridors: how many of them lead to no other junction; empty for
+    none."""
     return f" ({number:,} to turning points or ends of the log)" if number else ""

@@ -1,1 +1,1 @@
-"""Loop closure: which passes of one run were by the same place, and how sure that is."""
+"""Loop closure: which passes of one run were by the same place, with the evidence for it."""

@@ -1,4 +1,4 @@
-"""What loop closure answered to each question, round by round, and which answers still stand."""
+"""The answers of loop closure to each question, by round, and which of them still stand."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ TORN = "taken back: a pass was torn away"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identification:
-    """Passes `first` and `second` were asked to be one place.
+    """The question whether passes `first` and `second` were by one place, and its answer.
 
-    turn_rad: by how much the branches around `second` had to be turned to meet those around
-    `first`, on top of the estimate at that time. round: in which the answer was given, from 1 on; 0
-    if not by rounds. accepted_round: in which it had been accepted, if this takes it back.
+    bits: evidence for it; turn_rad: rotation of the branches of `second`, in addition to the
+    estimate at that time, at which they meet those of `first` [rad]; round: in which it was
+    answered, from 1 on, 0 if not by rounds; accepted_round: the round in which it had been
+    accepted, if this takes it back.
     """
 
     first: int
@@ -36,14 +37,14 @@ class Identification:
 
 
 Answer = tuple[int | str | None, ...]
-"""Which question was answered, and how: two passes or places, and the reason."""
+"""Key of an answer: two passes or places, and the reason."""
 
 
 def explained(
     doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
 ) -> dict[tuple[int, int], Identification]:
-    """The doubts that were only "not sure enough" and for which a more specific reason is known,
-    with it."""
+    """The doubts with the reason "not sure enough" for which `reasons` has a more specific one,
+    with that."""
     return {
         pair: replace(doubts[pair], reason=reason)
         for pair, reason in reasons.items()
@@ -52,17 +53,17 @@ def explained(
 
 
 def is_open(q: Identification, place: IntArray) -> bool:
-    """Whether the two passes are by different places as yet."""
+    """Whether the two passes are still at different places."""
     return bool(place[q.first] != place[q.second])
 
 
 def taken_back(q: Identification, number: int) -> Identification:
-    """An identification that round `number` refuses after all."""
+    """An accepted identification, refused in round `number`."""
     return replace(q, accepted=False, reason=TORN, round=number, accepted_round=q.round)
 
 
 def note(answers: dict[Answer, Identification], given: Iterable[Identification]) -> None:
-    """Record answers: of each two passes the last one of each reason."""
+    """Record answers, keeping the last one per pair of passes and reason."""
     for q in given:
         answers[q.first, q.second, q.reason, q.accepted_round] = q
 
@@ -70,10 +71,9 @@ def note(answers: dict[Answer, Identification], given: Iterable[Identification])
 def revised_answers(
     place: IntArray, answers: Iterable[Identification], asked: list[Identification]
 ) -> list[Identification]:
-    """Refusals that later rounds changed: for each pair of places the last one of each reason.
+    """Refusals that later rounds changed: the last one of each reason, per pair of places.
 
-    asked: the answers that stand. Two passes that were later found to be by one place keep their
-    own entry.
+    asked: the answers that stand. Two passes that were later identified keep an entry of their own.
     """
 
     def key(q: Identification) -> Answer:
@@ -90,7 +90,7 @@ def revised_answers(
 def standing_doubts(
     place: IntArray, doubts: dict[tuple[int, int], Identification]
 ) -> list[Identification]:
-    """Refusals that still concern two places: the latest of each pair, sorted by place."""
+    """Refusals that still concern two places: the latest per pair of places, sorted."""
     latest: dict[tuple[int, int], Identification] = {}
     for (i, j), q in doubts.items():
         a, b = sorted((int(place[i]), int(place[j])))

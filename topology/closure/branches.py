@@ -1,8 +1,9 @@
-"""What the branches of two places tell of their being one place, in nats.
+"""Evidence [nats] from the branches of two places that they are one place.
 
-The terms are those of `matching/branches.py`. Two places of one run, unlike two maps, share a frame
-up to the error of dead reckoning. So the turn between them has a prior, a branch by chance may
-point anywhere, and a set of branches is worth its rarity in this run, directions included.
+The terms are those of `matching/branches.py`. Unlike two maps, two places of one run share a frame
+up to the error of dead reckoning. Therefore the rotation between them has a prior, the null model
+of a single branch is uniform, and the null model of a set of branches is its frequency in this run,
+directions included.
 """
 
 from __future__ import annotations
@@ -26,16 +27,17 @@ from .evidence import Background, EvidenceSettings
 from .places import Places
 
 ANYWHERE = float(np.log(2 * np.pi))
-"""-ln density [1/rad] of a branch that may point anywhere."""
+"""-ln density [1/rad] of a uniformly distributed heading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Branches:
-    """Of n places with up to s branches each, what is compared.
+    """The branches of n places with up to s branches each.
 
-    unit: (n, s) headings as unit numbers, 0 where there is no branch; lack: (n, s) nats that it
-    tells if another look lacks the branch; common: (n,) log likelihood of each place's branches at
-    some other place of this run; variance: [rad²] of a branch between two looks.
+    unit: (n, s) headings as unit complex numbers, 0 where there is no branch; lack: (n, s) nats
+    that it contributes if the other place lacks the branch; common: (n,) log likelihood of each
+    place's branches at some other place of this run (null model); variance: of the difference of
+    two readings of a branch [rad²].
     """
 
     unit: ComplexArray
@@ -47,7 +49,7 @@ class Branches:
 def branches_of(places: Places, common: Background, settings: EvidenceSettings) -> Branches:
     """The branches of all places. O(n · references)."""
     unit = unit_headings(places.heading)
-    # Another look lacks a branch as often as the looks at this place did, or by a fault.
+    # Rate at which a pass lacks the branch: as among the passes by this place, or by a fault.
     seldom = np.log(np.maximum(1.0 - places.share, common.fault_rate))
     lack = np.where(unit != 0, seldom * places.confidence[:, None], 0.0)
     variance = 2 * common.branch_sigma**2
@@ -56,9 +58,11 @@ def branches_of(places: Places, common: Background, settings: EvidenceSettings) 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """How the branches of two places fit. odds: (k,) nats, one place against any two; turn: (k,)
-    [rad] to be added to b's headings to meet a's; partner: (k, s) slot of b that each slot of a
-    matches, -1 for none."""
+    """The best alignment of the branches of k pairs of places.
+
+    odds: (k,) log likelihood ratio [nats], one place against any two; turn: (k,) [rad] to be added
+    to b's headings to meet a's; partner: (k, s) slot of b that each slot of a matches, -1 for none.
+    """
 
     odds: FloatArray
     turn: FloatArray
@@ -73,13 +77,14 @@ def align(
     turn_sigma: FloatArray,
     turn_mean: FloatArray | None = None,
 ) -> Alignment:
-    """Compare the branches of places a and b (k,), which may be turned by N(mean, sigma > 0).
+    """Align the branches of places a and b (k,), whose rotation has the prior N(turn_mean,
+    turn_sigma²) [rad].
 
-    All pairs at once: every difference of a branch of a and one of b is tried as the turn; the one
-    that explains most wins.
+    All pairs at once: every difference between a branch of a and one of b is tried as the rotation;
+    the one with the largest likelihood wins.
     """
     k, s = len(a), branches.unit.shape[1]
-    # A robot that stands does not turn.
+    # The rotation of a standing robot has no variance.
     turn_sigma = np.maximum(turn_sigma, 1e-6)
     mean = np.zeros(k) if turn_mean is None else turn_mean
     unit_a, unit_b = branches.unit[a], branches.unit[b] * np.exp(1j * mean)[:, None]
@@ -102,10 +107,11 @@ def align(
 
 
 def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray, ComplexArray]]:
-    """Turns to try: (rows, turn of each row as unit numbers), the smallest first, no two alike.
+    """Rotations to try: (rows, rotation of each row as a unit number), by increasing angle, without
+    duplicates.
 
-    between: (k, m) turns from branches of b to branches of a as unit numbers, 0 where there is no
-    branch; reach: (k,) [rad] largest turn.
+    between: (k, m) rotations from branches of b to branches of a as unit numbers, 0 where there is
+    no branch; reach: (k,) largest rotation [rad].
     """
     cosine = np.where(between != 0, between.real, -np.inf)
     limit = np.cos(np.minimum(reach, np.pi))
@@ -125,8 +131,11 @@ def _trials(between: ComplexArray, reach: FloatArray) -> Iterator[tuple[IntArray
 def _turned(
     pairs: BranchPairs, rest: ComplexArray, trial: ComplexArray, sigma: FloatArray, variance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """What paired branches tell under the likeliest turn, and that turn: the mean of what the pairs
-    say, held towards 0 by its own sigma. rest: (k, s) turns that they still need after `trial`."""
+    """(k,) log likelihood ratio of the paired branches under the most likely rotation, and that
+    rotation [rad]: the mean over the pairs, weighted with the prior N(0, sigma²).
+
+    rest: (k, s) rotation of each pair that is left after `trial`.
+    """
     rest = np.where(pairs.paired, rest, 0.0)
     weight = pairs.paired.sum(axis=1) / variance
     turn = (np.angle(trial) + np.angle(rest.sum(axis=1))) * weight / (weight + sigma**-2)
@@ -141,14 +150,15 @@ def _commonness(
 ) -> FloatArray:
     """(n,) log likelihood of each place's branches at some other place of this run.
 
-    A kernel density: the mean over a fixed sample of places of what their branches say of being
-    these, without a turn; a share of it (`outlier_share`) for sets of branches seen nowhere else.
+    A kernel density estimate: the mean, over a fixed sample of places, of the likelihood of these
+    branches there, without rotation; mixed with a share `outlier_share` for sets of branches seen
+    nowhere else.
     """
     n = len(unit)
     sample = np.arange(0, n, max(1, n // settings.references))
     wide = np.array([settings.bandwidth_rad**2 + variance], np.float32)
-    # Slots come first and few places at a time: reductions over a short last axis, and tables that
-    # the processor cannot keep at hand, cost most. Odds need no more than single precision.
+    # Slots come first, and few places at a time: reductions over a short last axis and tables
+    # larger than the cache are slow. Single precision suffices for odds.
     x, y = unit.real.T.astype(np.float32), unit.imag.T.astype(np.float32)
     cost = lack.T.astype(np.float32)
     out = np.empty(n)

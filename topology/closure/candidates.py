@@ -1,4 +1,4 @@
-"""Pairs of places that may be one, with what speaks for and against."""
+"""Pairs of places that may be one, with the evidence for and against."""
 
 from __future__ import annotations
 
@@ -30,23 +30,24 @@ from .places import NOWHERE, Places
 
 @dataclass(frozen=True, slots=True)
 class CandidateSettings:
-    """Which pairs of places are asked about."""
+    """Which pairs of places are considered."""
 
     most_pairs: int = 10
-    """No more pairs for each place are looked at in one round, the nearest of all: time
+    """Pairs per place that are considered in one round, the nearest of all; bounds the time
     (`benchmarks/closure.py --growth`)."""
     most_tabled: int = 1_000_000
-    """Pairs of places in one table: some 200 MB."""
+    """Pairs of places in one table: about 200 MB."""
     most_strangers: int = 3000
-    """Pairs of places known to be two that are asked what they have in common: they tell a share
-    of 1/100 to a fifth of itself."""
+    """Size of the sample of null pairs: estimates a tail probability of 1/100 to a fifth of
+    itself."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
     growth: GrowthSettings = field(default_factory=GrowthSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
-    """Pairs of places a < b that may be one place, with the terms of their log odds [nats]."""
+    """Pairs of places a < b that may be one place, with the terms of their log odds [nats], (k,)
+    each."""
 
     a: IntArray
     b: IntArray
@@ -55,33 +56,35 @@ class Candidates:
     support: FloatArray
     conflict: FloatArray
     aliasing_penalty: FloatArray
-    """What is taken off because places that are certainly two look as much alike."""
+    """Deducted because null pairs look as much alike."""
     turn: FloatArray
-    """Added to the branches of b to meet those of a [rad]."""
+    """To be added to the branches of b to meet those of a [rad]."""
     ground: DrivenGround
     fits: BoolArray
-    """Whether their positions pass the gate. The others lie nearer to each other than two junctions
-    do: they are not identified, and yet no third place has to be the one or the other."""
+    """Whether their distance passes the gate. The others are nearer to each other than two
+    junctions usually are; they are not identified, but do not rule out other identifications
+    either."""
 
     def __len__(self) -> int:
         return len(self.a)
 
     @property
     def alike(self) -> FloatArray:
-        """(k,) all evidence but that of position."""
+        """(k,) all evidence but that of position [nats]."""
         out: FloatArray = self.branches + self.support - self.conflict - self.aliasing_penalty
         return out
 
     @property
     def total(self) -> FloatArray:
-        """(k,) all evidence."""
+        """(k,) all evidence [nats]."""
         out: FloatArray = self.position + self.alike
         return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Apart:
-    """Pairs of places a < b: shift (k, 2) [m] from b to a, cov (k, 3, 3) of what is known of it."""
+    """Pairs of places a < b: shift (k, 2) from b to a [m], cov (k, 3, 3) of it and of the
+    rotation."""
 
     a: IntArray
     b: IntArray
@@ -92,11 +95,12 @@ class _Apart:
         return len(self.a)
 
     def odds(self, common: Background) -> tuple[FloatArray, FloatArray]:
-        """(k,) `position_odds` and squared Mahalanobis distance, the two centres' noise added."""
+        """(k,) each: `position_odds` and squared Mahalanobis distance, including the noise of both
+        centres."""
         return position_odds(common, self.shift, self.noisy(common))
 
     def noisy(self, common: Background) -> FloatArray:
-        """(k, 2, 2) covariance of the shift with the two centres' noise."""
+        """(k, 2, 2) covariance of the shift, including the noise of both centres."""
         out: FloatArray = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
         return out
 
@@ -111,9 +115,9 @@ def candidates(
 ) -> Candidates:
     """All pairs of places that position and branches allow, with the terms of their evidence.
 
-    Cheap bounds come first: dead reckoning, the shortest known way, and the most that branches and
-    corridors could add at the best position. Only the pairs that are left need covariances of the
-    solved graph, and get them if `exact`; otherwise the bounds stand in for these.
+    Cheap bounds come first: dead reckoning, the shortest known path, and the most that branches and
+    corridors could add at the best position. The remaining pairs get covariances of the solved pose
+    graph if `exact`; otherwise the bounds are used in their place.
     """
     common = state.common
     pairs = _known_apart(state, place, estimate, settings)
@@ -126,7 +130,7 @@ def candidates(
         pairs = take(pairs, best + _surroundings(state, pairs, settings).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(estimate, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common)
-    # First what is plain: the rest is easier once that is settled.
+    # Without exact covariances only clear cases are kept: they make the others easier.
     least = -np.inf if exact else 0.0
     fits = d2 < LIKELIHOOD.gate_chi2(2)
     fine = odds > np.where(fits, least, 0.0)
@@ -157,9 +161,9 @@ def candidates(
 def _known_apart(
     state: MapState, place: IntArray, estimate: Estimate, settings: CandidateSettings
 ) -> _Apart:
-    """Pairs of places within reach, in one piece of odometry, with bounds on their covariance.
+    """Pairs of places within reach, in one piece of odometry, with bounds of their covariance.
 
-    What dead reckoning alone excludes stays excluded: closures only make it more certain.
+    Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
     """
     reckoning, places = state.reckoning, state.places
     reach_m = settings.growth.hops * state.common.leg_m
@@ -176,31 +180,31 @@ def _known_apart(
 
 
 def _null_pairs(state: MapState, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
-    """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, certainly two
-    places.
+    """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, i.e. pairs that
+    position excludes.
 
-    In rows of corridors of equal length, two places look alike more often than independent lengths
-    would make them: this measures how often in this run.
+    In rows of corridors of equal length, different places look alike more often than independent
+    lengths would make them: this measures how often in this run.
     """
     _, d2 = pairs.odds(state.common)
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
     aside = state.common.lattice.is_step(pairs.shift[rows])
     if aside.sum() >= np.exp(settings.evidence.lead):
-        # What a place could be taken for is one step of the lattice off: so many of these tell as
-        # much as `lead` asks.
+        # The places that could be confused lie one lattice step off; so many of these pairs
+        # suffice for odds of `lead`.
         rows = rows[aside]
     rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
     return np.sort(_surroundings(state, take(pairs, rows), settings).sum())
 
 
 def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
-    """(k,) log odds [nats] that the likeness `alike` is worth, calibrated on null pairs.
+    """(k,) log odds [nats] of the likeness `alike`, calibrated on null pairs.
 
-    null_pairs: (m,) ascending likeness of pairs of places that are certainly two. What a share q of
+    null_pairs: (m,) ascending likeness of pairs of different places. A likeness that a share q of
     them reaches is worth -ln q; beyond the largest of them the odds grow as the model says. slack:
-    where the map repeats itself, right pairs are as rare as null pairs: being among the highest is
-    then worth at most one nat more than the share of null pairs within `slack` below tells.
+    where the map repeats itself, true pairs are as rare as null pairs, so that the rank among the
+    null pairs is worth at most one nat more than the share of null pairs less than `slack` below.
     """
     if len(null_pairs) == 0:
         return alike
@@ -213,10 +217,11 @@ def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.
 
 
 def _pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
-    """(k, 2) pairs a < b of points that near, sorted; nearer ones only where that are too many."""
+    """(k, 2) pairs a < b of points within `reach_m`, sorted; within less if these are more than
+    `most`."""
     tree = cKDTree(xy)
     while (count := int(tree.count_neighbors(tree, reach_m))) > 2 * most + len(xy):
-        # In the plane their number, here of both directions, goes with the square of the reach.
+        # The number of pairs (here both directions) grows with the square of the reach.
         reach_m *= float(np.sqrt(most / count))
     pairs = tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
     out: IntArray = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
@@ -224,7 +229,7 @@ def _pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
 
 
 def _nearest(pairs: _Apart, most: int) -> _Apart:
-    """The pairs that lie nearest to each other: the others' turn comes when these are settled."""
+    """The `most` pairs with the smallest shifts; the others are considered in later rounds."""
     if len(pairs) <= most:
         return pairs
     near = np.argsort((pairs.shift**2).sum(axis=1), kind="stable")[:most]
@@ -233,7 +238,8 @@ def _nearest(pairs: _Apart, most: int) -> _Apart:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Surroundings:
-    """Evidence of branches and corridors (log odds)."""
+    """Evidence [nats] from branches and corridors, and the rotation that aligns the branches
+    [rad]."""
 
     branches: FloatArray
     support: FloatArray
@@ -250,14 +256,15 @@ def _surroundings(state: MapState, pairs: _Apart, settings: CandidateSettings) -
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(state.branches, a, b, turn_sigma=turn_sigma)
     grown = grow(state, a, b, aligned, settings.growth)
-    # Legs side by side are not independent: every hop tells two answers apart, and no more.
+    # Adjacent legs are not independent: each hop counts `lead` at most.
     cap = settings.growth.hops * settings.evidence.lead
     gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
     return _Surroundings(aligned.odds, gain, loss, aligned.turn)
 
 
 def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
-    """`cov` (k, 3, 3), or the round one of the given variances where that is smaller."""
+    """`cov` (k, 3, 3), or the isotropic one of the given variances [m²], [rad²] where that is
+    smaller."""
     other = np.zeros_like(cov)
     other[:, 0, 0] = other[:, 1, 1] = np.where(np.isfinite(position), 0.5 * position, 0.0)
     other[:, 2, 2] = np.where(np.isfinite(turn), turn, 0.0)
@@ -267,7 +274,7 @@ def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatAr
 
 
 def _telling_way(state: MapState, reach_m: float) -> float:
-    """A way [m] at whose end places may lie anywhere within reach: it excludes nothing."""
+    """Path length [m] from which on dead reckoning excludes nothing within `reach_m`."""
     way = np.array(reach_m)
     while LIKELIHOOD.gate_chi2(2) * _way_variance(state, way)[0] < reach_m**2:
         way = 2.0 * way
@@ -277,10 +284,11 @@ def _telling_way(state: MapState, reach_m: float) -> float:
 def known_way_variance(
     state: MapState, a: IntArray, b: IntArray, far_m: float, settings: CandidateSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) upper bounds on the squared error [m²] and turn [rad²] of place b seen from place a.
+    """(k,) each: upper bounds of the squared error [m²] and of the rotation's variance [rad²] of
+    place b relative to place a.
 
-    The error of dead reckoning along the shortest known way between the two bounds that of the
-    solved graph, and costs one Dijkstra search per place, in strips. Ways longer than `far_m` [m]
+    The error of dead reckoning along the shortest known path between the two bounds that of the
+    solved graph, and costs one Dijkstra search per place, in strips. Paths longer than `far_m` [m]
     give no bound (inf).
     """
     places = state.places
@@ -302,9 +310,10 @@ def known_way_variance(
 
 
 def _way_variance(state: MapState, length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squared error [m²] and turn [rad²] at the end of ways of that length [m]."""
+    """Squared error [m²] and variance of the rotation [rad²] at the end of paths of these lengths
+    [m]."""
     noise, extra = state.reckoning.noise, state.reckoning.systematic
-    # As if every metre of the way lay as far off as the middle of it, with a corner after each leg.
+    # As if all of the path were as far away as its middle, with a corner after each leg.
     corners = np.pi / 2 * (1.0 + length / state.common.leg_m)
     turn = noise.heading_rad_per_sqrt_m**2 * length + noise.heading_rad_per_sqrt_rad**2 * corners
     turn = turn + (extra.turn_rad_per_m * length) ** 2 + (extra.turn_rad_per_rad * corners) ** 2
@@ -315,7 +324,8 @@ def _way_variance(state: MapState, length: FloatArray) -> tuple[FloatArray, Floa
 def _nearest_in_time(
     places: Places, place: IntArray, a: IntArray, b: IntArray
 ) -> tuple[IntArray, IntArray]:
-    """A pass of each of two places, near in time: the later one's first, the other's one before."""
+    """A pass of each of two places, close in time: the first of the later place, and the last one
+    before it of the other."""
     early, late = np.where(places.first[a] < places.first[b], [a, b], [b, a])
     count = len(place)
     key = np.sort(place * count + np.arange(count))
@@ -325,7 +335,7 @@ def _nearest_in_time(
 
 
 def _exact_covariance(estimate: Estimate, a: IntArray, b: IntArray) -> FloatArray:
-    """(k, 3, 3) of place b seen from place a, in map axes, from the solved graph."""
+    """(k, 3, 3) of place b relative to place a, in map axes, from the solved graph."""
     if len(a) == 0:
         return np.zeros((0, 3, 3))
     na, nb = estimate.node[a], estimate.node[b]
@@ -334,7 +344,7 @@ def _exact_covariance(estimate: Estimate, a: IntArray, b: IntArray) -> FloatArra
 
 
 def _turned(cov: FloatArray, turn: FloatArray) -> FloatArray:
-    """Covariances (k, 3, 3) of x, y and direction in axes turned by `turn` (k,) [rad]."""
+    """Covariances (k, 3, 3) of x, y and heading in axes rotated by `turn` (k,) [rad]."""
     R = turned_axes(turn)
     out: FloatArray = R @ cov @ R.transpose(0, 2, 1)
     return out

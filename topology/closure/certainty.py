@@ -1,4 +1,4 @@
-"""How sure the places of a closed estimate are: samples of all their errors together."""
+"""Uncertainty of the places of a closed estimate: samples of their joint error."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from .manhattan import GridHeadings
 
 @dataclass(frozen=True, slots=True)
 class CertaintySettings:
-    """How well errors are told."""
+    """How uncertainty is sampled, and how much of a centre's error all passes share."""
 
     samples: int = 256
-    """They tell a sigma to 1 / √(2 · 256) = 4 %, which takes a point or less from its coverage."""
+    """Standard error of a sigma: 1 / √(2 · 256) = 4 %, which costs its coverage a point or less."""
     least_shared: float = 0.5
-    """Of the variance of a centre that scans show, so much at least all passes have alike: .5 to .8
-    in simulated cities, offices, tiles and organic streets, less in rows and mazes."""
+    """Least share of the variance of a centre detected in scans that all passes have in common: .5
+    to .8 in simulated cities, offices, tiles and organic streets, less in rows and mazes."""
 
 
 CERTAINTY = CertaintySettings()
@@ -39,12 +39,12 @@ def place_errors(
     *,
     shared_m: FloatArray | None = None,
 ) -> VertexErrors:
-    """Errors of the places `kept` of an estimate, by the noise that it was optimised with.
+    """Errors of the places `kept` of an estimate, given the noise that it was optimised with.
 
-    Sampled from the posterior of the pose graph, with the errors that the graph does not hold: a
-    place with a single pass is off by the error of its detection, all lengths share the error of
-    the odometry's scale, and all passes of a place what they see alike (shared_m: of each pass,
-    1 sigma per axis [m]; None for nothing).
+    Sampled from the posterior of the pose graph, plus the errors that the graph does not contain:
+    the detection error of places with a single pass, the scale error of the odometry, common to all
+    lengths, and the error that all passes by a place have in common (shared_m: (p,) 1 sigma per
+    axis [m]; None for none).
     """
     count = CERTAINTY.samples
     sampled = SampledMarginals.of(estimate.graph, estimate.solution.with_full_weights(), count)
@@ -67,8 +67,8 @@ def place_errors(
         error[:, :2] += alike[:, None, None] * drawn(len(kept), 2)
     own = np.zeros(len(kept))
     if grid is not None:
-        # The grid tells a pass its turn by the mean of its branches, to how well these were read
-        # and how well corridors keep to the grid.
+        # The grid determines the rotation at a pass from the mean of its branches, up to their
+        # reading errors and the deviation of corridors from the grid.
         branches = np.maximum(reckoning.passes.branches.counts, 1)
         read = reckoning.noise.branch_rad**2 / np.mean(branches)
         own[:] = read / (read + grid.spread_rad**2)
@@ -76,17 +76,21 @@ def place_errors(
 
 
 def seen_alike(open_m: FloatArray, noise: RunNoise) -> FloatArray:
-    """(p,) 1 sigma per axis [m] of what all passes of a place see alike: of all that the walls
-    leave open at each pass, open_m (p,), without what passes differ by."""
+    """(p,) 1 sigma per axis [m] of the error that all passes by a place have in common.
+
+    open_m: (p,) 1 sigma per axis [m] of all that the walls leave undetermined at each pass, from
+    which the scatter between passes is subtracted.
+    """
     least = np.sqrt(CERTAINTY.least_shared) * open_m
     return np.asarray(np.sqrt(np.maximum(open_m**2 - noise.centre_m**2, least**2)))
 
 
 def _means(values: FloatArray, place: IntArray) -> FloatArray:
-    """(n, …) mean over the passes by each place of their values (p, …).
+    """(n, …) mean over the passes by each place of values (p, …).
 
-    Of errors of turns: branches are drawn as every pass is turned. The place's own node in the pose
-    graph is turned as they were read, too, which `branch_sigma` counts for itself.
+    Used for errors of the rotation, because branches are drawn with the mean rotation of their
+    passes. The place's own node in the pose graph also contains the reading errors of the branches,
+    which `branch_sigma` adds itself.
     """
     row = np.flatnonzero(place >= 0)
     size = (int(place.max(initial=-1)) + 1, len(place))

@@ -1,4 +1,4 @@
-"""A run as loop closure sees it: its passes in order, and the odometry between them."""
+"""Dead reckoning: the passes of a run in order, and the odometry with its errors between them."""
 
 from __future__ import annotations
 
@@ -13,33 +13,32 @@ from ..topomap import RunNoise
 from ..track import interpolated, piece_of, stretch_of, track_directions, way_at
 
 RANDOM = slice(7)
-"""Columns of `DeadReckoning.sums` that are variances."""
+"""Columns of `DeadReckoning.sums` that hold variances."""
 
 
 @dataclass(frozen=True, slots=True)
 class SystematicErrors:
     """1 sigma of the odometry's constant errors.
 
-    Scale is not among them: a scaled map still closes all of its loops.
+    Scale is not among them, because a scaled map still closes all of its loops.
     """
 
     turn_rad_per_m: float = 0.0005
-    """Heading gained per metre driven."""
+    """Heading bias per metre driven."""
     turn_rad_per_rad: float = 0.01
     """Relative error of turns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
-    """The passes of a run and what the odometry says about the way between them.
+    """The passes of a run and the odometry between them.
 
-    piece: (p,) unbroken piece of odometry of each pass. leg: (p - 1,) way from each pass to the
-    next [m], NaN across a break or a jump. arriving, leaving: (p,) headings [rad] from the place to
-    where the robot came from and went to, NaN where unknown. aside: (p,) how far from the place the
-    robot came by [m].
-    sums: (p, 13) prefix sums over the odometry up to each pass (`relative_covariance`), about
-    `origin` (p, 2), the middle of the pass's piece; jumps: (p, 7) what the odometry's jumps add to
-    the variances among them.
+    piece: (p,) unbroken piece of odometry of each pass. leg: (p - 1,) distance driven from each
+    pass to the next [m], NaN across a break or a jump. arriving, leaving: (p,) headings [rad] from
+    the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
+    which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
+    pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
+    7) what the odometry's jumps add to the variances among them.
     """
 
     passes: Passes
@@ -86,8 +85,8 @@ def dead_reckoning(
 
 
 def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
-    """Dead reckoning with its random errors (1 sigma) multiplied by `factor`; those of jumps stay
-    as stated."""
+    """Dead reckoning with its random errors (1 sigma) multiplied by `factor`; those of jumps
+    stay."""
     n = reckoning.noise
     noise = replace(
         n,
@@ -103,9 +102,10 @@ def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:
 
 
 def _about_pieces(odometry: Odometry) -> tuple[FloatArray, FloatArray]:
-    """(q, 2) middle of every unbroken piece, and (n, 2) positions about that of their piece.
+    """(q, 2) centroid of every unbroken piece, and (n, 2) positions relative to that of their
+    piece.
 
-    Sums about it keep their digits wherever a reset may have put the frame.
+    Sums about the centroid keep their precision wherever a reset has put the frame.
     """
     position = odometry.pose[:, :2]
     middle = np.stack([m.mean(axis=0) for m in np.split(position, odometry.breaks)])
@@ -132,7 +132,7 @@ def _prefix_sums(
 
 
 def _jump_sums(odometry: Odometry, passes: Passes, about: FloatArray) -> FloatArray:
-    """(p, 7) the first columns of `_prefix_sums`, over the jumps."""
+    """(p, 7) the variance columns of `_prefix_sums`, over the jumps only."""
     q, along = np.zeros(len(odometry)), np.zeros(len(odometry))
     along[odometry.jumps], q[odometry.jumps] = odometry.jump_sigma.T**2
     x, y = about.T
@@ -152,10 +152,10 @@ def _up_to_passes(odometry: Odometry, passes: Passes, columns: list[FloatArray])
 def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
     """(k, 3, 3) covariance of pass `second`'s x, y, theta as dead reckoned from pass `first`.
 
-    The random walk and the jumps; `systematic_modes` holds the rest. Axes are those of the odometry
-    frame; theta is the error of the frame's direction. Closed form from prefix sums, O(1) per pair:
-    with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second pass, C_θθ = S0,
-    C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
+    Random walk and jumps only; see `systematic_modes` for the constant errors. Axes are those of
+    the odometry frame; theta is the error of that frame's heading. Closed form from prefix sums,
+    O(1) per pair: with S0 = Σq, S1 = Σq p, S2 = Σq p pᵀ over the steps between and c the second
+    pass, C_θθ = S0, C_xyθ = J (S0 c - S1), C_xy = Στ² ds I + J (S0 c cᵀ - S1 cᵀ - c S1ᵀ + S2) Jᵀ.
     """
     d = _between(reckoning.sums[:, RANDOM] + reckoning.jumps, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
@@ -176,10 +176,11 @@ def relative_covariance(reckoning: DeadReckoning, first: IntArray, second: IntAr
 
 
 def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray) -> FloatArray:
-    """(k, 3, 2) derivatives of pass `second`'s x, y, theta, seen from `first`, by constant errors.
+    """(k, 3, 2) derivatives of pass `second`'s x, y, theta, relative to `first`, by the constant
+    errors.
 
-    Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the
-    odometry rows, for first <= second.
+    Last axis: turn per metre, turn per radian (`SystematicErrors`). Exact sums over the odometry
+    rows, for first <= second.
     """
     d = _between(reckoning.sums, first, second)
     c = (reckoning.passes.centre - reckoning.origin)[second]
@@ -195,7 +196,7 @@ def systematic_modes(reckoning: DeadReckoning, first: IntArray, second: IntArray
 def dead_reckoning_covariance(
     reckoning: DeadReckoning, first: IntArray, second: IntArray
 ) -> FloatArray:
-    """(k, 3, 3) `relative_covariance` with the systematic errors in it."""
+    """(k, 3, 3) `relative_covariance` including the systematic errors."""
     modes = systematic_modes(reckoning, first, second)
     s = reckoning.systematic
     modes = modes * np.array([s.turn_rad_per_m, s.turn_rad_per_rad])

@@ -1,4 +1,4 @@
-"""How often the detector of a run errs, counted at the places known so far."""
+"""Error rates of a run's detector, counted at the places identified so far."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from .places import Places
 
 @dataclass(frozen=True, slots=True)
 class RateSettings:
-    """The prior of a detector's rates of faults."""
+    """Prior of a detector's error rates."""
 
     prior_passes: float = 25.0
-    """Worth of the prior rates, in passes."""
+    """Weight of the prior rates, in passes."""
 
 
 def measured_rates(
     places: Places, noise: RunNoise, settings: RateSettings = RateSettings()
 ) -> RunNoise:
-    """The noise, with the detector's rates of faults measured on this run.
+    """The noise, with the detector's error rates estimated on this run.
 
-    miss_rate: of drives along a corridor that mostly leads to one place, those that came out at
-    another one, having passed a junction unseen or reported one that is none. branch_fault_rate: of
-    looks at a branch of a place with three passes or more, those that disagree with the majority.
+    miss_rate: of traversals of a corridor that mostly leads to one place, the share that ended at
+    another one because of a missed or a spurious detection. branch_fault_rate: of observations of a
+    branch at places with three passes or more, the share that disagrees with the majority.
     """
     several = places.tried >= 2
     torn = float((places.tried - places.driven)[several].sum())

@@ -1,4 +1,4 @@
-"""The estimate of a run: positions of its passes and places, by a pose graph, given which passes
+"""The estimate of a run: positions of its passes and places from a pose graph, given which passes
 were by the same place."""
 
 from __future__ import annotations
@@ -20,36 +20,38 @@ from .manhattan import GridCorridors, GridHeadings
 from .places import ONE_WAY_RAD
 
 _SWING = 0.5
-"""Of what a leg turns wrongly, evenly along its way, its end is turned by half about its start."""
+"""A heading error that accumulates uniformly along a leg rotates its end about its start by half as
+much."""
 
 
 @dataclass(frozen=True, slots=True)
 class EstimateSettings:
-    """How identifications and grid headings pull at the estimate."""
+    """How identifications and grid headings enter the estimate."""
 
     slot_gap_rad: float = ONE_WAY_RAD
-    """Branch readings of several passes farther apart than this belong to different branches."""
+    """Branch readings of several passes farther apart than this belong to different branches
+    [rad]."""
     grid_kernel: float = 2.0
-    """Cauchy width [sigmas] of what the grid of a rectilinear building tells of headings and of
-    where its corridors lead: 2.385 would be 95 % efficient with Gaussian errors (Holland, Welsch
-    1977) and found fewer places of rows, before corridors held these straight
-    (`benchmarks/ablation.txt`, part 2)."""
+    """Width [sigmas] of the Cauchy kernel of grid headings and grid corridors: 2.385 would be 95 %
+    efficient with Gaussian errors (Holland, Welsch 1977) and found fewer places in rows, before
+    corridors held these straight (`benchmarks/ablation.txt`, part 2)."""
     settled_chi2: float = 0.1
-    """Solved to this: a step that lowers χ² by less moves no pose by a third of its error."""
+    """Absolute tolerance of the solver: a step that lowers χ² by less moves no pose by a third of
+    its standard deviation."""
     samples: int = 64
-    """Covariances of many nodes are sampled: so many tell a variance to √(2 / 64), 18 %."""
+    """Samples for covariances of many nodes: standard error of a variance √(2 / 64) = 18 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Estimate:
     """The solved pose graph of a run.
 
-    pose: (p, 3) of every pass in the map frame: its centre, and the turn from odometry to map.
-    xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: a vertex of its own
-    if it has several passes, else its pass. sighting: (k,) pass of each sighting edge;
+    pose: (p, 3) of every pass in the map frame: its centre, and the rotation from odometry to map.
+    xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: one of its own if
+    it has several passes, else its pass. sighting: (k,) pass of each observation factor;
     sighting_chi2: (k,) its squared error in sigmas. reduced_chi2: mean squared error in sigmas per
-    degree of freedom, 1 if the noise of the run is right; freedom: how many degrees tell it.
-    samples: of covariances.
+    degree of freedom, 1 if the noise model is right; freedom: degrees of freedom. samples: for
+    covariances of many nodes.
     """
 
     pose: FloatArray
@@ -64,9 +66,10 @@ class Estimate:
     samples: int
 
     def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
-        """(k, 3, 3) of nodes b seen from nodes a, axes of a: exact for few, sampled for many.
+        """(k, 3, 3) of nodes b relative to nodes a, in the axes of a: exact for few nodes, sampled
+        for many.
 
-        Sampled ones are larger by the share to which so many samples tell a sigma.
+        Sampled covariances are enlarged by the relative standard error of a sampled sigma.
         """
         samples = self.samples
         # A node takes three solutions, a sample one.
@@ -88,14 +91,14 @@ def optimise(
 ) -> Estimate:
     """Most likely poses of passes and places, from odometry and identifications.
 
-    place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) poses to begin
-    with; turn: (p,) turns at which the branches of the passes of one place meet, where these are
-    not (nearly) those of `start` yet.
+    place: (p,) place of each pass, numbered from 0; negative: none. start: (p, 3) initial poses;
+    turn: (p,) rotations at which the branches of the passes of one place meet, where those of
+    `start` do not do so approximately.
 
-    Nodes of the pose graph are the passes (at their centre, turned like the odometry's frame) and
-    the places of several passes; legs join passes, sightings join passes to places, the systematic
-    errors of the odometry are variables shared by all legs. A corridor of the grid is a node, too,
-    a line that its passes lie on.
+    Nodes of the pose graph are the passes (at their centre, rotated like the odometry frame) and
+    the places with several passes. Edges are the legs between consecutive passes and the
+    observations of places by passes; the systematic errors of the odometry are variables shared by
+    all legs. A corridor of the grid is a node as well: a line that its passes lie on.
     """
     count = len(reckoning)
     if start is None:
@@ -152,10 +155,10 @@ def optimise(
 
 
 def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> FloatArray:
-    """(p, 3) poses by odometry, its legs turned as the grid of the building says.
+    """(p, 3) initial poses by odometry, with its legs rotated as the grid of the building says.
 
-    Hundreds of corridors later the headings of the odometry may be anywhere, and from there no
-    solver finds the way back.
+    Without the grid, headings may be arbitrarily wrong after hundreds of corridors, beyond the
+    solver's basin of convergence.
     """
     centre = reckoning.passes.centre
     if grid is None:
@@ -173,8 +176,10 @@ def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> Float
 def _solved(
     graph: PoseGraph, sighting: slice, settings: EstimateSettings
 ) -> tuple[PoseGraph, Solution, FloatArray]:
-    """Believe every sighting at first: a new identification may pull places together from afar,
-    where a robust kernel would let go of it. Then let go of those that do not fit."""
+    """Solve without robust kernels on the observations, then, if some do not fit, with kernels.
+
+    A new identification may move places by far, which a robust kernel would reject at first.
+    """
     given = SolverSettings(relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2)
     solution = solve(graph, given)
     gate = LIKELIHOOD.gate_sigmas
@@ -187,7 +192,8 @@ def _solved(
 
 
 def _reduced_chi2(chi2: FloatArray, freedom: int, gate: float) -> float:
-    """Σ χ² per degree of freedom, edges beyond the gate counted as on it; 1 if nothing tells."""
+    """Σ χ² per degree of freedom, with edges beyond the gate counted as on it; 1 without any
+    freedom."""
     if freedom == 0:
         return 1.0
     value = float(chi2.sum()) / freedom
@@ -202,7 +208,7 @@ def _priors(
     line: int,
     settings: EstimateSettings,
 ) -> Priors:
-    """Headings of passes and of lines, the nodes from `line` on."""
+    """Priors of the headings of passes, and of the directions of lines (nodes from `line` on)."""
     if grid is None:
         return Priors.empty()
     row, turn, sigma = grid.row, grid.turn, grid.sigma
@@ -218,7 +224,7 @@ def _priors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Factors:
-    """row: (k,) pass that each factor begins at."""
+    """Relative pose measurements, as of `PoseGraph`. row: (k,) pass that each factor begins at."""
 
     row: IntArray
     measurement: FloatArray
@@ -233,8 +239,8 @@ def _legs(reckoning: DeadReckoning) -> _Factors:
 
 
 def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
-    """(k, 3, 3) covariance of the errors of the legs from passes `row` to the next, as the pose
-    graph measures them: what a leg turns wrongly has turned its end by half of it already."""
+    """(k, 3, 3) covariance of the errors of the legs from passes `row` (k,) to the next ones, in
+    the metric of the pose graph with `swing`: the end is seen from half of the heading error."""
     x, y = (reckoning.passes.centre[row + 1] - reckoning.passes.centre[row]).T
     half = np.tile(np.eye(3), (len(row), 1, 1))
     half[:, 0, 2], half[:, 1, 2] = _SWING * y, -_SWING * x
@@ -245,9 +251,8 @@ def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
 def _information(cov: FloatArray) -> FloatArray:
     """Inverses of covariances (k, 3, 3), symmetric and positive definite.
 
-    Odometry that leaps by hundreds of kilometres knows so much less in one direction than another
-    that nothing of the inverse is right. There small variances are raised until four of a double's
-    sixteen digits are.
+    If the odometry leaps by hundreds of kilometres, the condition number is so large that an
+    inverse has no correct digit. Small variances are then raised so that four digits are correct.
     """
     variance, axes = np.linalg.eigh(cov)
     least = 1e-12 * variance[:, -1:]
@@ -267,14 +272,15 @@ def _sightings(
     turn: FloatArray,
     settings: EstimateSettings,
 ) -> _Factors:
-    """Passes of places with several: the centre coincides, the branches fix the direction."""
+    """Observation factors of places with several passes: the centres coincide, the branches fix the
+    rotation."""
     row = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] > 1))
     branches = reckoning.passes.branches
     home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(reckoning)), place)
     slots = cluster_angles(
         branches.values + turn[branches.owner], home[branches.owner], settings.slot_gap_rad
     )
-    # How each pass would have to be turned for its branches to meet the places' mean branches.
+    # Rotation of each pass that aligns its branches with the mean branches of its place.
     off = wrap(slots.mean[slots.of] - branches.values - turn[branches.owner])
     counts = np.maximum(branches.counts, 1)
     turn = turn + np.bincount(branches.owner, off, minlength=len(reckoning)) / counts
@@ -288,8 +294,8 @@ def _sightings(
 def _lines(
     start: FloatArray, corridors: GridCorridors | None
 ) -> tuple[_Factors, IntArray, FloatArray]:
-    """Passes (`row`) that lie on lines, on which line each does, and these (c, 3), which begin at
-    their first passes."""
+    """Factors of passes that lie on grid corridors, the line of each (k,), and the initial poses of
+    the lines (c, 3), which start at their first passes."""
     if corridors is None:
         none, poses = np.zeros(0, np.int64), np.zeros((0, 3))
         return _Factors(none, poses, np.zeros((0, 3, 3))), none, poses

@@ -1,8 +1,8 @@
-"""Evidence that two places are one, in natural log odds: position and lengths of corridors.
+"""Evidence [nats] that two places are one: position and lengths of corridors.
 
 Every term compares "the same place" with "another place of this run", so that what is common in a
-run is worth little. Lengths are judged as everywhere (`matching/likelihood.py`); branches have a
-module of their own (`branches.py`).
+run contributes little. Lengths are compared by `matching/likelihood.py`; for branches see
+`branches.py`.
 """
 
 from __future__ import annotations
@@ -23,38 +23,38 @@ from .places import Places
 
 @dataclass(frozen=True, slots=True)
 class EvidenceSettings:
-    """Rates and widths that the noise of a run does not tell."""
+    """Parameters of the evidence that do not follow from the noise of a run."""
 
     core_quantile: float = 0.03
-    """Two junctions are seldom (`LIKELIHOOD.fault_floor`) nearer to each other than the corridors
-    at this quantile of all are long (tried: 0.1, the same), and seldom farther from the track, but
-    for this share of passes, when they are reported."""
+    """Quantile of the lengths of all corridors below which two junctions are seldom
+    (`LIKELIHOOD.fault_floor`) apart; tried: 0.1, no change. Also the share of passes that are
+    farther from the track than `Background.reach_m`."""
     inflation: float = 1.2
-    """Widths of the noise are taken this much larger than estimated: of few repeats. Tried: with 1,
-    two places of a run on tiles are taken for one."""
+    """Factor on the estimated sigmas, which come from few repeats. Tried: with 1, two places of a
+    run on tiles are taken for one."""
     bandwidth_rad: float = 0.12
-    """Width of the kernels that say how common a set of branches is in this run, beside the noise.
+    """Width of the kernels of the null model of sets of branches, in addition to the noise [rad].
     Tried: with 0 and 0.06 a place of a real run (Intel) is no longer found again."""
     references: int = 100
-    """Places that stand for the run when asking how common a set of branches is."""
+    """Size of the sample of places for the null model of sets of branches."""
     strip: int = 64
-    """Places whose aliasing_penalty is worked out at once: what the processor keeps at hand."""
+    """Places whose null model is evaluated at once, to fit the cache."""
     lead: float = 3.0
-    """Log odds that tell two answers apart, 20 to one: of sets of identifications over those that
-    exclude one of them and of each candidate that joins a set (`joint_compatibility.py`), and of
-    likeness over what is nearly as much alike (`candidates.py`)."""
+    """Log odds [nats] by which one answer must exceed its alternatives, 20 to one: sets of
+    identifications over those that exclude one of them, each candidate that joins a set
+    (`joint_compatibility.py`), and likeness over what is nearly as much alike (`candidates.py`)."""
     pattern: LatticeSettings = field(default_factory=LatticeSettings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
-    """What is usual in a run, against which likeness is judged.
+    """Statistics of a run, the null model for evidence.
 
-    leg_m: median way from one pass to the next [m]. core_m: radius [m] within which no other
-    junction is expected. reach_m: how far beside the track junctions are reported. lengths:
-    distribution of these ways. branch_sigma, centre_sigma: 1 sigma of one detection [rad, m].
-    fault_rate, miss_rate: of branches and of junctions. lattice: where other junctions lie relative
-    to a junction.
+    leg_m: median distance driven from one pass to the next [m]. core_m: radius [m] within which no
+    other junction is expected. reach_m: distance from the track up to which junctions are reported
+    [m]. lengths: distribution of the legs. branch_sigma, centre_sigma: 1 sigma of one detection
+    [rad, m]. fault_rate, miss_rate: of branches and of junctions. lattice: positions of other
+    junctions relative to a junction.
     """
 
     leg_m: float
@@ -69,20 +69,19 @@ class Background:
 
     @property
     def density(self) -> float:
-        """Places per m²: each is the middle of a cell about as wide as a typical leg."""
+        """Places per m²: each is taken to be the centre of a cell as wide as a typical leg."""
         return 1.0 / self.leg_m**2
 
 
 def background(
     reckoning: DeadReckoning, noise: RunNoise, settings: EvidenceSettings = EvidenceSettings()
 ) -> Background:
-    """Statistics of a run that evidence is measured against. noise: as far as the run has shown
-    it."""
+    """The statistics of a run. noise: as far as the run has shown it."""
     legs = reckoning.leg[np.isfinite(reckoning.leg)]
-    # Chords: a leg that turns back or winds says nothing about how close junctions lie.
+    # Chords: the length of a leg that turns back or winds does not bound the junctions' distance.
     chord = np.hypot(*np.diff(reckoning.passes.centre, axis=0).T)
     chord = chord[np.isfinite(reckoning.leg)]
-    # A robot that stands has legs, too: of no length but for the noise of the two centres.
+    # Legs of a standing robot have no length but the noise of the two centres.
     centre_sigma = settings.inflation * noise.centre_m
     moved = chord[chord > LIKELIHOOD.gate_sigmas * np.sqrt(2) * centre_sigma]
     core_m = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
@@ -102,8 +101,8 @@ def background(
 def with_lattice(
     common: Background, places: Places, xy: FloatArray, settings: EvidenceSettings
 ) -> Background:
-    """The background with the arrangement of neighbouring junctions in a map of places at `xy` (n,
-    2)."""
+    """The background with the arrangement of neighbouring junctions, for places at `xy` (n, 2)
+    [m]."""
     found = lattice_of(
         places, xy, core_m=common.core_m, typical_m=common.leg_m, settings=settings.pattern
     )
@@ -113,20 +112,20 @@ def with_lattice(
 def position_odds(
     common: Background, shift: FloatArray, cov: FloatArray, ground: DrivenGround | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) log odds that two places are one by position alone, and their squared Mahalanobis
-    distance.
+    """(k,) each: log odds [nats] that two places are one by position alone, and their squared
+    Mahalanobis distance.
 
     shift: (k, 2) [m] between the two, with covariance `cov` (k, 2, 2) [m²]. The alternative is
-    another junction, which may lie anywhere outside of the core around this one, but on ground that
-    was driven without a report only if it was missed.
+    another junction, which may lie anywhere outside the core around this one, but on `ground` that
+    was driven without a detection only if it was missed.
     """
     x, y = shift.T
     d2, det = squared_mahalanobis(x, y, cov)
     s2 = np.sqrt(det)
-    # So far off that none of it is inside, it need not be told how far.
+    # Bounded where the probability inside the core is 0 anyway.
     far = (common.core_m / np.sqrt(s2) + 2 * LIKELIHOOD.gate_sigmas) ** 2
     inside = chndtr(common.core_m**2 / s2, 2.0, np.minimum((x * x + y * y) / s2, far))
-    # Exceptions within the core are doors side by side, not one upon the other.
+    # Two junctions within the core (doors side by side) do not coincide.
     apart = np.minimum((x * x + y * y + 2 * s2) / common.core_m**2, 1.0)
     outside = 1.0 - inside
     if ground is not None:
@@ -140,11 +139,11 @@ def position_odds(
 def among_neighbours(
     common: Background, odds: FloatArray, shift: FloatArray, cov: FloatArray
 ) -> FloatArray:
-    """(k,) `odds` of `position_odds`, lowered where another junction of this map may well lie at
-    `shift`: the alternative is then a neighbour in the lattice, too."""
+    """(k,) the `odds` of `position_odds`, lowered where the lattice predicts another junction at
+    `shift`, which is then an alternative as well."""
     if not common.lattice.repeats:
         return odds
-    # Neighbours are beyond the core: what is known much better than that cannot be one.
+    # Neighbours lie outside the core: only uncertain pairs can be confused with them.
     room = common.core_m - np.hypot(*shift.T)
     vague = np.flatnonzero(room**2 < LIKELIHOOD.gate_sigmas**2 * (cov[:, 0, 0] + cov[:, 1, 1]))
     shift, cov = shift[vague], cov[vague]
@@ -157,10 +156,11 @@ def among_neighbours(
 
 
 def best_position_odds(common: Background, shift: FloatArray) -> FloatArray:
-    """(k,) `position_odds` at the round covariance that suits each shift best.
+    """(k,) `position_odds` with the isotropic covariance that maximises them for each shift (k, 2)
+    [m].
 
-    About the most that they can be, cheaply. No strict bound: a long, thin covariance along the
-    shift, or one that places the other certainly within the core, can give a few nats more.
+    A cheap approximate upper bound: an elongated covariance along the shift, or one that places the
+    other certainly within the core, can exceed it by a few nats.
     """
     s2 = np.maximum(0.5 * (shift**2).sum(axis=1), 2 * common.centre_sigma**2)
     odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2))
@@ -168,6 +168,7 @@ def best_position_odds(common: Background, shift: FloatArray) -> FloatArray:
 
 
 def length_odds(common: Background, a: FloatArray, b: FloatArray, var: FloatArray) -> FloatArray:
-    """(k,) log odds that two legs of lengths a and b are one corridor."""
+    """(k,) log odds [nats] that two legs of lengths a and b [m] are one corridor; var: of a - b
+    [m²]."""
     chance = np.minimum(common.lengths.rarity(a), common.lengths.rarity(b))
     return np.asarray(length_log_density(a - b, var) + chance)

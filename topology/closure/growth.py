@@ -1,7 +1,7 @@
-"""Growth (§2.2) of the map against itself: what the corridors around two places say.
+"""Growth (§2.2) of the map against itself: evidence from the corridors around two places.
 
 If two places are one, the corridors that leave them by the same branches are the same corridors,
-and lead to places that are the same again. Hypotheses grow side by side, hop by hop, in arrays.
+and lead to places that are the same again. All hypotheses grow in parallel, hop by hop, in arrays.
 """
 
 from __future__ import annotations
@@ -22,28 +22,29 @@ from .places import NOWHERE, ONE_WAY_RAD, Places
 
 @dataclass(frozen=True, slots=True)
 class GrowthSettings:
-    """How far hypotheses grow and what a step is worth."""
+    """How far hypotheses grow and how steps count."""
 
     hops: int = 4
     discount: float = 0.85
-    """Each hop counts this much of the one before: legs are not independent of each other. Tried:
+    """Weight of each hop relative to the one before: legs are not independent of each other. Tried:
     with 1 a run on tiles is closed wrongly under three times the noise."""
     leg_cap: float = LIKELIHOOD.most
-    """Most that one pair of legs may add …"""
+    """Bound on the evidence of one pair of legs [nats]."""
     branch_cap: float = LIKELIHOOD.most
-    """… and the branches at their far ends."""
+    """Bound on the evidence of the branches at their far ends [nats]."""
     wobble_m: float = 0.08
-    """How much the way driven through one corridor varies. Tried: with 0 rows close less often."""
+    """1 sigma of the length driven through one corridor [m]. Tried: with 0 rows close less
+    often."""
     line_m: float = LIKELIHOOD.gate_m
-    """Legs begin and end at the same two lines within this."""
+    """Tolerance within which legs begin and end at the same two lines [m]."""
     beside: int = 4
-    """Of the gaps in order of their middles so many are looked at on either side: few have their
-    middle in one place."""
+    """Number of gaps on either side, sorted by their middles, that a gap is compared with: few have
+    their middle in one place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MapState:
-    """The state of the map: places, their positions (n, 2) [m] and branches, and the run's
+    """The state of the map: places, their positions xy (n, 2) [m] and branches, and the run's
     statistics."""
 
     reckoning: DeadReckoning
@@ -55,7 +56,7 @@ class MapState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
-    """What the surroundings say of each hypothesis, in natural log odds.
+    """Evidence [nats] of the surroundings of each hypothesis.
 
     gain: (k,) from corridors that agree; loss: (k,) positive, from those that disagree.
     """
@@ -66,7 +67,8 @@ class Support:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Front:
-    """Pairs of places that hypotheses have come to: places a and b, turned by `turn`."""
+    """Pairs of places that hypotheses have reached: a and b, with b's branches rotated by `turn`
+    [rad]."""
 
     hypothesis: IntArray
     a: IntArray
@@ -77,7 +79,8 @@ class _Front:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Reached:
-    """Pairs of legs: the pair of places they leave (`row` of the front) and the pair they reach."""
+    """Pairs of legs: the pair of places that they leave (`row` of the front), the pair of places
+    qa, qb and slots ea, eb that they reach, and their lengths la, lb [m]."""
 
     row: IntArray
     qa: IntArray
@@ -87,7 +90,7 @@ class _Reached:
     la: FloatArray
     lb: FloatArray
     missed: IntArray
-    """Junctions that one of the two must have missed on the way."""
+    """Junctions that must have been missed in one of the two."""
 
 
 def grow(
@@ -97,7 +100,8 @@ def grow(
     aligned: Alignment,
     settings: GrowthSettings = GrowthSettings(),
 ) -> Support:
-    """Support of the hypotheses "place a[k] is place b[k]", grown `settings.hops` corridors far."""
+    """Support of the hypotheses "place a[k] is place b[k]", grown over `settings.hops`
+    corridors."""
     places, common = state.places, state.common
     k = len(a)
     gain, loss = np.zeros(k), np.zeros(k)
@@ -118,7 +122,7 @@ def grow(
         odds[gaps.known(h, state.xy[front.a[reached.row]], state.xy[reached.qa])] = 0.0
         odds = odds + miss * reached.missed
         same = reached.qa == reached.qb
-        # Both corridors end at one place: by one branch it is one corridor, by two it is none.
+        # Both legs end at one place: by one branch they agree, by two branches they disagree.
         odds = np.where(same, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
         further = np.flatnonzero(~same)
         ends = align(
@@ -153,9 +157,9 @@ def grow(
 class _Gaps:
     """Gaps between parallel lines that the legs of each hypothesis have spanned so far.
 
-    Blocks between the same two streets are equally long. So of parallel legs between the same two
-    lines only the first counts by its length; counted as independent evidence, they would support
-    the place one street off as well.
+    Blocks between the same two streets are equally long, so that of parallel legs between the same
+    two lines only the first counts by its length. As independent evidence they would support the
+    place one street further as well.
     """
 
     def __init__(self, hypotheses: int, settings: GrowthSettings) -> None:
@@ -164,7 +168,7 @@ class _Gaps:
         self._spans = np.zeros((0, 3))
 
     def known(self, hypothesis: IntArray, begin: FloatArray, end: FloatArray) -> BoolArray:
-        """(m,) whether a leg, from `begin` to `end` (m, 2), spans a gap that was met before.
+        """(m,) whether a leg from `begin` to `end` (m, 2) [m] spans a gap that was spanned before.
 
         Lines run along the first leg of a hypothesis or across it; other legs span no gap.
         """
@@ -205,7 +209,7 @@ def _leave(places: Places, front: _Front) -> _Reached:
     pa, pb = front.a[row], front.b[row]
     qa, qb = places.next_place[pa, slot_a], places.next_place[pb, slot_b]
     ea, eb = places.next_slot[pa, slot_a], places.next_slot[pb, slot_b]
-    # The same leg looked at from both its ends, or from one place twice, tells nothing.
+    # The same leg seen from both of its ends, or twice from one place, is no evidence.
     own = (qa == pb) & (qb == pa) & (ea == slot_b) & (eb == slot_a)
     use = (qa != NOWHERE) & (qb != NOWHERE) & ~own & (pa != pb)
     la, lb = places.length[pa, slot_a], places.length[pb, slot_b]
@@ -216,7 +220,8 @@ def _leave(places: Places, front: _Front) -> _Reached:
 def _compare(
     state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
 ) -> tuple[_Reached, IntArray]:
-    """Pairs of legs that agree, also past one missed junction; rows of the front for the others."""
+    """Pairs of legs that agree, possibly past one missed junction; and rows of the front of the
+    others."""
     agree = _agree(state, front, pairs, settings)
     rest = np.flatnonzero(~agree)
     through = _past_missed(state, front, take(pairs, rest), settings)
@@ -227,7 +232,7 @@ def _compare(
 
 
 def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings) -> BoolArray:
-    """Equal lengths, and ends that coincide once the two places do."""
+    """(m,) whether lengths are equal, and ends coincide if the two places do, within the gate."""
     var = _leg_variance(state, pairs.la, pairs.lb, settings)
     near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
     da = state.xy[pairs.qa] - state.xy[front.a[pairs.row]]
@@ -241,9 +246,9 @@ def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSett
 def _past_missed(
     state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
 ) -> tuple[_Reached, IntArray]:
-    """Where the shorter leg, driven on past its end, meets the end of the longer.
+    """Pairs of legs that agree after extending the shorter leg past its end by one more leg.
 
-    Returns the pairs so reached, and for each the index into `pairs` that it came from.
+    Returns these pairs, and for each the index into `pairs` that it came from.
     """
     short_a = pairs.la < pairs.lb
     middle, entry = np.where(short_a, pairs.qa, pairs.qb), np.where(short_a, pairs.ea, pairs.eb)

@@ -1,8 +1,8 @@
-"""The full closure: in rounds, the identifications that are certain enough.
+"""Full closure: incremental identification, the most certain first.
 
 A run is available as a whole, so it is not closed pass by pass. Each round makes the
-identifications that are certain by now, optimises the pose graph again, and gives the next round
-its smaller uncertainty.
+identifications that are certain by now, optimises the pose graph again, and passes the reduced
+uncertainty on to the next round.
 """
 
 from __future__ import annotations
@@ -56,16 +56,15 @@ from .variance_components import with_shown_spread
 class RoundSettings:
     """When an identification is certain enough.
 
-    What the runs lose without each mechanism: `benchmarks/ablation.txt`, part 1.
+    Ablation of each mechanism: `benchmarks/ablation.txt`, part 1.
     """
 
     wrong_share: float = 0.1
-    """Share of runs that may hold a wrong identification if all just reach the odds asked. Tried on
-    walks through equal aisles: with 0.1 one of 16 is closed wrongly, with 0.05 two, with 0.2 two of
-    the first five; but 0.2 joins two passes in a part of Intel that 0.1 does not."""
+    """Share of runs with a wrong identification if all of them just reach the required odds. Tried
+    on walks through equal aisles: with 0.1 one of 16 is closed wrongly, with 0.05 two, with 0.2 two
+    of the first five; but 0.2 joins two passes in a part of Intel that 0.1 does not."""
     caution: float = 1.25
-    """Random errors are taken to be this many times those estimated: a dozen repeats tell a sigma
-    to a quarter."""
+    """Factor on the estimated random errors: a dozen repeats estimate a sigma to a quarter."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
     rates: RateSettings = field(default_factory=RateSettings)
     estimate: EstimateSettings = field(default_factory=EstimateSettings)
@@ -73,22 +72,22 @@ class RoundSettings:
     grid: RectilinearSettings = field(default_factory=RectilinearSettings)
 
     def least_odds(self, passes: int) -> float:
-        """Log odds [nats] that an identification needs in a run of `passes` passes.
+        """Log odds [nats] required of an identification in a run of `passes` passes.
 
-        Each pass is one chance of a wrong identification (a Bonferroni bound).
+        Each pass is one chance of a wrong identification (Bonferroni bound).
         """
         return float(np.log(passes / self.wrong_share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Closed:
-    """A run, closed.
+    """A run with its loops closed.
 
-    place: (p,) place of each pass, numbered by first visit; estimate: the optimised positions of
-    these places; asked: evidence of every identification made, and of the refused ones that had
-    some; reckoning: the one given, its noise raised by `caution` and by what the estimate showed;
-    grid: the headings of the building's grid that held the estimate, if any; revised: answers of
-    earlier rounds that a later round changed.
+    reckoning: the one given, with its noise raised by `caution` and by the residuals of the
+    estimate; place: (p,) place of each pass, numbered by first visit; estimate: the optimised
+    positions; asked: all identifications made, and the refused ones that had some evidence; grid:
+    the headings of the building's grid, if it has one; revised: answers of earlier rounds that a
+    later round changed.
     """
 
     reckoning: DeadReckoning
@@ -100,20 +99,21 @@ class Closed:
 
 
 def full_closure(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Identify the passes of a run, held straight by the grid of its building if it has one."""
+    """Identify the passes of a run, with headings held by the grid of its building if it has
+    one."""
     return _in_rounds(_Closure(reckoning, grid_headings(reckoning, settings.grid), settings))
 
 
 def closure_without_grid(
     reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()
 ) -> Closed:
-    """Identify the passes of a run whose headings are known up to quarter turns only."""
+    """Identify the passes of a run without using the headings of a grid."""
     return _in_rounds(_Closure(reckoning, None, settings))
 
 
 def _in_rounds(under_way: _Closure) -> Closed:
-    # Every round but the first identifies what was not, or is the last: what is taken back, is so
-    # for good.
+    # Terminates: every round but the first adds an identification or is the last, and those taken
+    # back are blocked.
     for number in count(1):
         new = under_way.certain(number)
         if new:
@@ -126,7 +126,7 @@ def _in_rounds(under_way: _Closure) -> Closed:
 
 
 class _Closure:
-    """A closure under way: what is identified, how the run lies by that, and what was answered."""
+    """The state of a closure: identifications, the present estimate, and the answers given."""
 
     def __init__(
         self, reckoning: DeadReckoning, grid: GridHeadings | None, settings: RoundSettings
@@ -143,11 +143,11 @@ class _Closure:
         self._estimate = self._optimised(None)
 
     def certain(self, number: int) -> list[Identification]:
-        """The identifications that are certain by the present estimate: one by one or, failing
+        """The identifications that are certain given the present estimate: individually or, failing
         that, jointly.
 
-        The first round bounds positions cheaply and makes only what is plain by these bounds, which
-        eases the rest.
+        The first round uses cheap bounds of the covariances and makes only the clear
+        identifications.
         """
         exact, settings = number > 1, self._settings
         state = self._scene()
@@ -166,21 +166,21 @@ class _Closure:
         return new
 
     def identify(self, new: list[Identification]) -> None:
-        """Join the places of these passes, and optimise the pose graph again."""
+        """Join the places of these passes and optimise the pose graph again."""
         self._links += new
         turn = self._estimate.pose[:, 2] + _turns(self._place, new)
         self._place = _partition(len(self._reckoning), self._links)
         self._estimate = self._optimised(self._estimate.pose, turn)
 
     def fit_noise(self) -> None:
-        """Raise the noise where the residuals of the estimate are larger than it explains."""
+        """Raise the noise if the residuals of the estimate are larger than it explains."""
         scale = _fitting_scale(self._scale, self._estimate)
         if scale != self._scale:
             self._scale, self._reckoning = scale, scale_noise(self._unscaled, scale)
             self._estimate = self._optimised(self._estimate.pose)
 
     def take_back_outliers(self, number: int) -> None:
-        """Undo for good the identifications that the estimate contradicts."""
+        """Undo and block the identifications that the estimate contradicts."""
         bad = _outliers(self._place, self._estimate, self._links)
         if not bad:
             return
@@ -193,9 +193,9 @@ class _Closure:
         self._estimate = self._optimised(self._estimate.pose)
 
     def result(self) -> Closed:
-        """The run as it is closed when nothing more is certain."""
+        """The closed run, once nothing more is certain."""
         if self._corridors is not None:
-            # They were to tell places apart: the map shows corridors as they were measured.
+            # Straight corridors only help to identify; the map shows them as they were measured.
             self._corridors = None
             self._estimate = self._optimised(self._estimate.pose)
         asked = self._links + standing_doubts(self._place, self._doubts)
@@ -203,8 +203,11 @@ class _Closure:
         return Closed(self._reckoning, self._place, self._estimate, asked, self._grid, revised)
 
     def _scene(self) -> MapState:
-        """What the run shows as it lies; laid out straighter first where its map repeats, for
-        there likeness tells little, and the estimate is to tell more."""
+        """The state of the map at the present estimate.
+
+        If the map repeats itself, likeness is weak evidence and position must decide: the estimate
+        is first improved by holding grid corridors straight.
+        """
         state = _scene(self._reckoning, self._place, self._estimate, self._settings)
         if self._grid is None or not state.common.lattice.repeats:
             return state
@@ -227,7 +230,8 @@ class _Closure:
 def _straight(
     corridors: GridCorridors | None, grid: GridHeadings, state: MapState, estimate: Estimate
 ) -> GridCorridors:
-    """Corridors along the grid; those that were known, as the estimate by them shows them."""
+    """Corridors along the grid; if they are known already, with their deviations from the grid
+    estimated anew."""
     if corridors is None:
         return grid_corridors(state.reckoning, grid, estimate.pose[:, 2], state.common.core_m)
     return with_shown_spread(corridors, estimate, grid)
@@ -245,30 +249,32 @@ def _scene(
 
 
 def _fitting_scale(now: float, estimate: Estimate) -> float:
-    """Factor on the estimated noise, raised to fit where errors as large are no chance."""
+    """Factor on the noise, raised to fit the residuals if these are significantly too large (χ²
+    gate)."""
     if estimate.reduced_chi2 * estimate.freedom > LIKELIHOOD.gate_chi2(estimate.freedom):
         return now * float(np.sqrt(estimate.reduced_chi2))
     return now
 
 
 def _blocked(found: Candidates, blocked: set[tuple[int, int]], place: IntArray) -> BoolArray:
-    """(k,) candidates that would join two passes again whose identification was taken back."""
+    """(k,) candidates that would rejoin two passes whose identification was taken back."""
     pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in blocked}
     ends = zip(found.a.tolist(), found.b.tolist(), strict=True)
     return np.array([frozenset(pair) in pairs for pair in ends], bool)
 
 
 def _partition(count: int, links: list[Identification]) -> IntArray:
-    """(p,) places by the links, numbered by first visit."""
+    """(p,) places as connected components of the links, numbered by first visit."""
     i = np.array([q.first for q in links], np.int64)
     j = np.array([q.second for q in links], np.int64)
     return connected(i, j, count)
 
 
 def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
-    """(p,) turns that bring the branches of newly joined places into agreement.
+    """(p,) rotations that align the branches of newly joined places [rad], propagated along the
+    links.
 
-    place: (p,) before they were joined. Turns are handed on from place to place along the links.
+    place: (p,) before they were joined.
     """
     beside: dict[int, list[tuple[int, float]]] = {}
     for q in new:
@@ -294,8 +300,8 @@ def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
 
 
 def _certain(places: Places, found: Candidates, least: float) -> list[Identification]:
-    """The candidates whose log odds against all the candidates that they exclude reach `least`,
-    best first."""
+    """The candidates whose log odds against all candidates that they exclude reach `least`, best
+    first."""
     total = found.total
     maybe = np.flatnonzero(total >= 0.0)
     known = set(zip(found.a[maybe].tolist(), found.b[maybe].tolist(), strict=True))
@@ -321,9 +327,10 @@ def _rivals(
     by_place: dict[int, list[int]],
     known: set[tuple[int, int]],
 ) -> list[int]:
-    """Candidates that share a place with one and put it somewhere else.
+    """Candidates that identify one of the two places with a third one that is not the other.
 
-    ends: the places of each; by_place: candidates of each place; known: pairs that may be one.
+    row: the candidate in question; ends: the places of each; by_place: candidates of each place;
+    known: pairs that may be one.
     """
     a, b = ends[row]
     out = []
@@ -338,7 +345,7 @@ def _rivals(
 def _together(
     state: MapState, found: Candidates, estimate: Estimate, settings: RoundSettings
 ) -> tuple[list[Identification], dict[tuple[int, int], str]]:
-    """The candidates that are sure only together; by their passes, why those were refused."""
+    """The candidates that are certain only jointly; or, by their passes, why these were refused."""
     evidence = settings.candidates.evidence
     least = settings.least_odds(len(state.reckoning))
     agreed = agreeing(
@@ -359,7 +366,7 @@ def _together(
 def _answer(
     places: Places, found: Candidates, row: int, odds: float, *, reason: str, accepted: bool
 ) -> Identification:
-    """What became of a candidate."""
+    """The answer for a candidate."""
     i, j = int(places.first[found.a[row]]), int(places.first[found.b[row]])
     turn = float(found.turn[row])
     if i > j:
@@ -370,8 +377,8 @@ def _answer(
 def _outliers(
     place: IntArray, estimate: Estimate, links: list[Identification]
 ) -> list[Identification]:
-    """The links to remove: of each place with a pass whose observation the estimate rejects (χ²
-    gate), the weakest links that split it in two."""
+    """The links to remove: for each place with a pass whose observation the estimate rejects (χ²
+    gate), the weakest links that split the place in two."""
     bad = set(place[estimate.sighting[estimate.sighting_chi2 > LIKELIHOOD.gate_chi2(3)]].tolist())
     of_place: dict[int, list[Identification]] = {p: [] for p in sorted(bad)}
     for q in links:
@@ -381,8 +388,8 @@ def _outliers(
 
 
 def weakest_cut(links: list[Identification]) -> list[Identification]:
-    """The weakest links of a place: those between its two parts that joining by strength joins
-    last."""
+    """The links of a place between its last two parts when parts are merged in order of their
+    strongest link (single linkage)."""
     passes = sorted({i for q in links for i in (q.first, q.second)})
     part = {i: i for i in passes}
     parts = len(passes)
@@ -404,9 +411,9 @@ def _doubted(
     settings: RoundSettings,
     number: int,
 ) -> dict[tuple[int, int], Identification]:
-    """Doubtful identifications by their passes: those of before, and the candidates of this round.
+    """Doubtful identifications by their passes: earlier ones, and the candidates of this round.
 
-    What was doubted before and is no candidate any more was excluded by the estimate.
+    An earlier one that is no candidate any more was excluded by the estimate.
     """
     out = {
         pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)

@@ -1,9 +1,8 @@
-"""Identifications that are certain only together (joint compatibility).
+"""Identifications that are certain only jointly (joint compatibility).
 
-At the end of a long loop several junctions are met again, and none of them is certain alone; but if
-one is right, all others lie where they should. Neira, Tardós: Data Association in Stochastic
-Mapping Using the Joint Compatibility Test (IEEE T-RA 17(6), 2001), here with odds in place of
-gates.
+At the end of a long loop several junctions are revisited of which none is certain by itself; but if
+one is correct, all others lie where they should. Neira, Tardós: Data Association in Stochastic
+Mapping Using the Joint Compatibility Test (IEEE T-RA 17(6), 2001), here with odds instead of gates.
 """
 
 from __future__ import annotations
@@ -29,17 +28,17 @@ STEP_OFF = "sure together with others, but all might be one step of the map's pa
 
 @dataclass(frozen=True, slots=True)
 class JointSettings:
-    """When identifications are believed that are doubtful one by one."""
+    """When jointly certain identifications are accepted."""
 
     most: int = 30
-    """So many candidates, the best, are looked at together: time, which goes with its cube."""
+    """Number of candidates, the best, that are considered jointly; the time grows with its cube."""
 
 
 class Agreement(NamedTuple):
-    """Candidates that are certain together, or a set that nearly was.
+    """Candidates that are jointly certain, or a set that was refused.
 
-    rows: (k,) of the candidates; odds: (k,) log odds of each given the others, none where refused;
-    reason: why they are refused, empty where they are certain or where no set is worth it.
+    rows: (k,) of the candidates; odds: (k,) log odds [nats] of each given the others, empty if
+    refused; reason: of the refusal, empty if they are certain or there is no set at all.
     """
 
     rows: IntArray
@@ -52,10 +51,10 @@ _NOBODY = Agreement(np.zeros(0, np.int64), np.zeros(0))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Beliefs:
-    """Where the second place of each candidate lies seen from the first, given what is accepted.
+    """Joint Gaussian of the shifts between the two places of each candidate, given those accepted.
 
-    shift: (2 k,) [m]; cov: (2 k, 2 k) without the noise of the two centres; alike: (k,) log odds of
-    everything but position.
+    shift: (2 k,) [m]; cov: (2 k, 2 k) [m²] without the noise of the two centres; alike: (k,) log
+    odds [nats] of everything but position.
     """
 
     shift: FloatArray
@@ -66,7 +65,7 @@ class _Beliefs:
     evidence: EvidenceSettings
 
     def odds(self) -> FloatArray:
-        """(k,) log odds of each candidate."""
+        """(k,) log odds of each candidate [nats]."""
         k = len(self.alike)
         own = np.arange(k)
         blocks = self.cov.reshape(k, 2, k, 2)[own, :, own, :]
@@ -77,7 +76,8 @@ class _Beliefs:
         return out
 
     def given(self, row: int) -> _Beliefs:
-        """Beliefs if that candidate is one place: a Kalman update with "no shift"."""
+        """The beliefs given that this candidate is one place: a Kalman update with the measurement
+        "no shift"."""
         at = slice(2 * row, 2 * row + 2)
         noise = 2 * self.common.centre_sigma**2 * np.eye(2)
         gain = np.linalg.solve(self.cov[at, at] + noise, self.cov[at]).T
@@ -95,10 +95,10 @@ def agreeing(
     least_odds: float,
     settings: JointSettings = JointSettings(),
 ) -> Agreement:
-    """The candidates that are certain together: their joint log odds reach `least_odds`.
+    """The candidates that are jointly certain: their joint log odds reach `least_odds` [nats].
 
-    Refused, with the reason, where another set that excludes one of them is nearly as likely, or
-    where the map repeats itself and all might be one lattice step off.
+    Refused, with the reason, if another set that excludes one of them is nearly as likely, or if
+    the map repeats itself and all might be one lattice step off.
     """
     rows = np.sort(np.argsort(-found.total, kind="stable")[: settings.most])
     if len(rows) < 2:
@@ -108,7 +108,7 @@ def agreeing(
         *_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common, evidence
     )
     shared, excluded = _sharing(a, b)
-    # Candidates that share a place say in part the same; one of them is enough for now.
+    # Candidates that share a place are not independent; each set holds one of them.
     sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]
     worth = np.array([value for value, _ in sets])
     best = int(worth.argmax())
@@ -125,8 +125,8 @@ def agreeing(
 
 
 def _one_step_off(start: _Beliefs, members: IntArray) -> float:
-    """Log odds of the likeliest alternative in a map that repeats itself: a group of members, all
-    shifted by one lattice step. Groups are those of members whose errors go together."""
+    """Log odds [nats] of the most likely alternative in a map that repeats itself: a group of
+    members, all shifted by one lattice step. Groups are members with correlated errors."""
     lattice = start.common.lattice
     if not lattice.repeats:
         return -np.inf
@@ -136,7 +136,7 @@ def _one_step_off(start: _Beliefs, members: IntArray) -> float:
     apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
     step_m = np.hypot(*lattice.steps.T)
     groups = _tied(apart)
-    # A map that is not laid out yet may be bent: steps in all directions, too.
+    # A map that is not optimised yet may be bent: steps in all directions as well.
     ways = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
     angle = np.arange(ways) * (2 * np.pi / ways)
     turned = step_m[:, None, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
@@ -147,7 +147,7 @@ def _one_step_off(start: _Beliefs, members: IntArray) -> float:
     worst = -np.inf
     for group in groups:
         mine = group.repeat(2)
-        # What is known of the mean shift of the group, given the others.
+        # Conditional distribution of the mean shift of the group, given the others.
         mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
         own_cov = np.linalg.inv(information[np.ix_(mine, mine)])
         at, known = mean @ own_cov @ push[mine], np.linalg.inv(mean @ own_cov @ mean.T)
@@ -157,9 +157,10 @@ def _one_step_off(start: _Beliefs, members: IntArray) -> float:
 
 
 def _tied(apart: FloatArray) -> BoolArray:
-    """(g, k) groups of members, each and all of them, and those between whose errors differ least.
+    """(g, k) groups of members by single linkage: each member, all of them, and the clusters
+    between.
 
-    apart: (k, k) squared differences of their errors. The groups of single linkage.
+    apart: (k, k) variances of the differences of their errors.
     """
     count = len(apart)
     group = np.eye(count, dtype=bool)
@@ -172,7 +173,8 @@ def _tied(apart: FloatArray) -> BoolArray:
 
 
 def _sharing(a: IntArray, b: IntArray) -> tuple[BoolArray, BoolArray]:
-    """(k, k) candidates that share a place; those of them that cannot both be true.
+    """(k, k) each: whether two candidates share a place; and whether they do and exclude each
+    other.
 
     "a is b" and "a is c" exclude each other unless "b is c" is a candidate as well.
     """
@@ -186,7 +188,7 @@ def _sharing(a: IntArray, b: IntArray) -> tuple[BoolArray, BoolArray]:
 
 
 def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray]:
-    """(2 k,) positions of places a less those of b, and their joint covariance (2 k, 2 k)."""
+    """(2 k,) positions of places a minus those of b [m], and their joint covariance (2 k, 2 k)."""
     nodes, at = np.unique(estimate.node[np.concatenate([a, b])], return_inverse=True)
     n, k = len(nodes), len(a)
     marginals = Marginals.of(estimate.graph, estimate.solution)
@@ -203,10 +205,10 @@ def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, F
 def _grown(
     start: _Beliefs, support: FloatArray, seed: int, shared: BoolArray
 ) -> tuple[float, list[int]]:
-    """Joint log odds of the set that grows from a seed, best first, and its members.
+    """Joint log odds of the set that grows greedily from a seed, and its members.
 
-    support: (k,) of the odds, what the corridors around tell. That counts once, with the seed: the
-    corridors around the others are in part the same.
+    support: (k,) part of the odds that comes from the corridors around. It counts once, for the
+    seed, because the members have these corridors in common.
     """
     value, members, beliefs = float(start.odds()[seed]), [seed], start.given(seed)
     allowed = ~shared[seed]
@@ -223,7 +225,7 @@ def _grown(
 
 
 def _odds_given(start: _Beliefs, row: int, members: IntArray) -> float:
-    """Log odds of one member if all the others are true."""
+    """Log odds of one member given that all others are true [nats]."""
     beliefs = start
     for other in members.tolist():
         if other != row:

@@ -1,8 +1,9 @@
-"""Where other junctions lie around a junction, and the steps by which a map repeats itself.
+"""The arrangement of junctions around a junction, and the lattice vectors by which a map repeats
+itself (perceptual aliasing).
 
-Rows of crops, shelves or pillars put junctions on a lattice. One step off, another junction is then
-far likelier than the mean density of junctions says, and looks the same. All of it is learned from
-pairs of places a few corridors apart, which are certainly two.
+Rows of crops, shelves or pillars put junctions on a lattice. One lattice vector away, another
+junction is far more likely than the mean density of junctions says, and looks the same. All of it
+is estimated from pairs of places a few corridors apart, which are certainly different.
 """
 
 from __future__ import annotations
@@ -20,28 +21,29 @@ from .places import NOWHERE, Places
 
 @dataclass(frozen=True, slots=True)
 class LatticeSettings:
-    """How neighbours are counted."""
+    """How neighbours and lattice vectors are found."""
 
     hops: int = 4
     """Places up to so many legs from each other, and no farther apart than that of typical legs,
     are neighbours."""
     sample: int = 200
-    """So many of them stand for all."""
+    """Size of the sample of neighbours that represents all."""
     width_m: float = 0.3
-    """A neighbour stands where another place has one, give or take this (1 sigma)."""
+    """1 sigma of the position of a neighbour that is predicted from other places [m]."""
     least_places: int = 20
-    """Pieces of fewer places have no steps of their own, unless there is no larger one."""
+    """Pieces with fewer places have no lattice of their own, unless there is no larger one."""
     regular: float = 0.4
-    """A step that leads from this share of all places to another one is a step of a lattice."""
+    """A shift is a lattice vector if it leads from at least this share of all places to another
+    place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
     """Neighbouring junctions, in the axes of the map.
 
-    beside: (m, 2) [m] a sample of shifts from a place to another one; each stands for `crowd`
+    beside: (m, 2) [m] sample of shifts from a place to another one; each represents `crowd`
     neighbours of every place. steps: (r, 2) [m] lattice vectors by which the map repeats itself;
-    share: (r,) of the places that have another place at that step.
+    share: (r,) of the places that have another place at that step; width_m: see `LatticeSettings`.
     """
 
     beside: FloatArray
@@ -52,25 +54,26 @@ class Lattice:
 
     @property
     def repeats(self) -> bool:
-        """Whether the map repeats itself by any step."""
+        """Whether the map repeats itself."""
         return len(self.steps) > 0
 
     def density(self, shift: FloatArray, cov: FloatArray) -> FloatArray:
-        """(k,) other junctions per m² at `shift` (k, 2), known with covariance `cov` (k, 2, 2)."""
+        """(k,) other junctions per m² at `shift` (k, 2) [m], known with covariance `cov` (k, 2, 2)
+        [m²]."""
         around = _gaussians(shift, self.beside, cov + self.width_m**2 * np.eye(2)).sum(axis=1)
         on_steps = _gaussians(shift, self.steps, cov) @ self.share
         out: FloatArray = np.maximum(self.crowd * around, on_steps)
         return out
 
     def is_step(self, shift: FloatArray) -> BoolArray:
-        """(k,) whether `shift` (k, 2) is a step of the lattice."""
+        """(k,) whether `shift` (k, 2) [m] is a lattice vector."""
         off = np.abs(shift[:, None, :] - self.steps).max(axis=2)
         found: BoolArray = (off < 2 * self.width_m).any(axis=1)
         return found
 
 
 def no_lattice() -> Lattice:
-    """That of a map that does not repeat itself."""
+    """The lattice of a map that does not repeat itself."""
     return Lattice(np.zeros((0, 2)), 0.0, np.zeros((0, 2)), np.zeros(0), 1.0)
 
 
@@ -84,9 +87,9 @@ def lattice_of(
 ) -> Lattice:
     """The arrangement of neighbours in a map with places at `xy` (n, 2) [m].
 
-    core_m: places nearer than this may be the same junction; typical_m: usual way between
-    junctions. Steps are sought in each piece of a broken odometry by itself, for pieces may be
-    turned against each other.
+    core_m: places nearer than this may be the same junction [m]; typical_m: typical distance
+    between junctions [m]. Lattice vectors are searched separately in each piece of a broken
+    odometry, because pieces may be rotated against each other.
     """
     n = len(places)
     source, slot = np.nonzero(places.next_place != NOWHERE)
@@ -116,20 +119,21 @@ def lattice_of(
 def _steps(
     shift: FloatArray, places: int, settings: LatticeSettings
 ) -> tuple[FloatArray, FloatArray]:
-    """Steps that many places have in common, and their share of all places."""
+    """(r, 2) lattice vectors of `shift` (k, 2) [m], and (r,) the share of the places that have
+    them."""
     cell = 2 * settings.width_m
     _, home = np.unique(np.rint(shift / cell), axis=0, return_inverse=True)
     home = home.ravel()
     count = np.bincount(home)
-    # A step fills four cells at most, and something of those around them.
+    # The shifts of one lattice vector fall into four cells at most, with some in those around.
     full = np.flatnonzero(count > settings.regular * places / 16)
     mean = np.stack([np.bincount(home, shift[:, k])[full] / count[full] for k in (0, 1)], axis=1)
     count = count[full]
-    # Means in cells side by side are less than two cells apart.
+    # The means of adjacent cells are less than two cells apart.
     near = np.abs(mean[:, None, :] - mean).max(axis=2) < 2 * cell
     total = near @ count
     share = np.minimum(total / places, 1.0)
-    # Cells side by side share a step; the first of the fullest stands for it.
+    # Adjacent cells hold the same lattice vector; the first of the fullest represents it.
     rank = np.empty(len(full), np.int64)
     rank[np.argsort(-total, kind="stable")] = np.arange(len(full))
     leads = (~near | (rank[:, None] <= rank)).all(axis=1)
@@ -138,8 +142,8 @@ def _steps(
 
 
 def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatArray:
-    """(k, m) density of each centre (m, 2) at each `shift`, heavier in the tails than a Gaussian:
-    errors are sometimes larger than they should be."""
+    """(k, m) density [1/m²] of each centre (m, 2) at each `shift` (k, 2): a Gaussian mixed with a
+    wider one for outliers."""
     x, y = (shift[:, None, :] - centre).transpose(2, 0, 1)
     d2, det = squared_mahalanobis(x, y, cov[:, None])
     share, wider = LIKELIHOOD.outlier_share, LIKELIHOOD.outlier_width**2
@@ -152,8 +156,8 @@ def _gaussians(shift: FloatArray, centre: FloatArray, cov: FloatArray) -> FloatA
 def squared_mahalanobis(
     x: FloatArray, y: FloatArray, cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Squared distances of (x, y) by covariances (..., 2, 2), broadcast; and their determinants, no
-    less than what rounding leaves of them."""
+    """Squared Mahalanobis distances of (x, y) with covariances (..., 2, 2), broadcast; and their
+    determinants, bounded below against rounding."""
     xx, xy, yy = cov[..., 0, 0], cov[..., 0, 1], cov[..., 1, 1]
     det = np.maximum(xx * yy - xy**2, np.finfo(np.float64).eps * xx * yy)
     return (yy * x * x - 2 * xy * x * y + xx * y * y) / det, det

@@ -1,7 +1,8 @@
-"""Buildings whose corridors meet at right angles (Manhattan world; the paper's rectilinear worlds).
+"""Manhattan worlds: buildings whose corridors meet at right angles (the paper's rectilinear
+worlds).
 
-The branches of a single pass tell the robot's heading there up to quarter turns, and the odometry
-tells which quarter, so that errors of the heading do not accumulate.
+The branches of a single pass determine the robot's heading up to quarter turns, and the odometry
+determines which quarter, so that heading errors do not accumulate.
 """
 
 from __future__ import annotations
@@ -24,24 +25,27 @@ class RectilinearSettings:
     """When a building counts as rectilinear."""
 
     least_share: float = 0.9
-    """Share of the angles between branches of a pass that must be near quarter turns, by the rule
-    of succession: eight angles are the least that can tell. Of angles anywhere a third are near."""
+    """Least share of the angles between branches of a pass that are near quarter turns, by the rule
+    of succession, which needs at least eight angles. Of uniformly distributed angles a third are
+    near."""
     spread_rad: float = 0.02
-    """How far a corridor's true direction strays from the grid of its building, 1 sigma: measured
-    by `variance_components` once the run is laid out."""
+    """1 sigma of a corridor's deviation from the grid of its building [rad], before
+    `variance_components` estimates it."""
     most_wander: float = 1.15
-    """In streets that meet at right angles and bend between, the grid wanders more than the
-    odometry drifts (0.8 to 2.4 in 150 city walks, 0.6 to 1.2 in 170 of mazes and offices)."""
+    """Largest mean χ² of the grid's changes of direction between passes, in variances of the
+    odometry's drift: in streets that meet at right angles and bend between, the grid turns more
+    than the odometry drifts (0.8 to 2.4 in 150 city walks, 0.6 to 1.2 in 170 of mazes and offices).
+    """
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridHeadings:
-    """Passes whose branches tell the turn from the odometry's frame to the map's.
+    """Passes whose branches determine the rotation from the odometry frame to the map frame.
 
-    The map's frame is that of the odometry at the first of them, in each piece of a broken odometry
-    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; axis: (k,) [rad]
-    direction of the grid in that frame; sigma: (k,) [rad], of which every corridor's own share is
-    spread_rad.
+    The map frame is that of the odometry at the first of them; in each piece of a broken odometry,
+    at its first. row: (k,) pass; turn: (k,) [rad], continuous along a piece; axis: (k,) direction
+    of the grid in the map frame [rad]; sigma: (k,) 1 sigma of turn [rad], including `spread_rad`,
+    the deviation of single corridors from the grid.
     """
 
     row: IntArray
@@ -54,13 +58,13 @@ class GridHeadings:
 def grid_headings(
     reckoning: DeadReckoning, settings: RectilinearSettings = RectilinearSettings()
 ) -> GridHeadings | None:
-    """Headings of the passes by the building's grid; None if the building is not rectilinear."""
+    """Rotations of the passes by the building's grid; None if the building is not rectilinear."""
     branches = reckoning.passes.branches
     owner = branches.owner
     # Angles between neighbouring branches of a pass, as distance from the next quarter turn.
     same = owner[1:] == owner[:-1]
     off = from_quarter(np.diff(branches.values)[same])
-    # Noise of the sensor alone must not make a grid look crooked.
+    # The tolerance includes the sensor's noise.
     one = reckoning.noise.branch_rad**2 + settings.spread_rad**2
     tolerance = LIKELIHOOD.gate_sigmas * np.sqrt(2.0 * one)
     near = np.count_nonzero(np.abs(off) < tolerance)
@@ -76,7 +80,7 @@ def grid_headings(
     if len(row) < 2:
         return None
     grid = np.angle(z[row]) / 4
-    # The grid seems to turn as the odometry drifts; between two passes by little.
+    # The grid appears to turn as the odometry drifts, by little from pass to pass.
     step = from_quarter(np.diff(grid))
     sigma = np.sqrt(reckoning.noise.branch_rad**2 / n[row] + settings.spread_rad**2)
     drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
@@ -84,7 +88,7 @@ def grid_headings(
     joined = reckoning.piece[row[:-1]] == reckoning.piece[row[1:]]
     if joined.any() and excess[joined].mean() > settings.most_wander:
         return None
-    # A break in the odometry starts anew, in a frame of its own.
+    # Each piece of the odometry has a frame of its own.
     turn = -np.concatenate([[0.0], np.cumsum(step)])
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
     size = np.diff(begin, append=len(row))
@@ -94,12 +98,12 @@ def grid_headings(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GridCorridors:
-    """Straight corridors along the grid of a building, one for each drive through one.
+    """Straight corridors along the grid of a building, one per drive through a corridor.
 
-    direction: (c,) [rad] in the map frame, known to spread_rad (c,); side: (c,) which of the grid's
-    two axes it follows, 0 or 1; corridor, row: (k,) corridor and pass of every pass that lies on
+    direction: (c,) [rad] in the map frame, with 1 sigma spread_rad (c,); side: (c,) axis of the
+    grid that it follows, 0 or 1; corridor, row: (k,) corridor and pass of every pass that lies on
     one, sorted by both; aside: (k,) [m] how far to the left of the corridor's line the pass lies,
-    known to sigma_m.
+    with 1 sigma sigma_m.
     """
 
     direction: FloatArray
@@ -114,15 +118,15 @@ class GridCorridors:
 def grid_corridors(
     reckoning: DeadReckoning, grid: GridHeadings, turn: FloatArray, apart_m: float
 ) -> GridCorridors:
-    """Straight corridors of a rectilinear building: they tell positions across, not headings alone.
+    """Straight corridors of a rectilinear building, which constrain positions across the corridor.
 
-    turn: (p,) [rad] from the odometry's frame to the map's at each pass; apart_m: least distance
+    turn: (p,) [rad] from the odometry frame to the map frame at each pass; apart_m: least distance
     between parallel corridors [m].
 
-    A leg that began and ended along the same axis of the grid led straight on: to come out on a
-    parallel corridor would have taken that much more way. A leg that ended across its beginning led
-    round one corner, where a junction was missed; chord c and way a + b give both its parts by a² +
-    b² = c². On such legs an error of the heading displaces no pass sideways.
+    A leg that begins and ends along the same axis of the grid led straight on: changing to a
+    parallel corridor would have taken that much more driving. A leg whose end is perpendicular to
+    its beginning led round one corner, where a junction was missed; chord c and length a + b give
+    both parts by a² + b² = c². On such legs heading errors cause no lateral displacement.
     """
     piece = reckoning.piece[grid.row]
     first = np.minimum(np.searchsorted(piece, reckoning.piece[:-1]), len(piece) - 1)
@@ -146,8 +150,8 @@ def grid_corridors(
     straight = (out == 0) & (back == 0) & (leg - chord < 0.5 * apart_m)
     straight &= (np.abs(off) < ONE_WAY_RAD) & (chord > LIKELIHOOD.gate_m)
     aside = (out + back) * (0.5 * leg - half)
-    # Parts about as long cannot be told apart. What the odometry saw come out on another corridor
-    # went some way to and fro.
+    # Parts of about equal length are ambiguous. If the odometry contradicts the offset, the robot
+    # drove some of the way twice.
     corner = (out * back == 0) & (np.abs(out + back) == 1) & (leg < 4 * half)
     corner &= np.abs(chord * np.sin(off) - aside) < apart_m
     row = np.flatnonzero(straight | corner)
@@ -173,12 +177,14 @@ def grid_corridors(
 def with_spread(
     grid: GridHeadings, passes: Passes, branch_rad: float, spread_rad: float
 ) -> GridHeadings:
-    """The headings by other noise: of reading a branch, and of how corridors keep to the grid."""
+    """The headings with other noise: of reading a branch, and of corridors' deviations from the
+    grid [rad]."""
     sigma = np.sqrt(branch_rad**2 / passes.branches.counts[grid.row] + spread_rad**2)
     return replace(grid, sigma=sigma, spread_rad=spread_rad)
 
 
 def from_quarter(angle: FloatArray) -> FloatArray:
-    """Distance to the nearest multiple of a quarter turn, in [-pi/4, pi/4)."""
+    """Signed distance of angles [rad] from the nearest multiple of a quarter turn, in [-pi/4,
+    pi/4)."""
     out: FloatArray = (angle + np.pi / 4) % (np.pi / 2) - np.pi / 4
     return out

@@ -1,8 +1,8 @@
-"""Missed and spurious detections: junctions driven by unseen, and places that are none.
+"""Missed detections (false negatives) and spurious ones (false positives) of junctions.
 
-Places that the detector cannot tell apart are joined first (`resolution.py`). A leg that leads past
-a known place without a detection was two legs, with a missed junction between. A place that was
-reported once and driven by unseen many times was a false detection (a phantom).
+Places that the detector cannot tell apart are joined first (`resolution.py`). A leg that passes a
+known place without a detection is split there. A place that was detected once and passed many times
+without a detection is a phantom and removed.
 """
 
 from __future__ import annotations
@@ -27,28 +27,28 @@ from .resolution import blurred, one_drive_by
 
 @dataclass(frozen=True, slots=True)
 class DrivenBySettings:
-    """How near is "by", and when a place is taken to be a phantom."""
+    """When the track passes a place, and when a place is a phantom."""
 
     reach_m: float = 0.7
-    """The track leads past a place if it comes this near to its centre."""
+    """The track passes a place if it comes this near to its centre [m]."""
     step_m: float = 0.1
     match_rad: float = 0.6
-    """The place must have branches within this of the directions driven."""
+    """Tolerance between a branch of the place and the directions driven [rad]."""
     straight_gain: float = 4.5
-    """Log odds of being a phantom that two opposite branches and nothing else add."""
+    """Log odds [nats] of being a phantom added for a place with two opposite branches only."""
     least_odds: float = 2.0
-    """Log odds of being a phantom at which a place is dissolved."""
+    """Log odds [nats] of being a phantom at which a place is removed."""
     least_miss_rate: float = 0.1
-    """A junction driven by unseen once is unseen again at least this often: causes last."""
+    """Lower bound of the miss rate of a junction that was missed once: causes persist."""
     least_phantom_rate: float = 0.01
-    """A junction seen once may be invented at least this often, whatever the run shows."""
+    """Lower bound of the rate at which a junction seen once is spurious, whatever the run shows."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorrectedPlaces(PassesAtPlaces):
-    """The places that stay, without phantoms, and every visit to them, seen and unseen.
+    """The places without phantoms, and all visits to them, detected and undetected.
 
-    kept: (n,) number that each had before; asked: identifications made.
+    kept: (n,) previous number of each place; asked: identifications made.
     """
 
     kept: IntArray
@@ -64,10 +64,10 @@ def correct_detections(
     *,
     resolution_m: float = 0.0,
 ) -> CorrectedPlaces:
-    """Join what the detector cannot tell apart, dissolve the phantoms, then split the legs that
-    lead past known places.
+    """Join places below the detector's resolution, remove phantoms, and split the legs that pass
+    known places.
 
-    place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector.
+    place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector [m].
     """
     gap = EstimateSettings().slot_gap_rad
     one = blurred(reckoning, place, estimate, resolution_m)
@@ -94,13 +94,13 @@ def correct_detections(
 
 
 def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
-    """Rows to keep, and the number that each row has then, NOWHERE for the others."""
+    """The rows to keep, and the new number of each row, NOWHERE for the others."""
     number = np.where(keep, np.cumsum(keep) - 1, NOWHERE)
     return np.flatnonzero(keep), number
 
 
 def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:
-    """(k,) when the robot had driven so far."""
+    """(k,) times [ns] at which the robot had driven the distances `way` (k,) [m]."""
     along = way_along(odometry)
     moving = np.flatnonzero(np.concatenate([[True], np.diff(along) > 0]))
     since = (odometry.time_ns[moving] - odometry.time_ns[0]).astype(np.float64)
@@ -110,10 +110,11 @@ def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenBy:
-    """Times when the robot drove by a known place that it did not report.
+    """Times when the robot passed a known place without detecting it.
 
-    leg: (k,) pass before; place: (k,); way: (k,) [m]; odom: (k, 2) point of the track in the
-    odometry's frame; xy: (k, 2) the same in the map; turn: (k,) between the two.
+    leg: (k,) pass before; place: (k,); way: (k,) distance driven [m]; odom: (k, 2) point of the
+    track in the odometry frame; xy: (k, 2) the same in the map; turn: (k,) rotation between the two
+    [rad].
     """
 
     leg: IntArray
@@ -131,12 +132,13 @@ def driven_by(
     places: Places,
     settings: DrivenBySettings = DrivenBySettings(),
 ) -> DrivenBy:
-    """Places on the track between two visits. visits.vertex: place of each, none negative.
+    """Undetected places on the track between two visits. visits.vertex: place of each, none
+    negative.
 
-    The whole track is sampled, each sample asked for its nearest place, runs of samples near any
-    place become one event at the sample nearest to one: which of two places was seen is not known
-    where the track is by both, as in the layers of a run whose second round was not recognised.
-    O(way / step · log n).
+    The whole track is sampled and each sample assigned to its nearest place within reach. A run of
+    consecutive such samples is one event, at the sample nearest to a place: if the track passes two
+    places at once, as in overlapping layers of an unclosed loop, it is not known which one was
+    passed. O(way / step · log n).
     """
     first = np.flatnonzero(np.diff(visits.piece) == 0)
     track = draw_track(odometry, visits, xy, first, settings.step_m)
@@ -173,7 +175,7 @@ def _events(track: DrawnTrack, first: IntArray, near: IntArray, row: IntArray) -
 def _along_branches(
     track: DrawnTrack, places: Places, near: IntArray, row: IntArray, settings: DrivenBySettings
 ) -> BoolArray:
-    """Does the place have branches where the robot came from and where it went?"""
+    """(k,) whether the place has a branch where the robot came from or where it went."""
     reach = max(1, round(1.0 / settings.step_m))
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
     heading = places.heading[near[row]]
@@ -192,9 +194,9 @@ def phantoms(
     unseen: IntArray,
     settings: DrivenBySettings = DrivenBySettings(),
 ) -> BoolArray:
-    """(n,) places that are more likely invented than missed each time they were driven by unseen.
+    """(n,) whether a place is more likely spurious than missed each time it was passed undetected.
 
-    unseen: (n,) times each place was driven by without a detection.
+    unseen: (n,) times each place was passed without a detection.
     """
     noise = reckoning.noise
     miss = max(2 * noise.miss_rate, settings.least_miss_rate)
@@ -206,14 +208,14 @@ def phantoms(
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
         odds = odds + settings.straight_gain * straight
-    # A robot that turned into a branch there knows better.
+    # A place where the robot turned into a branch is real.
     turned = (places.driven > 0).sum(axis=1) > 2
     result: BoolArray = (odds > settings.least_odds) & (unseen > 0) & ~turned
     return result
 
 
 def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: FloatArray) -> Visits:
-    """The visits with the unseen ones put in where they happened. time_ns: (k,) of each."""
+    """The visits with the undetected ones inserted at their times `time_ns` (k,)."""
     unseen = Visits(
         time_ns=time_ns,
         vertex=found.place,
@@ -234,8 +236,8 @@ def visits_of(
     estimate: Estimate,
     xy: FloatArray,
 ) -> Visits:
-    """The visits that passes tell. A pass that does not show its place as it is, not (p,) `fair`,
-    was by where the place is, and not where it seemed."""
+    """The visits of detected places. A pass that does not show its place correctly (`fair` (p,)) is
+    moved to the place's position."""
     row = np.flatnonzero(place >= 0)
     pose, centre = estimate.pose[row].copy(), reckoning.passes.centre[row].copy()
     off = np.where(fair[row, None], 0.0, xy[place[row]] - pose[:, :2])

@@ -1,8 +1,9 @@
-"""Nearest-neighbour gating: each pass joins the one known place within the error of dead reckoning.
+"""Nearest-neighbour gating: each pass joins the only known place within the error of dead
+reckoning.
 
-One pass at a time, in order, without optimising the pose graph. It needs the same log odds as the
-full closure, but does not look at the corridors around, and finds little once the drift exceeds the
-distance between junctions. For comparison (`--closure gated`).
+One pass at a time, in order, without optimising the pose graph. It requires the same log odds as
+full closure, but ignores the corridors around, and finds little once the drift exceeds the distance
+between junctions. A baseline for comparison (`--closure gated`).
 """
 
 from __future__ import annotations
@@ -22,8 +23,7 @@ from .places import tabulate
 
 
 def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
-    """(p,) place of each pass, numbered by first visit, and every identification that was
-    considered.
+    """The run closed by nearest-neighbour gating, with every identification considered.
 
     O(p · places), vectorised over the places.
     """
@@ -41,7 +41,7 @@ def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
         order = np.argsort(-odds, kind="stable")
         if len(order) and odds[order[0]] > 0:
             best, first = int(known[order[0]]), float(odds[order[0]])
-            # Against all others, a place not seen before among them.
+            # The alternatives include a place not seen before (odds 0).
             others = float(np.logaddexp.reduce(odds[order[1:]], initial=0.0))
             enough = first >= least
             sure = first - others >= least

@@ -1,7 +1,7 @@
-"""Negative information: ground that the robot drove without a report holds no other junction.
+"""Negative information: ground driven without a detection holds no other junction.
 
-If two places are not one, they are two junctions, and the second lies where position puts it. Where
-that is on a corridor driven from the first to its neighbour, the robot would have driven by it and
+If two places are not one, they are two junctions, and the second lies where position puts it. If
+that is on a corridor driven from the first to its neighbour, the robot would have passed it and
 missed it. Hoffmann, Spranger, Göhring, Jüngel: Making Use of What You Don't See: Negative
 Information in Markov Localization (IROS 2005).
 """
@@ -22,12 +22,12 @@ from .places import NOWHERE, Places
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivenGround:
-    """Straight corridors that were driven from both places of k pairs.
+    """Straight corridors that were driven from the two places of k pairs.
 
-    along: (k, 2, s, 2) unit vectors in the axes of the map: down the corridors of the second place,
-    and against those of the first, so that along all of them the first place is shifted if one of
-    the two lies on that corridor of the other. length: (k, 2, s) [m] to the next place, 0 where
-    there is no such corridor.
+    along: (k, 2, s, 2) unit vectors in map axes: along the corridors of the second place, and
+    against those of the first, so that the first place is shifted along them if one of the two lies
+    on that corridor of the other. length: (k, 2, s) distance to the next place [m], 0 where there
+    is no such corridor.
     """
 
     along: FloatArray
@@ -39,12 +39,14 @@ class DrivenGround:
     def share(
         self, shift: FloatArray, cov: FloatArray, core_m: float, reach_m: float
     ) -> FloatArray:
-        """(k,) share of what is known of a shift (k, 2) [m], with covariance (k, 2, 2) [m²], that
-        puts one place on ground driven from the other: of the two the one for which it is more.
+        """(k,) probability that one place lies on ground driven from the other, the larger one of
+        both ways.
 
-        core_m: [m] ground nearer to either end of a corridor is left out: no other junction is
-        expected there anyway; reach_m: [m] so far beside the track junctions are reported. Normal
-        along a corridor, given the mean and the variance of what lies beside its line.
+        shift: (k, 2) [m] with covariance cov (k, 2, 2) [m²]; core_m: ground this near to either end
+        of a corridor is left out, as no other junction is expected there anyway [m]; reach_m:
+        distance from the track up to which junctions are reported [m]. Approximation: normal along
+        a corridor, with the conditional mean and variance given that the place lies beside its
+        line.
         """
         x, y = shift[:, 0, None, None], shift[:, 1, None, None]
         xx, xy, yy = (cov[:, i, j, None, None] for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -70,12 +72,12 @@ def driven_ground(
 ) -> DrivenGround:
     """The ground driven around places a and b (k,) in a map with places at `xy` (n, 2) [m].
 
-    Straight is a corridor that would, as an arc, keep to its chord within `reach_m`.
+    A corridor counts as straight if, as an arc, it would keep to its chord within `reach_m` [m].
     """
     driven = places.next_place != NOWHERE
     step = np.where(driven[..., None], xy[places.next_place] - xy[:, None], 0.0)
     chord = np.hypot(step[..., 0], step[..., 1])
-    # Way and chord of a flat arc of sagitta s differ by 8 s² / 3 chord.
+    # Length and chord of a flat arc of sagitta s differ by 8 s² / 3 chord.
     sagitta2 = 3 * chord * np.where(driven, places.length - chord, 0.0) / 8
     straight = driven & (sagitta2 < reach_m**2) & (chord > 0)
     length = np.where(straight, chord, 0.0)

@@ -1,5 +1,5 @@
-"""Pieces of a run whose odometry broke, drawn beside each other: their relative poses are
-unknown."""
+"""Layout of the pieces of a run whose odometry broke: their relative poses are unknown, and they
+are drawn side by side."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from .estimate import Estimate
 def set_apart(
     reckoning: DeadReckoning, place: IntArray, estimate: Estimate, gap_m: float = 20.0
 ) -> Estimate:
-    """The estimate with the pieces side by side along x, so that none lies upon another.
+    """The estimate with its pieces side by side along x, `gap_m` apart [m].
 
-    place: (p,) of each pass, numbered from 0. Passes of one unbroken stretch of odometry make a
-    piece. Only `pose` and `xy` of the result are moved.
+    place: (p,) of each pass, numbered from 0. A piece are the passes of one unbroken piece of
+    odometry. Only `pose` and `xy` of the result are moved.
     """
     pieces = np.unique(reckoning.piece)
     if len(pieces) < 2:

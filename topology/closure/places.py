@@ -1,4 +1,4 @@
-"""Tables of what is known of each place, given which passes were by the same one."""
+"""Tables of all known about each place, given which passes were by the same place."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ..passes import NO_BRANCH
 from .dead_reckoning import DeadReckoning
 
 NOWHERE = NO_BRANCH
-"""In place of a place: not driven."""
+"""Index of an unknown place."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlaceSettings:
-    """What is one branch of a place."""
+    """When directions belong to one branch of a place."""
 
     one_way_rad: float = 0.35
-    """Directions nearer to each other than this (20 degrees) are taken for one: readings of one
-    branch are 14 degrees apart in one of 2,000 pairs with the usual noise of 0.05 rad."""
+    """Directions nearer to each other than this (20 degrees) are one branch: readings of one branch
+    are 14 degrees apart in one of 2,000 pairs with the usual noise of 0.05 rad."""
 
 
 ONE_WAY_RAD = PlaceSettings().one_way_rad
@@ -32,11 +32,11 @@ class Places:
     """`n` places with up to `s` branches ("slots") each; empty slots hold NaN.
 
     heading: (n, s) [rad] in the map frame; share: (n, s) share of the place's passes that reported
-    the branch, 0 for one known from the track alone; visits: (n,) passes; confidence: (n,) mean of
-    its passes', 1 if they come from a detector's topic; first: (n,) its first pass. next_place,
-    next_slot: (n, s) where the slot was seen to lead, NOWHERE if it was not driven; length: (n, s)
-    of that leg [m]; driven: (n, s) times driven so; tried: (n, s) times driven, wherever it led.
-    entry: (p,) slot by which each pass came.
+    the branch, 0 for one known from the track alone; visits: (n,) number of passes; confidence:
+    (n,) mean over its passes; first: (n,) its first pass. next_place, next_slot: (n, s) where the
+    corridor of the slot leads, NOWHERE if it was not driven; length: (n, s) of that leg [m];
+    driven: (n, s) times driven there; tried: (n, s) times driven, wherever it led. entry: (p,) slot
+    by which each pass arrived.
     """
 
     heading: FloatArray
@@ -58,15 +58,15 @@ class Places:
 def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_rad: float) -> Places:
     """The places of a partition of the passes.
 
-    place: (p,) numbered from 0, every number in use; negative: none. turn: (p,) from the
-    odometry's frame to the map's [rad]. All places at once: one clustering of all readings, then
-    tables by fancy indexing.
+    place: (p,) numbered from 0, every number in use; negative: none. turn: (p,) from the odometry
+    frame to the map frame [rad]; gap_rad: see `cluster_angles`. All places at once: one clustering
+    of all readings, then tables by fancy indexing.
     """
     branches = reckoning.passes.branches
     owner = branches.owner
     passes = reckoning.passes
     rows = np.arange(len(reckoning))
-    # The track tells branches that the detector did not report.
+    # Branches that the track shows and the detector did not report.
     came = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
     went = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
     by = np.concatenate([owner, came, went])
@@ -110,7 +110,8 @@ def _ways(
     exit_: IntArray,
     shape: tuple[int, int],
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, IntArray]:
-    """Where each slot leads: of several ends the one reached most often, then the nearest."""
+    """Where each slot leads: of several ends the one reached most often, then the nearest. Five (n,
+    s) columns of `Places`, from next_place to tried."""
     n, width = shape
     legs = np.flatnonzero(np.isfinite(reckoning.leg))
     p, q = place[legs], place[legs + 1]

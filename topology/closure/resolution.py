@@ -1,10 +1,10 @@
-"""Places nearer to each other than the detector can tell two junctions apart.
+"""Places nearer to each other than the detector's resolution.
 
-A junction seen only in part, or a crossing that one drive-by shows as two forks and another one as
-a single crossing, gives places with different branches, which closure does not identify. Scans show
-junctions nearer to each other than their resolution as one. So places that are certainly nearer
-than that, and that no single drive-by reported as two, are joined; the best seen one gives the
-branches.
+A junction seen only in part, or a crossing that appears as two forks on one drive-by and as one
+crossing on another, gives places with different branches, which closure does not identify. Scans
+show junctions nearer to each other than their resolution as one. So places that are certainly
+nearer than that, and that no single drive-by reported as two, are joined; the one seen best
+provides the branches.
 """
 
 from __future__ import annotations
@@ -26,9 +26,11 @@ REASON = "nearer than scans can tell two junctions apart"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Blurred:
-    """Places after joining. place: (n,) the place that each one became part of, mostly itself; xy:
-    (n, 2) [m] position of each, the mean of all its looks; asked: the identifications that this
-    makes."""
+    """Places after joining.
+
+    place: (n,) the place that each one became part of, mostly itself; xy: (n, 2) [m] weighted mean
+    position of the joined places; asked: the identifications made.
+    """
 
     place: IntArray
     xy: FloatArray
@@ -38,9 +40,10 @@ class Blurred:
 def blurred(
     reckoning: DeadReckoning, place: IntArray, estimate: Estimate, resolution_m: float
 ) -> Blurred:
-    """The places of an estimate that are one. place: (p,) of each pass, none negative.
+    """The places of an estimate, those below the resolution joined. place: (p,) of each pass, none
+    negative.
 
-    resolution_m: junctions nearer than this show as one; 0 for detectors that tell all apart.
+    resolution_m: junctions nearer than this show as one [m]; 0 for detectors that separate all.
     """
     of = np.arange(len(estimate.xy), dtype=np.int64)
     if resolution_m <= 0 or len(of) < 2:
@@ -64,7 +67,7 @@ def blurred(
         if sure > LIKELIHOOD.gate_sigmas and of[u] == u and of[v] == v:
             of[v] = u
             asked.append(_identified(reckoning, place, (u, v), sure))
-    # What a drive-by showed beside a part of a crossing is the other part of it.
+    # Two places that one drive-by showed side by side may be the two forks of one crossing.
     for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
         parts = np.flatnonzero(of == u).tolist()
         if of[u] == u and of[v] == v and any({v, part} in told for part in parts if part != u):
@@ -74,7 +77,7 @@ def blurred(
 
 
 def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
-    """(n, 2) means of what stands for each place, by how well it was seen."""
+    """(n, 2) weighted mean positions of joined places; weights `seen` (n,)."""
     out, alone = xy.copy(), np.bincount(of, minlength=len(of)) < 2
     total = np.bincount(of, seen, len(of))
     mean = [np.bincount(of, seen * column, len(of)) / np.maximum(total, 1e-9) for column in xy.T]
@@ -85,7 +88,7 @@ def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
 def _told_apart(
     reckoning: DeadReckoning, place: IntArray, resolution_m: float
 ) -> set[frozenset[int]]:
-    """Pairs of places that one drive-by showed both."""
+    """Pairs of places that one drive-by showed both of."""
     both = np.stack([place[:-1], place[1:]], axis=1)[one_drive_by(reckoning, resolution_m)]
     return {frozenset(pair) for pair in both.tolist()}
 
@@ -93,7 +96,7 @@ def _told_apart(
 def _sigmas_within(
     reckoning: DeadReckoning, estimate: Estimate, a: IntArray, b: IntArray, resolution_m: float
 ) -> FloatArray:
-    """(k,) by how many standard deviations places are nearer to each other than the resolution."""
+    """(k,) by how many standard deviations the distance of places is below the resolution."""
     cov = estimate.relative_covariance(estimate.node[a], estimate.node[b])[:, :2, :2]
     variance = np.linalg.eigvalsh(cov)[:, 1] + 2 * reckoning.noise.centre_m**2
     distance = np.hypot(*(estimate.xy[a] - estimate.xy[b]).T)
@@ -103,7 +106,8 @@ def _sigmas_within(
 def _identified(
     reckoning: DeadReckoning, place: IntArray, pair: tuple[int, int], sigmas: float
 ) -> Identification:
-    """Else they are not so near, or each pass by the one missed the other."""
+    """The identification of two places, with the evidence of the more likely alternative: that they
+    are not so near, or that each pass by the one missed the other."""
     first = [int(np.flatnonzero(place == v)[0]) for v in pair]
     missed = int(np.isin(place, pair).sum()) * float(np.log(reckoning.noise.miss_rate))
     bits = -max(float(log_ndtr(-sigmas)), missed) / BIT
@@ -111,7 +115,7 @@ def _identified(
 
 
 def one_drive_by(reckoning: DeadReckoning, resolution_m: float) -> BoolArray:
-    """(p - 1,) whether a pass and the next are of one drive-by: no more way between them than to
-    drive by a place of that size."""
+    """(p - 1,) whether a pass and the next belong to one drive-by: the leg between them is no
+    longer than twice the resolution."""
     way: BoolArray = reckoning.leg < 2 * resolution_m
     return way

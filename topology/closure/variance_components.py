@@ -1,12 +1,12 @@
-"""The noise of a run from its own closed estimate: variance components of the pose graph.
+"""The noise of a run from its closed estimate: variance components of the pose graph.
 
-Before closure little tells how much an odometry drifts (`ingest/odometry/noise.py`). Residuals of
-loops do: each variance is its squared residuals over the degrees of freedom that it left them
+Before closure little is known of an odometry's drift (`ingest/odometry/noise.py`). The residuals of
+loops show it: each variance is the sum of its squared residuals over their degrees of freedom
 (Förstner, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, 1979; iterated, it is
-REML). A robust kernel hides part of a residual: residuals are compared with what the kernel would
-leave of normal ones (Huber's proposal 2). A pass is seen on the way by, and means of headings walk
-less than the heading at its middle: residuals are smaller by as much. How the errors of an odometry
-divide among its random walks is hardly observable; their common level is.
+REML). Corrections: a robust kernel reduces residuals, so they are compared with its expectation for
+normal residuals (Huber's proposal 2); the heading of a pass is a mean over its messages and varies
+less than the heading at its middle (`_smoothed`). How an odometry's error divides among its random
+walks is hardly observable; its overall level is.
 """
 
 from __future__ import annotations
@@ -36,36 +36,38 @@ COMPONENTS = (
     "centre_m",
     "branch_rad",
 )
-"""Fields of RunNoise that an estimate tells, in this order; the last component is how far corridors
-stray from the grid of their building, where a grid holds the estimate."""
+"""Fields of RunNoise that are estimated, in this order; the last component is the deviation of
+corridors from the grid, if there is one."""
 
 _WALKS, _BRANCH, _GRID = 3, 4, 5
-"""How many components are random walks of the odometry, and where two others stand."""
+"""Number of components that are random walks of the odometry, and indices of two others."""
 
 
 @dataclass(frozen=True, slots=True)
 class ComponentSettings:
-    """How far the estimates before closure hold."""
+    """Priors and iteration of the estimate."""
 
     prior_freedom: float = 4.0
-    """Degrees of freedom that told the detector, the grid, and how the odometry's random walks are
-    to each other before: a variance to √(2 / freedom) of itself. Of the odometry as a whole next to
-    nothing is told (`_odometry_level`)."""
+    """Degrees of freedom of the prior for the detector, the grid, and the ratios of the odometry's
+    random walks: their variances are known to √(2 / freedom) of themselves. The prior of the
+    odometry's level is much weaker (`_odometry_level`)."""
     rounds: int = 8
-    """Each estimates the components again, with the weights that the one before gave. All but the
-    last take double steps in the level of the odometry's: what the data hardly tell, such as noise
-    that is not there, is reached slowly. In 45 walks the eighth changes sigmas by 2 % or less."""
+    """Each round estimates the components with the weights of the round before. All but the last
+    take double steps in the level of the odometry, which otherwise converges slowly where the data
+    hardly determine it. In 45 walks the eighth changes sigmas by 2 % or less."""
     samples: int = 64
-    """They tell a variance to √(2 / 64), 18 %: less than the prior's freedom leaves open."""
+    """Standard error of a variance √(2 / 64) = 18 %, less than the prior's."""
     most_spread_rad: float = 0.06
-    """Corridors that stray farther from their grid have none: they bend together, as streets do,
-    where a spread is taken to be of each by itself. In 60 walks of mazes, offices and rows at high
-    and real drift 0.010 to 0.044, in three of streets taken for a grid 0.09 to 0.15."""
+    """Largest deviation of corridors from their grid [rad]; beyond it there is taken to be none:
+    streets bend together, while the model assumes independent deviations. In 60 walks of mazes,
+    offices and rows at high and real drift 0.010 to 0.044, in three of streets taken for a grid
+    0.09 to 0.15."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fitted:
-    """reckoning: with its most likely noise; estimate: by that; grid: with its own spread."""
+    """reckoning: with its most likely noise; estimate: with that noise; grid: with its estimated
+    spread."""
 
     reckoning: DeadReckoning
     estimate: Estimate
@@ -81,12 +83,11 @@ def fitted_noise(
     grid: GridHeadings | None = None,
     settings: ComponentSettings = ComponentSettings(),
 ) -> Fitted:
-    """Dead reckoning with its most likely noise, and its estimate by that.
+    """Dead reckoning with its most likely noise, and the estimate with that noise.
 
-    reckoning: with the noise that the run showed before closure, which stays the prior; odometry:
-    that of the reckoning; estimate: one of the places, to begin with; grid: headings that hold it.
-    Each round: one estimate, and the trace of every component's share in the posterior from
-    samples.
+    reckoning: with the noise estimated before closure, which is the prior; odometry: that of the
+    reckoning; estimate: initial one of the places; grid: headings that hold it. Each round solves
+    one estimate, and takes the trace of every component's share in the posterior from samples.
     """
     before = reckoning
     prior = np.array([getattr(reckoning.noise, name) for name in COMPONENTS]) ** 2
@@ -117,7 +118,7 @@ def with_shown_spread(
     grid: GridHeadings,
     settings: ComponentSettings = ComponentSettings(),
 ) -> GridCorridors:
-    """The corridors with their directions as far off the grid as the estimate shows, separately for
+    """The corridors with their deviations from the grid as the estimate shows them, separately for
     the two axes of the grid.
 
     estimate: optimised with these corridors; grid: that they run along. One step of the variance
@@ -126,7 +127,7 @@ def with_shown_spread(
     graph, solution = estimate.graph, estimate.solution
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
     off = prior_errors(graph, solution.pose)[lines, 2]
-    # Some stand for all: of a long run, the rest would take long. Samples depend on the frame.
+    # A subset represents all, for speed in long runs. Samples would depend on the frame.
     some = slice(None, None, -(-len(off) // settings.samples) or 1)
     node = graph.priors.node[lines][some]
     left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
@@ -140,11 +141,12 @@ def with_shown_spread(
 def _step(
     energy: FloatArray, freedom: FloatArray, ratio: FloatArray, told: float, power: int
 ) -> FloatArray:
-    """(c,) factors on the variances: squared errors over degrees of freedom, with those of a prior.
+    """(c,) factors on the variances: squared errors over degrees of freedom, both including the
+    prior's.
 
-    ratio: (c,) variances in units of the prior's, which `told` degrees of freedom tell (inverse
-    χ²): those of the detector and of the grid by themselves, those of the odometry's random walks
-    in units of their level. The level takes a step of its own, so many times over (`power`).
+    ratio: (c,) variances in units of the prior's, which has `told` degrees of freedom (inverse χ²):
+    those of the detector and of the grid each by itself, those of the odometry's random walks
+    relative to their common level, which takes a step of its own, raised to `power`.
     """
     level = np.ones(len(ratio))
     level[:_WALKS] = _odometry_level(ratio[:_WALKS], told)
@@ -157,13 +159,14 @@ def _step(
 
 
 def _odometry_level(ratio: FloatArray, told: float) -> float:
-    """The most likely level of an odometry's variances, in units of the prior's, by themselves.
+    """The most likely level of an odometry's variances, in units of the prior's.
 
-    ratio: (k,) variances in the same units, each of which is the level as `told` degrees of freedom
-    tell (f, inverse χ²): an odometry is as good at ways as at headings, as far as is known. The
-    level t may be any, none at all included: its sigma has the density 1 / (1 + t) (half-Cauchy;
-    Gelman, Prior distributions for variance parameters, 2006), where an inverse χ² denies zero.
-    With h = Σ 1 / ratio the derivative by ln t vanishes where f (k - t h) + (1 - t) / (1 + t) = 0.
+    ratio: (k,) variances in the same units, each distributed about the level with `told` degrees of
+    freedom f (inverse χ²), because an odometry is taken to be equally good at distances and at
+    headings. The prior of the level t is weak and allows none at all: its sigma has the density 1 /
+    (1 + t) (half-Cauchy; Gelman, Prior distributions for variance parameters, 2006), where an
+    inverse χ² would exclude zero. With h = Σ 1 / ratio, the derivative by ln t vanishes where f (k
+    - t h) + (1 - t) / (1 + t) = 0.
     """
     h, k = float((1 / ratio).sum()), len(ratio)
     b = told * (k - h) - 1
@@ -171,38 +174,39 @@ def _odometry_level(ratio: FloatArray, told: float) -> float:
 
 
 def _unit_walks(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckoning]:
-    """Dead reckoning as if there were one random walk of the odometry only, of 1 sigma of 1."""
+    """Dead reckoning with a single random walk of the odometry of unit variance, one for each
+    walk."""
     none = RunNoise(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     noises = [replace(none, **{name: 1.0}) for name in COMPONENTS[:_WALKS]]
     units = (
         dead_reckoning(odometry, reckoning.passes, noise, reckoning.systematic) for noise in noises
     )
-    # What a jump adds is no noise: it would be counted once for every component.
+    # Errors of jumps are not noise, and would be counted once for every component.
     return [replace(unit, jumps=np.zeros_like(unit.jumps)) for unit in units]
 
 
 def _leg_covariances(reckoning: DeadReckoning, units: list[DeadReckoning]) -> FloatArray:
-    """(3, k, 3, 3) covariance of every leg by each random walk of 1 sigma of 1."""
+    """(3, k, 3, 3) covariance of every leg by each random walk of unit variance."""
     row = np.flatnonzero(np.diff(reckoning.piece) == 0)
     return np.stack([leg_covariance(unit, row) for unit in units])
 
 
 def _smoothed(odometry: Odometry, passes: Passes) -> FloatArray:
     """(p, 2) by how much less the heading of each pass, a mean over its messages, varies than the
-    walks at its middle: walks of 1 rad per √m driven and of 1 rad per √rad turned."""
+    walks at its middle: for walks of 1 rad per √m driven and of 1 rad per √rad turned."""
     messages = np.maximum(passes.messages, 1)
     of, number = numbered(messages)
     share = number / np.maximum(messages - 1, 1)[of]
     time_ns = (passes.start_ns[of] + share * (passes.end_ns - passes.start_ns)[of]).astype(np.int64)
     means = WalkMeans.of(walked_at(odometry, time_ns), of, len(passes))
-    # Where the robot stands, sums may be rounded to less than nothing.
+    # Where the robot stands, sums may be rounded below 0.
     return np.maximum(means.lost, 0.0)
 
 
 def _with_variances(
     reckoning: DeadReckoning, units: list[DeadReckoning], variance: FloatArray
 ) -> DeadReckoning:
-    """Dead reckoning with other variances of its components; its sums are linear in them."""
+    """Dead reckoning with other variances of its components, in which its sums are linear."""
     sigma = dict(zip(COMPONENTS, np.sqrt(variance).tolist(), strict=False))
     sums = reckoning.sums.copy()
     sums[:, RANDOM] = sum(
@@ -213,9 +217,12 @@ def _with_variances(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Edges:
-    """Edges of one sort: their errors (k, 3), information (k, 3, 3), samples (k, 3, s) of what the
-    solution leaves of them in sigmas, weights at the solution and widths of their kernels (k,).
-    smoothed: (k, 3, s) the same of what means over passes lack of the errors that are stated."""
+    """Edges of one kind.
+
+    error: (k, 3); information: (k, 3, 3); residual: (k, 3, s) samples of the residuals after
+    solving, in sigmas; smoothed: (k, 3, s) the same of the variance that means over passes lack;
+    weight: (k,) at the solution; kernel: (k,) widths in sigmas.
+    """
 
     error: FloatArray
     information: FloatArray
@@ -228,8 +235,9 @@ class _Edges:
         """Squared error by one component, in units of its variance, and its degrees of freedom.
 
         part: (k, 3, 3) V, the covariance by the component. With e the error, Ω its information and
-        C the covariance of e left by the solution: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V Ω C), less what
-        is smoothed; that may be more than all of it while the variances are not right yet.
+        C the part of the covariance of e that the solution leaves: eᵀ Ω V Ω e, and tr(Ω V) - tr(Ω V
+        Ω C), minus what is smoothed, which can exceed the rest while the variances are not right
+        yet.
         """
         root = square_root(self.information)
         share = root.transpose(0, 2, 1) @ part @ root
@@ -244,8 +252,7 @@ class _Edges:
     def _expected_weight(self) -> FloatArray:
         """(k,) mean weight of normal errors in their Cauchy kernels.
 
-        An edge that tells f numbers has a χ² of f degrees of freedom, where the solution takes part
-        of them, less in proportion.
+        An edge that measures f numbers has a χ² of f degrees of freedom, scaled by its redundancy.
         """
         if not np.isfinite(self.kernel).any():
             return np.ones(len(self.kernel))
@@ -268,7 +275,8 @@ def _told(
     *,
     samples: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Of each component: squared errors in units of its variance, degrees of freedom."""
+    """(c,) each: squared error of each component in units of its variance, and degrees of
+    freedom."""
     less = smoothed[estimate.sighting] @ variance[1:_WALKS]
     legs, sightings, headings = _sorts(estimate, units.shape[1], less, samples)
     told = [legs.told(variance[k] * units[k]) for k in range(_WALKS)]
@@ -282,7 +290,7 @@ def _told(
         spread[:, 2, 2] = variance[_GRID]
         read[:, 2, 2] = grid.sigma**2 - variance[_GRID]
         told.append(headings.told(spread))
-        # How branches were read shows in both.
+        # Reading errors of branches show in both observations and grid headings.
         told[_BRANCH] = tuple(np.add(told[_BRANCH], headings.told(read)).tolist())
     energy, freedom = np.array(told).T
     return energy, freedom
@@ -291,9 +299,10 @@ def _told(
 def _sorts(
     estimate: Estimate, legs: int, less: FloatArray, samples: int
 ) -> tuple[_Edges, _Edges, _Edges]:
-    """The edges of an estimate: `legs` of odometry, sightings, and headings known from the grid.
+    """The edges of an estimate: `legs` of odometry, observations of places, and headings by the
+    grid.
 
-    less: (k,) variance that the heading of each sighting lacks, as a mean over a pass.
+    less: (k,) variance [rad²] that the heading of each observation lacks, as a mean over a pass.
     """
     graph, solution = estimate.graph, estimate.solution
     error = edge_errors(graph, solution.pose, solution.shared)
@@ -331,10 +340,10 @@ def _sorts(
 
 
 def _stiffness(chi2: FloatArray, kernel: FloatArray, told: int) -> float:
-    """How much of its pull a Cauchy kernel leaves an edge for small changes, in the mean.
+    """Mean derivative of w(χ²) e by e over the `told` directions of e, for a Cauchy kernel.
 
-    The derivative of w(χ²) e by e, over the `told` directions of e: what the solution gives way by
-    where measurements err, while its weights w say how much of their errors count.
+    It is the stiffness of the edges against small changes, where the weights w say how much of
+    their errors count.
     """
     if not np.isfinite(kernel).any():
         return 1.0

@@ -1,1 +1,1 @@
-"""Structural matching: what makes vertices and corridors of two maps the same ones."""
+"""Structural matching: evidence that vertices and corridors of two maps are the same."""

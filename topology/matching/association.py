@@ -1,12 +1,12 @@
-"""The association graph: all of the paper's hypothesis building (§2) as array operations.
+"""The association graph: the paper's hypothesis building (§2) as array operations.
 
 A node of the graph is a vertex of a paired with a vertex of b under one correspondence of their
-branches (§2.1); a link is a corridor of a paired with a corridor of b such that lengths agree and
-both ends are nodes (§2.2). Growing a match from any of its pairs reaches exactly one connected
+branches (§2.1); a link is a corridor of a paired with a corridor of b whose lengths agree and whose
+ends are nodes (§2.2). Growing a match from any of its pairs reaches exactly one connected
 component, so the components *are* the unique grown hypotheses, and one incompatible corridor or
-vertex rejects the component. Links are found by binary search in sorted lengths, the vertices
-that pair without any corridor in common are counted by class: nothing is quadratic in the maps
-but what is compatible.
+vertex rejects its component. Links are found by binary search in sorted lengths; vertices that pair
+without a common corridor are counted by class. Cost is linear in the compatible pairs and n log n
+in the maps.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from .structure import Structure
 
 
 class Links(NamedTuple):
-    """Compatible pairs of corridors: darts of a (forward ones only) and of b, and their end nodes.
+    """Compatible pairs of corridors, as darts (`structure.py`), and the nodes that they join.
 
-    dart_a, dart_b: (L,); start, end: (L,) codes of the nodes they join; codes and what they mean
-    depend on the world and the two maps alone.
+    dart_a: (L,) darts of a, driven from source to target only; dart_b: (L,) darts of b; start, end:
+    (L,) codes of their end nodes, as made by `correspondence.encode`.
     """
 
     dart_a: IntArray
@@ -54,10 +54,10 @@ class Links(NamedTuple):
 class Growth:
     """All grown matches that hold a corridor, valid and rejected.
 
-    nodes: N nodes in ascending order; component: (N,) the match of each; rejected: (C,) True where
-    a match ran into an incompatibility; tested, agreed: (C,) corresponding branches that both maps
-    drove at the nodes of each match, and how many of them lead along a link; links, with the match
-    of each in link_component (L,); rectilinear: which world the correspondences are of.
+    nodes: N nodes in ascending order; component: (N,) the match of each; rejected: (C,) whether a
+    match holds an incompatibility; tested: (C,) corresponding branches that were driven in both
+    maps, agreed: (C,) those of them along which a link leads; links, and link_component: (L,) the
+    match of each; rectilinear: whether correspondences are quarter turns.
     """
 
     nodes: Nodes
@@ -79,7 +79,7 @@ def grow(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) 
 
 
 def holding(growth: Growth, chosen: BoolArray) -> Growth:
-    """The matches that hold one of the chosen nodes (N,), renumbered in their order (§4.2)."""
+    """The matches that hold one of the `chosen` nodes (N,), renumbered in their order (§4.2)."""
     kept = np.zeros(len(growth.rejected), np.bool_)
     kept[growth.component[chosen]] = True
     number = np.cumsum(kept) - 1
@@ -117,10 +117,10 @@ def _find_links(a: Structure, b: Structure, settings: GrowthSettings) -> Links:
 
 
 def _search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float:
-    """Standard deviations within which corridors are compared at all.
+    """Largest difference of two lengths for which corridors are compared, in standard deviations.
 
-    That of the largest match there can be: all corridors of the smaller map. The count is rounded
-    up to a power of two, so that the bound of growing maps moves seldom.
+    That of the largest possible match, all corridors of the smaller map. The count is rounded up to
+    a power of two, so that the bound rarely changes while maps grow.
     """
     most = max(1, min(len(a.start), len(b.start)) // 2)
     return settings.bound_sigmas(1 << (most - 1).bit_length())
@@ -129,10 +129,10 @@ def _search_bound(a: Structure, b: Structure, settings: GrowthSettings) -> float
 def _dart_kind(
     s: Structure, darts: IntArray, settings: GrowthSettings, rectilinear: bool
 ) -> FloatArray:
-    """(k,) what two darts must share to be compared at all, as one number.
+    """(k,) key that two darts must have in common to be compared.
 
     Rectilinear: the turn between leaving and arriving and, if degrees are exact, the slots at both
-    ends; on general angles the degrees of both ends, if exact.
+    ends; otherwise the degrees of both ends, if exact.
     """
     if rectilinear:
         kind = s.slot_kind[darts]
@@ -143,7 +143,7 @@ def _dart_kind(
 
 
 class _Measured(NamedTuple):
-    """Corridors to compare: what must be equal, and what must be close."""
+    """Corridors to compare: `kind` must be equal, `length` [m] close in terms of `sigma` [m]."""
 
     kind: FloatArray
     length: FloatArray
@@ -218,7 +218,7 @@ def _angle_nodes(
 
 
 def _assembled(a: Structure, b: Structure, links: Links, settings: GrowthSettings) -> Growth:
-    """Connected components of the links, and which of them an incompatibility rejects (§2.2)."""
+    """The connected components of the links, rejecting those with an incompatibility (§2.2)."""
     rectilinear = is_rectilinear(a, b, settings)
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
@@ -247,8 +247,8 @@ def _assembled(a: Structure, b: Structure, links: Links, settings: GrowthSetting
 
 def components(start: IntArray, end: IntArray, count: int) -> IntArray:
     """(count,) component of each node, numbered by their first nodes."""
-    # Strategy: chance makes links that meet no other by the thousand, and a link alone is its own
-    # component: the search for components sees only the rest.
+    # Strategy: most links are chance matches that touch no other link. Each is a component of its
+    # own and is left out of the search for components.
     degree = np.bincount(start, minlength=count) + np.bincount(end, minlength=count)
     alone = (degree[start] == 1) & (degree[end] == 1)
     root = np.arange(count)
@@ -270,10 +270,10 @@ def components(start: IntArray, end: IntArray, count: int) -> IntArray:
 def _out_of_bounds(
     a: Structure, b: Structure, links: Links, component: IntArray, settings: GrowthSettings
 ) -> IntArray:
-    """Matches of which a length differs by more than the bound for so many corridors.
+    """Matches with a length difference beyond the bound for their number of corridors.
 
-    Links are sought within the bound of the largest match. Between the two bounds a link would be
-    an incompatibility at both of its ends, so the match that it joins is rejected either way.
+    Links are searched within the bound of the largest match. A link between the two bounds would be
+    an incompatibility at both of its ends, so its match is rejected either way.
     """
     held = np.bincount(component)
     sigma = np.hypot(a.sigma[links.dart_a], b.sigma[links.dart_b])
@@ -319,7 +319,7 @@ def _not_one_to_one(nodes: Nodes, component: IntArray, rejected: BoolArray) -> I
 class SingleMatches:
     """Compatible nodes outside all grown matches that nothing contradicts (H1 of §2.3).
 
-    candidates: compatible nodes in all, whether grown, single, or rejected by their first
+    candidates: number of all compatible nodes, whether grown, single, or rejected by their first
     corridor.
     """
 

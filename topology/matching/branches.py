@@ -1,8 +1,8 @@
-"""How the branches of two junctions fit: which are the same, and what that tells.
+"""Correspondence of the branches of two junctions, and its likelihood.
 
-Headings are unit numbers e^{iθ}, 0 where there is no branch, in rows as long as the most branches
-of any junction. So the cosine of the angle between two branches is one product, no angle is ever
-wrapped, and what is not there is near nothing.
+Headings are unit complex numbers e^{iθ}, 0 for missing branches, in rows as long as the largest
+degree. The cosine of the angle between two branches is then one product, angles need no wrapping,
+and a missing branch is near no other.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ COS_GATE = float(np.cos(LIKELIHOOD.branch_gate_rad))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BranchPairs:
-    """Which branches of k pairs of junctions are each other's nearest.
+    """Mutually nearest branches of k pairs of junctions.
 
     paired: (k, d_a) whether each branch of a has a partner in b; nearest: (k, d_a) the branch of b
-    nearest to it, its partner if it has one; chord2: (k, d_a) squared chord between the two on the
-    unit circle, which for small angles is the angle's square [rad²].
+    nearest to it, its partner if it is paired; chord2: (k, d_a) squared chord between the two on
+    the unit circle, about the squared angle [rad²].
     """
 
     paired: BoolArray
@@ -32,7 +32,7 @@ class BranchPairs:
 
 
 def unit_headings(heading: FloatArray) -> ComplexArray:
-    """Headings [rad] as unit numbers, 0 for NaN."""
+    """Headings [rad] as unit complex numbers, 0 for NaN."""
     there = np.isfinite(heading)
     return np.asarray(np.where(there, np.exp(1j * np.where(there, heading, 0.0)), 0.0))
 
@@ -40,7 +40,8 @@ def unit_headings(heading: FloatArray) -> ComplexArray:
 def mutual_nearest(
     unit_a: ComplexArray, unit_b: ComplexArray, cos_gate: float = COS_GATE
 ) -> BranchPairs:
-    """Branches (k, d_a) and (k, d_b), in one frame, that are each other's nearest within a gate."""
+    """Mutually nearest branches of (k, d_a) and (k, d_b), in one frame, closer than the angle whose
+    cosine is `cos_gate`."""
     k, d_a, d_b = len(unit_a), unit_a.shape[1], unit_b.shape[1]
     if not (unit_a.size and unit_b.size):
         none = np.zeros(unit_a.shape)
@@ -61,11 +62,11 @@ def agreeing(
     free: FloatArray | float,
     most: float = np.inf,
 ) -> FloatArray:
-    """(k,) nats of the headings of paired branches: Σ ln p(d | same) - ln p(heading | any).
+    """(k,) log likelihood ratio [nats] of paired branches: Σ ln p(d | same) - ln p(heading | any).
 
     variance: (k,) or (1,) [rad²] of the difference of two readings; free: (k, d_a) -ln density
-    [1/rad] of a branch pointing there by chance (rarer directions count more); most: bound on what
-    one branch may add.
+    [1/rad] of a branch in that direction by chance (rarer directions count more); most: upper bound
+    per branch.
     """
     fit = log_density(pairs.chord2 / variance[:, None], variance[:, None])
     told = np.where(pairs.paired, np.minimum(fit + free, most), 0.0)
@@ -73,8 +74,11 @@ def agreeing(
 
 
 def missing(pairs: BranchPairs, lack_a: FloatArray, lack_b: FloatArray) -> FloatArray:
-    """(k,) nats, negative, of branches without a partner. lack_a: (k, d_a), lack_b: (k, d_b): ln of
-    how often a look lacks that branch, weighted by its confidence; 0 where there is none."""
+    """(k,) log likelihood ratio [nats], negative, of branches without a partner.
+
+    lack_a: (k, d_a), lack_b: (k, d_b) ln of the rate at which a look misses that branch, weighted
+    by its confidence; 0 where there is no branch.
+    """
     partner = np.where(pairs.paired, pairs.nearest, -1)
     taken = (partner[:, :, None] == np.arange(lack_b.shape[1])).any(axis=1)
     told = np.where(pairs.paired, 0.0, lack_a).sum(axis=1) + np.where(taken, 0.0, lack_b).sum(

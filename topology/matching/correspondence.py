@@ -1,7 +1,7 @@
 """Pairs of vertices under a correspondence of their branches (§2.1, §2.3).
 
-In a rectilinear world orientations are exact up to the four rotations, and a vertex is a set of
-slots; on general angles branches are compared with a similarity test.
+In a rectilinear world orientations are known up to quarter turns, and a vertex is a set of slots.
+On general angles branches are compared with a tolerance.
 """
 
 from __future__ import annotations
@@ -39,19 +39,20 @@ class GrowthSettings:
     """When vertices and corridors are compatible (§2.1, §2.2, §2.3)."""
 
     world: World = "auto"
-    """rectilinear: branch directions are exact up to the four rotations (§2.3); general: they are
-    compared with a similarity test; auto: rectilinear if both maps are."""
+    """rectilinear: branch directions are exact up to quarter turns (§2.3); general: they are
+    compared with a tolerance; auto: rectilinear if both maps are."""
     degree: Literal["exact", "inexact"] = "exact"
     """exact: a static world; inexact: doors open and close (§2.1)."""
     unmatched_branches: int = 1
-    """Inexact degree: branches that either vertex of a pair may have and the other not."""
+    """Inexact degree: number of branches of either vertex of a pair that may lack a partner."""
     branch_tolerance_rad: float = 0.35
-    """General world: how far a branch may be from its partner under the pair's rotation."""
+    """General world: largest angle between two corresponding branches after the pair's rotation."""
     confidence: float = 0.999
-    """Probability with which a right match survives the comparison of its lengths."""
+    """Probability that a correct match passes the comparison of its lengths."""
     confidence_of: Literal["match", "corridor"] = "match"
-    """match: of all its corridors together, however many they are; corridor: of each by itself,
-    as published (§5: 95 %), so that a right match of k corridors survives with confidence ** k."""
+    """match: the confidence holds for all corridors of a match together; corridor: for each
+    corridor by itself, as published (§5: 95 %), so that a correct match of k corridors passes with
+    confidence ** k."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.confidence < 1.0:
@@ -60,10 +61,12 @@ class GrowthSettings:
             raise UsageError("branches: neither a count below 0 nor a tolerance of 0 makes sense")
 
     def bound_sigmas(self, corridors: int) -> float:
-        """Standard deviations by which the lengths of each of so many corridors may differ.
+        """Largest accepted difference of two lengths, in standard deviations, in a match of so many
+        corridors.
 
-        Of k differences of normal errors, correlated or not, all lie within z standard deviations
-        with a probability of at least (2 Φ(z) - 1) ** k (Šidák 1967); z makes that `confidence`.
+        k normal differences, correlated or not, all lie within z standard deviations with a
+        probability of at least (2 Φ(z) - 1) ** k (Šidák 1967); z is chosen so that this is
+        `confidence`.
         """
         count = corridors if self.confidence_of == "match" else 1
         outside = -expm1(log(self.confidence) / max(count, 1))
@@ -94,18 +97,19 @@ class Nodes:
 
 
 def is_rectilinear(a: Structure, b: Structure, settings: GrowthSettings) -> bool:
-    """Whether a and b are matched with exact orientations (§2.3)."""
+    """Whether a and b are matched with orientations exact up to quarter turns (§2.3)."""
     return settings.world != "general" and a.grid_rad is not None and b.grid_rad is not None
 
 
 def correspond(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings = DEFAULT_GROWTH
 ) -> tuple[BoolArray, IntArray]:
-    """Correspondences of the branches of (k,) vertex pairs, given one pair of branches (§2.1).
+    """Correspondences of the branches of k vertex pairs that contain a given pair of branches
+    (§2.1).
 
-    Returns ok (k,): whether the vertices are compatible that way; partner (k, D_a): for each
-    branch of a its partner in b, -1 for none. Correspondences keep the order around the vertex: a
-    plane map has no mirror image.
+    Returns ok (k,), whether the vertices are compatible under it, and partner (k, D_a), for each
+    branch of a its partner in b, -1 for none. Correspondences keep the cyclic order of branches:
+    maps are not mirrored.
     """
     if settings.degree == "exact":
         return _all_branches(a, b, at_a, at_b, settings)
@@ -115,7 +119,8 @@ def correspond(
 def _all_branches(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
 ) -> tuple[BoolArray, IntArray]:
-    """Equal degrees: branch i of a goes with branch i + shift of b, all within the tolerance."""
+    """Equal degrees: branch i of a corresponds to branch i + shift of b, all within the
+    tolerance."""
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
     degree, shift = a.degree[vertex_a], branch_b - branch_a
     equal = degree == b.degree[vertex_b]
@@ -133,9 +138,9 @@ def _all_branches(
 def _most_branches(
     a: Structure, b: Structure, at_a: Ends, at_b: Ends, settings: GrowthSettings
 ) -> tuple[BoolArray, IntArray]:
-    """Inexact degrees: a few branches of either vertex may have no partner."""
-    # Strategy: the pair given fixes a rotation, mutually nearest branches within the tolerance
-    # correspond, their mean difference is the rotation, and once more with that.
+    """Inexact degrees: up to `unmatched_branches` branches of either vertex may have no partner."""
+    # Strategy: the given pair fixes a rotation, and mutually nearest branches within the tolerance
+    # correspond. Their mean difference is the rotation of a second pass.
     (vertex_a, branch_a), (vertex_b, branch_b) = at_a, at_b
     ua, ub = a.unit[vertex_a], b.unit[vertex_b]
     rows, gate = np.arange(len(vertex_a)), float(np.cos(settings.branch_tolerance_rad))
@@ -154,7 +159,8 @@ def _most_branches(
 def masks_agree(
     mask_a: IntArray, mask_b: IntArray, turn: IntArray, settings: GrowthSettings
 ) -> BoolArray:
-    """Whether slot sets agree when b's are turned: equal, or nearly so if degrees are inexact."""
+    """Whether slot sets agree after turning b's by quarter turns: equal, or for inexact degrees
+    nearly so."""
     turned = TURNED[mask_b, turn]
     if settings.degree == "exact":
         return np.asarray(turned == mask_a)
@@ -164,7 +170,7 @@ def masks_agree(
 
 
 def shared_branches(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:
-    """(N,) corresponding branches that were driven in both maps."""
+    """(N,) number of corresponding branches that were driven in both maps."""
     if rectilinear:
         turned = TURNED[b.explored_mask[nodes.vertex_b], nodes.correspondence]
         return np.asarray(POPCOUNT[a.explored_mask[nodes.vertex_a] & turned])
@@ -187,7 +193,8 @@ def node_rotations(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) 
 def encode(
     a: Structure, b: Structure, vertex_a: IntArray, vertex_b: IntArray, partner: IntArray
 ) -> IntArray:
-    """One integer per (vertex of a, vertex of b, correspondence)."""
+    """(k,) one integer per (vertex of a, vertex of b, correspondence). Raises ValueError where it
+    would overflow."""
     base, size = b.heading.shape[1] + 1, _correspondences(a, b)
     if float(len(a)) * len(b) * size > 2.0**62:
         raise ValueError("junctions with this many branches cannot be matched")
@@ -200,21 +207,21 @@ def _correspondences(a: Structure, b: Structure) -> int:
 
 
 def decode(a: Structure, b: Structure, code: IntArray, rectilinear: bool) -> Nodes:
-    """The nodes that codes stand for."""
+    """The nodes of codes (N,); inverse of `encode` and `node_codes`."""
     size = 4 if rectilinear else _correspondences(a, b)
     pair, correspondence = np.divmod(code, size)
     return Nodes(pair // len(b), pair % len(b), correspondence)
 
 
 def partners(a: Structure, b: Structure, correspondence: IntArray) -> IntArray:
-    """(k, D_a) partner in b of each branch of a, -1 for none, of encoded correspondences."""
+    """(k, D_a) partner in b of each branch of a, -1 for none, from encoded correspondences (k,)."""
     base = b.heading.shape[1] + 1
     digits = np.array([base**k for k in range(a.heading.shape[1])], np.int64)
     return np.asarray(correspondence[:, None] // digits % base - 1)
 
 
 def node_codes(a: Structure, b: Structure, nodes: Nodes, rectilinear: bool) -> IntArray:
-    """The codes that `decode` decodes."""
+    """(N,) codes of nodes; inverse of `decode`."""
     size = 4 if rectilinear else _correspondences(a, b)
     return (nodes.vertex_a * len(b) + nodes.vertex_b) * size + nodes.correspondence
 
@@ -237,11 +244,11 @@ def candidate_nodes(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SlotClasses:
-    """Vertices of both maps in classes of equal (branch slots, driven slots).
+    """Vertices of both maps, in classes of equal (branch slots, driven slots).
 
     compatible: (C_a, C_b, 4) whether vertices of two classes pair under a quarter turn; disjoint:
-    likewise, whether they share no driven branch; rows: vertices by class; first: (C + 1,) where
-    each class begins in them.
+    (C_a, C_b, 4) whether they share no driven branch; rows: vertices of a and of b, sorted by
+    class; first: (C + 1,) start of each class in them.
     """
 
     compatible: BoolArray
@@ -257,7 +264,7 @@ class SlotClasses:
         settings: GrowthSettings,
         near: tuple[IntArray, IntArray] | None = None,
     ) -> SlotClasses:
-        """The classes of two rectilinear maps, or of some vertices of each."""
+        """The classes of two rectilinear maps; near: of these vertices of a and of b only."""
         kinds, rows, first = [], [], []
         for s, chosen in zip((a, b), near or (np.arange(len(a)), np.arange(len(b))), strict=True):
             kind = s.mask[chosen] * 16 + s.explored_mask[chosen]
@@ -278,11 +285,11 @@ class SlotClasses:
 
     @property
     def sizes(self) -> IntArray:
-        """(C_a, C_b) vertex pairs of each pair of classes."""
+        """(C_a, C_b) number of vertex pairs of each pair of classes."""
         return np.asarray(np.diff(self.first[0])[:, None] * np.diff(self.first[1]))
 
     def expanded(self, chosen: BoolArray) -> Nodes:
-        """The nodes of the chosen (class, class, turn), ascending."""
+        """The nodes of the chosen (C_a, C_b, 4) classes and turns, ascending."""
         # Strategy: a flat ragged product; node k of a triple is (k // width, k % width) of it.
         i, j, turn = np.nonzero(chosen)
         count, width = self.sizes[i, j], np.diff(self.first[1])[j]

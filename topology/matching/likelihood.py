@@ -1,24 +1,26 @@
-"""How likely an association is: stated once, for closure, robust merging and the paper's method.
+"""Log likelihood ratios of associations, shared by closure, robust merging and the paper's method.
 
-An association says that two things, one of each of two views, are one thing: two passes by a
-junction, two junctions, two corridors. It is judged by the log likelihood ratio of what was
-measured of the two,
+An association states that two things, one of each of two views, are the same: two passes by a
+junction, two junctions, two corridors. It is judged by the log likelihood ratio of all measurements
+of the two,
 
     λ = Σ_i ln p(x_i | the same thing) - ln p(x_i | any two things),
 
-in natural units (nats). Measurements enter by three kinds of term.
+in nats. Measurements enter by three kinds of term.
 
-*What both have.* Two looks at one length, position or heading differ by d with a variance σ², but a
-share ε of them is measured worse than the noise says, by a factor w (`log_density`):
+*Measured in both views.* Two measurements of one length, position or heading differ by d with
+variance σ²; a share ε of them is worse than the noise model says by a factor w (`log_density`):
 
     p(d | same) = (1 - ε) N(d; 0, σ²) + ε N(d; 0, w²σ²).
 
-*Chance.* Any two things differ as two draws from what the view holds. So a length is worth its
-rarity among the lengths of its own view, -ln p(x) (`rarity`), and what is common tells little.
+*Null model.* Any two things differ as two draws from their view. A length therefore contributes its
+self-information among the lengths of its own view, -ln p(x) (`rarity`), so that common lengths
+contribute little.
 
-*What only one has.* It costs ln(rate), rate being how often a look adds or misses such a thing.
+*Measured in one view only.* This contributes ln(rate), where rate is how often a view misses or
+invents such a thing.
 
-A look that shows its object as it is with a confidence c, and else tells nothing, tells
+A view that shows its object correctly with confidence c, and otherwise tells nothing, contributes
 ln(c e^λ + 1 - c) (`doubted`). Branches have their own sum of these terms (`branches.py`), and so
 has the growth of matches.
 """
@@ -35,45 +37,46 @@ from scipy.special import chdtrc, chdtri
 from ..arrays import FloatArray, IntArray
 
 Reals = NDArray[np.floating[Any]]
-"""Of single precision where odds need no more."""
+"""Floating point of any precision."""
 
 BIT = float(np.log(2.0))
-"""Nats of a bit: evidence is added up in nats here, and told in bits."""
+"""Nats per bit: evidence is summed in nats and reported in bits."""
 
 
 @dataclass(frozen=True, slots=True)
 class LikelihoodSettings:
-    """Numbers of the likelihood, common to closure and to merging."""
+    """Parameters of the likelihood, common to closure and merging."""
 
     outlier_share: float = 0.05
-    """Share of lengths and headings that are measured worse than their noise says …"""
+    """Share ε of lengths and headings with larger errors than their noise model. Also the share of
+    lengths, and of sets of branches, that the others of the same view do not predict."""
     outlier_width: float = 4.0
-    """… by this factor. Also the share of lengths, and of sets of branches, that no others of the
-    same view foretell."""
+    """Factor w on the standard deviation of these outliers."""
     fault_floor: float = 0.01
-    """Of junctions and branches so many differ though both looks were good: doors, furniture. Tried
-    in closure: 0.02, the same."""
+    """Least share of junctions and branches that differ although both views were good (doors,
+    furniture). Tried in closure: 0.02, no change."""
     most_bits: float = 6.0
-    """No single junction, corridor or contradiction tells more, for or against [bits]: it may be a
-    fault that no rate foresaw, at a chance of 1/64. Tried: in merging, with 7 and 8 fewer offices
-    are told; in closure, with 3 a run on tiles is closed wrongly under three times the noise."""
+    """Bound on the evidence of a single junction, corridor or contradiction [bits]: with a chance
+    of 1/64 it is a fault that no rate models. Tried: in merging, with 7 and 8 fewer offices are
+    merged; in closure, with 3 a run on tiles is closed wrongly under three times the noise."""
     gate_sigmas: float = 3.0
-    """Two readings that differ by more standard deviations are not of one thing: 99.7 % that are
-    differ by less. Tried in closure: 3.5 for all gates, 90 walks the same; for those of one
-    dimension alone, three walks through rows find less."""
+    """Gate for two measurements of one thing, in standard deviations: 99.7 % pass. Tried in
+    closure: 3.5 for all gates, 90 walks unchanged; for those of one dimension alone, three walks
+    through rows find less."""
     branch_gate_rad: float = 0.45
-    """Branches this close in heading may be the same [rad]: 26°, several sigmas of any detector."""
+    """Gate for two headings of one branch [rad]: 26°, several sigmas of any detector."""
     gate_m: float = 0.55
-    """What lies apart by less may be the same [m]: a junction and where it was predicted, a
-    junction and the line of a corridor or of a grid, the middles of two corridors over their ends,
-    and, with twice the drift, where two links of one alignment place the other map. Tried for
-    lines .8 and 1.2, beside corridors .45, for middles .75: the same."""
+    """Gate for positions that are compared without a covariance [m]: a junction and its prediction,
+    a junction and the line of a corridor or of a grid, the middles of two corridors with matched
+    ends, and, with twice the drift, two placements of the other map by links of one alignment.
+    Tried: .8 and 1.2 for lines, .45 for junctions beside corridors, .75 for middles, no change."""
     cells_per_m: int = 10
-    """Histograms of lengths have cells of 10 cm, about what two looks at a length differ by …"""
+    """Histograms of lengths have cells of 10 cm, about the difference of two measurements of a
+    length."""
     kernel_cells: int = 4
-    """… smoothed by a triangle that ends so many cells off."""
+    """Histograms of lengths are smoothed by a triangular kernel of this half width [cells]."""
     longest_m: float = 1000.0
-    """Longer corridors count as this long [m]: it bounds the histograms alone."""
+    """Longer corridors count as this long [m], to bound the histograms."""
 
     @property
     def most(self) -> float:
@@ -81,8 +84,8 @@ class LikelihoodSettings:
         return self.most_bits * BIT
 
     def gate_chi2(self, freedom: int) -> float:
-        """The same gate for errors of so many dimensions together: the largest squared error, in
-        sigmas, as seldom exceeded by chance (the quantile of χ²)."""
+        """The same gate for errors of `freedom` dimensions: the quantile of χ² with the tail
+        probability of `gate_sigmas`."""
         return float(chdtri(freedom, chdtrc(1, self.gate_sigmas**2)))
 
 
@@ -90,9 +93,9 @@ LIKELIHOOD = LikelihoodSettings()
 
 
 def log_density(q: Reals, variance: Reals) -> FloatArray:
-    """ln density of a difference between two looks at one thing; q: its square over the variance.
+    """ln density of the difference d of two measurements of one thing; q: d² / variance.
 
-    The density is per unit of the root of `variance`: 1/m for lengths, 1/rad for headings.
+    The density is per unit of √variance: 1/m for lengths, 1/rad for headings.
     """
     share, width = LIKELIHOOD.outlier_share, LIKELIHOOD.outlier_width
     core = (1 - share) * np.exp(-0.5 * q) + share / width * np.exp(-0.5 * q / width**2)
@@ -100,9 +103,10 @@ def log_density(q: Reals, variance: Reals) -> FloatArray:
 
 
 def doubted(told: FloatArray, sure: FloatArray) -> FloatArray:
-    """(k,) nats of looks that are right only with some confidence: ln(c e^told + 1 - c).
+    """(k,) evidence [nats] of views that are correct only with some confidence c: ln(c e^told + 1 -
+    c).
 
-    told: (k,) nats if the looks are right; sure: (k,) ln c.
+    told: (k,) evidence [nats] if the views are correct; sure: (k,) ln c.
     """
     out = np.array(told)
     rows = (sure < 0).nonzero()[0]
@@ -112,20 +116,21 @@ def doubted(told: FloatArray, sure: FloatArray) -> FloatArray:
 
 
 def length_log_density(difference: FloatArray, variance: FloatArray) -> FloatArray:
-    """ln density [1/m] of a length difference between two looks at one corridor."""
+    """ln density [1/m] of the difference [m] of two measurements of one corridor."""
     return log_density(difference * difference / variance, variance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lengths:
-    """How common lengths are: density: (cells,) [1/m] by cells of `cells_per_m`."""
+    """Distribution of the lengths of a view: density: (cells,) [1/m] in cells of 1 /
+    `cells_per_m`."""
 
     density: FloatArray
 
     @classmethod
     def of(cls, length: FloatArray) -> Lengths:
-        """Of a sample (k,) [m]: a smoothed histogram, a share of it (`outlier_share`) spread evenly
-        from 0 to the longest."""
+        """From a sample (k,) [m]: a smoothed histogram, mixed with a uniform density from 0 to the
+        longest length with the share `outlier_share`."""
         if len(length) == 0:
             return cls(np.ones(1))
         spread = LIKELIHOOD.outlier_share
@@ -133,20 +138,21 @@ class Lengths:
         return cls(density + spread / max(float(length.max()), 1.0))
 
     def rarity(self, length: FloatArray) -> FloatArray:
-        """-ln density [1/m] of each of some lengths [m]: what it tells to have just this one."""
+        """Self-information -ln density [1/m] of lengths [m]."""
         return np.asarray(-np.log(self.density)[np.minimum(_cells(length), len(self.density) - 1)])
 
 
 def rarity(length: FloatArray) -> FloatArray:
-    """-ln of the density [1/m] of lengths like each of these [m], among all of them."""
+    """Self-information -ln density [1/m] of each of these lengths [m] among all of them."""
     return Lengths.of(length).rarity(length)
 
 
 def density_of_equals(length: FloatArray) -> tuple[float, float]:
-    """Σ density [1/m] at zero of the differences between corridors, and how many were summed.
+    """Σ over ordered pairs of different corridors of the density [1/m] at zero of their length
+    difference, and the number of pairs.
 
-    length: (k,) of corridors seen from both ends: every corridor stands twice, and its own two rows
-    do not count. O(k), by the histogram of `rarity`.
+    length: (k,) [m] of corridors seen from both ends: every corridor appears twice, and pairs of
+    its own two rows are left out. O(k), by the histogram of `rarity`.
     """
     k = len(length)
     if k == 0:
@@ -162,7 +168,7 @@ def _cells(length: FloatArray) -> IntArray:
 
 
 def _smoothed(cell: IntArray) -> FloatArray:
-    """Histogram [1/m] of lengths by their cells, smoothed; it ends where nothing is left."""
+    """Smoothed histogram [1/m] of lengths given by their cells."""
     reach = LIKELIHOOD.kernel_cells
     histogram = np.bincount(cell, minlength=int(cell.max()) + reach + 1)
     triangle = (reach - np.abs(np.arange(1 - reach, reach))) / reach**2

@@ -1,8 +1,8 @@
-"""What structural matching needs of a map: branches, and corridors seen from both of their ends.
+"""What structural matching needs of a map: branches, and corridors as seen from both ends.
 
-A *dart* is a corridor in one direction: dart 2k drives edge k from source to target, dart 2k + 1
-the other way. Preparing a map is linear in its size and done once, however many maps it is
-compared with.
+A *dart* is a directed corridor (half-edge): dart 2k leads along edge k from source to target, dart
+2k + 1 from target to source. Preparing a map is linear in its size and done once for all
+comparisons.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from .branches import unit_headings
 
 @dataclass(frozen=True, slots=True)
 class StructureSettings:
-    """What of a map is taken for straight."""
+    """When a map counts as rectilinear, and which branch an edge with an unknown one leaves by."""
 
     rectilinear_share: float = 0.88
-    """A map is rectilinear when this share of its branches lies near the directions of one grid:
-    of branches that may point anywhere a third would."""
+    """A map is rectilinear if at least this share of its branches lies near the directions of one
+    grid; of uniformly distributed branches a third does."""
     rectilinear_rad: float = np.pi / 12
-    """"Near" are 15°, a third of the way to where the next direction is as near."""
+    """What counts as near a direction of the grid: 15°, a third of the way to halfway between two
+    directions."""
     inferred_rad: float = np.pi / 4
-    """A corridor that left by an unknown branch is given a free one within this angle of its path:
-    a branch across is farther."""
+    """An edge with an unknown branch is assigned a free one within this angle of its path."""
 
 
 STRUCTURE = StructureSettings()
@@ -41,18 +41,17 @@ class Structure:
     """A prepared map of n vertices with at most D branches each, and 2 m darts.
 
     heading: (n, D) branch headings [rad], NaN beyond a vertex's degree; unit: (n, D) the same as
-    unit numbers, 0 beyond it; degree: (n,);
-    explored: (n, D) True where a corridor was driven by that branch. start, end: (2 m,) vertices;
-    out_branch: branch by which the dart leaves its start; in_branch: branch of its end by which it
-    arrives; length, sigma: (2 m,) [m]. Edges of which a branch is
-    unknown and cannot be told from the path have no darts.
-    grid_rad: direction of the grid in [0, pi/2) if the map is rectilinear, else None;
-    slot: (n, D) the quarter turn 0..3 of each branch on that grid, -1 beyond the degree.
-    mask, explored_mask: (n,) bit s is set if a branch (a driven branch) lies in slot s.
-    out_slot, in_slot: (2 m,) slots by which each dart leaves its start and arrives at its end;
-    slot_kind: (2 m,) what darts share that a quarter turn takes to each other, as one number: the
-    turn between leaving and arriving (times 256) and the slots at both ends.
-    crowded: a branch (or slot) of some vertex is used by more than one dart.
+    unit complex numbers, 0 beyond it; degree: (n,); explored: (n, D) whether a corridor was driven
+    by that branch. start, end: (2 m,) vertices of each dart; out_branch, in_branch: (2 m,) branch
+    of its start by which it leaves, and of its end by which it arrives; length, sigma: (2 m,) [m].
+    Edges with an unknown branch that cannot be inferred from the path have no darts.
+
+    grid_rad: direction of the grid in [0, pi/2) if the map is rectilinear, else None; slot: (n, D)
+    quarter turn 0..3 of each branch on that grid, -1 beyond the degree; mask, explored_mask: (n,)
+    bit s is set if a branch (a driven branch) lies in slot s; out_slot, in_slot: (2 m,) slots of
+    out_branch and in_branch; slot_kind: (2 m,) what is invariant under quarter turns, as one
+    number: the turn between leaving and arriving (times 256) and the slots at both ends. crowded:
+    whether a branch (or slot) of some vertex is used by more than one dart.
     """
 
     heading: FloatArray
@@ -124,7 +123,7 @@ def prepare(topomap: TopoMap) -> Structure:
 def _slot_kind(
     out_slot: IntArray, in_slot: IntArray, mask_start: IntArray, mask_end: IntArray
 ) -> IntArray:
-    """What the darts are when they are turned to leave eastwards, in slot 0."""
+    """(2 m,) slots of the darts after turning them to leave by slot 0; see `Structure`."""
     out = np.maximum(out_slot, 0)
     at_start, at_end = (((m << 4 | m) >> out) & 15 for m in (mask_start, mask_end))
     turn = (in_slot - out_slot) % 4
@@ -132,7 +131,7 @@ def _slot_kind(
 
 
 def padded_branches(topomap: TopoMap) -> FloatArray:
-    """(n, D) headings of all vertices, NaN beyond their degree; D is no less than 1."""
+    """(n, D) headings [rad] of all vertices, NaN beyond their degree; D is at least 1."""
     rows = topomap.branches
     width = int(rows.counts.max(initial=1))
     out = np.full((len(topomap), width), np.nan)
@@ -141,9 +140,10 @@ def padded_branches(topomap: TopoMap) -> FloatArray:
 
 
 def grid_direction(heading_rad: FloatArray) -> float | None:
-    """Direction [rad] in [0, pi/2) of the grid that the headings lie on; None if they lie on none.
+    """Direction [rad] in [0, pi/2) of the grid that the headings (k,) lie on, None if there is
+    none.
 
-    The mean of the headings modulo a quarter turn is the argument of their mean fourth power.
+    The argument of the mean fourth power of the headings as unit numbers, divided by 4.
     """
     if len(heading_rad) == 0:
         return None
@@ -167,7 +167,8 @@ def _known_edges(topomap: TopoMap, heading: FloatArray) -> tuple[IntArray, IntAr
 def _with_inferred(
     topomap: TopoMap, heading: FloatArray, ends: IntArray, branches: IntArray
 ) -> IntArray:
-    """`branches` with unknown ones set to the free branch that the corridor's path points along."""
+    """`branches` with unknown ones set to the free branch nearest to the direction of the edge's
+    path."""
     out = branches.copy()
     known = branches != NO_BRANCH
     taken = set(zip(ends[known].tolist(), branches[known].tolist(), strict=True))

@@ -1,19 +1,20 @@
-"""The pose graph as a value: poses in the plane, what was measured between them, what is known.
+"""The pose graph as a value: planar poses, relative measurements and priors.
 
-Error of an edge from pose i to pose j with measurement T_i_j, in g2o's metric:
+The error of an edge from pose i to pose j with measurement T_i_j, in g2o's metric, is
 
     e = T_i_j^-1 ∘ (T_i^-1 ∘ T_j),  χ² = eᵀ Ω e
 
-Every other measurement is built from the same three parts:
+Other kinds of measurement are expressed with the same parts:
 
-* a *point landmark* is a pose that all edges see without heading information;
-* a *heading known from outside* (a rectilinear building) is a prior with heading information only;
-* a *systematic error of the odometry* (heading bias per metre, scale, …) is a shared variable:
-  one number that enters the measurements of many edges linearly (`SharedErrors`).
+* a *point landmark* is a pose whose edges carry no heading information;
+* a *known heading* (Manhattan world) is a prior with heading information only;
+* a *systematic error of the odometry* (heading bias per metre, scale, …) is a shared variable that
+  enters the measurements of many edges linearly (`SharedErrors`).
 
-Where a robot turned wrongly *on its way*, its end lies on an arc about the start, along which no
-ellipse lies; seen from half of the turn it does (Long, Wolfe, Mashner, Chirikjian, The banana
-distribution is Gaussian, RSS 2012). An edge may say so (`swing`).
+If the heading error accumulates *along* an edge, the error distribution of its end is curved
+("banana-shaped") around the start and no ellipse fits it. Turning the measurement by a share of the
+edge's heading error (`swing`, 1/2 for a uniform accumulation) makes it Gaussian (Long, Wolfe,
+Mashner, Chirikjian, The banana distribution is Gaussian, RSS 2012).
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from ..se2 import turned, wrap
 
 
 def _symmetric(information: FloatArray, name: str) -> None:
-    """Raise ValueError on matrices that cannot be information (checked by their diagonals)."""
+    """Raise ValueError unless the (k, 3, 3) matrices are symmetric with a non-negative diagonal."""
     if not np.allclose(information, information.transpose(0, 2, 1), rtol=1e-6, atol=1e-9):
         raise ValueError(f"{name} must be symmetric")
     if np.any(np.einsum("kii->ki", information) < 0):
@@ -36,7 +37,7 @@ def _symmetric(information: FloatArray, name: str) -> None:
 
 
 def _nothing(*shape: int) -> FloatArray:
-    """Stands for a field that was left out; the birth of the value fills it in."""
+    """Placeholder for a field that was not given; `__post_init__` replaces it."""
     return np.zeros(shape)
 
 
@@ -51,10 +52,11 @@ def _kernel(width: FloatArray, count: int, name: str) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Priors:
-    """What is known of single poses in the graph's own frame.
+    """Absolute measurements of single poses, in the graph's own frame.
 
-    node: (u,) vertex; value: (u, 3) x, y [m], theta [rad]; information: (u, 3, 3), zero where
-    nothing is known; kernel: (u,) Cauchy width in sigmas, inf for a plain square.
+    node: (u,) vertex; value: (u, 3) x, y [m], theta [rad]; information: (u, 3, 3), zero in
+    components that are not measured; kernel: (u,) width of a Cauchy kernel in sigmas, inf for least
+    squares.
     """
 
     node: IntArray
@@ -74,7 +76,7 @@ class Priors:
 
     @classmethod
     def empty(cls) -> Priors:
-        """Nothing known."""
+        """No priors."""
         return cls(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3)))
 
     @classmethod
@@ -85,7 +87,7 @@ class Priors:
         sigma_rad: FloatArray | float,
         kernel: FloatArray | None = None,
     ) -> Priors:
-        """Headings known to `sigma_rad`, positions free: (u,) each; sigma may be one number."""
+        """Priors of headings only: node, theta_rad: (u,); sigma_rad: (u,) or one number [rad]."""
         u = len(node)
         value, information = np.zeros((u, 3)), np.zeros((u, 3, 3))
         value[:, 2] = theta_rad
@@ -95,12 +97,12 @@ class Priors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SharedErrors:
-    """Systematic errors of the odometry: `k` numbers b that many measurements share.
+    """Systematic errors of the odometry: `k` unknowns b shared by many measurements.
 
-    The measurement of edge e is `measurement[e] + sensitivity[e] @ b` (x, y, theta, frame of the
-    edge's source). sensitivity: (m, 3, k), zero for edges that are no odometry; sigma: (k,) of b,
-    which is 0 as far as is known. Units are the caller's: for a heading bias β [rad/m] over a
-    leg of Δs the heading row is Δs.
+    The measurement of edge e becomes `measurement[e] + sensitivity[e] @ b` (x, y, theta in the
+    frame of the edge's source). sensitivity: (m, 3, k), zero for edges that are not odometry;
+    sigma: (k,) 1 sigma of the zero-mean prior of b. Units are the caller's: for a heading bias β
+    [rad/m] over an edge of length Δs, the heading row is Δs.
     """
 
     sensitivity: FloatArray
@@ -117,7 +119,7 @@ class SharedErrors:
 
     @classmethod
     def none(cls, edges: int = 0) -> SharedErrors:
-        """No shared errors, for a graph of so many edges."""
+        """No shared errors, for a graph with `edges` edges."""
         return cls(_nothing(edges, 3, 0), _nothing(0))
 
 
@@ -125,13 +127,13 @@ class SharedErrors:
 class PoseGraph:
     """`n` poses and `m` relative measurements, the input of `posegraph.solve`.
 
-    pose: (n, 3) first guess; source, target: (m,) vertices of every edge; measurement: (m, 3)
-    T_source_target; information: (m, 3, 3), symmetric, positive semidefinite, zero in what the edge
-    does not tell; kernel: (m,) width of a Cauchy kernel in sigmas, inf for a plain square; swing:
-    (m,) share of an edge's error of turn by which what it measured is turned along before it is
-    compared, 0 in g2o's metric; priors and shared errors: see there. The frame is free (gauge)
-    where priors leave it so. Raises ValueError on shapes that do not fit, NaN, indices out of
-    range, an edge from a pose to itself.
+    pose: (n, 3) initial guess; source, target: (m,) vertices of every edge; measurement: (m, 3)
+    T_source_target; information: (m, 3, 3), symmetric, positive semidefinite, zero in components
+    that are not measured; kernel: (m,) width of a Cauchy kernel in sigmas, inf for least squares;
+    swing: (m,) share of an edge's heading error by which its measured translation is rotated before
+    it is compared, 0 for g2o's metric; priors, shared: see `Priors` and `SharedErrors`. The frame
+    is free (gauge) unless priors fix it. Raises ValueError on shapes that do not fit, NaN, indices
+    out of range, and edges from a pose to itself.
     """
 
     pose: FloatArray
@@ -169,8 +171,8 @@ class PoseGraph:
 
 
 def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
-    """(m, 3) e = T_ij^-1 ∘ (T_i^-1 ∘ T_j) of every edge at the given poses and shared errors, T_i
-    turned by its `swing` of e_θ."""
+    """(m, 3) errors e = T_ij^-1 ∘ (T_i^-1 ∘ T_j) of all edges at the given poses (n, 3) and shared
+    errors (k,); T_i is first rotated by `swing` · e_θ."""
     T_i_j = corrected_measurement(graph, shared)
     step = pose[graph.target] - pose[graph.source]
     turn = wrap(step[:, 2] - T_i_j[:, 2])
@@ -180,7 +182,7 @@ def edge_errors(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> Float
 
 
 def corrected_measurement(graph: PoseGraph, shared: FloatArray) -> FloatArray:
-    """(m, 3) measurements with the shared errors put in."""
+    """(m, 3) measurements with the shared errors applied."""
     if len(graph.shared) == 0:
         return graph.measurement
     out: FloatArray = graph.measurement + graph.shared.sensitivity @ shared

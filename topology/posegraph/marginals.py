@@ -1,7 +1,7 @@
-"""How sure a solved pose graph is: covariances of chosen poses and pairs of poses.
+"""Marginal covariances of a solved pose graph: of single poses and of pairs of poses.
 
-The covariance is the inverse of the normal matrix at the solution. Only the wanted columns of it
-are computed, in chunks, so memory stays with the chunk and not with the square of the graph.
+The covariance is the inverse of the normal matrix at the solution. Only the requested columns are
+computed, in chunks, so that memory is bounded by the chunk.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .normal_equations import Factor, Point, build_pattern, linearise
 from .skeleton import skeleton
 
 _CHUNK = 128
-"""Poses whose columns are solved for at once: 3 · 128 right sides of the size of the graph."""
+"""Poses per chunk: 3 · 128 right-hand sides are solved for at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,16 +28,18 @@ class Marginals:
 
     @classmethod
     def of(cls, graph: PoseGraph, solution: Point) -> Marginals:
-        """Factorise at a solution; edges count by their weights there (0: not at all)."""
+        """Linearise and factorise at a solution, with the solution's weights of edges and
+        priors."""
         pattern = build_pattern(graph, skeleton(graph))
         return cls(solution.pose, linearise(graph, pattern, solution).factorise())
 
     def joint(self, a: IntArray, b: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Covariances of poses in the graph's frame: (k, 3, 3) of a, of b, and between a and b.
+        """Covariances in the graph's frame: three (k, 3, 3), of poses a, of poses b, and between a
+        and b.
 
         Vectorised over pairs in chunks of distinct second poses: the columns of the inverse that
-        belong to b are solved for and read at a and b. Cost: one pair of triangular solves per
-        column. Fixed components have no variance.
+        belong to b are solved for and read at the rows of a and b. Cost: one pair of triangular
+        solves per column. Components fixed by the gauge have zero variance.
         """
         a, b = np.asarray(a, np.int64), np.asarray(b, np.int64)
         nodes = np.unique(np.concatenate([a, b]))
@@ -59,8 +61,8 @@ class Marginals:
     def relative(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) covariance of T_a_b (x, y, theta of pose b in the frame of pose a).
 
-        Does not depend on the gauge. Infinite between poses in different components is not
-        detected: they are independent there.
+        Does not depend on the gauge. Poses in different connected components are not detected:
+        their true covariance is infinite, and the one returned is meaningless.
         """
         var_a, var_b, cross = self.joint(a, b)
         J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
@@ -78,7 +80,7 @@ class Marginals:
         return self.through(right)
 
     def through(self, right: FloatArray) -> FloatArray:
-        """(size, k) covariance of all free components times columns (size, k)."""
+        """(size, k) product of the covariance of all free components with columns (size, k)."""
         out = self.factor.solve(right)
         if self.factor.border.shape[1]:
             solved = self.factor.solved_border
@@ -86,14 +88,14 @@ class Marginals:
         return out
 
     def _read(self, columns: FloatArray, rows: IntArray, local: IntArray) -> FloatArray:
-        """(k, 3, 3) blocks at poses `rows`, columns of the `local`-th pose of the chunk."""
+        """(k, 3, 3) blocks at poses `rows` of columns of the chunk's `local`-th poses."""
         variable = self.factor.pattern.variable[rows]
         at = columns[variable[:, :, None], (3 * local)[:, None, None] + np.arange(3)]
         return np.where(variable[:, :, None] >= 0, at, 0.0)
 
 
 def relative_jacobians(pose_a: FloatArray, pose_b: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(k, 3, 3) derivatives of between(a, b) by a and by b."""
+    """(k, 3, 3) each: derivatives of `between(a, b)` with respect to a and to b."""
     k = len(pose_a)
     c, s = np.cos(pose_a[:, 2]), np.sin(pose_a[:, 2])
     step = pose_b - pose_a

@@ -1,8 +1,8 @@
 """The normal equations of a pose graph: assembled without loops, factorised by `splu`.
 
-Unknowns are the free components of the poses, in elimination order, and at the border the shared
-errors b. With A the sparse part and B the columns of the border, one factorisation of A serves all
-(the border is a handful of dense columns that would otherwise fill the factors):
+The unknowns are the free components of the poses, in elimination order, bordered by the shared
+errors b. With A the sparse part and B the columns of the border, A alone is factorised, because the
+few dense columns of the border would fill the factors; b follows from the Schur complement S:
 
     [A  B] [x]   [g]        S = C − Bᵀ A⁻¹ B,  b = S⁻¹ (h − Bᵀ A⁻¹ g),  x = A⁻¹ (g − B b)
     [Bᵀ C] [b] = [h]
@@ -23,15 +23,16 @@ from .graph import PoseGraph, corrected_measurement, edge_errors, prior_errors
 from .skeleton import Skeleton, summed
 
 _FIXED = -1
-"""Number of a component of a pose that is no variable."""
+"""Index of a pose component that is not a variable."""
 
 _LOADING = 1e-14
-"""Added to the diagonal, relative to it: beyond what rounding may take from a pivot, so that one
-that is zero does no harm to those after it; far below any information."""
+"""Relative load on the diagonal: larger than the rounding error of a pivot, so that a zero pivot
+does not spoil the following ones, and far smaller than any information."""
 
 _FREE = 1e-12
-"""A pivot of less than this share of its diagonal tells nothing: its variable follows from those
-before it but for rounding. Chains of thousands of poses keep 1e-8 (CSAIL: 3e-8)."""
+"""A pivot smaller than this share of its diagonal carries no information: its variable is
+determined by the ones before it, up to rounding. In chains of thousands of poses pivots stay above
+1e-8 (CSAIL: 3e-8)."""
 
 
 class Point(Protocol):
@@ -49,11 +50,11 @@ class Point(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pattern:
-    """Where every product of the linearisation lands in the matrix: computed once per graph.
+    """Sparsity pattern of the normal matrix, computed once per graph.
 
     variable: (n, 3) column of each pose component, -1 where it is fixed; indices, indptr: pattern
-    of A (CSC); slot: (4 m + u, 9) where the entries of each block land, one behind the last for
-    fixed components; diagonal: (size,) slots of the diagonal; rigid: as in `Skeleton`.
+    of A (CSC); slot: (4 m + u, 9) index into A's data of every entry of each 3 × 3 block, one past
+    the end for fixed components; diagonal: (size,) indices of the diagonal; rigid: see `Skeleton`.
     """
 
     variable: IntArray
@@ -117,10 +118,10 @@ def build_pattern(graph: PoseGraph, frame: Skeleton) -> Pattern:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NormalEquations:
-    """Linearisation at one point: `A` data in the pattern's slots, gradient, and the border.
+    """The normal equations at one point: data of A in the pattern's order, gradient, and border.
 
-    belief: (k,) 1 / σ² of the shared errors, which the corner contains; definite: whether A surely
-    tells something in every direction.
+    belief: (k,) 1 / σ² of the shared errors, included in `corner`; definite: whether A is known to
+    be positive definite.
     """
 
     pattern: Pattern
@@ -133,11 +134,11 @@ class NormalEquations:
     definite: bool
 
     def factorise(self, damping: float = 0.0) -> Factor:
-        """Factors of the damped system; they are positive definite whatever the graph.
+        """Factors of the damped system, positive definite for any graph.
 
-        A matrix without information in some direction has a pivot that is zero but for rounding,
-        of either sign: steps along it would be noise, or uphill. The variable of such a pivot is
-        held back, which leaves the others what they are: the system is consistent.
+        A direction without information has a pivot that is zero up to rounding, of either sign, and
+        a step along it would be noise. The variable of such a pivot is held fixed; the system is
+        consistent, so that the other variables keep their solution.
         """
         p = self.pattern
         diagonal = self.data[p.diagonal]
@@ -153,7 +154,8 @@ class NormalEquations:
         return Factor(p, lu, self.border, solved, self._schur(corner - self.border.T @ solved))
 
     def _factored(self, loading: FloatArray) -> SuperLU:
-        """Factors of A with (size,) `loading` on its diagonal, pivots taken from there."""
+        """LU factors of A with (size,) `loading` added to its diagonal; pivots are taken from the
+        diagonal."""
         data, p = self.data.copy(), self.pattern
         data[p.diagonal] += loading
         matrix = sparse.csc_array((data, p.indices, p.indptr), shape=(p.size, p.size))
@@ -162,7 +164,8 @@ class NormalEquations:
         )
 
     def _schur(self, schur: FloatArray) -> FloatArray:
-        """S, which is no less than what is believed of b beforehand: rounding may say less."""
+        """The Schur complement S with eigenvalues no smaller than the prior information of b
+        allows: rounding can make them smaller."""
         sigma = 1.0 / np.sqrt(self.belief)
         share = sigma[:, None] * (0.5 * (schur + schur.T)) * sigma
         if not len(schur) or np.linalg.eigvalsh(share)[0] >= 1:
@@ -186,7 +189,7 @@ class NormalEquations:
         return out, b
 
     def promise(self, move: FloatArray, shift: FloatArray) -> float:
-        """First-order gain of a step: gᵀ x, the fall of a quadratic cost under a full step."""
+        """gᵀ x: the decrease of the cost under a full step if the cost were quadratic."""
         free = self.pattern.variable >= 0
         x = np.zeros(self.pattern.size)
         x[self.pattern.variable[free]] = move[free]
@@ -196,7 +199,8 @@ class NormalEquations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Factor:
-    """A factorised normal matrix: A by `lu` (None without unknowns), the border by its Schur."""
+    """Factors of a normal matrix: `lu` of A (None without unknowns), Schur complement of the
+    border."""
 
     pattern: Pattern
     lu: SuperLU | None
@@ -212,13 +216,13 @@ class Factor:
 
 
 def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
-    """Normal equations at a point, with information scaled by its weights. O(m).
+    """Normal equations at a point, with information scaled by the weights there. O(m).
 
     Vectorised over edges, one array per matrix entry. With B = diag(R(φ)ᵀ, 1), φ = θ_i + θ_ij + s
-    e_θ, s the swing, E = [I, (1 − s) J(t_j − t_i); 0, 1] and F = [I, −s J(t_j − t_i); 0, 1] the
-    Jacobians are J_j = B F and J_i = −B E, so that all blocks follow from G = Bᵀ Ω B, the
-    information turned into the frame of the graph: H_jj = Fᵀ G F, H_ij = −Eᵀ G F, H_ii = Eᵀ G E.
-    One `bincount` scatters them into the slots of the pattern.
+    e_θ, s the swing, E = [I, (1 − s) J(t_j − t_i); 0, 1] and F = [I, −s J(t_j − t_i); 0, 1], the
+    Jacobians are J_j = B F and J_i = −B E. All blocks follow from G = Bᵀ Ω B, the information
+    rotated into the frame of the graph: H_jj = Fᵀ G F, H_ij = −Eᵀ G F, H_ii = Eᵀ G E. One
+    `bincount` adds them up in the slots of the pattern.
     """
     pose, shared, m = at.pose, at.shared, len(graph.source)
     T_i_j = corrected_measurement(graph, shared)
@@ -281,12 +285,13 @@ def _turned_back(vector: FloatArray, c: FloatArray, s: FloatArray) -> FloatArray
 
 
 def _pulled(G: FloatArray, vector: FloatArray) -> FloatArray:
-    """(3, m) G v of (3, m): what an error pulls at the end of the edge."""
+    """(3, m) G v of (3, m) vectors: gradient of the cost at the end of each edge."""
     return np.stack([row[0] * vector[0] + row[1] * vector[1] + row[2] * vector[2] for row in G])
 
 
 def _through(pull: FloatArray, lever: FloatArray) -> FloatArray:
-    """−Eᵀ of pulls (3, …, m) at the end of each edge, E = [I, J lever; 0, 1] with levers (2, m)."""
+    """−Eᵀ times gradients (3, …, m) at the end of each edge, E = [I, J lever; 0, 1], levers (2,
+    m)."""
     x, y = lever
     return np.stack([-pull[0], -pull[1], y * pull[0] - x * pull[1] - pull[2]])
 
@@ -308,8 +313,8 @@ def _scatter(
 
 
 def measurement_jacobian(graph: PoseGraph, pose: FloatArray, shared: FloatArray) -> FloatArray:
-    """(m, 3, 3) derivative of the edge errors by the measurement: −diag(R_ijᵀ, 1), −J e_xy and,
-    for the swing, s J (e_xy + R_ijᵀ t_ij)."""
+    """(m, 3, 3) derivative of the edge errors with respect to the measurement: −diag(R_ijᵀ, 1), −J
+    e_xy and, for the swing s, s J (e_xy + R_ijᵀ t_ij)."""
     T_i_j = corrected_measurement(graph, shared)
     error = edge_errors(graph, pose, shared)
     c, s = np.cos(T_i_j[:, 2]), np.sin(T_i_j[:, 2])

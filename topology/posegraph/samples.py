@@ -1,8 +1,8 @@
 """Covariances of many pairs of poses at once, from samples.
 
-Exact covariances (`marginals.py`) cost three solves per pose. A fixed number of samples of
-the whole solution costs as many solves whatever the number of pairs, and tells every covariance to
-√(2 / count): good enough to gate candidates by.
+Exact covariances (`marginals.py`) cost three solves per pose. A fixed number of samples of the
+whole solution costs one solve per sample, whatever the number of pairs, and estimates a variance
+with a relative standard error of √(2 / count), which suffices for gating candidates.
 """
 
 from __future__ import annotations
@@ -32,10 +32,13 @@ from .skeleton import skeleton
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Linearised:
-    """A graph at its solution, factorised. J_i, J_j, J_b: derivatives of the edge errors by their
-    poses and by the shared errors; own, own_known: square roots of the information of edges and
-    priors, in units of which errors are white; root: what these push the solution by; push,
-    push_known: the same scattered to the variables."""
+    """A graph linearised and factorised at its solution.
+
+    J_i, J_j, J_b: derivatives of the edge errors with respect to source pose, target pose and
+    shared errors; own, own_known: square roots R of the information of edges and priors, with which
+    Rᵀ e is white; root: by what white errors are multiplied on their way into the gradient; push,
+    push_known: sparse maps from white errors of edges and priors to the gradient.
+    """
 
     graph: PoseGraph
     pattern: Pattern
@@ -51,7 +54,7 @@ class _Linearised:
 
     @classmethod
     def of(cls, graph: PoseGraph, solution: Point, *, outliers: bool) -> _Linearised:
-        """outliers: as of `SampledMarginals.of`."""
+        """Linearise at `solution`; outliers: see `SampledMarginals.of`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
         J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
@@ -82,8 +85,9 @@ class _Linearised:
     def moved(
         self, z: FloatArray, z_known: FloatArray, z_shared: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """(n, 3, count) of the poses and (k, count) of the shared errors by white errors of edges
-        (3 m, count), priors (3 u, count) and shared errors (k, count)."""
+        """Changes of the solution, (n, 3, count) of the poses and (k, count) of the shared errors,
+        that white errors of edges (3 m, count), priors (3 u, count) and shared errors (k, count)
+        cause."""
         factor, shared = self.factor, self.graph.shared
         x = factor.solve(np.asarray(self.push @ z + self.push_known @ z_known))
         b = np.zeros(z_shared.shape)
@@ -100,8 +104,11 @@ class _Linearised:
 
 @dataclass(frozen=True, eq=False)
 class SampledMarginals:
-    """pose: (n, 3) of the solution; error: (n, 3, count) samples of how far off it may be; shared:
-    (k, count) likewise of the shared errors."""
+    """Samples of the posterior of a solved pose graph.
+
+    pose: (n, 3) of the solution; error: (n, 3, count) sampled errors of the poses [m, m, rad];
+    shared: (k, count) sampled errors of the shared errors.
+    """
 
     pose: FloatArray
     error: FloatArray
@@ -112,9 +119,9 @@ class SampledMarginals:
 
     @cached_property
     def edge_residual(self) -> FloatArray:
-        """(m, 3, count) what the same samples leave between edges and the solution, in sigmas:
-        times `square_root` of the information. Where nothing else tells of an edge it is 0; its
-        mean square is the edge's redundancy."""
+        """(m, 3, count) sampled residuals of the edges after solving, in sigmas (Rᵀ e, R from
+        `square_root`). 0 for an edge that no other measurement checks; the mean square is the
+        edge's redundancy."""
         at, graph = self._system, self._system.graph
         edge = at.J_i @ self.error[graph.source] + at.J_j @ self.error[graph.target]
         if len(self.shared):
@@ -123,7 +130,7 @@ class SampledMarginals:
 
     @cached_property
     def prior_residual(self) -> FloatArray:
-        """(u, 3, count) the same between priors and the solution."""
+        """(u, 3, count) the same for the priors."""
         at, count = self._system, self.error.shape[2]
         off = at.own_known.transpose(0, 2, 1) @ self.error[at.graph.priors.node]
         return self._z_known.reshape(-1, 3, count) - off
@@ -132,12 +139,12 @@ class SampledMarginals:
     def of(
         cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
     ) -> SampledMarginals:
-        """Sample the linearised posterior: solve for measurements that are off as they may be.
+        """Sample the linearised posterior by solving for perturbed measurements.
 
-        With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The same samples at every
-        call. One factorisation and `count` solves. outliers: a measurement of weight w at the
-        solution is off by as much more, w Ω taking the place of Ω; else it is as good as it says,
-        H⁻¹ Jᵀ w Ω^½ z, and the solution only makes little of it.
+        With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The noise is the same at
+        every call. One factorisation and `count` solves. outliers: whether a measurement with
+        weight w at the solution is taken to be an outlier with information w Ω; otherwise it has
+        the error that it states, and is only weighted down by the solver: H⁻¹ Jᵀ w Ω^½ z.
         """
         system = _Linearised.of(graph, solution, outliers=outliers)
         sizes = (3 * len(graph.source), 3 * len(graph.priors), len(graph.shared))
@@ -146,8 +153,8 @@ class SampledMarginals:
         return cls(np.asarray(solution.pose), error, shared, system, z, z_known)
 
     def by_edges(self, sigma: FloatArray) -> SampledMarginals:
-        """The same samples were the edges off by (m, 3) 1 sigma each, and nothing else: `count`
-        more solves. Of samples with outliers=False."""
+        """The same samples if the only errors were those of the edges, with 1 sigma (m, 3) each [m,
+        m, rad]. `count` more solves. Only for samples made with outliers=False."""
         off = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
         z = (self._system.own.transpose(0, 2, 1) @ off).reshape(self._z.shape)
         z_known = np.zeros_like(self._z_known)
@@ -155,7 +162,8 @@ class SampledMarginals:
         return replace(self, error=error, shared=shared, _z=z, _z_known=z_known)
 
     def relative(self, a: IntArray, b: IntArray) -> FloatArray:
-        """(k, 3, 3) covariance of T_a_b, as `Marginals.relative`, to √(2 / count)."""
+        """(k, 3, 3) sample covariance of T_a_b, with a relative standard error of √(2 / count);
+        compare `Marginals.relative`."""
         J_a, J_b = relative_jacobians(self.pose[a], self.pose[b])
         off = J_a @ self.error[a] + J_b @ self.error[b]
         out: FloatArray = off @ off.transpose(0, 2, 1) / self.error.shape[2]
@@ -163,7 +171,7 @@ class SampledMarginals:
 
 
 def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
-    """Arrays of white noise that are the same at every call, one after the other of one stream."""
+    """Arrays of white noise, consecutive parts of one stream that is the same at every call."""
     sizes = [math.prod(shape) for shape in shapes]
     stream = _drawn.get(seed)
     if stream is None or len(stream) < sum(sizes):
@@ -177,17 +185,17 @@ def white(seed: int, shapes: Sequence[tuple[int, ...]]) -> list[FloatArray]:
 
 
 def of_unit_variance(noise: FloatArray) -> FloatArray:
-    """White noise (…, s) scaled so that the mean square of the s samples is 1.
+    """White noise (…, s), scaled so that the mean square of its s samples is 1.
 
-    The same noise is drawn for every map. As drawn, that of the first 20 places is 3 % too large in
-    the mean, and a single number of 256 samples by up to 20 %: no error that averages out.
+    The noise is the same for every map, so that its sampling error does not average out over maps:
+    unscaled, the variance of a number estimated by 256 samples is off by up to 20 %, and that of
+    the first 20 places by 3 % in the mean.
     """
     return np.asarray(noise / np.sqrt(np.mean(noise**2, axis=-1, keepdims=True)))
 
 
 MOST_DRAWN = 2**21
-"""Numbers that are kept of a stream, 16 MB: drawing them takes longer than all that is done with
-them."""
+"""Length of a stream that is kept for the next call, 16 MB: drawing takes longer than solving."""
 
 _drawn: dict[int, FloatArray] = {}  # by seed, the longest beginning of its stream so far
 
@@ -217,7 +225,7 @@ def square_root(information: FloatArray) -> FloatArray:
 def _scattered(
     pattern: Pattern, node: IntArray, blocks: FloatArray
 ) -> sparse.csr_array[np.float64]:
-    """(size, 3 k) matrix that puts (k, 3, 3) blocks at the variables of their nodes."""
+    """(size, 3 k) sparse matrix with the (k, 3, 3) blocks in the rows of their nodes' variables."""
     variable = pattern.variable[node]
     rows = np.repeat(variable, 3, axis=1).ravel()
     columns = np.repeat(np.arange(3 * len(node)).reshape(-1, 3), 3, axis=0).ravel()

@@ -1,5 +1,4 @@
-"""What of a pose graph stays while it is solved: the order in which poses are eliminated, and which
-of them do not move, so that its frame is not free."""
+"""What stays constant while a pose graph is solved: elimination order and gauge."""
 
 from __future__ import annotations
 
@@ -16,16 +15,16 @@ from ..connected import connected
 from .graph import PoseGraph
 
 _THIN = 1e-9
-"""Information with a smaller determinant than this, as that of a correlation, may be singular."""
+"""An information matrix whose normalised determinant is smaller than this may be singular."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Skeleton:
-    """What of a pose graph does not change while it is solved.
+    """What stays constant while a pose graph is solved.
 
-    order: (n,) poses in an order of elimination that keeps the factors sparse (minimum degree);
-    fixed: (n, 3) components of poses that do not move: of one pose per connected piece where its
-    frame would be free; rigid: whether that surely leaves no freedom anywhere.
+    order: (n,) poses in an elimination order that keeps the factors sparse (minimum degree); fixed:
+    (n, 3) pose components that are held fixed, those of one pose per connected component where its
+    frame would be free; rigid: whether it is certain that no other freedom is left.
     """
 
     order: IntArray
@@ -56,7 +55,7 @@ def skeleton(graph: PoseGraph) -> Skeleton:
 
 
 def summed(where: IntArray, values: NDArray[Any], size: int) -> FloatArray:
-    """(size,) sums of `values` by their index `where`."""
+    """(size,) sums of `values` grouped by their index `where`."""
     return np.bincount(where, values, size).astype(np.float64, copy=False)
 
 
@@ -66,12 +65,12 @@ def _groups(graph: PoseGraph, joined: BoolArray) -> IntArray:
 
 
 def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:
-    """(n, 3) components of single poses that make up for a frame that is free.
+    """(n, 3) components of single poses to hold fixed so that no frame is free.
 
-    piece: (n,) numbers of the pieces that positions tie together. One may be shifted unless a
-    position in it is known, and turned about the only one that is. A heading that nothing measures
-    fixes nothing and is fixed itself. What else may be free (a pose that sees one landmark only)
-    depends on where the poses are: the factors find out (`NormalEquations.factorise`).
+    piece: (n,) connected component of each pose by edges with position information. A component can
+    be shifted unless a position in it is known, and turned about the only known one. A heading that
+    nothing measures is fixed itself. Other freedoms (e.g. a pose that sees a single landmark)
+    depend on the poses and are found in the factors (`NormalEquations.factorise`).
     """
     n, prior, weight = len(graph), graph.priors, graph.information
     known = np.zeros((n, 3), bool)
@@ -84,7 +83,7 @@ def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:
     fixed[:, 2] |= ~(measured | known[:, 2])
     for axis in range(2):
         fixed[_first_without(piece, known[:, axis]), axis] = True
-    # A body of several pieces turns if each of them does, about a point of its own.
+    # A body of several pieces can turn if each piece can, about a point of its own.
     anchors = summed(piece, known[:, 0] | known[:, 1], n)[piece] > 1
     stays = anchors | (known[:, 2] & measured)
     fixed[_first_without(body, stays, measured), 2] = True
@@ -92,7 +91,7 @@ def _gauge(graph: PoseGraph, piece: IntArray) -> BoolArray:
 
 
 def _is_rigid(graph: PoseGraph, piece: IntArray, fixed: BoolArray) -> bool:
-    """Whether edges that tell a whole pose join every pose to a fixed x, y and heading."""
+    """Whether edges of full rank connect every pose to a fixed x, y and heading."""
     xx, xy, xt, _, yy, yt, _, _, tt = graph.information.reshape(-1, 9).T
     volume = xx * (yy * tt - yt * yt) - xy * (xy * tt - yt * xt) + xt * (xy * yt - yy * xt)
     whole = (volume > _THIN * xx * yy * tt) & (xx * yy > xy * xy)
@@ -101,7 +100,7 @@ def _is_rigid(graph: PoseGraph, piece: IntArray, fixed: BoolArray) -> bool:
 
 
 def _first_without(group: IntArray, has: BoolArray, among: BoolArray | None = None) -> IntArray:
-    """First member (`among` some) of every group in which nobody `has` it."""
+    """First member (of those in `among`) of every group in which no member `has` the property."""
     lacks = summed(group, has, len(group))[group] == 0
     rows = np.flatnonzero(lacks if among is None else lacks & among)
     return rows[np.unique(group[rows], return_index=True)[1]]

@@ -1,12 +1,12 @@
-"""Least-squares pose graphs in the plane: what a set of relative measurements says of all poses.
+"""Least-squares pose graphs in the plane.
 
     graph = PoseGraph(pose, source, target, measurement, information)
     solution = solve(graph)
     solution.pose, solution.chi2
-    Marginals.of(graph, solution).relative(a, b)      # how sure is pose b, seen from a?
+    Marginals.of(graph, solution).relative(a, b)      # covariance of pose b seen from pose a
 
-`solve` is Gauss–Newton from a chordal start, with Levenberg–Marquardt damping only where a full
-step would raise the cost.
+`solve` is Gauss–Newton from the poses of the graph, with Levenberg–Marquardt damping only where a
+full step would raise the cost.
 """
 
 from __future__ import annotations
@@ -24,30 +24,33 @@ from .skeleton import skeleton
 
 @dataclass(frozen=True, slots=True)
 class SolverSettings:
-    """How `solve` iterates."""
+    """Iteration and convergence of `solve`."""
 
     max_iterations: int = 50
     relative_tolerance: float = 1e-7
-    """Converged when the cost lies above its minimum by less than this share …"""
+    """Converged when the cost exceeds its minimum by less than this share of it, or by less than
+    `absolute_tolerance`."""
     absolute_tolerance: float = 1e-9
-    """… or by less than this, in units of χ²."""
+    """Converged when the cost exceeds its minimum by less than this, in units of χ²."""
     first_damping: float = 1e-4
-    """Damping relative to the diagonal that the first rejected step brings in."""
+    """Damping, relative to the diagonal, after the first rejected step."""
     chord_share: float = 0.01
-    """A step that promises to lower the cost by no more than this share uses the last factors."""
+    """The last factorisation is reused (chord method) for steps that promise to lower the cost by
+    no more than this share."""
     patience: int = 2
-    """Full steps that may raise the cost before the solver goes back to the best point."""
+    """Number of consecutive full steps that may raise the cost before the solver returns to the
+    best point."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Poses and the evidence for them.
+    """The solved poses with their residuals.
 
     pose: (n, 3); shared: (k,) systematic errors; chi2: Σ eᵀΩe over all edges, without kernels,
-    weights and priors (g2o's metric); cost: what was minimised, with kernels, weights and priors;
-    edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], what kernels left of each edge;
-    prior_weight: (u,) likewise; iterations: factorisations made; converged: whether the
-    gradient vanishes: no step of full length has anything to gain (see `SolverSettings`).
+    weights and priors (g2o's metric); cost: the minimised cost, with kernels, weights and priors;
+    edge_chi2: (m,) eᵀΩe; edge_weight: (m,) in [0, 1], weights by the kernels; prior_weight: (u,)
+    likewise; iterations: number of factorisations; converged: whether the gradient vanishes, i.e. a
+    full step would lower the cost by no more than the tolerances of `SolverSettings`.
     """
 
     pose: FloatArray
@@ -61,51 +64,52 @@ class Solution:
     converged: bool
 
     def with_full_weights(self) -> Solution:
-        """The point at which to ask how sure the solution is.
+        """The solution with weights above 1/2 set to 1, for covariances.
 
-        What lies within its kernel counts in full: a Cauchy estimate is nearly as sure as least
-        squares (97 % at three sigmas), though its weights at the solution are smaller.
+        A Cauchy estimate is nearly as efficient as least squares (97 % at a width of three sigmas),
+        although the weights of inliers at the solution are below 1.
         """
         edge, prior = (np.where(w > 0.5, 1.0, w) for w in (self.edge_weight, self.prior_weight))
         return replace(self, edge_weight=edge, prior_weight=prior)
 
 
 def solve(graph: PoseGraph, settings: SolverSettings = SolverSettings()) -> Solution:
-    """The poses that the measurements make most likely, begun from those of the graph and in the
-    frame of what is known.
+    """Maximum-likelihood poses, starting from those of the graph, in the frame of the priors.
 
-    Disconnected parts are solved side by side, each about its first pose. Complexity: a few sparse
-    factorisations of size 3n; 1,700 poses and 2,500 edges take some 30 ms. Never raises on a hard
-    graph: `converged` and `chi2` tell.
+    Disconnected components are solved together, each relative to its first pose. Complexity: a few
+    sparse factorisations of size 3n; 1,700 poses and 2,500 edges take about 30 ms. Never raises on
+    a hard graph: check `converged` and `chi2`.
     """
     return _Problem(graph).minimise(settings)
 
 
 def _excess(promised: float, before: float) -> float:
-    """How far the cost lies above its minimum, by what two full steps in a row promised.
+    """Estimate of how far the cost lies above its minimum, from the decreases that two consecutive
+    full steps promised.
 
-    Along a direction whose curvature is a share s of what the factors say, a step goes the share s
-    of the way: the next one promises (1 − s)² as much, and the cost is promised / s too high.
-    Exact measurements give s = 1; kernels and factors from elsewhere less.
+    Where the curvature is a share s of what the factors say, a step covers the share s of the way:
+    the next one promises (1 − s)² as much, and the cost is promised / s too high. s = 1 for exact
+    curvature, less with robust kernels or reused factors.
     """
     share = 1.0 - np.sqrt(min(promised / before, 1.0)) if before > 0 else 0.0
     return promised / max(share, _LEAST_SHARE)
 
 
 def _lower(there: Solution, here: Solution, iterations: int) -> Solution:
-    """The better end of the last step."""
+    """The end of the last step with the lower cost, marked as converged."""
     best = there if there.cost <= here.cost else here
     return replace(best, iterations=iterations, converged=True)
 
 
 class _Damping:
-    """Damping relative to the diagonal, by what steps gain (Nielsen, IMM-REP-1999-05, § 4.1)."""
+    """Levenberg–Marquardt damping, relative to the diagonal, by the gain ratio of steps (Nielsen,
+    IMM-REP-1999-05, § 4.1)."""
 
     def __init__(self, first: float) -> None:
         self.now, self._last, self._first, self._growth = 0.0, 0.0, first, 2.0
 
     def adapt(self, gained: float, promised: float) -> None:
-        """After a step: as much as it promised is gained where curvature is what it seems."""
+        """Update after an accepted step, from its actual and its promised decrease of the cost."""
         if self.now > 0 and gained < 0.5 * promised:
             self.tighten()
         elif gained > 0.75 * promised:
@@ -114,20 +118,20 @@ class _Damping:
                 self.now = 0.0
 
     def tighten(self) -> None:
-        """After a step too far: more, and the more the oftener in a row."""
+        """Increase after a rejected step, faster for each rejection in a row."""
         self.now = self._last = max(self._first, self._growth * max(self.now, self._last))
         self._growth *= 2.0
 
 
 _LEAST_SHARE = 1e-3
-"""Curvature is not believed to be a smaller share than this of what the factors say."""
+"""Lower bound of the curvature, as a share of that of the factors."""
 
 _MOST_CHORDS = 4
-"""Steps with the same factors: they converge linearly, so that some are enough."""
+"""Steps with the same factors: they converge linearly, so that a few suffice."""
 
 
 class _Problem:
-    """A graph with everything that stays the same from one iteration to the next."""
+    """A graph with all that stays constant between iterations."""
 
     def __init__(self, graph: PoseGraph) -> None:
         self.graph = graph
@@ -137,8 +141,9 @@ class _Problem:
     def minimise(self, settings: SolverSettings) -> Solution:
         """Gauss–Newton with a watchdog (Chamberlain, Powell, Lemaréchal, Pedersen 1982).
 
-        A full step may raise the cost, as long as a few more full steps end below the best point
-        so far: the way into a narrow curved valley. Else back to the best point and damp.
+        A full step may raise the cost if a few more full steps then end below the best point so
+        far, which is the way into a narrow curved valley. Otherwise return to the best point and
+        damp.
         """
         best = here = self._evaluate(np.array(self.graph.pose), np.zeros(len(self.graph.shared)))
         damping = _Damping(settings.first_damping)
@@ -149,7 +154,7 @@ class _Problem:
             enough = settings.relative_tolerance * best.cost + settings.absolute_tolerance
             if factor is not None and here is best and chords < _MOST_CHORDS:
                 chords += 1
-                # Near the minimum the last factors still serve: a step for a tenth of the price.
+                # Near the minimum the last factors are good enough, at a tenth of the cost.
                 there, promised = self._moved(system, factor, here)
                 if _excess(promised, before) <= enough:
                     return _lower(there, best, iterations)
@@ -167,7 +172,7 @@ class _Problem:
             if there.cost <= best.cost:
                 damping.adapt(best.cost - there.cost, promised)
                 if promised <= enough:
-                    damping.now = 0.0  # a short step promises little: a full one tells
+                    damping.now = 0.0  # short steps promise little: test with a full one
                 here = best = there
                 leaps = 0 if full else leaps
             elif full and leaps < settings.patience and np.isfinite(there.cost):
@@ -180,7 +185,8 @@ class _Problem:
     def _moved(
         self, system: NormalEquations, factor: Factor, here: Solution
     ) -> tuple[Solution, float]:
-        """Where a step leads, and by how much the cost would fall were it quadratic."""
+        """The end of a step, and the decrease of the cost that it would bring if the cost were
+        quadratic."""
         move, shift = system.step(factor)
         pose = here.pose + move
         pose[:, 2] = np.where(self.frame.fixed[:, 2], pose[:, 2], wrap(pose[:, 2]))
