@@ -92,20 +92,27 @@ def check_mapping(
     channels = [c for c, n in counts.items() if n and c.topic == settings.mapped_topic]
     sure = [check_fields(channel, fields, log) for channel in channels]
     if channels and not all(sure):
-        _try_mapping(recording, settings)
+        try_mapping(recording, settings)
 
 
-def _try_mapping(recording: Recording, settings: ReadSettings) -> None:
-    """UsageError if nothing comes of the first messages of the mapped topic."""
-    topic, log = settings.mapped_topic, str(recording.path)
+def try_mapping(recording: Recording, settings: ReadSettings) -> None:
+    """UsageError if nothing comes of the first messages of the mapped topic.
+
+    These are looked for as far as they lie apart: one that says something else proves nothing.
+    """
+    topic, log = settings.mapped_topic or "", str(recording.path)
     intake = Intake(
         lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
     )
+    found = TopicPoses.of(())
     for file in recording.files:
         with opened(file) as container:
             for block in container.blocks(intake.want, Findings(), None):
                 intake.take(first_messages(block, TRIED))
-                break
-    found = TopicPoses.of(intake.of_topic(topic or ""))
-    if found.messages and found.failed == found.messages:
+                found = TopicPoses.of(intake.of_topic(topic))
+                if found.failed < found.messages:
+                    return
+                if found.messages >= TRIED:
+                    break
+    if found.messages:
         raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")

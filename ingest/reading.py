@@ -9,7 +9,7 @@ from typing import Any
 from ..topology.errors import LogError, UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Run
-from .channels import acceptance, check_mapping, decoders, kept_whole
+from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, walks
@@ -100,6 +100,8 @@ def _kept(
         except (LogError, UsageError):
             if index.sure:
                 raise
+            if settings.junction_fields is not None:
+                try_mapping(recording, settings)
     # There is no index, or what it says led to nothing, or to something else than the data say.
     return _walked(recording, settings, progress, None)
 

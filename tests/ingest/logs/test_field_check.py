@@ -21,8 +21,9 @@ float32 width
 """
 
 
-def written(logs, folder, angles, *, encoding="cdr", ros1=False, last=None, index=True):
-    """A drive whose detections are of a type of our own; `angles` of all but perhaps the last."""
+def written(logs, folder, angles, *, encoding="cdr", ros1=False, first=None, last=None, **options):
+    """A drive whose detections are of a type of our own; `angles` of all but perhaps the first and
+    the last. options: of both files' writers."""
     from rosbags.typesys import get_types_from_msg
 
     store = logs.store_of(ros1)
@@ -32,14 +33,15 @@ def written(logs, folder, angles, *, encoding="cdr", ros1=False, last=None, inde
     definition, _ = store.generate_msgdef(name, ros_version=1 if ros1 else 2)
     folder.mkdir(exist_ok=True)
     drive = logs.drive()
-    logs.mcap(folder / "a.mcap", [m for m in drive if m.topic == "/odom"], use_statistics=index)
+    logs.mcap(folder / "a.mcap", [m for m in drive if m.topic == "/odom"], **options)
     seen = [m for m in drive if m.topic == "/junctions"]
     kinds = {"cdr": "ros2msg", "ros1": "ros1msg", "json": "jsonschema"}
     encoding = "ros1" if ros1 else encoding
     text = "{}" if encoding == "json" else definition
     payloads = []
     for k, message in enumerate(seen):
-        ways = last if last is not None and k == len(seen) - 1 else angles
+        other = {0: first, len(seen) - 1: last}.get(k)
+        ways = angles if other is None else other
         raw = payload(logs, store, name, message=message, ways=ways, encoding=encoding)
         payloads.append((message.log_ns, raw))
     logs.mcap_topic(
@@ -49,7 +51,7 @@ def written(logs, folder, angles, *, encoding="cdr", ros1=False, last=None, inde
         ("a/Seen" if ros1 else name, kinds[encoding], text),
         payloads,
         chunk_size=500,
-        use_statistics=index,
+        **options,
     )
     return folder
 
@@ -174,7 +176,7 @@ def test_a_path_that_leads_nowhere_is_named(of_both_kinds, monkeypatch, fields, 
 
 
 def test_without_an_index_it_is_named_when_the_topic_is_met(logs, tmp_path):
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], index=False)
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], use_statistics=False)
     fields = settings("center=at.pose.positon,branches=ways")
     with pytest.raises(UsageError, match="has position, orientation"):
         read_run(folder, fields)
@@ -203,6 +205,21 @@ def test_what_only_messages_tell_is_tried_on_the_first(logs, tmp_path, monkeypat
     monkeypatch.setattr("topobatch.ingest.reading.walk", None)
     with pytest.raises(UsageError, match="the message has position"):
         read_run(folder, wrong)
+
+
+def test_no_checksum_of_the_index_is_needed_for_that(logs, tmp_path, monkeypatch):
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", enable_crcs=False)
+    monkeypatch.setattr("topobatch.ingest.reading.walk", None)
+    with pytest.raises(UsageError, match="/seen: --junction-fields: center=at.pose.positon: the"):
+        read_run(folder, settings("center=at.pose.positon,branches=ways"))
+
+
+def test_a_first_message_that_says_something_else_proves_nothing(logs, tmp_path):
+    """A greeting of the detector, alone in the first chunk."""
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", first="ready" * 100)
+    fields = settings(f"{CENTER},branches=ways")
+    assert inspect_log(folder, fields).problems == ()
+    assert len(read_run(folder, fields).detections) == 29
 
 
 def test_what_some_messages_lack_is_told_with_the_reason(logs, tmp_path):
