@@ -40,17 +40,46 @@ class FixedTransforms:
 
         O(number of transforms).
         """
+        return {name: T for name, (T, _) in self._reached(target).items()}
+
+    def contradictions(self, target: str) -> list[str]:
+        """A sentence on transforms that place frames joined to `target` otherwise than the rest do.
+
+        By so much more than all transforms of such a loop may be rounded. Empty if there are none.
+        O(number of transforms).
+        """
+        reached, told = self._reached(target), []
+        for (parent, child), T_parent_child in sorted(self.value.items()):
+            if parent not in reached:
+                continue
+            (T_target_parent, before), (T_target_child, after) = reached[parent], reached[child]
+            again = seen_from(T_target_parent, T_parent_child[None])[0]
+            off_m, off_rad = _apart(T_target_child, again)
+            rounded = FIXED * (before + 1 + after)
+            reach_m = max(np.linalg.norm(T[:3]) for T in (T_target_parent, T_target_child))
+            if off_rad > 2 * rounded or off_m > rounded * (1 + 2 * reach_m):
+                told.append(f"{parent} → {child} by {off_m:.2f} m and {np.degrees(off_rad):.1f}°")
+        if not told:
+            return []
+        return [
+            f"transforms contradict each other: {listed(told, 3)} off from where other transforms "
+            "lead; the way by the fewest counts"
+        ]
+
+    def _reached(self, target: str) -> dict[str, tuple[FloatArray, int]]:
+        """(7,) T_target_source of every frame joined to `target`, and by how many transforms."""
         beside: dict[str, list[tuple[str, FloatArray]]] = {}
         for (parent, child), T_parent_child in sorted(self.value.items()):
             beside.setdefault(parent, []).append((child, T_parent_child))
             beside.setdefault(child, []).append((parent, _inverse(T_parent_child)))
-        reached = {target: np.array(NOWHERE_ELSE)}
+        reached = {target: (np.array(NOWHERE_ELSE), 0)}
         front = deque([target])
         while front:
             here = front.popleft()
+            T_target_here, steps = reached[here]
             for there, T_here_there in beside.get(here, ()):
                 if there not in reached:
-                    reached[there] = seen_from(reached[here], T_here_there[None])[0]
+                    reached[there] = seen_from(T_target_here, T_here_there[None])[0], steps + 1
                     front.append(there)
         return reached
 
@@ -95,6 +124,14 @@ def _inverse(T_a_b: FloatArray) -> FloatArray:
 
     back = Rotation.from_quat(T_a_b[3:]).inv()
     return np.concatenate([-back.apply(T_a_b[:3]), back.as_quat()])
+
+
+def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
+    """How far two poses (7,) lie apart [m], and are turned against each other [rad]."""
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(a[3:]).inv() * Rotation.from_quat(b[3:])
+    return float(np.linalg.norm(a[:3] - b[:3])), float(turn.magnitude())
 
 
 class FixedCollector:

@@ -61,7 +61,7 @@ class Laser:
 @dataclass(frozen=True, slots=True)
 class Lasers:
     """used: the one that the run goes by first; where: what the log says of their places;
-    warnings: one sentence for each laser that is left out."""
+    warnings: one sentence for each laser that is left out, and of transforms that are at odds."""
 
     used: tuple[Laser, ...]
     where: Joined
@@ -80,6 +80,8 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
     warnings: list[str] = []
     found = [first, *_others(read, source, first, warnings.append)]
     where = joined(read.recording, frozenset().union(*(laser.frames for laser in found)), body)
+    if where.fixed is not None:
+        warnings += where.fixed.contradictions(where.body)
     found.sort(key=lambda laser: not where.knows(laser.frames))
     used = [laser for laser in found if laser is found[0] or where.knows(laser.frames)]
     for laser in found[len(used) :]:

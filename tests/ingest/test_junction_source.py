@@ -398,7 +398,8 @@ def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path)
 
 
 def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
-    """The beams of one laser dealt out to two: one to the left and one to the right."""
+    """The beams of one laser dealt out to two: one to the left and one to the right; where they
+    are stands in the log once more, and otherwise."""
 
     def halves(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
         if topic == "/tf_static":
@@ -406,6 +407,7 @@ def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path:
                 sensors.mount(name, (0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0))
                 for name in ("laser", "other")
             ]
+            mounts.append(sensors.mount("other", (0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0), "laser"))
             return [(topic, kind, log_ns + k, mount) for k, mount in enumerate(mounts)]
         if topic != "/scan":
             return [] if topic == "/junctions" else [(topic, kind, log_ns, raw)]
@@ -422,5 +424,6 @@ def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path:
 
     run = read_run(rewritten(both, tmp_path / "two.mcap", sensors, halves))
     assert sorted(run.source["junctions"]["lasers"]) == ["/laser", "/other"]
+    assert any("other: laser → other by 0.50 m and 0.0° off" in told for told in run.warnings)
     assert run.scanned is not None
     assert len(run.scanned.passes) > 0

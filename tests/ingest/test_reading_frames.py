@@ -161,6 +161,27 @@ def test_transforms_that_never_change_may_be_in_tf(logs, drive, tmp_path):
     same(run.detections, expected)
 
 
+@pytest.mark.parametrize("off_m", [0.0, 0.001, 0.25])
+def test_transforms_that_contradict_each_other_are_told(logs, drive, tmp_path, off_m):
+    """A sensor on a mast, placed directly as well; rounded to a millimetre they still agree."""
+    odometry, seen = drive
+    expected = read_run(logs.mcap(tmp_path / "plain.mcap", logs.drive())).detections
+    up, off = np.array([0.0, 0.0, 1.0]), np.array([off_m, 0.0, 0.0])
+    tf = [
+        transform(logs, "base_footprint", "sensor"),
+        transform(logs, "base_footprint", "mast", Rotation.identity(), up, k=1),
+        transform(logs, "mast", "sensor", LEVEL, XYZ - up + off, k=2),
+    ]
+    both = [mounted(m, LEVEL, XYZ, "sensor") for m in seen]
+    run = read_run(logs.mcap(tmp_path / "a.mcap", [*odometry, *both, *tf]))
+    told = (
+        "transforms contradict each other: mast → sensor by 0.25 m and 0.0° off from where other "
+        "transforms lead; the way by the fewest counts",
+    )
+    assert run.warnings == (told if off_m == 0.25 else ())
+    same(run.detections, expected)
+
+
 def test_a_frame_that_moves_joins_nothing(logs, drive, tmp_path):
     odometry, seen = drive
     pan = [
