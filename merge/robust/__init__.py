@@ -1,4 +1,4 @@
-"""Trusted merging: evidence in bits, three verdicts, a bounded rate of false merges."""
+"""Robust merging: evidence in bits, three verdicts, a bounded rate of false merges."""
 
 from .alignment import Candidate, match
 from .batch import match_shard

@@ -1,8 +1,8 @@
-"""What all pairs across two components say together of whether the one is a copy of the other.
+"""Evidence from all pairs of runs across two components that one of them is a copy of the other.
 
-Two runs with little in common may be of a copy and neither of them show it: its size may differ by
-3 % and neither odometry be to blame. Where several runs of either component can be compared, their
-odometries do not err alike, and what differs between copies differs in most of them.
+A single pair with little overlap may not show that it is of a copy: a difference of 3 % in size may
+be the odometry's. If several runs of either component can be compared, their odometry errors are
+independent, while differences between copies appear in most pairs.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ COPY_TOGETHER = Refusal(
 
 
 class _ByRun:
-    """Alignments of pairs, found by the runs that they are of: of most joins few pairs lie across,
-    and a large batch has too many to look through for each."""
+    """Alignments of pairs, indexed by their runs: few pairs lie across two components, and a large
+    batch has too many to search through for each join."""
 
     def __init__(self, alignments: Mapping[Pair, Alignment]) -> None:
         self.alignments = alignments
@@ -57,13 +57,13 @@ class _ByRun:
 
 @dataclass(frozen=True, eq=False)
 class Across:
-    """What the pairs of a batch say of copies.
+    """The evidence of a batch on copies.
 
-    prepared: the maps; places: their junctions, x + iy; joins: the alignments by which pairs would
-    be joined; other: those of pairs that are not merged for the one is larger; asked: those of
-    pairs that were asked the second question, and their answers [bits]; answers: what some of the
-    other `joins` answer to it; locked: pairs that a person joined; most_sigmas: by how much one may
-    be larger.
+    prepared: the maps; places: their junctions, x + iy; joins: alignments by which pairs would be
+    joined; other: alignments of pairs rejected because one map is larger; asked: alignments of
+    pairs that were tested for being a copy, with the evidence that they are not [bits]; answers:
+    runs that test for some of the other `joins`; locked: pairs joined by a lock; most_sigmas:
+    largest accepted difference in size.
     """
 
     prepared: Sequence[Prepared]
@@ -76,11 +76,11 @@ class Across:
     most_sigmas: float
 
     def refusal(self, components: Components, pair: Pair) -> Refusal | None:
-        """Why the components of a pair are not to be joined by it, if they are not.
+        """Why the components of a pair must not be joined by it; None if they may.
 
-        Looked at only where a pair across says by itself that one is larger, or a copy. Then all
-        answer whether it is one, for what is beyond chance may well be a copy; that must lead what
-        says otherwise by `lead_bits`: it stands against a pair that by itself is merged.
+        Evaluated only where a single pair across is larger throughout or looks like a copy. Then
+        all pairs across are tested: alignments beyond chance may be copies. The evidence for a copy
+        must exceed `lead_bits`, because it overrules a pair that is merged by itself.
         """
         if pair in self.locked:
             return None
@@ -130,10 +130,11 @@ class Across:
     def _sigmas(
         self, components: Components, pair: Pair, across: Mapping[Pair, Alignment]
     ) -> float:
-        """How many sigmas the runs of the one component are larger than those of the other.
+        """By how many standard deviations the runs of one component are larger than those of the
+        other.
 
-        Generalised least squares: each pair tells the difference with the error of its lengths, and
-        with the errors of the scales of its two runs, which it shares with other pairs.
+        Generalised least squares: each pair measures the difference with the error of its lengths
+        and the scale errors of its two runs, which it shares with other pairs.
         """
         pairs = sorted(across)
         rows = [_common(*self._maps(p), across[p].matched) for p in pairs]

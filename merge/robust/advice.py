@@ -1,4 +1,4 @@
-"""What would settle an ambiguous pair: which corridor to drive next."""
+"""Advice for an ambiguous pair: which corridor to drive next."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .verdict import Assessment
 
 def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
     """A sentence that names a corridor to drive: one that leaves a matched junction by a branch
-    that both runs saw, and that only one of them drove.
+    seen by both runs and driven by only one.
 
-    Preferred are corridors at junctions that the runner-up matches with another one, for they can
+    Corridors at junctions that the runner-up matches differently are preferred, because they can
     refute it. None without a placement.
     """
     best = assessment.best
@@ -56,7 +56,8 @@ def _partners_of(candidate: Candidate | None) -> dict[int, int]:
 
 
 def _telling(option: Option, blind: Mapping[int, int], a: Prepared) -> bool:
-    """Does the runner-up match the junction at all, so that the corridor can refute it?"""
+    """Whether the runner-up matches the junction with another one, so that the corridor can refute
+    it."""
     known, _, _, _, vertex, known_vertex = option
     ours, theirs = (known_vertex, vertex) if known is a else (vertex, known_vertex)
     return blind.get(theirs, ours) != ours
@@ -65,7 +66,7 @@ def _telling(option: Option, blind: Mapping[int, int], a: Prepared) -> bool:
 def _unexplored(
     known: Prepared, other: Prepared, vk: IntArray, vo: IntArray, turn: float
 ) -> list[Option]:
-    """Corridors of `known` at matched junctions by branches that `other` saw and did not take."""
+    """Corridors of `known` at matched junctions by branches that `other` saw and did not drive."""
     partner = np.full(len(known), -1)
     partner[vk] = vo
     row = ((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).nonzero()[0]

@@ -1,4 +1,4 @@
-"""One pair of maps: candidate alignments with their evidence."""
+"""Candidate alignments of a pair of maps, with their evidence."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from .support import Support, supports
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A way to lay b over a.
+    """A candidate alignment of b with a.
 
-    transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a of each as
-    unit numbers; support, conflicts: what speaks for it and what against; tested_bits: log2 of the
-    hypotheses tested; bits: log2 odds against chance, the first less the other two; rival: of a
-    hypothesis that is not to be merged (`Seed`).
+    transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a at each, as
+    unit numbers; support, conflicts: evidence for and against; tested_bits: log2 of the number of
+    hypotheses tested; bits: log2 odds against chance, the first minus the other two; rmse_m: of the
+    matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`).
     """
 
     transform: FloatArray
@@ -46,38 +46,38 @@ class Candidate:
 
     @property
     def corridors(self) -> IntArray:
-        """(c, 2) directed rows of the corridors that agree."""
+        """(c, 2) directed rows of the matched corridors."""
         return self.support.corridors
 
     @cached_property
     def contradicting_bits(self) -> float:
-        """All that speaks against it, positive: contradictions, corridors whose lengths do not fit
-        and matched junctions whose branches differ."""
+        """All evidence against it, positive: contradictions, corridors of different length and
+        matched junctions with different branches."""
         links, branches = self.support.links, self.support.branches
         misfit = float(links[links < 0].sum() + branches[branches < 0].sum())
         return self.conflicts.bits - misfit
 
     def move(self, z: complex) -> complex:
-        """Where a point x + iy of b lands in a."""
+        """Position in a of a point x + iy of b."""
         x, y, theta = self.transform.tolist()
         return complex(x + 1j * y + np.exp(1j * theta) * z)
 
 
 Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
-"""Two maps, hypotheses on how they lie, and of how many links these were chosen."""
+"""Two maps, hypotheses of their alignment, and the number of links that these were chosen from."""
 
 
 def match(
     a: Prepared, b: Prepared, settings: RobustSettings, *, rivals: bool = False
 ) -> tuple[Candidate, ...]:
-    """Candidate alignments of two maps, best first; versions of one placement appear once. Pure.
+    """Candidate alignments of two maps, best first, without duplicates of one placement. Pure.
 
-    The steps of the paper with its certainties replaced by odds: compatible corridors (§2.1),
-    connected hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
+    The steps of the paper with certainty replaced by odds: compatible corridors (§2.1), connected
+    hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
 
-    Where copies abound, many hypotheses are beyond chance before they are grown. The best few are
-    grown; the others are rivals, which cost time: they are looked at where the best few come to
-    nothing, and where somebody asks (`rivals`), as before two maps are merged.
+    Where copies abound, many hypotheses are beyond chance before they are grown. Only the best few
+    can be merged; the others are grown as rivals, at a cost in time: if the best few yield nothing,
+    and on request (`rivals`), as before two maps are merged.
     """
     return next(match_all([(a, b)], settings, rivals=rivals))
 
@@ -85,8 +85,7 @@ def match(
 def match_all(
     pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, rivals: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
-    """The same of many pairs, each as if it were alone; so many at once as have `most_pairs`
-    links."""
+    """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
     some: list[tuple[Hypothesised, Links]] = []
     count = 0
     for a, b in pairs:
@@ -115,8 +114,7 @@ def _hypotheses(a: Prepared, b: Prepared, links: Links, settings: RobustSettings
 
 
 def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypothesised:
-    """The other hypotheses beyond chance. One chosen among so many looks the same too easily to be
-    merged."""
+    """The other hypotheses beyond chance. They are not merged: of so many, one fits too easily."""
     a, b, first, tested = case
     beyond = float(np.log2(tested + 1.0)) + MATCH.lead_bits
     every = seeds(a, b, links, settings.hypotheses, rival_bits=beyond, first=first)
@@ -131,14 +129,14 @@ def best_of(
     tested: int,
     settings: RobustSettings,
 ) -> tuple[Candidate, ...]:
-    """Grow and judge hypotheses; `tested` is the number of links they were chosen from."""
+    """Grow and evaluate hypotheses; `tested` is the number of links that they were chosen from."""
     return next(best_of_all([(a, b, hypotheses, tested)], settings))
 
 
 def best_of_all(
     cases: Iterable[Hypothesised], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """The same of many pairs of maps, as many at once as fit the processor's cache."""
+    """`best_of` for many pairs of maps, in batches that fit the processor's cache."""
     some: list[Hypothesised] = []
     rows = 0
     for case in cases:
@@ -168,7 +166,7 @@ def _best_of_some(
 
 
 def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
-    """The best first, and of versions of one placement the best one alone, a rival last."""
+    """Candidates, best first, keeping of each placement the best one that is not a rival."""
     kept: list[Candidate] = []
     for candidate in sorted(found, key=lambda c: (c.rival, _rank(c))):
         if not any(same_placement(candidate, other, b) for other in kept):
@@ -199,8 +197,11 @@ def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
 def best_seed(
     a: Prepared, b: Prepared, settings: RobustSettings
 ) -> tuple[Lanes, Seed, Candidate, int] | None:
-    """The strongest hypothesis of two maps as it is before growth: in a lane, itself, what speaks
-    for it and against it, and of how many it is the best; None where no two corridors are alike."""
+    """The strongest hypothesis of two maps before growth, to explain why none was found.
+
+    Returns its lane, itself, its evidence, and the number of hypotheses; None if no two corridors
+    are compatible.
+    """
     _, _, found, tested = _hypotheses(a, b, candidate_links(a, b), settings)
     if not found:
         return None
@@ -211,7 +212,7 @@ def best_seed(
 
 
 def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
-    """The evidence of the match of each lane; None where there is none."""
+    """The candidate of each lane with its evidence; None where nothing is matched."""
     lanes = grown.lanes
     if not len(grown.row):
         return [None] * len(lanes)
@@ -241,7 +242,7 @@ def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
 
 
 def _laid_over_each(grown: Grown) -> tuple[FloatArray, FloatArray]:
-    """`laid_over` of every lane; zeros of those without a match."""
+    """`laid_over` of every lane; zeros for lanes without a match."""
     lanes, count = grown.lanes, len(grown.lanes)
     transform, rmse = np.zeros((count, 3)), np.zeros(count)
     pa, pb = _points(lanes.a.whole.z[grown.a]), _points(lanes.b.whole.z[grown.b])
@@ -254,8 +255,8 @@ def _laid_over_each(grown: Grown) -> tuple[FloatArray, FloatArray]:
 
 
 def laid_over(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:
-    """T_a_b that lays matched junctions over each other (§3.1), and their root mean square
-    distance [m]. xy_a, xy_b: (k, 2)."""
+    """T_a_b that aligns matched junctions (§3.1), and their root mean square distance [m]. xy_a,
+    xy_b: (k, 2) [m]."""
     transform = fit_rigid(xy_a, xy_b)
     off = xy_a - apply(transform, xy_b)
     return transform, float(np.sqrt((off * off).sum() / len(off)))
@@ -266,7 +267,7 @@ def _points(z: ComplexArray) -> FloatArray:
 
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
-    """Are two candidates versions of one placement of b, seen from where each matches?"""
+    """Whether two candidates place b alike, as seen from where each of them matches."""
     if abs(float(wrap(x.transform[2] - y.transform[2]))) > MATCH.turn_rad:
         return False
     partner = np.full(len(b), -1)
@@ -283,7 +284,7 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
 def self_matches(
     maps: Iterable[Prepared], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """Alignments of maps with themselves, elsewhere: how much the building repeats itself."""
+    """Alignments of each map with other parts of itself: how far the building repeats itself."""
     for found in best_of_all((_elsewhere(m, settings) for m in maps), settings):
         yield tuple(c for c in found if np.count_nonzero(c.a == c.b) < 0.5 * len(c))
 

@@ -1,4 +1,4 @@
-"""What two maps of a batch say by themselves, and what they must reach."""
+"""The assessment of single pairs of a batch, and the thresholds that they must reach."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ def thresholds(
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
     copies_of: Callable[[Samples], CopyModel] | None = None,
 ) -> Callable[[Sequence[int], PairCount], Threshold]:
-    """A function from some maps (a pair, or the runs of two components) and a count of pairs to the
-    threshold that they must reach.
+    """A function that gives the threshold for some maps (a pair, or the runs of two components) in
+    a batch with a given count of pairs.
 
-    with_themselves: matches of each map with other parts of itself, if they are known; copies_of:
-    is called in place of `copy_model`.
+    with_themselves: matches of each map with other parts of itself, if known; copies_of: replaces
+    `copy_model`.
     """
     own = with_themselves or list(self_matches(prepared, settings))
     samples = [(k, c) for k, found in enumerate(own) for c in found if c.bits > MATCH.lead_bits]
@@ -61,8 +61,8 @@ def thresholds(
 def _copied(
     with_themselves: Sequence[tuple[Candidate, ...]], settings: RobustSettings
 ) -> list[float]:
-    """The junctions of every map's largest copy of a part of itself, no fewer than most maps of the
-    batch have; inf where the copy may go on."""
+    """Number of junctions of every map's largest copy of a part of itself, at least that of the
+    batch's `copied_share` quantile; inf where the copy may extend beyond the map."""
     beyond = [list(filter(_beyond_chance, own)) for own in with_themselves]
     seen = [max(map(len, own), default=0) for own in beyond]
     batch = float(np.quantile(seen, settings.copied_share)) if seen else 0.0
@@ -71,41 +71,42 @@ def _copied(
 
 
 def _goes_on(copy: Candidate, need_bits: float) -> bool:
-    """Whether a copy of a part of a map, which chance does not explain, may have no end but that of
-    what the run saw.
+    """Whether a copy of a part of a map that chance does not explain may end only where the run
+    ended.
 
-    Who drove a wing of a building turned on itself, and a corner of the next, has seen that the
-    building repeats itself, and not how far: the copy is as large as the corner. A standard part,
+    A run through one wing of a building and a corner of the next, identical one has shown that the
+    building repeats itself, but not how far: the copy is as large as the corner. A standard part,
     or a copy by chance, ends, and what lies beyond contradicts it.
     """
     return _told_once(copy) >= need_bits and copy.contradicting_bits < MATCH.lead_bits
 
 
 def _beyond_chance(copy: Candidate) -> bool:
-    """Whether chance does not explain a match of a map with itself, what it tells counted once.
+    """Whether the evidence of a match of a map with itself, without duplicates, exceeds chance.
 
-    The columns of a maze, equally far apart in all its rows, lie on themselves turned by half a
-    turn: with that counted twice, 5 of 53 pairs of mazes that share a tenth are taken for copies.
+    The columns of a maze, equally far apart in all its rows, match themselves after half a turn;
+    counting that twice, 5 of 53 pairs of mazes that share a tenth are taken for copies.
     """
     once = (copy.bits + copy.tested_bits) * _told_share(copy)
     return once - copy.tested_bits > MATCH.lead_bits
 
 
 def _told_once(copy: Candidate) -> float:
-    """The evidence of a match of a map with itself, bounded by its junctions."""
+    """The evidence of a match of a map with itself, without duplicates and bounded by its junctions
+    [bits]."""
     return counted_bits(copy) * _told_share(copy)
 
 
 def _told_share(copy: Candidate) -> float:
-    """How much of its evidence a match of a map with itself has but once. Where half a turn takes
-    two junctions to each other, both say the same: so any rectangle is its own copy."""
+    """Share of the evidence of a match of a map with itself that is not a duplicate. If half a turn
+    exchanges two junctions, both matches state the same: any rectangle is its own copy."""
     pairs = np.sort(np.column_stack([copy.a, copy.b]), axis=1)
     return len(np.unique(pairs, axis=0)) / len(pairs)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AssessedPair:
-    """What two maps of a batch say by themselves, and what was made of it."""
+    """Two maps of a batch, their candidates and the assessment."""
 
     a: Prepared
     b: Prepared
@@ -113,19 +114,21 @@ class AssessedPair:
     view: Assessment
 
     def alone(self) -> PairVerdict:
-        """The verdict on the pair, were there no locks and no other runs to say more."""
+        """The verdict on the pair, without locks and other runs."""
         return Case(self.a, self.b, self.view).verdict()
 
     def alignment(self, chosen: Candidate, bits: float) -> Alignment:
-        """A candidate as an alignment of so much evidence."""
+        """A candidate as an alignment with the given evidence."""
         return alignment_of(chosen, self.a, self.b, bits)
 
 
 def assess_pair(
     maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, count: PairCount
 ) -> AssessedPair:
-    """Steps 1 to 3 of `decide` for one pair of a batch of so many pairs; `maps` are those of the
-    batch, sorted by run, `pair` two of their indices, i < j."""
+    """Steps 1 to 3 of `decide` for one pair of a batch.
+
+    maps: those of the batch, sorted by run; pair: two of their indices, i < j; count: of the batch.
+    """
     prepared = [prepare(m) for m in maps]
     i, j = pair
     threshold = thresholds(prepared, settings)(pair, count)

@@ -1,7 +1,7 @@
-"""Prepared maps end to end, so that many pairs of maps are matched by one call for all.
+"""Prepared maps concatenated, so that many pairs of maps are matched by one call.
 
-Arrays of one map have some fifty rows, and a call that works on them takes longer to begin than to
-work: laid end to end, pairs are matched in half the time.
+The arrays of one map have about fifty rows, so that the overhead of numpy calls dominates:
+concatenated, pairs are matched in half the time.
 """
 
 from __future__ import annotations
@@ -32,15 +32,17 @@ OF_VERTICES = (
 )
 OF_CORRIDORS = ("length", "sagitta", "variance", "traversals", "rarity")
 OF_ROADS = ("road", "road_dir", "road_share", "road_end")
-"""Arrays of `Prepared` that name no row: of vertices, directed corridors, points of corridors."""
+"""Arrays of `Prepared` that hold no row numbers: of vertices, of directed corridors, of points of
+corridors."""
 
 
 @dataclass(frozen=True, eq=False)
 class Atlas:
-    """m maps, their vertices, directed corridors and points of corridors numbered through.
+    """m maps with their vertices, directed corridors and points of corridors numbered
+    consecutively.
 
-    whole: the arrays of all in one; what it says of a map as a whole is that of the first map.
-    vertex, corridor, road: (m + 1,) first row of each map.
+    whole: the concatenated arrays; its scalar fields are those of the first map. vertex, corridor,
+    road: (m + 1,) first row of each map.
     """
 
     maps: tuple[Prepared, ...]
@@ -51,7 +53,7 @@ class Atlas:
 
     @classmethod
     def of(cls, maps: Sequence[Prepared]) -> Atlas:
-        """Lay maps end to end. O(rows)."""
+        """Concatenate maps. O(rows)."""
         sizes = np.array([(0, 0, 0), *((len(m.z), len(m.tail), len(m.road)) for m in maps)])
         vertex, corridor, road = sizes.cumsum(axis=0).T
         return cls(
@@ -64,7 +66,7 @@ class Atlas:
 
     @cached_property
     def shows_bends(self) -> BoolArray:
-        """(m,) as in TopoMap."""
+        """(m,) as in `TopoMap`."""
         return np.array([m.shows_bends for m in self.maps], np.bool_)
 
     @cached_property
@@ -84,7 +86,7 @@ class Atlas:
 
 
 def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Prepared:
-    """The arrays of all maps in one."""
+    """The concatenated arrays of all maps."""
 
     def moved(name: str, first: IntArray) -> IntArray:
         parts = zip(maps, first.tolist(), strict=False)
@@ -113,14 +115,14 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
         "road_tail": moved("road_tail", vertex),
         "road_head": moved("road_head", vertex),
     }
-    # What no pair is asked for by row is empty, so that it cannot be taken for what it is not.
+    # Arrays that are not concatenated are left empty, so that they cannot be used by mistake.
     first = {f.name: getattr(maps[0], f.name) for f in fields(Prepared)}
     nothing = {name: rows[:0] for name, rows in first.items() if isinstance(rows, np.ndarray)}
     return replace(maps[0], **(nothing | joined))
 
 
 def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]:
-    """Rows of different lengths, filled up with nothing."""
+    """Rows of different widths, padded with `nothing`."""
     rows = [getattr(m, name) for m in maps]
     widest = max(some.shape[1] for some in rows)
     out = np.full((sum(map(len, rows)), widest), nothing, rows[0].dtype)
@@ -133,12 +135,12 @@ def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lanes:
-    """l hypotheses of pairs of maps side by side, a lane each: t rows, one for each vertex of the
-    second map of each.
+    """l hypotheses of pairs of maps side by side, one lane each, with t rows in all: one per vertex
+    of each hypothesis's second map.
 
     of_a, of_b: (l,) the two maps in the atlases a and b; first: (l + 1,) first row of each lane;
-    lane, vertex: (t,) lane and vertex of b of each row; shift: (l,) from vertices of b to rows;
-    first_a, shift_a: the same for rows of the vertices of the first maps.
+    lane, vertex: (t,) lane and vertex of b of each row; shift: (l,) to be added to vertices of b to
+    give rows; first_a, shift_a: the same for rows of the vertices of the first maps.
     """
 
     a: Atlas
@@ -154,7 +156,7 @@ class Lanes:
 
     @classmethod
     def of(cls, a: Atlas, b: Atlas, of_a: IntArray, of_b: IntArray) -> Lanes:
-        """The lanes of some pairs."""
+        """The lanes of pairs of maps of_a, of_b (l,)."""
         first = np.zeros(len(of_b) + 1, np.int64)
         first_a = np.zeros(len(of_a) + 1, np.int64)
         size = b.vertex[of_b + 1] - b.vertex[of_b]
@@ -170,12 +172,12 @@ class Lanes:
         return len(self.of_b)
 
     def some(self, lanes: IntArray) -> Lanes:
-        """Only these lanes."""
+        """The given lanes only."""
         return Lanes.of(self.a, self.b, self.of_a[lanes], self.of_b[lanes])
 
     def rows_of(self, first: IntArray) -> tuple[IntArray, IntArray]:
-        """Lane and number of all that the second maps have of something; first: where that of each
-        map begins in the atlas."""
+        """Lane and index of all items of some kind in the second maps; first: first item of each
+        map in the atlas."""
         size = np.diff(first)[self.of_b]
         lane = np.arange(len(size)).repeat(size)
         start = first[self.of_b] - np.cumsum(size) + size
@@ -189,9 +191,12 @@ class Lanes:
         *,
         roads: bool = False,
     ) -> tuple[FloatArray, IntArray]:
-        """(k,) distance from `where` (k,), in the first map of a lane, to the nearest of that map's
-        vertices or points of corridors, and its number. lane: (k,) ascending; within_m: beyond it,
-        one number or one for each lane, only that it is beyond is known."""
+        """(k,) each: distance [m] from points to the nearest vertex, or point of a corridor
+        (`roads`), of the first map of their lane, and its index in the atlas.
+
+        where: (k,) x + iy in the first map; lane: (k,) ascending; within_m: one bound or one per
+        lane; farther points are only known to be farther.
+        """
         gap, found = np.empty(len(where)), np.empty(len(where), np.int64)
         stops = np.cumsum(np.bincount(lane, minlength=len(self))).tolist()
         bounds = np.broadcast_to(within_m, len(stops)).tolist()
@@ -208,5 +213,5 @@ class Lanes:
 
 
 def cuts(lane: IntArray, lanes: int) -> list[int]:
-    """(lanes + 1,) where the rows of each lane begin; lane: ascending."""
+    """(lanes + 1,) first row of each lane; lane: ascending."""
     return [0, *np.cumsum(np.bincount(lane, minlength=lanes)).tolist()]

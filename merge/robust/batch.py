@@ -27,13 +27,13 @@ from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, n
 
 @dataclass(eq=False)
 class Batch:
-    """What was found between the maps of a batch, and the verdicts on pairs by their two maps
-    alone.
+    """The matches between the maps of a batch, and the verdicts on pairs by their two maps alone.
 
-    asked: pairs that a lock names. assessments: the full assessments of these, of discarded pairs,
-    and of pairs that would be merged but for a rival or a mirror image; joins: the verdicts on
-    pairs that are merged by themselves; alone: those on all other pairs, which are most of a large
-    batch. The latter are put into words at once (`worded`), and nothing else of them is held.
+    asked: pairs named by a lock. found: result of matching, in short. assessments: full assessments
+    of locked and discarded pairs, and of pairs that would be merged but for a rival or a mirror
+    image; joins: verdicts on pairs that are merged by themselves; alone: verdicts on all other
+    pairs, the majority of a large batch, of which nothing but the verdict in words (`worded`) is
+    kept.
     """
 
     matcher: Pairwise
@@ -47,8 +47,8 @@ class Batch:
     _count: dict[int, PairCount] = field(default_factory=dict)
 
     def threshold(self, some: Sequence[int], pairs: int | None = None) -> Threshold:
-        """What two maps, or two components, must reach: so many pairs share the rate of false
-        merges. All of the batch if it is not told, also those that were found to have no chance."""
+        """The threshold for two maps or two components if `pairs` pairs share the rate of false
+        merges; by default all pairs of the batch, including those screened out."""
         pairs = pairs_of(len(self.matcher.maps)) if pairs is None else pairs
         if pairs not in self._count:
             need = needed_bits(pairs, self.matcher.settings)
@@ -58,7 +58,7 @@ class Batch:
 
     @cached_property
     def _kept(self) -> KeptVerdicts | None:
-        """What earlier merges said of pairs."""
+        """Verdicts kept by earlier merges."""
         own, means = self.matcher, self.matcher.means
         if means.store is None:
             return None
@@ -66,11 +66,11 @@ class Batch:
 
     @cached_property
     def _against_chance(self) -> FloatArray:
-        """What the pairs that were matched first say against chance."""
+        """Evidence against chance of the pairs that were matched first [bits]."""
         return np.array([found.against_chance for found in self.found.values()])
 
     def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
-        """Match (k, 2) pairs; what is found between some is taken back."""
+        """Match (k, 2) pairs and assess them; matches of the pairs in `gone` are discarded."""
         told = self.matcher.pairs(wanted)
         found = {(i, j): short for (i, j), short in zip(wanted.tolist(), told, strict=True)}
         found |= {pair: Told() for pair in gone}
@@ -108,8 +108,8 @@ class Batch:
         self._hold(self._kept.keep(fresh) if self._kept else fresh)
 
     def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
-        """Pairs of one component, one of whose candidates agrees with where other runs have put the
-        two: the number of the first such candidate. Pairs without one are left out."""
+        """Pairs of one component with a candidate that agrees with where other runs place the two:
+        the index of the first such candidate. Pairs without one are left out."""
         full = [pair for pair in pairs if self.found[pair].full and components.together(*pair)]
         out: dict[Pair, int] = {}
         for start in range(0, len(full), MATCH.at_once):
@@ -123,25 +123,25 @@ class Batch:
         return out
 
     def known_seconded(self, which: Mapping[Pair, int]) -> dict[Pair, PairVerdict]:
-        """The verdicts on pairs that others second by a candidate, as far as they are kept."""
+        """Kept verdicts on pairs that other runs corroborate by a candidate."""
         return self._kept.find(which, which) if self._kept else {}
 
     def keep_seconded(
         self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int]
     ) -> None:
-        """Keep such verdicts, which nobody else has a part in."""
+        """Keep such verdicts."""
         if self._kept:
             self._kept.keep(verdicts, which)
 
     def candidates(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
-        """Of those that have any, beyond chance."""
+        """The candidates of those of the pairs that have any beyond chance."""
         full = [pair for pair in pairs if self.found[pair].full]
         rows = np.array(full, np.int64).reshape(-1, 2)
         return dict(zip(full, self.matcher.candidates(rows), strict=True))
 
     def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Assessment, tuple[Candidate, ...]]]:
-        """What the two maps of each of some pairs say alone, but for mirror images, and the
-        candidates that they say it by."""
+        """Assessments of pairs by their two maps alone, without mirror images, with the candidates
+        assessed."""
         known = self.candidates(pairs)
         candidates = [known.get(pair, ()) for pair in pairs]
         out = {}
@@ -152,8 +152,8 @@ class Batch:
         return out
 
     def beside_rivals(self, views: Mapping[Pair, Assessment]) -> dict[Pair, Assessment]:
-        """What the two maps say alone of the pairs that would be merged, once all hypotheses beyond
-        chance were looked at."""
+        """Assessments of the pairs that would be merged, after growing all hypotheses beyond
+        chance."""
         pairs = [pair for pair, view in views.items() if view.verdict is Verdict.MERGED]
         found = self.matcher.beside_rivals(np.array(pairs, np.int64).reshape(-1, 2))
         return dict(zip(pairs, self._assessments(pairs, found), strict=True))
@@ -161,7 +161,7 @@ class Batch:
     def _assessments(
         self, pairs: Sequence[Pair], candidates: Sequence[tuple[Candidate, ...]]
     ) -> list[Assessment]:
-        """What the two maps of each pair say by these candidates."""
+        """The assessment of each pair by these candidates."""
         prepared = self.matcher.prepared
         told = zip(pairs, candidates, strict=True)
         return assess_all(
@@ -169,7 +169,7 @@ class Batch:
         )
 
     def of_other_size(self) -> dict[Pair, Alignment]:
-        """The alignments of pairs that are not merged for the one map is larger throughout."""
+        """The alignments of pairs that are not merged because one map is larger throughout."""
         return {
             pair: told.best
             for pair, told in self.alone.items()
@@ -177,14 +177,13 @@ class Batch:
         }
 
     def asked_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:
-        """The alignments of pairs that were asked the second question, and their answers [bits]."""
+        """The alignments of pairs that were tested for being a copy, with the result [bits]."""
         held = chain(self.joins.items(), self.alone.items())
         told = ((pair, v.best, v.extra.get("same_place_bits")) for pair, v in held)
         return {pair: (best, bits) for pair, best, bits in told if best and bits is not None}
 
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
-        """What the alignments of some merged pairs answer to the second question [bits], were they
-        asked."""
+        """Evidence that the alignments of some merged pairs are not copies [bits]."""
         found, maps = self.candidates([pair for pair in pairs if pair in self.joins]), self.matcher
         cases = []
         for (i, j), candidates in found.items():
@@ -210,8 +209,8 @@ class Batch:
         return self.matcher.image_bits(np.array(pairs, np.int64).reshape(-1, 2))
 
     def look_again(self, components: Components, joined: Iterable[Pair]) -> dict[Pair, Refusal]:
-        """Match the pairs that the index gave no chance and that now lie over each other, or were
-        joined by their components; those that by themselves want to lie elsewhere are refused."""
+        """Match the pairs that were screened out and now overlap, or were joined by their
+        components; refused are those that are merged by themselves with another placement."""
         places = self.matcher.places
         if len(self.found) == pairs_of(len(places)):
             return {}
@@ -229,8 +228,8 @@ class Batch:
 
 
 def wanted_pairs(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
-    """(k, 2) pairs to be matched: all of a small batch; of a large one those that have a chance,
-    and those that a person spoke of."""
+    """(k, 2) pairs to be matched: all of a small batch; of a large one those that pass screening,
+    and those named by locks."""
     likely = pairs_to_match(matcher.probes, matcher.settings, matcher.digests, matcher.means.kept)
     asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
     return np.unique(np.concatenate([likely, asked]), axis=0)
@@ -239,7 +238,7 @@ def wanted_pairs(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
 def match_shard(
     maps: Sequence[TopoMap], settings: RobustSettings, share: tuple[int, int], means: Means
 ) -> int:
-    """Match the i-th of n shares of the pairs, i from 1 on, for the store alone; how many."""
+    """Match the i-th of n shares of the pairs (i from 1 on) for the store; returns their number."""
     matcher = Pairwise(sorted(maps, key=lambda m: m.run), settings, means)
     wanted = in_tiles(wanted_pairs(matcher))
     mine = np.array_split(wanted, share[1])[share[0] - 1]

@@ -1,4 +1,4 @@
-"""How well the branches of two junctions of two maps agree, in bits."""
+"""Evidence [bits] from the branches of two junctions of two maps."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ from .prepare import Prepared
 def branch_bits(
     a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray
 ) -> FloatArray:
-    """(k,) log2 odds of the branches of vertices va and vb: one junction against any two.
+    """(k,) log2 likelihood ratio of the branches of vertices va and vb: one junction against any
+    two.
 
-    turn: (k,) rotation b → a as unit numbers. One of two forks close by may be a whole crossing in
-    the other map: at the price of a fault, it counts as that if that fits better.
+    turn: (k,) rotation b → a as unit numbers. One of two close forks may appear as a whole crossing
+    in the other map: it counts as that, at the price of a fault, if that fits better.
     """
     of_a, of_b = _Looks.of(a, va), _Looks.of(b, vb)
     told = _nats(of_a, of_b, turn)
@@ -35,7 +36,8 @@ def branch_bits(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Looks:
-    """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) descriptor."""
+    """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) descriptor; see
+    `Prepared`."""
 
     unit: ComplexArray
     rarity: FloatArray
@@ -54,11 +56,11 @@ class _Looks:
 
 
 def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
-    """(k,) log odds, whatever the confidence.
+    """(k,) log likelihood ratio [nats], without the detectors' confidence.
 
-    Chance is how common such junctions are in both maps (`Prepared.descriptor`); each branch that
-    only one side has costs what a fault costs in that run, an agreeing one tells the more, the more
-    freely branches point in these maps (`turn_rarity`).
+    The null model is how common such junctions are in both maps (`Prepared.descriptor`). Each
+    branch without a partner contributes the log of that run's fault rate; an agreeing one
+    contributes more where directions vary more in these maps (`turn_rarity`).
     """
     pairs = mutual_nearest(a.unit, b.unit * turn[:, None])
     agree = np.add.reduce(pairs.paired, axis=1)
@@ -67,7 +69,7 @@ def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
     row = np.arange(len(turn))[:, None]
     free = np.minimum(a.rarity, b.rarity[row, pairs.nearest])
     angle = agreeing(pairs, variance, free, LIKELIHOOD.most / 2)
-    # One branch of each junction is taken up by the alignment itself.
+    # One pair of branches is used up by fitting the rotation.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
     chance = np.minimum(a.descriptor[:, 3], b.descriptor[:, 3]) * BIT
     return np.asarray(np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most))
@@ -76,7 +78,7 @@ def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
 def lonely_branches(
     a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray
 ) -> IntArray:
-    """(k,) branches that only one of the two matched junctions has."""
+    """(k,) number of branches that only one of two matched junctions has."""
     agree = _pairs(a, b, va, vb, turn).paired.sum(axis=1)
     return np.asarray(a.count[va] + b.count[vb] - 2 * agree)
 
@@ -84,7 +86,8 @@ def lonely_branches(
 def common_branches(
     a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Branches that matched junctions have in common: rows of the match, branches of a and of b."""
+    """Branches that matched junctions have in common: row of the match, branch of a, branch of
+    b."""
     pairs = _pairs(a, b, va, vb, turn)
     row, branch = pairs.paired.nonzero()
     return row, branch, pairs.nearest[row, branch]

@@ -1,4 +1,5 @@
-"""Components of runs: pairs joined in order of their evidence, with a check of every cycle."""
+"""Components of runs: pairs joined in order of their evidence, with consistency checks of
+cycles."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ Pair = tuple[int, int]
 
 
 class Components:
-    """A partition of runs 0 … n - 1 with a pose of each in its component's frame.
+    """A partition of runs 0 … n - 1 with a pose of each run in its component's frame.
 
     Grows by `join`; runs named in `never` pairs are kept in different components.
     """
@@ -30,11 +31,11 @@ class Components:
         self.never = frozenset((min(p), max(p)) for p in never)
 
     def together(self, i: int, j: int) -> bool:
-        """Do runs i and j share a component?"""
+        """Whether runs i and j are in one component."""
         return self.head[i] == self.head[j]
 
     def size(self, head: int) -> int:
-        """How many runs a component has."""
+        """Number of runs of a component."""
         return len(self.members[head])
 
     def relative(self, i: int, j: int) -> FloatArray:
@@ -51,7 +52,7 @@ class Components:
         return None
 
     def join(self, i: int, j: int, T_i_j: FloatArray) -> None:
-        """Put the components of i and j into one frame."""
+        """Merge the components of i and j into one frame."""
         into, gone = self.head[i], self.head[j]
         if len(self.members[into]) < len(self.members[gone]):
             self.join(j, i, inverse(T_i_j))
@@ -66,8 +67,8 @@ class Components:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why a pair was not joined in spite of its evidence. advice: what would settle it, if that is
-    not a further recording."""
+    """Why a pair was not joined in spite of its evidence; advice: what would settle it, if that is
+    not another recording."""
 
     reason: str
     advice: str | None = None
@@ -80,14 +81,14 @@ ELSEWHERE = Refusal(
 
 
 def as_alignment(c: Candidate) -> Alignment:
-    """A candidate as two runs are joined by it."""
+    """The candidate as the alignment by which two runs are joined."""
     return Alignment(c.transform, c.bits, np.column_stack([c.a, c.b]), c.rmse_m)
 
 
 def agrees(found: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
-    """Whether an alignment places b where T_a_b does, up to the drift of chained transforms.
+    """Whether an alignment places b as T_a_b does, within the drift of chained transforms.
 
-    b: its junctions, x + iy [m].
+    b: (n,) junctions of b, x + iy [m].
     """
     middle = b[found.matched[:, 1]].mean()
     here, there = (_laid(T, middle) for T in (found.transform, T_a_b))
@@ -106,11 +107,10 @@ def join_all(
     refusal: Callable[[Components, Pair], Refusal | None] = lambda components, pair: None,
 ) -> dict[Pair, Refusal]:
     """Join pairs in order of strength. Returns the pairs that were refused, with the reason.
-    places: of every run its junctions (x + iy); refusal: what else speaks against joining the
-    components of a pair.
 
-    A pair that closes a cycle must place its runs as the stronger pairs around the cycle do: where
-    they contradict each other, the weakest link, which comes last, gives way.
+    places: of every run its junctions (x + iy); refusal: further objections to joining the
+    components of a pair. A pair that closes a cycle must place its runs as the stronger pairs
+    around the cycle do; in a contradiction the weakest link, which comes last, is refused.
     """
     refused: dict[Pair, Refusal] = {}
     for i, j in strongest_first:
@@ -135,8 +135,8 @@ def join_all(
 
 
 def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[Pair]:
-    """Pairs i < j of one component that have `fewest` junctions near each other as their
-    component places them. places: of every run its junctions (x + iy)."""
+    """Pairs i < j of one component with at least `MATCH.fewest` junctions within `MATCH.place_m` of
+    each other in the component's frame. places: of every run its junctions (x + iy)."""
     out: list[Pair] = []
     for members in components.members.values():
         if len(members) < 2:

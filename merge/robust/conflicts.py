@@ -1,5 +1,5 @@
-"""Evidence against a match: junctions of one run in corridors that the other drove without seeing
-them, and corridors that lead elsewhere, in bits."""
+"""Evidence [bits] against a match: junctions of one run inside corridors that the other drove
+without detecting them, and corridors that lead elsewhere."""
 
 from __future__ import annotations
 
@@ -18,15 +18,18 @@ from .prepare import Prepared
 from .settings import MATCH
 
 BESIDE_M = float(np.hypot(MATCH.clear_m / 2, MATCH.gate_m))
-"""What lies in a corridor lies so near to one of the points that stand for it."""
+"""Upper bound of the distance of a point in a corridor from the nearest sample point of it [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Conflicts:
-    """Contradictions. extra_b: vertices of b inside corridors of a (extra_b_in: directed rows),
-    unseen there; extra_a, extra_a_in: the reverse; extra_b_bits, extra_a_bits: the weight of each,
-    positive; elsewhere: (k, 2) directed corridors of a and b that leave matched
-    junctions by the same branch and lead to others; elsewhere_bits: the weight of one."""
+    """Contradictions.
+
+    extra_b: vertices of b inside corridors of a (extra_b_in: directed rows), undetected there;
+    extra_b_bits: the weight of each, positive; extra_a, extra_a_in, extra_a_bits: the reverse;
+    elsewhere: (k, 2) directed corridors of a and b that leave matched junctions by the same branch
+    and lead to different ones; elsewhere_bits: the weight of one.
+    """
 
     extra_b: IntArray
     extra_b_in: IntArray
@@ -39,7 +42,7 @@ class Conflicts:
 
     @property
     def bits(self) -> float:
-        """Their weight in all, positive."""
+        """Their total weight, positive."""
         unseen = float(self.extra_b_bits.sum()) + float(self.extra_a_bits.sum())
         return unseen + self.elsewhere_bits * len(self.elsewhere)
 
@@ -49,8 +52,11 @@ class Conflicts:
 
 @dataclass(frozen=True, slots=True)
 class Contradiction:
-    """One of them. of_a, of_b: the vertices of the two maps that it is about, one or the two ends
-    of a corridor; bits: its weight, positive."""
+    """A single contradiction.
+
+    of_a, of_b: the vertices of the two maps that it concerns, one or the two ends of a corridor;
+    bits: its weight, positive.
+    """
 
     kind: Literal["unseen", "elsewhere"]
     of_a: tuple[int, ...]
@@ -59,7 +65,7 @@ class Contradiction:
 
 
 def one_by_one(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
-    """All contradictions of a match, unseen junctions first."""
+    """All contradictions of a match, undetected junctions first."""
     extra_b = zip(
         found.extra_b.tolist(), found.extra_b_in.tolist(), found.extra_b_bits, strict=True
     )
@@ -87,8 +93,8 @@ NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, _NO_PAIRS, 0.
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Unseen:
-    """Vertices of one map in directed corridors (edges) of the other, as the atlases number them,
-    each with its lane and bits; lane by lane."""
+    """Vertices of one map in directed corridors (edges) of the other, numbered as in the atlases,
+    with their lanes and weights [bits]; sorted by lane."""
 
     lane: IntArray
     vertex: IntArray
@@ -97,15 +103,15 @@ class _Unseen:
 
     @property
     def weighty(self) -> _Unseen:
-        """Those that say anything."""
+        """Those with a weight above 0."""
         return take(self, self.bits.nonzero()[0])
 
 
 def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
     """The contradictions of the match in each lane of `asked`; none for the others.
 
-    O(points · log points). A corridor counts once: one that passes a junction unseen does not also
-    lead elsewhere.
+    O(points · log points). A corridor counts once: one that passes an undetected junction does not
+    also lead elsewhere.
     """
     lanes = grown.lanes
     near = (grown.support_m < MATCH.near_m) & asked[lanes.lane]
@@ -138,8 +144,8 @@ def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
 def _elsewhere(
     grown: Grown, asked: BoolArray, extra_b: _Unseen, extra_a: _Unseen
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Corridors that leave matched junctions by one branch and lead to others, and that no junction
-    in them explains: lane, directed rows of both maps."""
+    """Corridors that leave matched junctions by one branch and lead to different ones, not
+    explained by a junction inside them: lane, directed rows of both maps."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     some = asked[grown.lane].nonzero()[0]
     va, row, lane = grown.a[some], grown.row[some], grown.lane[some]
@@ -151,7 +157,7 @@ def _elsewhere(
     partner = np.full(len(lanes.lane), -1)
     partner[grown.row] = grown.a
     far_a, far_b = a.head[leave_a], b.head[leave_b]
-    # To the other fork of a crossing, or from it, leads by the crossing.
+    # Corridors to or from the other fork of a crossing belong to the crossing.
     found = partner[far_b + lanes.shift[lane]], partner[b.half[far_b] + lanes.shift[lane]]
     astray = (a.half[a.tail[leave_a]] != far_a) & (b.half[b.tail[leave_b]] != far_b)
     for there in found:
@@ -181,7 +187,7 @@ def _elsewhere(
 
 
 def _elsewhere_bits(grown: Grown) -> FloatArray:
-    """(l,) the weight of a corridor that leads elsewhere."""
+    """(l,) weight of a corridor that leads elsewhere."""
     fault = sum(
         MATCH.fault_floor + (atlas.miss_rate + atlas.phantom_rate)[of]
         for atlas, of in ((grown.lanes.a, grown.lanes.of_a), (grown.lanes.b, grown.lanes.of_b))
@@ -191,9 +197,10 @@ def _elsewhere_bits(grown: Grown) -> FloatArray:
 
 
 def _placed_road(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
-    """b's corridor points in a, between the predictions of their two ends, and how vague they are.
+    """Points of b's corridors in the frame of a, interpolated between the predictions of both ends,
+    and their uncertainty [m].
 
-    Rows name points of directed corridors of the first half, tail to head.
+    rows: points of directed corridors of the first half, tail to head.
     """
     b, shift = grown.lanes.b.whole, grown.lanes.shift[lane]
     tail, head, road = b.road_tail[rows], b.road_head[rows], b.road[rows]
@@ -207,9 +214,11 @@ def _placed_road(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexA
 def _weight(
     missing: tuple[Atlas, IntArray], edge: IntArray, extra: tuple[Atlas, IntArray], vertex: IntArray
 ) -> FloatArray:
-    """(k,) bits against: the one run drove the corridor and missed it each time, or the other one
-    invented it at each look; less for a junction that is in doubt. missing, extra: an atlas, and
-    the map of it in each case."""
+    """(k,) weight [bits] of a junction that only one run detected: the one run missed it on every
+    traversal, or the other one invented it on every pass; less for a junction of low confidence.
+
+    missing, extra: an atlas, and the map of it in each case.
+    """
     blind, seeing = missing[0], extra[0]
     miss, invent = blind.miss_rate[missing[1]], seeing.phantom_rate[extra[1]]
     driven, seen = blind.whole.traversals[edge], seeing.whole.observations[vertex]
@@ -223,7 +232,8 @@ def _weight(
 def _never_shown(
     blind: tuple[Atlas, IntArray], seeing: tuple[Atlas, IntArray], vertex: IntArray
 ) -> BoolArray:
-    """(k,) whether vertices of the one map are bends, and the detector of the other shows none."""
+    """(k,) whether vertices of one map are bends and the detector of the other does not report
+    bends."""
     bend = seeing[0].whole.count[vertex] == 2
     return np.asarray(bend & ~blind[0].shows_bends[blind[1]])
 

@@ -34,24 +34,21 @@ def decide(
 ) -> tuple[PairVerdict, ...]:
     """Verdicts on pairs of runs, sorted by (a, b); `maps` are sorted by run.
 
-    Of a small batch on every pair. Of a large one on those that were matched: the others have no
-    chance (`index`) and are unrelated, as far as no other runs join them.
+    All pairs of a small batch; of a large one those that were matched: the others were screened out
+    (`index`) and are unrelated unless other runs join them.
 
-    1. Every map is prepared, and matched with itself: how much does the building repeat itself?
-    2. Every pair with a chance is matched: candidate alignments with evidence against chance and
-       for sameness.
-    3. Each pair by itself is merged, ambiguous or unrelated; "merged" must lead every rival
-       placement and the mirror image.
-    4. Merged pairs are joined, strongest first, locks honoured, cycles and copies checked.
-    5. The merged maps of components are matched again: evidence adds up over their runs, and fewer
-       pairs are left that may be merged wrongly. They, too, must fit better than their mirror
-       images.
-    6. What the joined runs say of the pairs that stayed open is taken over; pairs that now lie over
-       each other are matched after all.
+    1. Every map is prepared, and matched with itself: how much does the building repeat itself? 2.
+    Every pair that passes screening is matched: candidate alignments with evidence against chance
+    and against being a copy. 3. Each pair by itself is merged, ambiguous or unrelated; "merged"
+    must lead every rival placement and the mirror image. 4. Merged pairs are joined, strongest
+    first, subject to locks and to the consistency of cycles and of copies. 5. The merged maps of
+    components are matched again: evidence adds up over their runs, and fewer pairs remain that
+    could be merged wrongly. They, too, must lead their mirror images. 6. Pairs that stayed open
+    take over the placement by the joined runs; pairs that now overlap are matched after all.
 
-    Locks of runs that are not among the maps are left alone. Discarded matches, by the names of
-    their runs in order, are as if they had not been found. Raises UsageError on locks that
-    contradict each other or name a vertex that does not exist.
+    Locks of runs that are not among the maps are ignored. Discarded matches, by the names of their
+    runs in order, are treated as not found. Raises UsageError on locks that contradict each other
+    or name a vertex that does not exist.
     """
     matcher = Pairwise(maps, settings, means)
     prepared, say = matcher.prepared, matcher.means.say
@@ -144,9 +141,9 @@ def _forced(
 def _strongest_first(
     batch: Batch, forced: Mapping[Pair, Candidate]
 ) -> tuple[dict[Pair, Alignment], list[Pair]]:
-    """The alignments to join by, and their order: a person's locks first, then by evidence.
+    """The alignments to join by, and their order: locks first, then by evidence.
 
-    A locked pair is joined as the lock says or, where nothing honours it, not at all.
+    A pair locked as the same is joined as the lock says or, if that is infeasible, not at all.
     """
     best = {pair: v.best for pair, v in batch.joins.items() if v.best is not None}
     bits = {pair: batch.joins[pair].evidence_bits for pair in best}
@@ -158,7 +155,7 @@ def _strongest_first(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Others:
-    """What locks, refusals and reunions say of some pairs."""
+    """Locks, refusals and component matches of some pairs."""
 
     forced: Mapping[Pair, Candidate]
     locked: Mapping[Pair, Lock]
@@ -166,7 +163,7 @@ class Others:
     reunions: Mapping[Pair, Reunion]
 
     def of(self, pair: Pair) -> bool:
-        """Whether there is anything."""
+        """Whether there is any of a pair."""
         return any(pair in of for of in (self.forced, self.locked, self.refused, self.reunions))
 
 

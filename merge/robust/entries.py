@@ -1,5 +1,4 @@
-"""The verdict on one pair of maps as the result states it, when all that concerns the pair is
-known."""
+"""The final verdict on one pair of maps, given all that concerns the pair."""
 
 from __future__ import annotations
 
@@ -22,7 +21,7 @@ from .wording import contradictions, nothing, summary
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Case:
-    """What is known of two maps: by themselves, by a person's locks, by the other runs."""
+    """All that is known of two maps: by themselves, by locks, by the other runs."""
 
     a: Prepared
     b: Prepared
@@ -35,8 +34,8 @@ class Case:
     together: bool = False
 
     def verdict(self) -> PairVerdict:
-        """The entry of the pair. A person's word comes first, then the safety of the component,
-        then the pair's own evidence, then what the other runs say."""
+        """The verdict on the pair. Locks come first, then the consistency of the component, then
+        the pair's own evidence, then that of other runs."""
         lock, says = self.lock, self._says()
         if lock is not None and lock.decision == "never":
             reason = f"locked apart by a person; the maps alone say: {says}"
@@ -53,7 +52,7 @@ class Case:
         return self._by_evidence()
 
     def _says(self) -> str:
-        """What the two maps say by themselves, as a clause."""
+        """The evidence of the two maps alone, as a clause."""
         view = self.view
         if view.discarded:
             return REASON
@@ -62,7 +61,7 @@ class Case:
         return summary(view.best, view.bits, view.need_bits, view.margin)
 
     def _dishonoured(self, lock: Lock) -> PairVerdict:
-        """Locked as the same, where no alignment can be found for that."""
+        """The verdict where a lock as the same is infeasible: no alignment satisfies it."""
         reason = "locked as the same, but no alignment of the two honours the lock"
         if self.together:
             reason = f"{reason}; other runs place them in one component"
@@ -74,7 +73,7 @@ class Case:
         return self._not_joined(verdict, f"{reason}; the maps alone say: {self._says()}")
 
     def _by_evidence(self) -> PairVerdict:
-        """Where nobody forbids anything."""
+        """The verdict where nothing forbids joining."""
         view = self.view
         if self.forced is not None:
             told = "locked as the same by a person; {}"
@@ -92,8 +91,8 @@ class Case:
         return self._not_joined(view.verdict, f"{says}; {view.why}" if view.why else says)
 
     def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
-        """Joined by an alignment of its own, which need not be its best. The alignment's summary
-        stands in the reason's braces."""
+        """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
+        replaces the braces in the reason."""
         view = self.view
         known = (bits for c, bits in view.ranked if c is chosen)
         bits = next(known, counted_bits(chosen))
@@ -111,7 +110,7 @@ class Case:
         *,
         by: AcceptedBy,
     ) -> PairVerdict:
-        """found: the alignment that joins the two, the next best one, the lead."""
+        """found: the alignment that joins the two, the next best one, the margin [bits]."""
         best, runner_up, margin = found
         reunion = self.reunion if by == "components" else None
         return PairVerdict(
@@ -163,7 +162,7 @@ class Case:
 
 
 def alignment_of(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
-    """A candidate as an alignment of so much evidence."""
+    """A candidate as an alignment with the given evidence."""
     order = np.argsort(c.a, kind="stable")
     against = contradictions(c, a, b)
     return Alignment(

@@ -1,7 +1,7 @@
 """Why the robust method decided on two runs as it did, from the documents of a workspace.
 
-The pair is assessed again by the functions that `decide` calls, with the settings and the number of
-pairs of the merge; what other runs and locks contribute is read from its document.
+The pair is assessed again by the functions that `decide` calls, with the settings and the pair
+count of the merge; the contributions of other runs and locks are read from its document.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .verdict import Answers, Assessment, PairCount, counted_bits, in_steps, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
-"""What is left of the digits of a document: verdicts that differ by less are the same one."""
+"""Verdicts that differ by less are the same up to the rounding of documents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Batch:
-    """A merge as its documents hold it.
+    """A merge as stated by its documents.
 
-    maps: of all its runs that can still be read, sorted by run; said: what it said of every pair,
-    empty if there was none: then these maps are taken to be merged; poses: (3,) of every run in its
-    component; settings: its own; locks: what people decided.
+    maps: of all its runs that can still be read, sorted by run; said: its verdict on every pair,
+    empty if there was no merge: these maps are then taken to be a batch; settings: of the merge;
+    locks: present ones; poses: (3,) of every run in its component; row: index of each map by run.
     """
 
     maps: Sequence[TopoMap]
@@ -58,7 +58,7 @@ class Batch:
 
     def count(self, joined: PairVerdict | None = None) -> PairCount:
         """The pairs that shared the false-merge rate, or those that still did when components
-        joined a pair; what earlier versions did not tell is taken to be beyond chance."""
+        joined a pair; pairs of earlier versions without that entry count as beyond chance."""
         pairs = pairs_of(len(self.poses)) or len(self.said) or pairs_of(len(self.maps))
         if joined is not None and joined.accepted_by == "components" and joined.threshold_bits:
             least = joined.threshold_bits - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
@@ -70,7 +70,7 @@ class Batch:
         return PairCount(pairs, sum(bits >= need for bits in told))
 
     def unlisted(self, a: str, b: str) -> bool:
-        """Is a pair one of those that a large merge only counted?"""
+        """Whether a pair is one of those that a large merge counted but did not list."""
         return (a, b) not in self.said and a in self.poses and b in self.poses
 
 
@@ -98,14 +98,14 @@ def explain(batch: Batch, a: str, b: str) -> Decision:
 def _notes(
     batch: Batch, told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
 ) -> tuple[str, ...]:
-    """What else is to be said of a pair of the last merge."""
+    """Notes on a pair of the last merge."""
     if REASON in told.reason:
         return (f"{REASON}: what is shown does not count (topobatch discard A:B --undo)",)
     return (*_lock_notes(batch, told), *_changed(told, alone, placements))
 
 
 def _unlisted(batch: Batch, alone: PairVerdict) -> PairVerdict:
-    """The verdict on a pair that the merge did not list: nothing of its own, and through which runs
+    """The verdict on a pair that the merge did not list: its own assessment, and through which runs
     others join the two, if they do."""
     pair = (alone.a, alone.b)
     known = [*batch.said.values(), replace(alone, accepted=False)]
@@ -135,7 +135,8 @@ Shown = tuple[Placement, Answers]
 
 
 def _shown(batch: Batch, own: AssessedPair, told: PairVerdict) -> tuple[list[Shown], Start | None]:
-    """The placement that the verdict speaks of and the next best one, or the best hypothesis."""
+    """The placement that the verdict refers to and the next best one; without any, the best
+    hypothesis."""
     if told.accepted_by == "components" and told.together is not None:
         return _of_components(batch, told, told.together), None
     chosen = _chosen(batch, own, told)
@@ -148,7 +149,7 @@ def _shown(batch: Batch, own: AssessedPair, told: PairVerdict) -> tuple[list[Sho
 
 
 def _chosen(batch: Batch, own: AssessedPair, told: PairVerdict) -> Candidate | None:
-    """The candidate that the verdict speaks of: the one that the document shows, else the best."""
+    """The candidate that the verdict refers to: the one in the document, else the best."""
     known = [*(c for c, _ in own.view.ranked), *own.candidates]
     for lock in batch.locks:
         if (lock.a, lock.b, lock.decision) == (told.a, told.b, "same"):
@@ -175,7 +176,7 @@ def _placement_of(own: AssessedPair, c: Candidate) -> Shown:
 
 
 def _of_seed(own: AssessedPair, settings: RobustSettings) -> tuple[list[Shown], Start | None]:
-    """The best hypothesis where none grew, if there was one."""
+    """The best hypothesis if none grew, and why."""
     best = best_seed(own.a, own.b, settings)
     if best is None:
         return [], None
@@ -188,7 +189,7 @@ def _of_seed(own: AssessedPair, settings: RobustSettings) -> tuple[list[Shown], 
 def _of_components(
     batch: Batch, told: PairVerdict, sides: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> list[Shown]:
-    """The placement of a pair that its components joined, by the evidence of these."""
+    """The placement of a pair that its components joined, with their evidence."""
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
     threshold = thresholds([prepare(m) for m in batch.maps], batch.settings)(
         (*x, *y), batch.count(told)
@@ -223,8 +224,8 @@ def _of_components(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Naming:
-    """Two matched maps, and the junctions of the runs asked about behind each of their vertices:
-    the vertices themselves if None. swapped: `one` holds run b and `two` run a."""
+    """Two matched maps, and for each of their vertices the junctions of the two runs in question
+    behind it, or the vertices themselves if None. swapped: `one` holds run b and `two` run a."""
 
     one: Prepared
     two: Prepared
@@ -321,7 +322,7 @@ def _against(naming: _Naming, c: Candidate) -> list[Term]:
 def _requirement(
     batch: Batch, told: PairVerdict, view: Assessment, answers: Answers | None
 ) -> Requirement:
-    """What merging needs; view: of the two maps alone."""
+    """The requirements for merging; view: of the two maps alone."""
     settings, pairs = batch.settings, batch.count(told).all
     asked = answers is not None and answers.same_place is not None
     return Requirement(
@@ -340,7 +341,7 @@ def _requirement(
 def _changed(
     told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
 ) -> tuple[str, ...]:
-    """A note where the maps no longer give what the document says."""
+    """A note if the maps no longer give what the document says."""
     now = alone.evidence_bits
     if told.accepted_by not in (None, "pair") and placements:
         now = sum(term.bits for term in placements[0].terms)
@@ -358,7 +359,7 @@ def _changed(
 
 
 def _lock_notes(batch: Batch, told: PairVerdict) -> tuple[str, ...]:
-    """A note where a lock was set or taken away since the merge, or could not be honoured."""
+    """A note if a lock was set or cleared since the merge, or is infeasible."""
     lock = lock_table(batch.locks).get((told.a, told.b))
     now = None if lock is None else lock.decision
     if now != told.locked:
@@ -370,7 +371,7 @@ def _lock_notes(batch: Batch, told: PairVerdict) -> tuple[str, ...]:
 
 
 def _set_aside(told: PairVerdict, alone: PairVerdict) -> bool:
-    """Would the pair be merged by itself, and was it kept out by other runs?"""
+    """Whether the pair would be merged by itself and was kept out by other runs."""
     return alone.accepted and not told.accepted
 
 

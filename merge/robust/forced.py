@@ -1,5 +1,4 @@
-"""Alignments for locks: the best placement that a "same" lock allows, however little evidence it
-has."""
+"""Constrained alignment: the best placement that a "same" lock allows, whatever its evidence."""
 
 from __future__ import annotations
 
@@ -19,10 +18,10 @@ def forced_alignment(
     lock: Lock,
     settings: RobustSettings,
 ) -> Candidate | None:
-    """The best alignment that honours a "same" lock; None if there is none at all.
+    """The best alignment that satisfies a "same" lock; None if there is none.
 
     Without a vertex pair: the best candidate. With one: the best candidate that matches the two
-    vertices, else the best of what grows from them in every rotation that lays a branch of one on
+    vertices, else the best match grown from them with any rotation that aligns a branch of one with
     a branch of the other. Raises IndexError if a vertex does not exist.
     """
     if lock.at is None:

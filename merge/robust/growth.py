@@ -1,4 +1,5 @@
-"""Growth of matches across drifting maps: predict, match the nearest, refit, repeat (§2.3, §5)."""
+"""Growth of matches between drifting maps: predict, match nearest neighbours, refit, repeat (§2.3,
+§5)."""
 
 from __future__ import annotations
 
@@ -17,13 +18,13 @@ from .settings import MATCH, RobustSettings
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grown:
-    """What became of a hypothesis in every lane: k matched pairs of vertices, lane by lane.
+    """The grown match of every lane: k matched pairs of vertices, sorted by lane.
 
     lane: (k,); a: (k,) vertices of the first maps, numbered as in the atlas; row: (k,) rows of
-    `lanes`, of the vertices of the second maps; branch: (k,) bits of the branches of each pair.
-    place: (t,) where each vertex of the second map lies in the first one's frame; turn: (t,) local
-    rotation b → a as unit numbers; support_m: (t,) distance to what it is predicted from
-    (`predict`).
+    `lanes`, of the vertices of the second maps; branch: (k,) evidence of the branches of each pair
+    [bits]. place: (t,) predicted position of each vertex of the second map in the frame of the
+    first one; turn: (t,) local rotation b → a as unit numbers; support_m: (t,) distance to the
+    nearest match that the prediction rests on (`predict`).
     """
 
     lanes: Lanes
@@ -44,11 +45,10 @@ class Grown:
 def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown:
     """Grow a seed in each lane until nothing changes. O(rounds · rows · log n_a).
 
-    Drift bends maps: every vertex of b is predicted by a rigid fit to the matches around it
-    (moving least squares), so that a match follows the bend from where it is sure. In the end
-    pairs whose branches contradict each other are dropped; what does not grow, or ends with less
-    than two pairs, is left with none. Strategy: all lanes take each step at once; those that are
-    done leave.
+    Drift bends maps: every vertex of b is predicted by a rigid fit to the matches around it (moving
+    least squares), so that a match follows the bend from where it is certain. Finally pairs whose
+    branches contradict each other are dropped. Lanes that do not grow, or end with fewer than two
+    pairs, have no match. Strategy: all lanes take each step at once; finished ones leave.
     """
     rows = len(lanes.lane)
     partner, support = np.full(rows, -1), np.full(rows, np.inf)
@@ -75,8 +75,8 @@ def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown
 
 
 def given_up(lanes: Lanes, seed: Seed, settings: RobustSettings) -> tuple[int, int]:
-    """Of a seed that does not grow, in the only lane: how many of the junctions of b that it lays
-    where a has been were found in its last round, and how many there are."""
+    """For a seed that does not grow, in the only lane: how many junctions of b inside the area of a
+    were matched in its last round, and how many there are."""
     partner, unit = _sown(lanes, [seed]), _units([seed])
     found = expected = np.zeros(1, np.int64)
     for _ in range(settings.growth_rounds):
@@ -88,14 +88,14 @@ def given_up(lanes: Lanes, seed: Seed, settings: RobustSettings) -> tuple[int, i
 
 
 def ungrown(lanes: Lanes, seeds: Sequence[Seed]) -> Grown:
-    """The seed of each lane as it is, as a match."""
+    """The seed of each lane as a match, without growth."""
     partner = _sown(lanes, seeds)
     predicted = predict(lanes, partner, _units(seeds))
     return _matched(lanes, partner, predicted)
 
 
 def _sown(lanes: Lanes, seeds: Sequence[Seed]) -> IntArray:
-    """(t,) the partner of each row in the seed of its lane, numbered as in the atlas, or -1."""
+    """(t,) partner of each row in the seed of its lane, numbered as in the atlas, or -1."""
     partner = np.full(len(lanes.lane), -1)
     starts, firsts = lanes.first.tolist(), lanes.a.vertex[lanes.of_a].tolist()
     for seed, start, first in zip(seeds, starts, firsts, strict=False):
@@ -108,11 +108,11 @@ def _units(seeds: Sequence[Seed]) -> ComplexArray:
 
 
 Predicted = tuple[ComplexArray, ComplexArray, FloatArray]
-"""Place, turn and distance to what it is predicted from, of every row."""
+"""Position, rotation and distance to the nearest support, of every row (`Grown`)."""
 
 
 def _matched(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
-    """Partners of rows as matches."""
+    """The partners (t,) of rows as matches."""
     row = (partner >= 0).nonzero()[0]
     a, b, turn = partner[row], lanes.vertex[row], predicted[1]
     bits = branch_bits(lanes.a.whole, lanes.b.whole, a, b, turn[row])
@@ -120,7 +120,8 @@ def _matched(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
 
 
 def _without_contradicted(lanes: Lanes, partner: IntArray, predicted: Predicted) -> Grown:
-    """The matches, without pairs whose branches contradict each other, and those of one pair."""
+    """The matches without pairs whose branches contradict each other, and without matches of one
+    pair."""
     if partner.max(initial=-1) < 0:
         none = np.zeros(0, np.int64)
         return Grown(lanes, none, none, none, np.zeros(0), *predicted)
@@ -134,14 +135,15 @@ def _without_contradicted(lanes: Lanes, partner: IntArray, predicted: Predicted)
 
 
 def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
-    """Where every vertex of b lies in a: (place, local turn, support), each (t,) like `partner`;
-    turn0: (l,) the rotation that each lane began with. The support is the distance to the nearest
-    match among its neighbours, or to the middle of all matches where no neighbour is matched.
+    """Predicted position of every vertex of b in the frame of a: (place, local turn, support), each
+    (t,) like `partner`; turn0: (l,) initial rotation of each lane. The support is the distance [m]
+    to the nearest match among the vertex's neighbours, or to the centroid of all matches if no
+    neighbour is matched.
 
-    Strategy: weighted complex Procrustes for all rows at once. What a match adds to the sums
-    is a row of eight numbers (1, position in a, position in b, their product); each vertex
-    takes the weighted sum of the rows of its precomputed neighbours. The fit to all matches enters
-    with a small weight, and alone where no neighbour is matched.
+    Strategy: weighted complex Procrustes for all rows at once. A match contributes a row of eight
+    numbers (1, position in a, position in b, their product) to the sums; each vertex takes the
+    weighted sum of the rows of its precomputed neighbours. The fit to all matches enters with a
+    small weight, and alone if no neighbour is matched.
     """
     a, b, lane = lanes.a.whole, lanes.b.whole, lanes.lane
     z = b.z.take(lanes.vertex)
@@ -178,9 +180,9 @@ def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
 def _fits(
     sums: ComplexArray, start: ComplexArray
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
-    """Of the (l, 4) sums over all matches of a lane: turn, shift, middle of the matches in b, and
-    what the fit counts beside the local ones: like a match at the distance that parts two
-    placements."""
+    """Rigid fits to all matches of each lane, from their sums (l, 4): rotation, shift, centroid of
+    the matches in b, and the weight of its rotation in local fits, that of a match at a distance of
+    `place_m`."""
     count = np.maximum(sums[:, 0].real, 1.0)
     lever = MATCH.place_m**2 * start
     turn, ma, mb = rigid_from_sums(count, sums[:, 1], sums[:, 2], sums[:, 3], lever)
@@ -188,9 +190,9 @@ def _fits(
 
 
 def _rematch(lanes: Lanes, predicted: Predicted) -> tuple[IntArray, IntArray, IntArray]:
-    """(t,) the vertex of a nearest to each prediction, within the gate; where several choose
-    the same one, it goes to the nearest. And for each lane how many were found, and how
-    many of b's junctions lie where a has been, near what was matched before."""
+    """(t,) the vertex of a nearest to each prediction within the gate, unique (the nearest one
+    wins), else -1; and for each lane the number of matches found, and of vertices of b predicted
+    near vertices of a and near previous matches."""
     place, turn, support = predicted
     partner = np.full(len(place), -1)
     active = (support < MATCH.near_m).nonzero()[0]
@@ -215,8 +217,8 @@ def _rematch(lanes: Lanes, predicted: Predicted) -> tuple[IntArray, IntArray, In
 
 
 def _believed(lanes: Lanes, partner: IntArray, turn: ComplexArray, far: IntArray) -> BoolArray:
-    """(f,) which rows, far from what was matched before, keep their partners: those whose branches
-    agree, and that have another such beside them."""
+    """(f,) which rows far from previous matches keep their partners: those with agreeing branches
+    and another such row nearby."""
     b, vertex = lanes.b.whole, lanes.vertex[far]
     agree = branch_bits(lanes.a.whole, b, partner[far], vertex, turn[far]) > 0
     kept = partner >= 0

@@ -1,7 +1,7 @@
-"""Crossings shown as two forks: at acute angles, or of corridors slightly offset from each other.
+"""Crossings that appear as two forks: at acute angles, or of slightly offset corridors.
 
-The skeleton of a scan or grid may fork twice where other looks, and detectors, show one crossing.
-So each of two forks close to each other in such a map can also be matched as that whole crossing.
+The skeleton of a scan or grid may fork twice where other passes, and detectors, show one crossing.
+So each of two close forks in such a map can also be matched as the whole crossing.
 """
 
 from __future__ import annotations
@@ -16,8 +16,9 @@ from .settings import MATCH
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Halves:
-    """half: (n,) the other fork of each vertex, itself where it has none. unit, rarity: (n, 4) of
-    the branches of both but the two between them, as in Prepared; 0 where there is no other."""
+    """half: (n,) the other fork of each vertex, itself if there is none. unit, rarity: (n, 4) of
+    the branches of both without the two between them, as in `Prepared`; 0 if there is no other
+    fork."""
 
     half: IntArray
     unit: ComplexArray
@@ -32,10 +33,10 @@ def halves(
     *,
     shows_bends: bool,
 ) -> Halves:
-    """The halves among the vertices of a map: forks nearest to each other along a corridor.
+    """Pairs of forks that are nearest to each other along a corridor.
 
-    z: (n,) positions; unit, rarity: (n, d) of the branches; ends: of the corridors, both ways;
-    shows_bends: the map's detector is no skeleton.
+    z: (n,) positions; unit, rarity: (n, d) of the branches; ends: tail and head of the directed
+    corridors; shows_bends: whether the map's detector is not a skeleton.
     """
     n, count = len(z), np.count_nonzero(unit, axis=1)
     half = np.arange(n)

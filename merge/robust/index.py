@@ -1,9 +1,9 @@
-"""An index of all maps' corridors, to tell which pairs of maps have any chance of being merged.
+"""An index of all maps' corridors, to screen which pairs of maps could be merged at all.
 
 Matching begins with links: corridors of two maps of equal length, curvature and branches at their
-ends. A right alignment has many that agree with each other. They can be looked up for one map in
-all others at once, a hundred times faster than the maps can be matched. What it misses of the pairs
-that would be merged is counted by `benchmarks/fleet.py --recall`.
+ends. A correct alignment has many consistent ones. The index finds them for one map in all others
+at once, a hundred times faster than matching the maps. Its recall on pairs that would be merged is
+measured by `benchmarks/fleet.py --recall`.
 """
 
 from __future__ import annotations
@@ -25,8 +25,7 @@ from .settings import MATCH
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Probes:
-    """What the index asks of a map of k directed corridors: fields as in `Prepared`, which serves
-    as well."""
+    """The columns of a map of k directed corridors that the index needs, as in `Prepared`."""
 
     extent: Extent
     tail: IntArray
@@ -43,16 +42,16 @@ class Probes:
 
     @classmethod
     def of(cls, a: Prepared) -> Probes:
-        """Those of a map that is prepared."""
+        """Those of a prepared map."""
         return cls(a.extent, *(getattr(a, name) for name in PROBES))
 
     def to_bytes(self) -> bytes:
-        """As they are kept."""
+        """Serialised."""
         return arrays_to_bytes([getattr(self, name) for name in PROBES])
 
     @classmethod
     def from_bytes(cls, data: bytes, extent: Extent) -> Probes | None:
-        """Those of a map so large; None where they cannot be."""
+        """Inverse of `to_bytes` for a map of this extent; None if the bytes cannot be of one."""
         arrays = arrays_from_bytes(data, "iiiifffffff")
         if arrays is None:
             return None
@@ -72,8 +71,8 @@ PROBES = tuple(name for name in Probes.__dataclass_fields__ if name != "extent")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """The corridors of some maps, each in one direction, end to end: fields as in `Probes`. owner:
-    which map; tail, head: vertices, numbered through all maps."""
+    """The corridors of some maps, one direction each, concatenated: columns as in `Probes`. owner:
+    map of each; tail, head: vertices, numbered through all maps."""
 
     owner: IntArray
     tail: IntArray
@@ -88,7 +87,7 @@ class Asked:
 
     @classmethod
     def of(cls, maps: Sequence[Probes]) -> Asked:
-        """Those of some maps."""
+        """The corridors of these maps."""
         half = [len(m.tail) // 2 for m in maps]
         first = np.cumsum([0, *(m.extent.junctions for m in maps)])
         owner = np.arange(len(maps)).repeat(half)
@@ -106,9 +105,9 @@ class Asked:
 class Corridors:
     """The directed corridors of some maps, sorted by pattern of branches, then length.
 
-    key: (k,) pattern and length as in `Prepared.probe_key`; the rest by row of the same order.
-    owner: which map; tail, head: vertices, numbered through all maps. length_step, worst: the
-    largest variance of corridors up to this long.
+    key: (k,) pattern and length as in `Prepared.probe_key`; the others in the same order. owner:
+    map of each; tail, head: vertices, numbered through all maps. length_step, worst: the largest
+    variance of corridors up to each length.
     """
 
     maps: int
@@ -159,7 +158,7 @@ class Corridors:
         )
 
     def worst_variance(self, length: FloatArray) -> FloatArray:
-        """The largest variance of corridors that could be as long as these."""
+        """Upper bound of the variance [m²] of corridors that could be as long as these."""
         if not len(self.worst):
             return np.zeros(len(length))
         at = np.searchsorted(self.length_step, 2 * length, side="right") - 1
@@ -168,9 +167,9 @@ class Corridors:
     def chances(
         self, maps: Sequence[Probes], least: float, after: IntArray | None = None
     ) -> FloatArray:
-        """(given maps, maps here) bits of the links of two maps that hang together best, less those
-        of having so many to choose from; -inf where all links together have less than the least
-        that counts, and of maps here that do not come after the number given for the other."""
+        """(given maps, maps here) evidence [bits] of the best connected set of links of two maps,
+        minus log2 of the number of links; -inf if all links together have less than `least`, and
+        for maps here that do not come after the index given for the other (`after`)."""
         a = Asked.of(maps)
         best = np.full(len(maps) * self.maps, -np.inf)
         row, other = self._links(a, np.full(len(maps), -1) if after is None else after)
@@ -194,7 +193,7 @@ class Corridors:
         return np.asarray(best - choice).reshape(len(maps), self.maps)
 
     def _links(self, a: Asked, after: IntArray) -> tuple[IntArray, IntArray]:
-        """Corridors that are asked for, and rows here that could be the same one."""
+        """Rows of `a` and rows here that are compatible."""
         reach = MATCH.length_sigmas * np.sqrt(a.variance + self.worst_variance(a.length))
         key = a.pattern * LENGTH_SCALE + a.length
         row, other = windows(self.key.searchsorted(key - reach), self.key.searchsorted(key + reach))
@@ -208,8 +207,8 @@ class Corridors:
     def _hanging_together(
         self, a: Asked, row: IntArray, other: IntArray, theta: FloatArray
     ) -> IntArray:
-        """(k,) component of every link: links meet where they share both vertices and the rotation
-        (as in `links.seeds`)."""
+        """(k,) connected component of every link: links are adjacent if they share both vertices
+        and the rotation (as in `links.seeds`)."""
         k = len(row)
         pair = np.concatenate(
             [

@@ -1,9 +1,9 @@
 """Verdicts on two maps by themselves, kept from merge to merge as entries of the document.
 
 Such a verdict follows from the two maps and their threshold (`Threshold`), which one more run
-leaves as it is for most pairs. It is kept as its entry in the merged document with all digits: read
-again it is the same to the last bit, and the entry need not be made again. What is read is checked
-against the two maps.
+leaves unchanged for most pairs. It is kept as its entry in the merged document with all digits:
+read again it is the same to the last bit, and the entry need not be made again. What is read is
+validated against the two maps.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ NONE: Mapping[Pair, int] = MappingProxyType({})
 
 NUMBERS = 3 + 2 * 5
 HEAD = struct.Struct(f"<{NUMBERS}d2I")
-"""In full before the entry: evidence, threshold and margin [bits] of a verdict; x, y, theta,
-evidence and error of its alignment and of the next best one; how many junctions each of these two
-matches. 0 for what there is not. These junctions follow, then the entry without them: numbers take
-two thirds of the time that it takes to check an entry."""
+"""Binary header before the entry: evidence, threshold and margin [bits] of a verdict; x, y, theta,
+evidence and error of its alignment and of the runner-up, 0 if there is none; numbers of matched
+junctions of both. The matched junctions follow, then the entry without them: validating numbers as
+JSON would take two thirds of the time."""
 
 NO_MATCHED = b'"matched":[]'
-"""Stands in the entry for them, and in no string, where quotes are escaped."""
+"""Placeholder for them in the entry; cannot occur inside a string, where quotes are escaped."""
 
 
 def to_bytes(verdict: PairVerdict) -> bytes:
-    """A verdict of two maps alone."""
+    """Serialised verdict on two maps alone."""
     both = [_numbers(verdict.best), _numbers(verdict.runner_up)]
     own = [verdict.evidence_bits, verdict.threshold_bits or 0.0, verdict.margin_bits or 0.0]
     numbers = np.concatenate([own, *both])
@@ -69,7 +69,7 @@ def _numbers(alignment: Alignment | None) -> FloatArray:
 
 
 def entry_text(data: bytes) -> Json:
-    """The entry of a verdict that was read."""
+    """The document entry of a serialised verdict."""
     known, start = _known(data)
     parts = data[start:].split(NO_MATCHED)
     out = parts[:1]
@@ -79,7 +79,7 @@ def entry_text(data: bytes) -> Json:
 
 
 def _known(data: bytes) -> tuple[tuple[Any, ...], int]:
-    """What stands before the entry of a verdict, and where that begins."""
+    """The header of a serialised verdict, and the offset of its entry."""
     known = HEAD.unpack_from(data)
     return known, HEAD.size + 8 * sum(known[NUMBERS:])
 
@@ -91,7 +91,7 @@ def _matched(data: bytes, best: int, second: int) -> tuple[MatchedRows, MatchedR
 
 
 def held_text(verdict: PairVerdict) -> Json | None:
-    """The same of a verdict that was made of its bytes, if its alignment holds them."""
+    """`entry_text` of a verdict that was deserialised, if its alignment holds the bytes."""
     return entry_text(verdict.best.data) if isinstance(verdict.best, _Late) else None
 
 
@@ -104,7 +104,7 @@ class _Sides(TypedDict):
 
 
 class _Aligned(TypedDict):
-    """What an entry says of an alignment, but for the numbers that stand before it in full."""
+    """An entry's alignment, without the numbers in the header."""
 
     matched: tuple[()]
     corridors: Index
@@ -113,7 +113,7 @@ class _Aligned(TypedDict):
 
 
 class _Unrelated(TypedDict):
-    """The entry of a pair that has nothing to say; see `MergeEntry`, which takes thrice as long."""
+    """The entry of an unrelated pair. A subset of `MergeEntry`, validated three times as fast."""
 
     a: str
     b: str
@@ -123,7 +123,7 @@ class _Unrelated(TypedDict):
 
 
 class _Placed(_Aligned):
-    """The entry of a pair that is one place or may be."""
+    """The entry of a merged or ambiguous pair."""
 
     a: str
     b: str
@@ -146,7 +146,7 @@ _PLACED: TypeAdapter[_Placed] = TypeAdapter(_Placed)
 
 
 def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
-    """The verdict on two maps; None where it cannot be theirs."""
+    """The verdict on two maps; None if the bytes cannot be theirs."""
     try:
         known, start = _known(data)
         entry = _ENTRY.validate_json(data[start:])
@@ -187,8 +187,8 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
 
 
 class _Late(Alignment):
-    """An alignment of a verdict that was kept, made of its bytes when somebody asks for anything of
-    it: of most pairs that are not merged nobody does, and the bytes take less memory."""
+    """An alignment of a kept verdict, deserialised on first access: for most pairs that are not
+    merged nothing ever asks for it, and the bytes take less memory."""
 
     __slots__ = ("_which", "data")
 
@@ -196,14 +196,14 @@ class _Late(Alignment):
 
     @classmethod
     def of(cls, data: bytes, which: Literal["best", "runner_up"]) -> _Late:
-        """data: of the verdict, found to be one."""
+        """data: of the serialised verdict, already validated."""
         out = object.__new__(cls)
         object.__setattr__(out, "data", data)
         object.__setattr__(out, "_which", which)
         return out
 
     def __getattr__(self, name: str) -> Any:
-        """Called for what is not set yet."""
+        """Called for attributes that are not set yet."""
         known, start = _known(self.data)
         entry = _PLACED.validate_json(self.data[start:])
         first, second = _matched(self.data, *known[NUMBERS:])
@@ -216,8 +216,8 @@ class _Late(Alignment):
 
 
 def _fits(part: _Aligned, sizes: tuple[int, int]) -> bool:
-    """Whether an alignment says of each contradiction where it lies, if of any, and of vertices
-    that maps of such sizes have."""
+    """Whether the positions of contradictions, if given, are as many as these and within maps of
+    such sizes."""
     where = part.get("contradicting")
     if not where:
         return True
@@ -240,8 +240,11 @@ def _extra(entry: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(slots=True, eq=False)
 class KeptVerdicts:
-    """Verdicts that earlier merges left. maps: of a batch, with their digests; threshold: what two
-    of them must reach; keys: where what was found or left is kept."""
+    """Verdicts kept by earlier merges.
+
+    maps: of a batch, with their digests; threshold: of each pair; keys: filled with the key of
+    every verdict found or kept.
+    """
 
     store: Store
     maps: Sequence[TopoMap]
@@ -257,7 +260,8 @@ class KeptVerdicts:
     def find(
         self, pairs: Iterable[Pair], which: Mapping[Pair, int] = NONE
     ) -> dict[Pair, PairVerdict]:
-        """What is known of some pairs. which: the candidates by which others second them."""
+        """The kept verdicts on some pairs. which: the candidates by which other runs corroborate
+        them."""
         out = {}
         for pair in pairs:
             own, threshold = self._of(pair, which.get(pair)), self.threshold(pair)
@@ -274,8 +278,8 @@ class KeptVerdicts:
     def keep(
         self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int] = NONE
     ) -> dict[Pair, PairVerdict]:
-        """Leave verdicts to later merges. What these will find is the same and takes less memory:
-        whoever goes on to hold the verdicts holds that."""
+        """Keep verdicts for later merges. Returns them as these will read them, which takes less
+        memory."""
         out, again = PackWriter(self.store.era), {}
         for pair, verdict in verdicts.items():
             asked = self._threshold(self.threshold(pair), copies="same_place_bits" in verdict.extra)
@@ -291,13 +295,12 @@ class KeptVerdicts:
         return again
 
     def _of(self, pair: Pair, second: int | None) -> bytes:
-        """Changes with the maps, with their names, which stand in the words, and with the
-        candidate."""
+        """Digest of the maps, of their names, which appear in the text, and of the candidate."""
         (i, j), own, names = pair, self.digests, self._names
         return digested(own[i], own[j], names[i], names[j], str(second).encode())
 
     def _threshold(self, threshold: Threshold, *, copies: bool) -> bytes:
-        """Changes with what is asked; copies: of verdicts to which it matters how copies differ."""
+        """Digest of the threshold; copies: whether the verdict depends on the copy model."""
         key = threshold.copied, copies
         if key not in self._thresholds:
             self._thresholds[key] = threshold_digest(threshold, copies=copies)
@@ -306,6 +309,6 @@ class KeptVerdicts:
 
 @lru_cache(maxsize=256)
 def threshold_digest(threshold: Threshold, *, copies: bool) -> bytes:
-    """Of all that is asked; copies: also of how copies differ, where that matters."""
+    """Digest of a threshold; copies: including its copy model."""
     more = (threshold.need_copy_bits, astuple(threshold.copies)) if copies else ()
     return digested(repr((threshold.need_bits, threshold.copied, more)).encode())

@@ -1,4 +1,4 @@
-"""Candidate links: pairs of corridors, one of each map, that could be the same one (§2.1, §2.2)."""
+"""Candidate links: pairs of corridors, one of each map, that could be the same (§2.1, §2.2)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ KEY_STEP = 4 * np.pi
 @dataclass(frozen=True, slots=True, eq=False)
 class Links:
     """k candidate links: directed corridors a_row ~ b_row; theta: (k,) rotation from b to a [rad];
-    bits: (k,) evidence of each alone."""
+    bits: (k,) evidence of each by itself."""
 
     a_row: IntArray
     b_row: IntArray
@@ -36,8 +36,11 @@ class Links:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seed:
-    """A hypothesis before growth: (k,) vertices of a and of b, rotation, position shift, bits;
-    rival: grown to see what else fits, and not to be merged."""
+    """A hypothesis before growth.
+
+    a, b: (k,) matched vertices; theta: rotation [rad]; shift: translation [m] of b's frame, x + iy;
+    bits: evidence; rival: whether it is grown only as an alternative, not to be merged.
+    """
 
     a: IntArray
     b: IntArray
@@ -61,12 +64,11 @@ def windows(low: IntArray, high: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def candidate_links(a: Prepared, b: Prepared) -> Links:
-    """Corridors of two maps that are as long and as bent as each other and have the same pattern of
-    branches at both ends.
+    """Corridors of two maps with compatible lengths and sagittas and the same pattern of branches
+    at both ends.
 
-    Strategy: b's corridors are sorted by (pattern, length); two bisections for each corridor of a
-    find the window of compatible ones. Each corridor of a is looked up in one direction, b's in
-    both.
+    Strategy: b's corridors are sorted by (pattern, length); two bisections per corridor of a find
+    the window of compatible ones. Each corridor of a is looked up in one direction, b's in both.
     """
     half = len(a.tail) // 2
     tolerance = MATCH.length_sigmas * np.sqrt(a.variance[:half] + b.worst_variance)
@@ -102,12 +104,12 @@ def seeds(
     rival_bits: float = np.inf,
     first: Sequence[Seed] = (),
 ) -> list[Seed]:
-    """The best `most` connected components of the association graph, as seeds of growth; and of
-    those with more than `rival_bits` as many, as rivals, as are grown at once. first: what the best
-    `most` came to, if that is known.
+    """The best `most` connected components of the association graph, as seeds of growth; and, as
+    rivals, other components with more than `rival_bits`, as many as are grown at once.
 
-    Its nodes are (vertex a, vertex b, rotation), its edges the links (§2.3). Inside a component
-    the transforms of its links vote, so that one false link does not spoil a correct match.
+    first: the seeds of the best `most`, if they are known. Nodes of the graph are (vertex a, vertex
+    b, rotation), edges the links (§2.3). Inside a component the transforms of its links vote, so
+    that one false link does not spoil a correct match.
     """
     if len(links) == 0:
         return []
@@ -131,10 +133,12 @@ def seeds(
 
 
 def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
-    """(k,) component of every link. Links meet where they share both vertices and the rotation.
+    """(k,) component of every link; links are adjacent if they share both vertices and the
+    rotation.
 
-    Strategy: equal (vertex a, vertex b, rotation) get one node number by sorting; then labels sink
-    to the least one within reach, by scatter-minimum and pointer jumping, until nothing moves.
+    Strategy: equal (vertex a, vertex b, rotation) get one node number by sorting; then labels are
+    propagated to the smallest one in reach, by scatter-minimum and pointer jumping, until nothing
+    changes.
     """
     k = len(links)
     pair = np.concatenate(
@@ -165,15 +169,16 @@ def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
 
 
 def _slack(apart_m: FloatArray) -> FloatArray:
-    """How far apart [m] two links of one alignment may place b, seen from each other: what growth
-    allows, and twice as much per metre, for either may be turned."""
+    """Tolerance [m] between placements of b by two links of one alignment that are `apart_m` apart:
+    that of growth, and twice its drift per metre, because both may be rotated."""
     return MATCH.gate_m + 2 * MATCH.drift_per_m * apart_m
 
 
 def _agreeing(
     links: Links, mid_a: ComplexArray, mid_b: ComplexArray, rows: IntArray
 ) -> tuple[IntArray, float]:
-    """Of a component's links those that share the transform with the most bits; its rotation."""
+    """The links of a component that agree on the transform with the most bits, and their mean
+    rotation [rad]."""
     if len(rows) == 1:
         return rows, float(links.theta[rows[0]])
     most = isqrt(MATCH.most_pairs)  # each votes on each
@@ -200,8 +205,8 @@ def _seed(
     turn: float,
     others: BoolArray,
 ) -> Seed:
-    """The seed of some agreeing links, joined by those of the `others` that lie nearly alike:
-    drift may have torn one match into several components (§5)."""
+    """The seed of some agreeing links, extended by those of the `others` that place b nearly alike:
+    drift may have split one match into several components (§5)."""
     unit = cmath.exp(1j * turn)
     middle_a = sum(mid_a[rows].tolist()) / len(rows)
     middle_b = sum(mid_b[rows].tolist()) / len(rows)
@@ -214,7 +219,7 @@ def _seed(
     row_a, row_b = links.a_row[rows], links.b_row[rows]
     va = np.concatenate([a.tail[row_a], a.head[row_a]]).tolist()
     vb = np.concatenate([b.tail[row_b], b.head[row_b]]).tolist()
-    # Of vertices claimed twice the one keeps its partner that came first: the component's own.
+    # A vertex with two partners keeps the first: that of the component itself.
     partner = dict(zip(reversed(va), reversed(vb), strict=True))
     claimed = {partner[u]: u for u in sorted(partner)}
     pb = sorted(claimed)
@@ -222,6 +227,6 @@ def _seed(
 
 
 def _differ(x: Seed, y: Seed) -> bool:
-    """Do two seeds place b differently (seen from where the first one matches)?"""
+    """Whether two seeds place b differently."""
     turned = abs(float(wrap(x.theta - y.theta)))
     return turned > MATCH.turn_rad or abs(x.shift - y.shift) > MATCH.place_m

@@ -1,4 +1,4 @@
-"""The merged maps of components, prepared to be matched; each is fused and matched once."""
+"""The merged maps of components, prepared for matching; each is fused and matched once."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Runs = tuple[int, ...]
 
 
 class MergedMap:
-    """The merged map of some runs, made when it is asked for. inside: what joins them."""
+    """The merged map of some runs, made on first access. inside: the verdicts that join them."""
 
     def __init__(
         self,
@@ -41,12 +41,12 @@ class MergedMap:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its runs by name."""
+        """The names of its runs."""
         return tuple(m.run for m in self.maps.values())
 
     @cached_property
     def digest(self) -> bytes:
-        """Of all that it follows from; empty where nothing is kept."""
+        """Digest of all that it follows from; empty if nothing is kept."""
         own, kept = list(self.maps.values()), self._kept
         if kept is None:
             return b""
@@ -58,7 +58,7 @@ class MergedMap:
 
     @cached_property
     def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
-        """The vertices of its runs behind each vertex."""
+        """For each vertex, the vertices of the runs behind it."""
         if len(self.runs) > 1:
             return self._fused.members
         (alone,) = self.maps.values()
@@ -66,24 +66,23 @@ class MergedMap:
 
     @cached_property
     def as_map(self) -> TopoMap:
-        """The map of one run that saw everything."""
+        """As the map of one run that saw everything."""
         own = list(self.maps.values())
         return own[0] if len(own) == 1 else _as_map(self._fused, own)
 
     @cached_property
     def extent(self) -> Extent:
-        """How large it is."""
+        """Its size."""
         return Extent.of(self._fused if len(self.runs) > 1 else self.as_map)
 
     @cached_property
     def prepared(self) -> Prepared:
-        """The same, ready to be matched."""
+        """Prepared for matching."""
         return self._prepared() if self._prepared else prepare(self.as_map)
 
 
 class MergedMaps:
-    """The merged maps of groups of runs, and what matching them finds. kept: what is known of
-    that from earlier merges."""
+    """The merged maps of groups of runs, and their matches. kept: results of earlier merges."""
 
     def __init__(
         self,
@@ -120,7 +119,7 @@ class MergedMaps:
     def matched(
         self, one: MergedMap, two: MergedMap, settings: RobustSettings
     ) -> tuple[Candidate, ...]:
-        """The candidates of two of them; none where none is beyond chance."""
+        """The candidates of two of them that are beyond chance."""
         if (one, two) not in self._matched:
             self._matched[one, two] = self._candidates(one, two, settings)
         return self._matched[one, two]
@@ -139,7 +138,8 @@ class MergedMaps:
         return found
 
     def image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
-        """The evidence of the best alignment of the first with the mirror image of the second."""
+        """Evidence of the best alignment of the first with the mirror image of the second
+        [bits]."""
         if (one, two) not in self._images:
             self._images[one, two] = self._image_bits(one, two, settings)
         return self._images[one, two]
@@ -167,7 +167,7 @@ def _key(one: MergedMap, two: MergedMap) -> Key:
 
 
 def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
-    """The accepted pairs of some sorted runs, in order; by whichever is less to look through."""
+    """The accepted pairs of some sorted runs, in order, by the shorter of two searches."""
     if len(runs) ** 2 < len(accepted):
         return (pair for pair in combinations(runs, 2) if pair in accepted)
     those = set(runs)
@@ -175,7 +175,7 @@ def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
 
 
 def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
-    """A fused map as the map of one run that saw everything; its noise that of the worst run."""
+    """A fused map as the map of one run that saw everything, with the noise of the worst run."""
     observations = np.array([len(seen) for seen in fused.observations])
     times = np.arange(int(observations.sum()), dtype=np.int64)
     fields = RunNoise.__dataclass_fields__

@@ -1,9 +1,9 @@
-"""Mirror images: a wing built the other way round has equal lengths, but is another place.
+"""Mirror images: a mirrored copy of a wing has equal lengths, but is another place.
 
-Along a straight line a map and its mirror image agree corridor by corridor; chance does not explain
-that, and nothing contradicts. It shows in that the mirror image fits as well. So the mirror image
-counts as another placement, which the right one must lead. Of 144 pairs of equal rows and tunnels,
-in which one map was mirrored, two were merged without this.
+Along a straight line a map and its mirror image agree corridor by corridor, which chance does not
+explain and nothing contradicts. But then the map itself and its mirror image fit equally well. So
+the mirror image counts as another placement, which a correct one must lead. Of 144 pairs of equal
+rows and tunnels, one map of each mirrored, two were merged without this.
 """
 
 from __future__ import annotations
@@ -53,10 +53,10 @@ def doubt_mirrored(
     assessments: Mapping[Pair, Assessment],
     image_bits: Callable[[list[Pair]], Mapping[Pair, float]],
 ) -> dict[Pair, Assessment]:
-    """The assessments, with "merged" made "ambiguous" where the mirror image of the second map fits
-    the first nearly as well as the map itself does, or better.
+    """The assessments, with "merged" changed to "ambiguous" where the mirror image of the second
+    map fits the first nearly as well as the map itself, or better.
 
-    image_bits: the evidence of the best alignment with the mirror image, of some pairs.
+    image_bits: gives the evidence of the best alignment with the mirror image, for some pairs.
     """
     merged = [pair for pair, view in assessments.items() if view.verdict is Verdict.MERGED]
     out = dict(assessments)
@@ -68,8 +68,8 @@ def doubt_mirrored(
 
 
 def fits_as_well(image_bits: float, best: Candidate) -> bool:
-    """Does the mirror image of a map fit another one nearly as well as the map itself does?
+    """Whether the mirror image of a map fits another one nearly as well as the map itself.
 
-    image_bits: the evidence of the image's best alignment; best: the alignment of the map itself.
+    image_bits: evidence of the image's best alignment; best: the alignment of the map itself.
     """
     return image_bits > best.bits - MATCH.lead_bits

@@ -13,7 +13,7 @@ from .settings import MATCH
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NearestNeighbours:
-    """Points z (n,) x + iy to be found again; the rest is `z` as the two ways of search need it."""
+    """A search structure for points z (n,), x + iy: a matrix for exhaustive search and a tree."""
 
     z: ComplexArray
     centre: complex
@@ -23,7 +23,7 @@ class NearestNeighbours:
 
     @classmethod
     def of(cls, z: ComplexArray) -> NearestNeighbours:
-        """Make points ready to be asked. O(n log n)."""
+        """Build the structure. O(n log n)."""
         centre = complex(z.mean()) if len(z) else 0j
         points = _points(z - centre)
         half = (points * points).sum(axis=1) / 2
@@ -34,10 +34,10 @@ class NearestNeighbours:
         return len(self.z)
 
     def nearest(self, where: ComplexArray, within_m: float) -> tuple[FloatArray, IntArray]:
-        """(k,) distances of `where` (k,) to the nearest points, and their numbers.
+        """(k,) each: distances of `where` (k,) to the nearest points, and their indices.
 
-        Of points that have none within the given distance they only say that it is farther: the
-        number may be out of range.
+        For queries without a point within `within_m` the distance is only known to be larger, and
+        the index may be out of range.
         """
         if self.tree is None:
             return np.full(len(where), np.inf), np.zeros(len(where), np.int64)

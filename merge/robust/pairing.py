@@ -1,4 +1,4 @@
-"""The pairwise stage: what earlier merges found is looked up, the rest is matched, here or by
+"""The pairwise stage: results of earlier merges are looked up, other pairs are matched, here or by
 workers (`tasks`)."""
 
 from __future__ import annotations
@@ -32,16 +32,19 @@ from .verdict import Faint
 Pair = tuple[int, int]
 Remembered = TypeVar("Remembered", Probes, CopyModel)
 Samples = Sequence[tuple[int, Candidate]]
-"""Maps of a batch that look like other parts of themselves, by their numbers."""
+"""Matches of maps of a batch with other parts of themselves: index of the map, candidate."""
 T = TypeVar("T")
 Read = Callable[[Pack, int, IntArray], T | None]
-"""Reads a record of a pack: its row, and the pair that it is of."""
+"""Reads a record of a pack: its row, and the pair that it belongs to."""
 
 
 @dataclass(frozen=True, slots=True)
 class Told:
-    """What matching two maps comes to. faint: the best alignment where none is beyond chance, None
-    where there is none; against_chance: as `Found` has it; full: whether any is beyond chance."""
+    """The result of matching two maps, in short.
+
+    faint: the best alignment if none is beyond chance; against_chance: see `Found`; full: whether
+    any is beyond chance.
+    """
 
     faint: Faint | None = None
     against_chance: float = 0.0
@@ -50,10 +53,12 @@ class Told:
 
 @dataclass(frozen=True, slots=True)
 class Means:
-    """How the pairs of a batch are matched, which changes no result. workers: who does it, this
-    process if None; maps: where they find the maps, None to send them along; store: what is known
-    already; on_pair(done, total): told of progress; tell: told what happens, a line at a time;
-    verdict_keys: where the store keeps verdicts of the batch."""
+    """How the pairs of a batch are matched, without influence on the results.
+
+    workers: executors, this process if None; maps: where they find the maps, None to send them
+    along; store: known results; on_pair(done, total): progress; tell: called with one line of text
+    per event; verdict_keys: filled with the store's keys of verdicts of the batch.
+    """
 
     workers: Workers | None = None
     maps: Maps | None = None
@@ -65,12 +70,12 @@ class Means:
 
     @property
     def kept(self) -> Kept | None:
-        """What is known already, one by one."""
+        """The store's records, one by one."""
         return None if self.store is None else Kept(self.store, self.digest)
 
     def kept_entry(self, verdict: PairVerdict) -> Json | None:
-        """The entry of a verdict in the merged document, where it is kept: that of a new one is
-        read anew, for all of them together are as large as the document."""
+        """The entry of a verdict in the merged document, if it is kept. Entries of new verdicts are
+        read back, because holding all of them would take as much memory as the document."""
         key = self.verdict_keys.get(verdict)
         if key is None or self.store is None:
             return None
@@ -80,14 +85,13 @@ class Means:
         return None if data is None else entry_text(data)
 
     def say(self, text: str) -> None:
-        """Tell what happens, if anybody listens."""
+        """Report an event, if `tell` is given."""
         if self.tell is not None:
             self.tell(text)
 
 
 class Lazily(Sequence[T]):
-    """Something of each of some maps, made when it is asked for: of many that are known already
-    most never are."""
+    """A sequence with items made on first access: most are never needed if results are known."""
 
     def __init__(self, count: int, made: Callable[[int], T]) -> None:
         self._count = count
@@ -112,7 +116,7 @@ class Lazily(Sequence[T]):
 
 
 class Pairwise:
-    """The maps of a batch, sorted by run, ready to be matched with each other."""
+    """The maps of a batch, sorted by run, for matching with each other."""
 
     def __init__(
         self, maps: Sequence[TopoMap], settings: RobustSettings, means: Means | None = None
@@ -151,7 +155,7 @@ class Pairwise:
         read: Callable[[bytes], Remembered | None],
         make: Callable[[], Remembered],
     ) -> Remembered:
-        """What is kept under twice a digest; made, and kept, where none can be read."""
+        """The object kept under twice a digest; made, and kept, if none can be read."""
         kept, key = self.means.kept, (digest, digest)
         data = None if kept is None else kept.find(kind, key)
         found = None if data is None else read(data)
@@ -162,15 +166,15 @@ class Pairwise:
         return found
 
     def pairs(self, wanted: IntArray) -> list[Told]:
-        """What matching each of (k, 2) pairs comes to, in short."""
+        """The result of matching each of (k, 2) pairs, in short."""
         return self._all(Kind.PAIR, wanted, _told, said=True)
 
     def candidates(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
-        """What it found, in full; nothing where that is all that chance would not offer."""
+        """The candidates of each of (k, 2) pairs; none where none is beyond chance."""
         return self._all(Kind.PAIR, wanted, self._candidates)
 
     def beside_rivals(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
-        """The same with all other hypotheses beyond chance."""
+        """The same including all other hypotheses beyond chance."""
         return self._all(Kind.RIVALS, wanted, self._candidates, said=True)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
@@ -179,7 +183,7 @@ class Pairwise:
         return self._all(Kind.ITSELF, rows, self._candidates, said=True)
 
     def copies(self, samples: Samples) -> CopyModel:
-        """How copies differ by what some maps show of themselves."""
+        """The copy model estimated from maps that match other parts of themselves."""
         return self._remembered(
             Kind.COPIES,
             digested(*(self.digests[k] for k in sorted({k for k, _ in samples}))),
@@ -188,7 +192,7 @@ class Pairwise:
         )
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
-        """The evidence of the best alignment with the mirror image of each pair's second map."""
+        """Evidence of the best alignment with the mirror image of each pair's second map [bits]."""
         told = self._all(Kind.IMAGE, wanted, _told, said=True)
         self._images.clear()  # .1 MB a map, and hardly asked for again
         pairs = ((i, j) for i, j in wanted.tolist())
@@ -196,8 +200,8 @@ class Pairwise:
         return dict(zip(pairs, bits, strict=True))
 
     def _all(self, kind: Kind, wanted: IntArray, read: Read[T], *, said: bool = False) -> list[T]:
-        """What is read of a record for each pair, in their order; read: None if it cannot be of
-        them. What is not known is matched."""
+        """The record of each pair, in their order, decoded by `read`, which returns None if it
+        cannot be of the pair. Unknown pairs are matched."""
         out: list[T | None] = [None] * len(wanted)
         done = 0
 
@@ -223,7 +227,8 @@ class Pairwise:
         return [_made(found) for found in out]
 
     def _known(self, kind: Kind, wanted: IntArray) -> Iterator[tuple[Pack, list[int], list[int]]]:
-        """Records for some of the pairs: of each pack its rows, and the places of the pairs."""
+        """Known records for some of the pairs: each pack with its rows, and the positions of the
+        pairs."""
         key = self._number[wanted[:, 0]] * len(self._row) + self._number[wanted[:, 1]]
         store = self.means.store
         for pack in self._packs if store is None else store.packs(self.digests):
@@ -234,8 +239,8 @@ class Pairwise:
                 yield pack, rows[at[places]].tolist(), places.tolist()
 
     def _keys(self, kind: Kind, pack: Pack) -> tuple[IntArray, IntArray]:
-        """The records of a pack that are of a kind and of maps of the batch: their pairs as
-        numbers, ascending, and their rows."""
+        """The records of a pack of one kind and of maps of the batch: their pairs as numbers,
+        ascending, and their rows."""
         known = self._sorted.setdefault(pack, {})
         if kind not in known:
             number = {digest: k for k, digest in enumerate(self._row)}
@@ -248,7 +253,7 @@ class Pairwise:
         return known[kind]
 
     def _candidates(self, pack: Pack, row: int, pair: IntArray) -> tuple[Candidate, ...] | None:
-        """What a record says in full; None if it cannot be of this pair."""
+        """The candidates of a record; None if it cannot be of this pair."""
         if not pack.rows["size"][row]:
             return ()
         payload = pack.payload(row)
@@ -259,7 +264,7 @@ class Pairwise:
     def _matched(
         self, kind: Kind, wanted: IntArray, missing: IntArray
     ) -> Iterator[tuple[IntArray, Pack]]:
-        """Results that are not known: the places of pairs, and a pack with a record for each."""
+        """New results: the positions of pairs, and a pack with a record for each."""
         tasks = list(self._tasks(kind, wanted, missing))
         for k, pack in self._done([task for _, task in tasks]):
             if self.means.store is not None:
@@ -294,7 +299,7 @@ class Pairwise:
     def _tasks(
         self, kind: Kind, wanted: IntArray, missing: IntArray
     ) -> Iterator[tuple[IntArray, MatchTask]]:
-        """The missing pairs tile by tile, with their places."""
+        """The missing pairs tile by tile, with their positions."""
         order = missing[tile_order(wanted[missing])]
         size = min(TASKS.tile**2, max(-(-len(order) // TASKS.tile), 1))
         for start in range(0, len(order), size):
@@ -316,7 +321,7 @@ class Pairwise:
 
 
 def _told(pack: Pack, row: int, _: IntArray) -> Told:
-    """What a record says in short."""
+    """A record in short."""
     record = pack.rows[row]
     bits, against_chance = float(record["bits"]), float(record["beyond"])
     junctions, size = int(record["junctions"]), int(record["size"])

@@ -1,4 +1,4 @@
-"""Per-map preparation: everything of a map that matching needs and that no other map changes."""
+"""Per-map preparation: all that matching needs of a map and that does not depend on other maps."""
 
 from __future__ import annotations
 
@@ -22,24 +22,25 @@ from .nearest_neighbours import NearestNeighbours
 from .settings import MATCH
 
 LEAST_M = 10.0**-METRES
-"""No length is known better: documents tell no more."""
+"""Lower bound of 1 sigma of a length: the precision of documents."""
 
 SECTOR_RAD = np.pi / 2
-"""Branches are sorted into four sectors around the one by which a corridor leaves."""
+"""Branches are classified into four sectors relative to the one by which a corridor leaves."""
 
 LENGTH_SCALE = 2.0**10
-"""Separates the pattern from the length in a sort key; above any corridor's length [m]."""
+"""Factor of the pattern in sort keys of pattern and length; larger than any corridor's length
+[m]."""
 
 
 class Extent(NamedTuple):
-    """How many junctions a map has, and directed corridors (both directions of each)."""
+    """Size of a map: junctions, and directed corridors (both directions of each)."""
 
     junctions: int
     corridors: int
 
     @classmethod
     def of(cls, topomap: TopoMap | FusedMap) -> Extent:
-        """That of a map when it is prepared."""
+        """The extent of a map once it is prepared."""
         return cls(
             len(topomap), 2 * len(_corridors(topomap, topomap.xy[:, 0] + 1j * topomap.xy[:, 1]))
         )
@@ -129,18 +130,18 @@ class Prepared:
 
     @property
     def extent(self) -> Extent:
-        """How large it is."""
+        """Its size."""
         return Extent(len(self), len(self.tail))
 
 
 def _corridors(m: TopoMap | FusedMap, z: ComplexArray) -> IntArray:
-    """Rows of the corridors that matching observations at: no loops, and none without a length."""
+    """Rows of the corridors that matching uses: no loops, and none without a length."""
     long = np.abs(z[m.source] - z[m.target]) > LEAST_M
     return np.flatnonzero((m.source != m.target) & long)
 
 
 def prepare(topomap: TopoMap) -> Prepared:
-    """Make a map ready for matching; pure and picklable. O(n log n).
+    """Prepare a map for matching; pure and picklable. O(n log n).
 
     Positions are the map's own embedding (§3); directed corridors and the patterns of branches at
     their ends are what §2 compares, indexed here so that compatible ones are found by bisection.
@@ -240,15 +241,16 @@ def _by_branch(shape: tuple[int, ...], tail: IntArray, leave: IntArray) -> IntAr
 
 
 def _fault_rate(noise: RunNoise, observations: IntArray) -> FloatArray:
-    """Doors that stood otherwise all the run, and what single looks get wrong."""
+    """(n,) rate of branches missing or invented: persistent changes (doors), and errors of single
+    passes."""
     return np.asarray(MATCH.fault_floor + noise.branch_fault_rate / np.minimum(observations, 3))
 
 
 def _length_variance(
     noise: RunNoise, length: FloatArray, traversals: IntArray, looks_u: IntArray, looks_v: IntArray
 ) -> FloatArray:
-    """Variance [m²] of a corridor's chord: centres at both ends, odometry along it, its scale; no
-    less than documents tell."""
+    """(k,) variance [m²] of corridors' chords: centres at both ends, odometry along them and its
+    scale, at least the precision of documents. looks_u, looks_v: (k,) passes by both ends."""
     centres = noise.centre_m**2 * (1 / np.minimum(looks_u, 4) + 1 / np.minimum(looks_v, 4))
     along = noise.along_m_per_sqrt_m**2 * length / np.minimum(traversals, 4)
     return np.asarray(LEAST_M**2 + centres + along + (noise.scale * length) ** 2)
@@ -257,9 +259,10 @@ def _length_variance(
 def _corridor_shapes(
     m: TopoMap, rows: IntArray, z: ComplexArray
 ) -> tuple[FloatArray, ComplexArray, ComplexArray, IntArray]:
-    """Sag of every directed corridor, and points along the corridors away from their ends.
+    """Sagitta [m] of every directed corridor; and points along the corridors away from their ends,
+    x + iy, their tangents as unit numbers, and their corridors.
 
-    All polylines are laid end to end and resampled by one interpolation over the arc length.
+    All polylines are concatenated and resampled by one interpolation over the arc length.
     """
     if len(rows) == 0:
         none = np.zeros(0, np.complex128)
@@ -273,7 +276,7 @@ def _corridor_shapes(
     step[first] = 0.0
     arc = np.cumsum(step)
     start, end = arc[first], arc[first + size - 1]
-    # A strictly rising abscissa for np.interp: the jump between two polylines costs nothing.
+    # A strictly increasing abscissa for np.interp: consecutive polylines are 1e-6 apart.
     at = arc + np.repeat(np.arange(len(rows)), size) * 1e-6
     shift = np.arange(len(rows)) * 1e-6
 
@@ -296,7 +299,8 @@ def _corridor_shapes(
 def _offsets(
     heading: FloatArray, count: IntArray, tail: IntArray, leave: IntArray, angle: FloatArray
 ) -> FloatArray:
-    """(k, d) angle from the branch by which each corridor leaves to the other branches there."""
+    """(k, d) angle [rad] from the branch by which each corridor leaves to the other branches
+    there."""
     used = np.where(leave == NO_BRANCH, angle, heading[tail, np.maximum(leave, 0)])
     offset = np.asarray(wrap(heading[tail] - used[:, None]))
     column = np.arange(heading.shape[1])
@@ -305,10 +309,11 @@ def _offsets(
 
 
 def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
-    """Occupied sectors: (k,) the mask itself; (k, v) variants for branches near a border, -1 pads.
+    """Occupied sectors: (k,) the mask itself; (k, v) variants for branches near a border, padded by
+    -1.
 
     Strategy: every branch has a first sector and, near a border, a second; the variants are the
-    choices of all subsets of the two branches nearest to a border.
+    choices for all subsets of the two branches nearest to a border.
     """
     there = np.isfinite(offset)
     offset = np.where(there, offset, 0.0)
@@ -334,7 +339,7 @@ def _masks(offset: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def _sector(angle: FloatArray) -> IntArray:
-    """The sector that each angle [rad] lies in."""
+    """The sector of each angle [rad]."""
     return np.asarray(np.round(angle / SECTOR_RAD).astype(np.int64) % 4)
 
 
@@ -357,10 +362,11 @@ def _probes(
 
 
 def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
-    """How much the branches of each junction tell, by how common they are in this map.
+    """Self-information [bits] of the branches of each junction (n,), and -ln density of the angles
+    between them (n, d), both estimated from this map.
 
-    Strategy: every branch in turn is the reference; the mask of sectors of the others has a
-    frequency, and so has, within a sector, the angle (24 smoothed bins, folded into a sector).
+    Strategy: every branch in turn is the reference; the mask of the sectors of the others has a
+    frequency, and so has the angle within a sector (24 smoothed bins, folded into a sector).
     """
     n, d = heading.shape
     there = np.isfinite(heading)
@@ -385,13 +391,13 @@ def _pattern_bits(heading: FloatArray, count: IntArray) -> tuple[FloatArray, Flo
 
 
 def length_bits(difference: FloatArray, variance: FloatArray) -> FloatArray:
-    """log2 density [1/m] of a length difference between two looks at one corridor."""
+    """log2 density [1/m] of the difference [m] of two measurements of one corridor."""
     return length_log_density(difference, variance) / BIT
 
 
 def _neighbours(points: NearestNeighbours) -> tuple[IntArray, FloatArray]:
-    """As many of each junction as `MATCH.neighbours`; where there are fewer, it stands for itself
-    at no distance that counts."""
+    """(n, q) nearest junctions of each junction, itself first, and their distances [m]; padded by
+    itself at infinite distance."""
     neighbour = np.arange(len(points)).repeat(MATCH.neighbours).reshape(-1, MATCH.neighbours)
     near_m = np.full(neighbour.shape, np.inf)
     if points.tree is not None:
@@ -403,7 +409,7 @@ def _neighbours(points: NearestNeighbours) -> tuple[IntArray, FloatArray]:
 
 
 def _near_rarity(near_m: FloatArray) -> FloatArray:
-    """Bits that a neighbour at each distance tells; 0 where there is none."""
+    """(n, q) self-information [bits] of neighbours at these distances; 0 where there is none."""
     out = np.zeros(near_m.shape)
     there = np.isfinite(near_m)
     out[there] = rarity(near_m[there]) / BIT

@@ -1,7 +1,7 @@
-"""What matching two maps found, as bytes and back.
+"""Serialisation of the result of matching two maps.
 
-Numbers that are read again are the same to the last bit. What is read is checked against the two
-maps, so that no bytes can give a candidate that points outside of them.
+Numbers are restored to the last bit. What is read is validated against the two maps, so that no
+bytes can give a candidate with indices out of range.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .support import Support
 from .verdict import Faint, beyond_chance_bits, faint_of
 
 SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere", "rival"))
-"""Numbers of a candidate that are no arrays: its transform, log2 of the hypotheses, bits, error,
-bits of its support and of a corridor that leads elsewhere, whether it is a rival."""
+"""Scalars of a candidate: its transform, log2 of the hypotheses, bits, error, bits of its support
+and of a corridor that leads elsewhere, whether it is a rival."""
 
 SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere"))
 """Arrays of different lengths."""
@@ -29,27 +29,28 @@ SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """Candidate alignments of two maps, best first; if none of them is better than chance, only a
-    summary of the best."""
+    """Candidate alignments of two maps, best first; if none is better than chance, a summary of the
+    best."""
 
     candidates: tuple[Candidate, ...] = ()
     faint: Faint | None = None
 
     def against_chance(self, settings: RobustSettings) -> float:
-        """The most evidence against chance of any alignment that may be merged."""
+        """Largest evidence against chance of any alignment with enough junctions to be merged
+        [bits]."""
         if self.faint is not None:
             return self.faint.against_chance
         return beyond_chance_bits(self.candidates, settings)
 
 
 def in_short(candidates: tuple[Candidate, ...], settings: RobustSettings) -> Found:
-    """What is kept of the candidates of a pair: those beyond chance, or next to nothing."""
+    """What is kept of the candidates of a pair: those beyond chance, or a summary."""
     odd = tuple(c for c in candidates if c.bits > MATCH.lead_bits)
     return Found(odd) if odd else Found(faint=faint_of(candidates, settings))
 
 
 def to_bytes(candidates: tuple[Candidate, ...]) -> bytes:
-    """Candidates of a pair."""
+    """Serialised candidates of a pair."""
     return b"".join(_candidate_bytes(c) for c in candidates)
 
 
@@ -76,7 +77,7 @@ def _candidate_bytes(c: Candidate) -> bytes:
 
 
 def from_bytes(data: bytes, a: Extent, b: Extent) -> tuple[Candidate, ...] | None:
-    """The candidates of two maps; None where they cannot be theirs."""
+    """The candidates of two maps; None if the bytes cannot be theirs."""
     out, at = [], 0
     while at < len(data):
         found = _candidate(data, at, a, b)
@@ -88,7 +89,7 @@ def from_bytes(data: bytes, a: Extent, b: Extent) -> tuple[Candidate, ...] | Non
 
 
 def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, int] | None:
-    """The candidate that begins at a byte, and where it ends."""
+    """The candidate that begins at a byte, and the byte after it; None if it is invalid."""
     if len(data) - at < 4 * SIZES:
         return None
     k, c, m, eb, ea, el = np.frombuffer(data, "<u4", SIZES, at).tolist()

@@ -1,10 +1,9 @@
-"""The merged maps of components matched again: the evidence of many runs, every junction counted
-once.
+"""Matching the merged maps of components: the evidence of many runs, every junction counted once.
 
 Two components with an undecided pair of runs across them are joined if their merged maps say so.
 The threshold is that of the pairs of runs not joined yet: as long as nothing was merged wrongly, a
 wrong merge can only be one of these (Holm's procedure: Scandinavian Journal of Statistics 6, 1979;
-with pairs that others imply left out, Shaffer: JASA 81, 1986).
+without implied pairs, Shaffer: JASA 81, 1986).
 """
 
 from __future__ import annotations
@@ -34,9 +33,11 @@ Pair = tuple[int, int]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reunion:
-    """A pair of runs joined by what their components say together. need_bits: what they had to
-    reach; margin: the lead of this placement over the next best one of the two components, None if
-    there was none; sides: the runs of the two components."""
+    """A pair of runs joined by a match of their components.
+
+    need_bits: the threshold; margin: the lead over the next best placement of the two components
+    [bits], None if there is none; sides: the runs of the two components.
+    """
 
     alignment: Alignment
     reason: str
@@ -46,12 +47,12 @@ class Reunion:
 
 
 Sides = tuple[Runs, Runs]
-"""Two components, each by its runs, in order."""
+"""Two components, each by its sorted runs."""
 
 Asked = tuple[MergedMap, MergedMap]
 
 NOT_JOINED = b"not joined"
-"""What is kept of two components that say too little together."""
+"""Record of two components with too little evidence to be joined."""
 
 Said = tuple[MergedMap, MergedMap, Assessment]
 
@@ -60,10 +61,10 @@ Said = tuple[MergedMap, MergedMap, Assessment]
 class Rematcher:
     """Matches the fused maps of components with open pairs between them, until nothing joins.
 
-    Changes `components`. The strongest reunion of each round is carried out, then its component
-    is fused anew, so that every decision uses all that is known. threshold: what some runs must
-    reach in a batch of so many pairs. What two merged maps say where so much is asked of them is
-    worked out once, in whichever round: None where it is too little.
+    Changes `components`. The strongest match of each round is carried out and its component fused
+    again, so that every decision uses all that is known. threshold: for some runs in a batch of so
+    many pairs. The result for two merged maps and a threshold is computed once for all rounds; None
+    stands for too little evidence.
     """
 
     maps: Sequence[TopoMap]
@@ -83,7 +84,8 @@ class Rematcher:
         self._merged = MergedMaps(self.maps, self.prepared, self.kept)
 
     def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
-        """The pairs that components say belong together; `joined` are those that already do."""
+        """The pairs joined by their components; joined: the alignments of the pairs joined
+        before."""
         accepted = dict(joined)
         reunions: dict[Pair, Reunion] = {}
         open_ = self._open()
@@ -102,7 +104,7 @@ class Rematcher:
                 reunions[pair] = Reunion(alignment, reason, view.need_bits, view.margin, sides)
             (i, j), first = next(iter(links.items()))
             self.components.join(i, j, first.transform)
-            # What others say of each other stays as it was.
+            # Results between other components stay valid.
             gone = {one.runs, two.runs}
             whole = tuple(sorted((*one.runs, *two.runs)))
             others = near[whole] = (near.pop(one.runs) | near.pop(two.runs)) - gone
@@ -131,15 +133,15 @@ class Rematcher:
         }
 
     def _said(self, asked: Mapping[Sides, Asked]) -> list[Said]:
-        """Which of them are joined by what they say together.
+        """Which of them are joined by their evidence.
 
-        The first question is shared by the pairs that are left, after Holm. So could the second be:
-        as long as nothing was merged wrongly, a wrong merge can only be a pair across components,
-        however the answers hang together. But then those count, too, that only merged maps show to
-        be beyond chance, or as few as none would be left. Tried: of 338 pairs of three batches of
-        72 runs in tunnels 5 more are told, none wrongly; but all components with open pairs would
-        be fused anew by every merge, which `_known_not_to_join` saves, and what was counted would
-        have to be kept in the document for `explain`.
+        The threshold against chance is shared by the remaining pairs, after Holm. The threshold
+        against copies could be as well: as long as nothing was merged wrongly, a wrong merge can
+        only be a pair across components. But then pairs that only merged maps show to be beyond
+        chance would have to be counted, too. Tried: of 338 pairs of three batches of 72 runs in
+        tunnels 5 more are merged, none wrongly; but every merge would have to fuse all components
+        with open pairs again, which `_known_not_to_join` saves, and the count would have to be kept
+        in the document for `explain`.
         """
         members = self.components.members.values()
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
@@ -166,13 +168,13 @@ class Rematcher:
         return [(one, two, view) for one, two, view in told if view is not None]
 
     def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:
-        """Whether an earlier merge, or round, found so: most components never are."""
+        """Whether an earlier merge, or round, found too little evidence, as for most components."""
         found = self.kept and self.kept.find(Kind.VERDICT, _key(one, two, threshold))
         return found == NOT_JOINED
 
     def _apart(self, x: Runs, y: Runs) -> bool:
-        """Whether a person said that two components are not to be joined, or took that back: it
-        would be found again."""
+        """Whether a lock forbids joining two components, or a match between them was discarded,
+        which would be found again."""
         if self.components.forbidden(x[0], y[0]) is not None:
             return True
         return any((min(i, j), max(i, j)) in self.discarded for i in x for j in y)
@@ -185,7 +187,7 @@ class Rematcher:
 
 
 def _key(one: MergedMap, two: MergedMap, threshold: Threshold) -> Key:
-    """Of what the merged maps of two components say, where so much is asked of them."""
+    """Key of the result for two components' merged maps and a threshold."""
     return digested(one.digest, two.digest), threshold_digest(threshold, copies=True)
 
 
@@ -201,7 +203,7 @@ def view_of_components(
     threshold: Threshold,
     settings: RobustSettings,
 ) -> tuple[MergedMap, MergedMap, Assessment]:
-    """What the merged maps of two components say of each other. sides: the runs of each, sorted;
+    """The assessment of the merged maps of two components. sides: the runs of each, sorted;
     accepted: the alignments by which each was joined."""
     merged = MergedMaps(maps)
     one, two = (merged.of(runs, accepted) for runs in sides)
@@ -210,10 +212,10 @@ def view_of_components(
 
 
 def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Alignment]:
-    """What a match of two fused maps says of pairs of their runs, the strongest pair first.
+    """The alignments of pairs of runs that a match of two fused maps implies, the strongest first.
 
-    A pair is linked by the matched places that both its runs saw; of pairs with fewer than three
-    only the best one counts, and only if no pair has more.
+    A pair is linked by the matched places that both its runs saw; pairs with fewer than three are
+    left out, unless there are no others: then the best one with at least two counts.
     """
     assert view.best is not None
     shared: dict[Pair, list[tuple[int, int]]] = defaultdict(list)

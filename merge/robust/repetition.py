@@ -1,8 +1,7 @@
-"""The second question: is this the place, or another copy of the same design?
+"""The test for copies: is this the place, or another copy of the same design?
 
-Where a building repeats itself, the wrong wing is much better than chance, too. What distinguishes
-the place from a copy is that two looks at one place differ by measurement noise alone, and two
-copies by more.
+Where a building repeats itself, a match with the wrong wing is much better than chance, too. But
+two measurements of one place differ by noise alone, while two copies differ by more.
 """
 
 from __future__ import annotations
@@ -28,46 +27,46 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CopySettings:
-    """What is assumed of copies, beside `copy_variation` and `copy_change_rate`."""
+    """Assumptions on copies, beside `copy_variation` and `copy_change_rate`."""
 
     exact_prior: tuple[float, ...] = (0.15, 0.25, 0.26, 0.22, 0.119, 0.001)
-    """Odds, from none to all in equal steps, of how many of the corridors of two copies are built
-    exactly alike, as long as no map has shown how exactly it repeats itself: two fifths on average.
-    Cautious: with it offices keep their promise (`benchmarks/calibration.py`)."""
+    """Prior odds, from none to all in equal steps, of the share of corridors that two copies have
+    built exactly alike, before any map has shown how exactly it repeats itself: two fifths on
+    average. Conservative: with it offices keep the promised rate (`benchmarks/calibration.py`)."""
     most_changed: float = 0.5
-    """No copies are taken to differ in more of their junctions, whatever the maps' matches with
-    themselves show: many of these are chance, not copies (`benchmarks/calibration.py`). Nor is a
-    detector taken to err more often: it would tell nothing of changes."""
+    """Upper bound of the share of junctions that differ between copies, whatever the maps' matches
+    with themselves show: many of these are chance, not copies (`benchmarks/calibration.py`). Also
+    of the detectors' fault rate, beyond which changes would carry no information."""
 
 
 COPIES = CopySettings()
 
 ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
-"""The bound is never negative; of what a typical copy reaches it is 0 but for rounding."""
+"""The bound is never negative; for a typical copy it is 0 up to this rounding error."""
 
 WORST_NATS = LIKELIHOOD.most
-"""No single corridor decides: it may have been measured past a junction."""
+"""Bound on the evidence of a single corridor: it may have been measured past a junction."""
 
 TOGETHER = 2**6
-"""Alignments taken at once: what is worked out of them fits the processor's cache."""
+"""Alignments per batch, to fit the processor's cache."""
 
 TILTS = np.concatenate([np.linspace(0.0, 1.0, 6), [1.25, 1.6, 2.0, 2.5, 3.2, 4.0]])
-"""Exponents tried in bounding how often a copy looks the same."""
+"""Exponents tried in the Chernoff bound."""
 
 NODES, NODE_WEIGHTS = np.polynomial.hermite_e.hermegauss(17)
 NODES, NODE_WEIGHTS = NODES[8:], NODE_WEIGHTS[8:] * [1, *[2] * 8]
 NODE_WEIGHTS = NODE_WEIGHTS / NODE_WEIGHTS.sum()
-"""Of quadrature over differences whose sign tells nothing: each node stands for two."""
+"""Gauss-Hermite quadrature of even functions: each node stands for two."""
 
 SHARES = np.linspace(0.0, 1.0, len(COPIES.exact_prior))
-"""Shares of corridors built exactly alike that `exact_prior` speaks of."""
+"""Shares of corridors built exactly alike that `exact_prior` refers to."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sameness:
-    """bits: -log2 of how often, at most, a copy looks so much the same; negative where a typical
-    copy looks more so. compared: junctions compared, changed: how many of them
-    differ."""
+    """bits: -log2 of an upper bound of the probability that a copy looks this much the same,
+    negative where a typical copy looks more so; compared: junctions compared; changed: how many of
+    them differ."""
 
     bits: float
     compared: int
@@ -76,21 +75,23 @@ class Sameness:
 
 @dataclass(frozen=True, slots=True)
 class CopyModel:
-    """How copies of one design differ. variation: relative 1 sigma of lengths not built exactly
-    alike; exact_odds: odds of each of the `SHARES`, adding up to 1; change_rate: share
-    of junctions that differ."""
+    """How copies of one design differ.
+
+    variation: relative 1 sigma of lengths not built exactly alike; exact_odds: probability of each
+    of the `SHARES`; change_rate: share of junctions that differ.
+    """
 
     variation: float
     exact_odds: tuple[float, ...]
     change_rate: float
 
     def to_bytes(self) -> bytes:
-        """As it is kept."""
+        """Serialised."""
         return arrays_to_bytes([np.array([self.variation, self.change_rate, *self.exact_odds])])
 
     @classmethod
     def from_bytes(cls, data: bytes) -> CopyModel | None:
-        """The same; None where it is none."""
+        """Inverse of `to_bytes`; None if the bytes are invalid."""
         (numbers,) = arrays_from_bytes(data, "f") or [np.zeros(0)]
         if len(numbers) != 2 + len(SHARES) or not ((numbers >= 0) & (numbers <= 1)).all():
             return None
@@ -99,20 +100,21 @@ class CopyModel:
 
 
 def default_copies(settings: RobustSettings) -> CopyModel:
-    """What is assumed of copies before any was seen."""
+    """The prior copy model."""
     return CopyModel(settings.copy_variation, COPIES.exact_prior, settings.copy_change_rate)
 
 
 def sameness_of(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
 ) -> Iterator[Sameness]:
-    """How surely alignments are the place itself, by what copies differ in: shape and changes.
+    """Evidence that alignments are the place itself and not a copy, from lengths and changes.
 
-    Shape: the lengths of common corridors. Changes: junctions that differ in their branches, or
-    that only one map has, come at the runs' fault rates in one place, more often between copies.
-    The statistic is the log odds T of the two, a sum over corridors and junctions; what is promised
-    is how often a copy reaches it, bounded after Chernoff by min over x of E[exp(x (T' - T))] with
-    T' the statistic of a copy (at x = 1 this is the odds themselves: the bound is never worse).
+    Lengths: differences of common corridors. Changes: junctions that differ in their branches, or
+    that only one map has, occur at the runs' fault rates in one place, more often between copies.
+    The statistic T is the log likelihood ratio of the two, a sum over corridors and junctions. The
+    result is a Chernoff bound of the probability that a copy reaches it: the minimum over x of
+    E[exp(x (T' - T))] with T' the statistic of a copy (x = 1 gives the likelihood ratio itself, so
+    that the bound is never worse).
     """
     for start in range(0, len(cases), TOGETHER):
         yield from _sameness_of(cases[start : start + TOGETHER], copies)
@@ -140,7 +142,7 @@ def _sameness_of(
     tilted = tilts * nats - spread - _sums(shape.tilted(share), ends)  # (share, tilt, case)
     weight = np.log(copies.exact_odds)[:, None]
     bound = -np.logaddexp.reduce(weight - tilted.max(axis=1), axis=0)
-    # Below what is typical of copies: how far below, to rank by.
+    # Below the value of a typical copy the statistic itself is used, for ranking.
     bits = np.where(bound <= ROUNDING_NATS, np.minimum(nats, 0.0), bound) / BIT
     return map(Sameness, bits.tolist(), compared.tolist(), changed.tolist())
 
@@ -148,8 +150,8 @@ def _sameness_of(
 def _differing(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], ends: IntArray
 ) -> tuple[IntArray, FloatArray]:
-    """Of each alignment how many matched junctions differ in their branches, and the sum of the
-    rates at which they would by fault or doubt."""
+    """For each alignment the number of matched junctions that differ in their branches, and the
+    number expected from the detectors' faults and confidences."""
     number: dict[int, int] = {}
     rows = np.array([[number.setdefault(id(m), len(number)) for m in (a, b)] for a, b, _ in cases])
     maps = {id(m): m for a, b, _ in cases for m in (a, b)}
@@ -165,18 +167,18 @@ def _differing(
 
 
 def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
-    """How many sigmas the one map is larger than the other, corridor for corridor.
+    """By how many standard deviations one map is larger than the other over all corridors.
 
-    A copy of another size is longer throughout, which corridors taken one by one forgive: each may
-    be off by its odometry's scale. corridors: (c, 2) directed rows that agree.
+    A copy of another size is larger throughout, which single corridors do not show because each may
+    be off by its odometry's scale. corridors: (c, 2) matched directed rows.
     """
     mean, variance = size_difference(a, b, corridors)
     return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
 
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:
-    """By what share a is larger than b, and the variance of that but for what the scales of the two
-    odometries add; 0 and infinite where no corridor tells."""
+    """Relative difference in size, a over b minus 1, and its variance without the odometries' scale
+    errors; 0 and inf if no corridor can be compared."""
     i, j = corridors[:, 0], corridors[:, 1]
     one, two = a.length[i], b.length[j]
     off, variance = one - two, a.variance[i] + b.variance[j]
@@ -191,7 +193,7 @@ def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[floa
 
 
 def _sums(values: FloatArray, ends: IntArray) -> FloatArray:
-    """Sums over the last axis between ends; 0 where two ends are the same."""
+    """Sums over the last axis between consecutive `ends`; 0 for empty ranges."""
     some = np.flatnonzero(np.diff(ends))
     out = np.zeros((*values.shape[:-1], len(ends) - 1))
     if len(some):
@@ -201,8 +203,11 @@ def _sums(values: FloatArray, ends: IntArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Lengths:
-    """Length differences of c corridors. d2: (c,) squared; noise: (c,) variance by measurement;
-    built: (c,) variance on top of it between copies not built exactly alike [m²]."""
+    """Length differences of c corridors.
+
+    d2: (c,) squared differences [m²]; noise: (c,) variance by measurement; built: (c,) additional
+    variance between copies not built exactly alike [m²].
+    """
 
     d2: FloatArray
     noise: FloatArray
@@ -219,7 +224,8 @@ class _Lengths:
         )
 
     def odds(self, d2: FloatArray, share: float) -> FloatArray:
-        """log odds [nats] of the same place against a copy of which `share` is exactly alike."""
+        """Log likelihood ratio [nats] of the same place against a copy with `share` of its
+        corridors exactly alike."""
         whole = self.noise + self.built
         ahead = 0.5 * np.log(self.noise / whole)  # of the varied density over the exact one
         ahead = ahead - np.minimum(d2 * (0.5 / whole), WORST_NATS)
@@ -227,7 +233,7 @@ class _Lengths:
         return np.asarray(-np.log(share + (1 - share) * np.exp(ahead)))
 
     def averaged(self, share: float) -> float:
-        """log likelihood [nats] of the differences between copies."""
+        """Log likelihood [nats] of the differences between copies."""
         exact = np.exp(_normal(self.d2, self.noise))
         varied = np.exp(_normal(self.d2, self.noise + self.built))
         return float(np.log(share * exact + (1 - share) * varied).sum())
@@ -245,17 +251,17 @@ class _Lengths:
 
 
 def _normal(d2: FloatArray, variance: FloatArray) -> FloatArray:
-    """log of the normal density, but for a constant; what one corridor says is bounded."""
+    """Log of the normal density up to a constant, bounded from below."""
     return np.asarray(-0.5 * np.log(variance) - np.minimum(0.5 * d2 / variance, WORST_NATS))
 
 
 def copy_model(
     samples: Sequence[tuple[Prepared, Candidate]], settings: RobustSettings
 ) -> CopyModel:
-    """How copies differ, learned from maps that match themselves elsewhere.
+    """The copy model, updated by maps that match other parts of themselves.
 
-    A building that repeats itself to the centimetre within one map will do so across maps: then
-    equal lengths tell nothing, and only changes can tell a place from its copy.
+    If a building repeats itself to the centimetre within one map, it will do so across maps: equal
+    lengths are then no evidence, and only changes can distinguish a place from its copy.
     """
     prior = default_copies(settings)
     odds = np.log(prior.exact_odds)
@@ -263,7 +269,7 @@ def copy_model(
     told = sameness_of([(m, m, c) for m, c in samples], prior)
     for (m, c), same in zip(samples, told, strict=True):
         shape = _Lengths.of(m, m, c.corridors, prior.variation)
-        # Half, for every pair of copies is found twice.
+        # Half, because every pair of copies is found twice.
         odds = odds + np.array([shape.averaged(share) for share in SHARES]) / 2
         fault = 2 * float(np.mean(m.fault_rate + 1 - m.confidence))
         changed += max(same.changed - fault * same.compared, 0.0)

@@ -1,6 +1,6 @@
-"""Which pairs of a batch are matched: in a large one those to which the index gives a chance.
+"""Screening: which pairs of a batch are matched; in a large batch those that the index selects.
 
-What the index says of two maps is kept from merge to merge, so that only new maps are looked up.
+Results of the index are kept from merge to merge, so that only new maps are looked up.
 """
 
 from __future__ import annotations
@@ -22,22 +22,21 @@ from .verdict import needed_bits
 
 @dataclass(frozen=True, slots=True)
 class ScreeningSettings:
-    """Which pairs of a large batch are matched at all."""
+    """Screening of large batches."""
 
     most_pairs: int = 5000
-    """Of more pairs only those are matched that have a chance: 100 runs take some seconds
-    without."""
+    """Batches with more pairs are screened: 100 runs take some seconds without."""
     share: float = 0.6
-    """Links that hang together must have this share of the bits that merging needs. With 0.75 still
-    nothing was lost of 1,354 pairs of runs that matching all 79,800 pairs joins
-    (`benchmarks/fleet.py --recall 400 --first 5000`). Of 692 pairs beyond chance, nearly all copies
-    in offices, the index gives 29 no chance (`--beyond 160 --first 5000`): these do not count among
-    the pairs that share the second question, .06 bits."""
+    """Connected links must have this share of the bits that merging needs. With 0.75 still nothing
+    was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
+    --recall 400 --first 5000`). Of 692 pairs beyond chance, nearly all copies in offices, 29 are
+    screened out (`--beyond 160 --first 5000`): these do not count among the pairs that share the
+    threshold against copies, .06 bits."""
 
     @property
     def spare_bits(self) -> float:
-        """Pairs that lack so much are kept, too: of a batch of half as many pairs merging needs a
-        bit less."""
+        """Pairs that lack up to this are kept as well: in a batch of half as many pairs merging
+        needs one bit less."""
         return self.share
 
 
@@ -46,15 +45,15 @@ SCREENING = ScreeningSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Chances:
-    """(k, 2) pairs i < j of maps, sorted, with (k,) what the index gives them, as far as that is no
-    less than `least`."""
+    """Pairs i < j of maps (k, 2), sorted, with their evidence by the index (k,) [bits], where it is
+    at least `least`."""
 
     pairs: IntArray
     bits: FloatArray
     least: float
 
     def likely(self, least: float) -> IntArray:
-        """The pairs that have as much."""
+        """The pairs with at least so many bits."""
         return self.pairs[self.bits >= least]
 
 
@@ -64,9 +63,10 @@ def pairs_to_match(
     digests: Sequence[bytes] = (),
     kept: Kept | None = None,
 ) -> IntArray:
-    """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those with a chance.
+    """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those that the index
+    selects.
 
-    kept, by the digests of the maps: what is known of that.
+    kept: earlier results, by the digests of the maps.
     """
     pairs = pairs_of(len(maps))
     if pairs <= SCREENING.most_pairs:
@@ -78,10 +78,10 @@ def pairs_to_match(
 
 
 def chances(maps: Sequence[Probes], least: float, known: IntArray | None = None) -> Chances:
-    """What the index gives all pairs but those of two maps that are known. O(links of the pairs).
+    """The evidence by the index of all pairs except those of two known maps. O(links of the pairs).
 
-    known: numbers of maps, ascending. Which of two maps is looked up makes no difference but for
-    which of both directions of a corridor is; the first one is.
+    known: indices of maps, ascending. The pair (i, j) is looked up with map i; the result differs
+    from (j, i) only in the direction of corridors.
     """
     old = np.zeros(0, np.int64) if known is None else known
     new = np.setdiff1d(np.arange(len(maps)), old)
@@ -96,7 +96,7 @@ def chances(maps: Sequence[Probes], least: float, known: IntArray | None = None)
 def _looked_up(
     maps: Sequence[Probes], first: IntArray, second: IntArray, least: float
 ) -> Iterator[tuple[IntArray, FloatArray]]:
-    """Pairs i < j of the first and of the second maps, with what the index gives them."""
+    """Pairs i < j of the first and of the second maps, with their evidence."""
     for start in range(0, len(second), TASKS.at_hand):
         some = second[start : start + TASKS.at_hand]
         block = Corridors.of([maps[k] for k in some.tolist()])
@@ -121,7 +121,7 @@ def _sorted(pairs: IntArray, bits: FloatArray, least: float) -> Chances:
 def _known_chances(
     maps: Sequence[Probes], least: float, digests: Sequence[bytes], kept: Kept
 ) -> Chances:
-    """What is known of the maps, and of the others what the index says."""
+    """The evidence of all pairs, as far as it is not kept looked up now."""
     whole = digested(*digests)
     data = kept.find(Kind.CHANCES, (whole, whole))
     tables = kept.every(Kind.CHANCES) if data is None else iter([data])
@@ -146,8 +146,8 @@ def _to_bytes(found: Chances, digests: Sequence[bytes]) -> bytes:
 def _of_maps(
     data: bytes, digests: Sequence[bytes], least: float
 ) -> tuple[IntArray, Chances] | None:
-    """Those of some maps that a payload knows, ascending, and what it says of their pairs; None
-    where it says too little, or has them in another order."""
+    """The maps that a payload covers, ascending, and its evidence of their pairs; None if it is
+    insufficient or orders the maps differently."""
     arrays = arrays_from_bytes(data, "fiif")
     if arrays is None:
         return None

@@ -1,4 +1,4 @@
-"""Evidence for a match: agreeing junctions and corridors, in bits."""
+"""Evidence [bits] for a match: agreeing junctions and corridors."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from .prepare import length_bits
 from .settings import MATCH
 
 NEAREST = slice(1, 13)
-"""Of a junction's neighbours, itself first, those that are looked at for links."""
+"""Columns of a junction's neighbours (itself first) that are considered for links."""
 
 CHOICE_BITS = float(np.log2(NEAREST.stop - NEAREST.start))
-"""What the offset of one of them tells less than a corridor: there are so many to choose from."""
+"""Deducted from a relative position, because it is chosen among so many neighbours."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Support:
-    """Agreement, and what it is made of.
+    """Agreement, and its parts.
 
     corridors: (c, 2) directed rows of corridors that both maps have. ends: (m, 2) rows of the match
-    that each link ties, along: (m,) row of `corridors` or, for a relative position, -1; links: (m,)
-    bits of each. Links are the forest, the best first, and then the corridors that do not fit.
-    branches: (k,) bits of each matched junction's branches; bits: the sum of links and branches.
+    that each link connects; along: (m,) row of `corridors` or, for a relative position, -1; links:
+    (m,) bits of each. Links are those of the forest, best first, followed by corridors with
+    different lengths. branches: (k,) bits of each matched junction's branches; bits: sum of links
+    and branches.
     """
 
     corridors: IntArray
@@ -40,13 +41,13 @@ class Support:
 
 
 def supports(grown: Grown) -> list[Support]:
-    """Of each lane the bits of the branches of all matched junctions and of the best forest of
+    """For each lane the evidence of the branches of all matched junctions and of the best forest of
     links between them.
 
-    A link is a corridor that both maps have (its length is compared), or two matched junctions
-    near each other (their relative position is compared: the corridor between them may have been
-    split by a junction that one run missed). A forest counts every place once; a corridor of both
-    maps whose lengths do not fit counts against the match.
+    A link is a corridor that both maps have (its length is compared), or two close matched
+    junctions (their relative position is compared: the corridor between them may have been split by
+    a junction that one run missed). A forest counts every place once; a corridor of both maps whose
+    lengths differ counts against the match.
     """
     lanes = grown.lanes
     count = len(lanes)
@@ -86,7 +87,7 @@ def supports(grown: Grown) -> list[Support]:
 
 
 def _from_middle(grown: Grown) -> FloatArray:
-    """(k,) distance of each matched vertex of b to the middle of those of its lane."""
+    """(k,) distance [m] of each matched vertex of b from the centroid of those of its lane."""
     z = grown.lanes.b.whole.z[grown.b]
     count = np.bincount(grown.lane, minlength=len(grown.lanes))
     some = np.flatnonzero(count)
@@ -100,8 +101,9 @@ def _from_middle(grown: Grown) -> FloatArray:
 def _corridor_links(
     grown: Grown, order: IntArray
 ) -> tuple[IntArray, IntArray, IntArray, FloatArray]:
-    """Corridors of b between matched vertices that a has too, by bisection among a's: which rows of
-    the match they join, the corridors as each map numbers them, and bits."""
+    """Corridors of b between matched vertices that a has as well, found by bisection among a's:
+    which rows of the match they join (k,) each, the corridors (k, 2) as each map numbers them, and
+    bits (k,)."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     lane, rows = lanes.rows_of(lanes.b.corridor)
     forth = (rows < b.reverse[rows]).nonzero()[0]
@@ -127,10 +129,11 @@ def _corridor_links(
 
 
 def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Matched vertices and up to three matched ones near each: does the offset agree?
+    """Links between matched vertices and up to three matched ones near each: rows of the match they
+    join and bits, (k,) each.
 
-    Chance is how common neighbours so far away are; the direction tells nothing of its own (§2.1:
-    the branches have told it), it only must agree.
+    The null model is how common neighbours at that distance are; the direction is no evidence of
+    its own (§2.1: the branches have fixed it), it only must agree.
     """
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     matched = grown.b
@@ -158,7 +161,7 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
 def _each_without_repeats(
     grown: Grown, source: IntArray, target: IntArray, bits: FloatArray
 ) -> FloatArray:
-    """What links count, those of each lane by themselves, the best first."""
+    """`_without_repeats` for the links of each lane, best first."""
     at = grown.lanes.a.whole.z[grown.a]
     start, end, told = at[source], at[target], bits.tolist()
     first = cuts(grown.lane[source], len(grown.lanes))
@@ -169,9 +172,9 @@ def _each_without_repeats(
 
 
 def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatArray) -> IntArray:
-    """The links of a forest: for every junction its best one to a junction nearer to the middle.
+    """The links of a forest: for every junction its best one to a junction nearer to the centroid.
 
-    `depth` (k,) orders the junctions, so no choice can close a cycle.
+    `depth` (k,) orders the junctions, so that no cycle can arise.
     """
     child = np.where(depth[source] > depth[target], source, target)
     order = np.lexsort((-bits, child))
@@ -183,17 +186,17 @@ def _forest(source: IntArray, target: IntArray, bits: FloatArray, depth: FloatAr
 
 
 def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) -> list[float]:
-    """The bits of links, best first, where those that follow from better ones count nothing.
+    """The bits of links, best first, with 0 for those that follow from better ones.
 
-    In a building on a grid the corridors between two lines are all equally long, and a diagonal is
-    as long as two of them say: once those fit, the others fit by construction. So every place
-    counts as the crossing of two lines, one along the best link and one across it, and a link
-    tells something only if the better ones leave the lines of its two ends free to move. Without
+    In a building on a grid the corridors between two lines are all equally long, and a diagonal
+    follows from two of them: once those fit, the others fit by construction. So every place counts
+    as the crossing of two lines, one along the best link and one across it, and a link is evidence
+    only if the better ones do not determine the distance between the lines of its ends. Without
     this a row is merged with its mirror image, and offices fit theirs.
     """
     if not bits:
         return []
-    # Few and small steps: plain numbers are faster than arrays here.
+    # Plain numbers are faster than arrays for so few items.
     one, two = start.tolist(), end.tolist()
     axis = (two[0] - one[0]).conjugate() / max(abs(two[0] - one[0]), 1e-9)
     places = [z * axis for z in one + two]
@@ -206,7 +209,7 @@ def _without_repeats(start: ComplexArray, end: ComplexArray, bits: list[float]) 
 
 
 def _lines(at: list[float]) -> list[int]:
-    """Number of the line on which each coordinate lies; a line is `gate_m` wide at most."""
+    """Index of the line on which each coordinate lies; a line is at most `gate_m` wide."""
     number, end, line = [0] * len(at), -np.inf, -1
     for k in sorted(range(len(at)), key=at.__getitem__):
         if at[k] > end:
@@ -216,8 +219,8 @@ def _lines(at: list[float]) -> list[int]:
 
 
 def _joins(line: list[int]) -> list[bool]:
-    """Of k links, whose starts and then ends lie on these lines, in turn: does it join lines that
-    those before it have not?"""
+    """For k links, given by the lines of their starts and then of their ends: whether each joins
+    lines that the previous ones have not joined."""
     head, half = list(range(max(line) + 1)), len(line) // 2
     out = []
     for k in range(half):

@@ -1,6 +1,6 @@
 """Tasks: pairs of maps matched by one worker, as a pure function.
 
-A task names maps by run and content digest; the worker reads them. Results come back as packs
+A task names maps by run and content digest; the worker reads them. Results come back as packs,
 whoever made them, so that one process, many, and a cache give the same numbers.
 """
 
@@ -30,11 +30,11 @@ from .settings import DEFAULT_ROBUST, RobustSettings
 from .verdict import Faint
 
 Ready = Callable[[bytes, bool], Prepared]
-"""The prepared map of a digest, or its mirror image."""
+"""Gives the prepared map of a digest, or its mirror image."""
 
 
 class Maps(Protocol):
-    """Where workers find the maps of runs."""
+    """A source of the maps of runs, for workers."""
 
     def read_map(self, run: str) -> TopoMap:
         """The map of a run."""
@@ -43,14 +43,14 @@ class Maps(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class TaskSettings:
-    """How pairs are divided among workers, which changes no result."""
+    """How pairs are divided among workers, without influence on the results."""
 
     tile: int = 32
-    """Maps per side of the tiles in which pairs are taken, and pairs of a task at most a tile: a
-    map that is read serves a row of it, and asking for a second of work does not count. Into as
-    many tasks even few pairs are divided, for the sake of several workers."""
+    """Maps per side of the tiles in which pairs are taken; a task is at most one tile: a map that
+    is read serves a row of it, and the overhead of a task is small beside a second of work. Even
+    few pairs are divided into as many tasks, for the sake of several workers."""
     at_hand: int = 256
-    """Maps that a worker remembers, and that the index looks through at once: some 100 kB each."""
+    """Maps that a worker caches, and that the index searches at once: some 100 kB each."""
 
 
 TASKS = TaskSettings()
@@ -58,8 +58,11 @@ TASKS = TaskSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MatchTask:
-    """Pairs to be matched. runs: name and digest of each map; pairs: (k, 2) rows of them; maps:
-    where they are; sent: they themselves, by digest, where they are nowhere."""
+    """Pairs to be matched.
+
+    kind: of the records wanted; runs: name and digest of each map; pairs: (k, 2) rows of them;
+    maps: their source; sent: the maps themselves, by digest, if there is no source.
+    """
 
     kind: Kind
     runs: tuple[tuple[str, bytes], ...]
@@ -81,7 +84,8 @@ def in_tiles(pairs: IntArray) -> IntArray:
 
 
 def era_of(settings: RobustSettings) -> bytes:
-    """Changes whenever results may: with the program, the libraries, the settings of matching."""
+    """Digest that changes whenever results may: of the program, the libraries and the settings of
+    matching."""
     told = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
     parts = [_program(), np.__version__, scipy.__version__, told]
     text = json.dumps(parts, sort_keys=True)
@@ -90,7 +94,7 @@ def era_of(settings: RobustSettings) -> bytes:
 
 @cache
 def _program() -> str:
-    """Digest of all code that matching can reach. A version number would have to be thought of."""
+    """Digest of all code that matching can reach, because a version number might be forgotten."""
     root = Path(__file__).parents[2]
     out = hashlib.blake2b(digest_size=DIGEST)
     for folder in ("topology", "merge"):
@@ -101,7 +105,7 @@ def _program() -> str:
 
 
 def matched(task: MatchTask) -> bytes:
-    """Do a task, wherever this is: a pack of a record for each pair, in their order."""
+    """Do a task in a worker process: a pack with a record for each pair, in their order."""
     run_of = {digest: run for run, digest in task.runs}
 
     def ready(digest: bytes, image: bool) -> Prepared:
@@ -128,7 +132,7 @@ def _read(maps: Maps | None, run: str, digest: bytes) -> TopoMap:
 
 
 def match_task(task: MatchTask, ready: Ready) -> Pack:
-    """The records of a task."""
+    """Do a task: the records of its pairs."""
     out = PackWriter(era_of(task.settings))
     digests = [digest for _, digest in task.runs]
     pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]

@@ -22,8 +22,8 @@ MAYBE_COPY = "the building repeats itself and this may be another copy of the pl
 
 @dataclass(frozen=True, slots=True)
 class PairCount:
-    """Numbers of pairs of runs in a batch: all, and those with an alignment that chance does not
-    explain. Only the latter can be merged wrongly because they are copies."""
+    """Pairs of runs in a batch: all, and those with an alignment that chance does not explain. Only
+    the latter can be merged wrongly because they are copies."""
 
     all: int
     beyond: int
@@ -33,8 +33,8 @@ class PairCount:
 class Threshold:
     """The evidence that a pair must reach.
 
-    need_bits: against chance; need_copy_bits: against being a copy, of an alignment that may well
-    be one; copied: junctions of the largest part of either map that matches another part of it;
+    need_bits: against chance; need_copy_bits: against being a copy, for an alignment that is likely
+    to be one; copied: junctions of the largest part of either map that matches another part of it;
     copies: how copies differ in this batch.
     """
 
@@ -56,13 +56,13 @@ class Threshold:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """The evidence of a placement for the two questions (chance? a copy?), and the one number made
-    of it, in bits.
+    """The evidence of a placement for the two questions (chance? a copy?), and their combination,
+    in bits.
 
-    need: the threshold against chance. against_chance: evidence for less evidence against; carried:
-    the same with the agreeing part bounded by the number of junctions (`counted_bits`). repetition:
-    0 to 1, how likely it is a copy by its size and the building; same_place: evidence that it is
-    the place itself and not a copy, None where that was not asked; need_same: the threshold of
+    need: the threshold against chance. against_chance: evidence for minus evidence against;
+    carried: the same with the agreement bounded by the number of junctions (`counted_bits`).
+    repetition: 0 to 1, how likely it is a copy by its size and the building; same_place: evidence
+    that it is the place itself and not a copy, None if not tested; need_same: the threshold of
     that.
     """
 
@@ -75,14 +75,14 @@ class Answers:
 
     @property
     def bits(self) -> float:
-        """The evidence: of the two questions the one answered worse. The answer to the second is
-        shifted so that its threshold meets that of the first."""
+        """The evidence: the lower one of the two answers, the second shifted to the threshold of
+        the first."""
         return min(self.carried, self.from_copies)
 
     @property
     def from_copies(self) -> float:
         """The answer to the second question, shifted so that its threshold is `need`; inf if not
-        asked."""
+        tested."""
         if self.same_place is None:
             return np.inf
         return self.same_place + self.need - self.need_same
@@ -90,7 +90,7 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class Faint:
-    """An alignment no better than chance offers: its junctions and evidence. against_chance:
+    """An alignment no better than chance: its junctions and evidence [bits]; against_chance:
     `beyond_chance_bits` of all alignments of the pair."""
 
     junctions: int
@@ -111,10 +111,10 @@ class Assessment:
     """The assessment of two maps by themselves, without locks and other runs.
 
     need_bits: the threshold. ranked: placements better than chance, best first, each with its
-    evidence; answers: how the evidence of each follows; lead_bits: by which merging asks the best
-    one to lead. why: what was missing for merging, "" if merged; faint: the best alignment if none
-    is better than chance; against_chance: `beyond_chance_bits`; discarded: a person discarded the
-    match of the two.
+    evidence; answers: of which the evidence of each consists; lead_bits: required lead of the best
+    one. why: what was missing for merging, "" if merged; faint: the best alignment if none is
+    better than chance; against_chance: `beyond_chance_bits`; discarded: whether the match was
+    discarded by the user.
     """
 
     verdict: Verdict
@@ -129,7 +129,7 @@ class Assessment:
 
     @property
     def best(self) -> Candidate | None:
-        """The placement that the verdict speaks of, if any is beyond chance."""
+        """The placement that the verdict refers to, if any is beyond chance."""
         return self.ranked[0][0] if self.ranked else None
 
     @property
@@ -141,7 +141,7 @@ class Assessment:
 
     @property
     def same_bits(self) -> float | None:
-        """What the best placement says to the second question, None where it was not asked."""
+        """Evidence that the best placement is not a copy, None if not tested."""
         return self.answers[0].same_place if self.answers else None
 
     @property
@@ -151,7 +151,7 @@ class Assessment:
 
     @property
     def margin(self) -> float | None:
-        """The lead in bits over the runner-up, if there is one."""
+        """The lead over the runner-up [bits], if there is one."""
         if len(self.ranked) < 2:
             return None
         return max(self.ranked[0][1] - self.ranked[1][1], 0.0)  # less is rounding
@@ -164,19 +164,18 @@ def threshold_for(
     *,
     copied: float = 0.0,
 ) -> Threshold:
-    """The threshold in a batch: every pair may err with its share of the false-merge rate, for
-    either question."""
+    """The threshold in a batch: every pair has an equal share of the false-merge rate, for either
+    question."""
     against_copies = max(needed_bits(count.beyond, settings) - settings.copy_margin_bits, 0.0)
     need = needed_bits(count.all, settings)
     return Threshold(need, against_copies, copied, copies, settings)
 
 
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
-    """The evidence at which chance merges any of `pairs` pairs with the false-merge rate:
-    log2(pairs / rate).
+    """Threshold against chance with `pairs` pairs (Bonferroni): log2(pairs / rate).
 
     Pairs are counted in steps (`in_steps`), so that one more run seldom changes the threshold of
-    all the others.
+    all others.
     """
     return float(np.log2(max(in_steps(pairs), 1) / settings.false_merge_rate))
 
@@ -188,18 +187,18 @@ def in_steps(pairs: int) -> int:
 
 
 def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:
-    """The largest evidence against chance of all alignments with enough junctions to be merged; 0
-    if none."""
+    """Largest evidence against chance of all alignments with enough junctions to be merged; 0 if
+    none."""
     bits = (counted_bits(c) for c in candidates if len(c) >= settings.min_matches)
     return max((rounded(b, BITS) for b in bits), default=0.0)
 
 
 def uniformity(a: Prepared, b: Prepared) -> float:
-    """0 to 1: how little the length of a corridor tells in these two maps.
+    """0 to 1: how uninformative the length of a corridor is in these two maps.
 
-    A building with few sizes of corridors repeats itself, even if neither run saw it do so.
-    Measured by how often two different corridors of one map are equally long, which is unbiased for
-    small maps, too.
+    A building with few different lengths repeats itself, even if neither run saw it do so. Measured
+    by how often two different corridors of one map are equally long, which is unbiased for small
+    maps, too.
     """
     alike, pairs = a.alike + b.alike, a.alike_pairs + b.alike_pairs
     tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
@@ -208,32 +207,32 @@ def uniformity(a: Prepared, b: Prepared) -> float:
 
 def counted_bits(c: Candidate) -> float:
     """The evidence of an alignment against chance: agreement, bounded by its number of junctions,
-    less all contradictions.
+    minus all contradictions.
 
     Agreeing terms are not independent (a room of standard form brings its junctions, corridors and
-    angles together), so that their sum overstates the evidence; a contradiction needs a fault of
-    its own to be explained, so that each counts in full.
+    angles together), so that their sum overstates the evidence; every contradiction needs a fault
+    of its own, so that each counts in full.
     """
     against = c.contradicting_bits
     return min(c.bits + against, MATCH.junction_bits * len(c)) - against
 
 
 def falls_short(c: Candidate) -> float:
-    """0 to 1: how much less an alignment tells than its junctions could.
+    """0 to 1: how far the evidence of an alignment falls short of what its junctions could give.
 
-    Two looks at one place agree in nearly all they show. What was built after the same plan, or of
-    the same pieces, falls short of that, however much it is beyond chance.
+    Two runs of one place agree in nearly everything. Places built after the same plan, or of the
+    same parts, do not, however far they are beyond chance.
     """
     return _share(2.0 - counted_bits(c) / (MATCH.least_told * MATCH.junction_bits * len(c)))
 
 
 def _share(value: float) -> float:
-    """Bounded to 0 … 1."""
+    """Clipped to 0 … 1."""
     return min(max(value, 0.0), 1.0)
 
 
 Found = tuple[Prepared, Prepared, Sequence[Candidate], Threshold]
-"""Two maps, their candidate alignments, and what they must reach."""
+"""Two maps, their candidate alignments, and their threshold."""
 
 
 def assess(
@@ -246,12 +245,13 @@ def assess(
 def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     """Verdicts on pairs of one batch from their candidate alignments.
 
-    merged: enough evidence against chance, the place itself rather than a copy, and a lead over
-    every other placement. ambiguous: an alignment that chance hardly offers, but one of the three
-    is missing, or too few junctions agree. unrelated: no such alignment.
+    merged: enough evidence against chance, not a copy, and a lead over every other placement.
+    ambiguous: beyond chance, but one of the three is missing, or too few junctions agree.
+    unrelated: nothing beyond chance.
 
-    The second question is asked where the building has corridors of few sizes, of alignments no
-    larger than repetitions within the maps, and where the best one tells much less than it could.
+    The test for copies is applied where the building has corridors of few lengths, to alignments no
+    larger than repetitions within the maps, and where the best one has much less evidence than its
+    junctions could give.
     """
     shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
     shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
@@ -269,7 +269,7 @@ def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
 def _repetitions(
     a: Prepared, b: Prepared, _: object, threshold: Threshold, odd: Sequence[Candidate]
 ) -> list[float]:
-    """0 to 1 of each alignment: how far the second question is asked of it."""
+    """0 to 1 for each alignment: how likely it is a copy."""
     uniform = uniformity(a, b) if odd else 0.0
     shares = [max(uniform, threshold.may_be_copy(c)) for c in odd]
     if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
@@ -283,8 +283,8 @@ def _assess(
     shares: Sequence[float],
     same: Iterator[Sameness],
 ) -> Assessment:
-    """The verdict on a pair. odd: alignments beyond chance; shares: how far the second question is
-    asked of each; same: what it yields, if any asks it."""
+    """The verdict on a pair. odd: alignments beyond chance; shares: how likely each is a copy;
+    same: results of the test for copies, if any needs it."""
     a, b, candidates, threshold = pair
     if not odd:
         return Assessment(
@@ -303,7 +303,7 @@ def _assess(
     best, told = odd[ranking[0]], answers[ranking[0]]
     why = _missing(best, told, margin, threshold)
     contested = not why and _contested(ranked, threshold)
-    # Of what lacks something else, explaining speaks of the lead over the next one.
+    # If something else is missing, the explanation states the lead required over the runner-up.
     no_worse = contested or any(_contests(c, best, threshold.need_bits) for c, _ in ranked[1:2])
     why = NO_WORSE if contested else why
     if told.carried >= threshold.need_bits:
@@ -345,12 +345,12 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
 
 
 def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> bool:
-    """Whether another one keeps the first of ranked placements from being merged though it leads:
-    one that contests it and is less than `contested_bits` behind.
+    """Whether another placement contests the first of ranked ones and is less than `contested_bits`
+    behind.
 
-    Then one of the two is a copy that differs in nothing that both runs saw, and how much they saw
-    of each tells less of which than it seems: it must lead by twice as much. Rows merge wrongly
-    without it, turned round whole (4.4 bits ahead); the right ones of pairs of offices lead by more
+    Then one of the two is a copy without any difference that both runs saw, and the evidence
+    overstates the difference between the two: twice the lead is required. Rows merge wrongly
+    without it, rotated by half a turn (4.4 bits ahead); correct pairs of offices lead by more
     (11.8), and of the alias and standard suites it costs none.
     """
     (best, most), *others = ranked
@@ -361,6 +361,7 @@ def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) 
 
 
 def _contests(other: Candidate, best: Candidate, need_bits: float) -> bool:
-    """Whether chance does not explain another placement either, and no more is against it."""
+    """Whether another placement is not explained by chance either, and has no more evidence against
+    it."""
     beyond = counted_bits(other) >= need_bits
     return beyond and other.contradicting_bits <= best.contradicting_bits

@@ -1,4 +1,4 @@
-"""Sentences that a person understands."""
+"""The sentences of verdicts."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from .verdict import Faint
 
 
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
-    """What agrees, what contradicts, the evidence that comes of it, and how far the next alignment
-    is behind, or another ahead."""
+    """What agrees, what contradicts, the evidence, and how far the next alignment is behind or
+    ahead."""
     agree = f"{counted(len(best), 'junction')} and {counted(len(best.corridors), 'corridor')} agree"
     against = len(best.conflicts)
     text = f"{agree}, {against} {'contradicts' if against == 1 else 'contradict'}"
@@ -39,7 +39,7 @@ Ends = tuple[int, ...]
 
 def contradictions(best: Candidate, a: Prepared, b: Prepared) -> list[tuple[str, Ends, Ends]]:
     """For every contradiction of an alignment a sentence, and the vertices of a and of b that it
-    speaks of: one, or the two ends of a corridor."""
+    concerns: one, or the two ends of a corridor."""
     return [(_told(c, a.run, b.run), c.of_a, c.of_b) for c in one_by_one(best.conflicts, a, b)]
 
 
