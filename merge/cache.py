@@ -1,7 +1,7 @@
 """The cache of a workspace: packs of results, which may be deleted at any time.
 
-Files are named by their content and never changed, so that several processes may add to one
-folder. What is damaged, stale or no pack is passed over: the results are made again.
+Files are named by their content and never changed, so that several processes may add to one folder.
+Damaged, outdated and foreign files are ignored: the results are computed again.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ PACK = re.compile(r"[0-9a-f]{32}\.pack")
 """Names of the files; nothing else in the folder is touched."""
 
 WRITTEN_TOGETHER = 16_000
-"""Records that are kept in one file: what a killed process loses, some 20 s of one core."""
+"""Records per file: what a killed process loses, about 20 s of one core."""
 
 MOST_FILES = 32
 LEAST_LIVE = 0.5
-"""More files than this, or a smaller share of records that are of use, and all are made one."""
+"""With more files than this, or a smaller share of records in use, files are rewritten as one."""
 
 
 Record = tuple[Pack, int, int, int]
-"""A pack, and of the payload in it where it begins, its bytes and their checksum."""
+"""A pack, and of a payload in it the offset, the size and the checksum."""
 
 
 @dataclass(slots=True, eq=False)
 class ResultCache:
     """Results of merging the maps of a workspace, of one era.
 
-    say: is told what could not be written. held: entered while a file is written, where others may
-    clear away what they take for left over.
+    say: called with a message if results cannot be written. held: entered while a file is written,
+    because others may delete temporary files as leftovers.
     """
 
     folder: Path
@@ -55,12 +55,12 @@ class ResultCache:
     _wanted: set[bytes] = field(default_factory=set)
 
     def packs(self, digests: Sequence[bytes]) -> list[Pack]:
-        """All that is known and was kept; what is about things of such digests is wanted."""
+        """All results known; those about the given digests are marked as wanted."""
         self._wanted.update(digests)
         return [*(pack for _, pack in self._whole()), *self._new]
 
     def find(self, kind: Kind, key: Key) -> bytes | None:
-        """The payload of a record, wanted from now on; None if there is no undamaged one."""
+        """The payload of a record, marked as wanted; None if there is no undamaged one."""
         self._wanted.update(key)
         return next(_undamaged(self._of(kind).get(key, ())), None)
 
@@ -69,7 +69,7 @@ class ResultCache:
         return _undamaged(record for known in self._of(kind).values() for record in known)
 
     def keep(self, pack: Pack) -> None:
-        """Add results; they are written some at a time."""
+        """Add results; they are written in batches."""
         self._new.append(pack)
         for kind in self._rows:
             self._enter(pack, kind)
@@ -78,14 +78,13 @@ class ResultCache:
             self.flush()
 
     def flush(self) -> None:
-        """Write what was added, and forget it: it is read from there. Where that cannot be, it is
-        held as long as this is."""
+        """Write what was added and release it; if that fails, keep it in memory."""
         if self._new and not self._failed and self._write(joined(self.era, self._new)) is not None:
             self._new.clear()
             self._unwritten = 0
 
     def settle(self) -> None:
-        """Drop what nobody asked for, or what is of another era, once that is much."""
+        """Drop records that are not wanted or of another era, once they are a large share."""
         self.flush()
         whole, wanted = dict(self._whole()), frozenset(self._wanted)
         packs = list(whole.values())
@@ -103,8 +102,7 @@ class ResultCache:
                 path.unlink(missing_ok=True)
 
     def _made_new(self, packs: Sequence[Pack], wanted: frozenset[bytes]) -> list[Path] | None:
-        """What is wanted of some packs in new files, some records in each; None where that cannot
-        be written."""
+        """The wanted records of some packs in new files; None if these cannot be written."""
         made: list[Path] = []
         some: list[Pack] = []
         for k, pack in enumerate(packs):
@@ -121,7 +119,7 @@ class ResultCache:
         return made
 
     def _of(self, kind: Kind) -> dict[Key, list[Record]]:
-        """The records of a kind by their keys."""
+        """The records of a kind, by key."""
         if kind not in self._rows:
             self._rows[kind] = {}
             for pack in self.packs(()):
@@ -129,7 +127,7 @@ class ResultCache:
         return self._rows[kind]
 
     def _enter(self, pack: Pack, kind: Kind) -> None:
-        """Find the records of a kind by their keys from now on."""
+        """Index the records of a kind by key."""
         chosen = pack.rows[pack.rows["kind"] == kind]
         columns = (chosen[name].tolist() for name in ("a", "b", "start", "size", "check"))
         for a, b, *where in zip(*columns, strict=True):
@@ -143,7 +141,7 @@ class ResultCache:
                     yield path
 
     def _whole(self) -> Iterator[tuple[Path, Pack]]:
-        """The packs of this era that can be read; what was read once is not read again."""
+        """The readable packs of this era; each is read once."""
         for path in self._files():
             if path not in self._packs:
                 self._packs[path] = self._pack(path)
@@ -176,7 +174,7 @@ class ResultCache:
 
 def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = None) -> Pack:
     """One pack with the records of several, without damaged ones and those of maps that are not
-    wanted. Of two records for one thing the first is kept."""
+    wanted. Of two records with the same key the first is kept."""
     number: dict[bytes, int] = {}
     parts, payloads, end = [], [], 0
     for pack in packs:
@@ -197,7 +195,7 @@ def joined(era: bytes, packs: Sequence[Pack], wanted: frozenset[bytes] | None = 
 
 
 def joined_count(packs: Sequence[Pack], wanted: frozenset[bytes]) -> int:
-    """How many records `joined` gives, were none damaged; no payload is looked at."""
+    """Number of records of `joined` if none is damaged; payloads are not read."""
     number: dict[bytes, int] = {}
     return len(_firsts([_of_wanted(pack, number, wanted)[1] for pack in packs])[1])
 
@@ -205,8 +203,8 @@ def joined_count(packs: Sequence[Pack], wanted: frozenset[bytes]) -> int:
 def _of_wanted(
     pack: Pack, number: dict[bytes, int], wanted: frozenset[bytes] | None
 ) -> tuple[IntArray, Rows]:
-    """The records of wanted maps: their rows, and they themselves by the numbers of the maps, to
-    which new ones are added."""
+    """The records of wanted maps: their rows, and the records with the maps renumbered; `number` is
+    extended by new maps."""
     new = [
         number.setdefault(d, len(number)) if wanted is None or d in wanted else -1
         for d in pack.digests
@@ -220,14 +218,14 @@ def _of_wanted(
 
 
 def _firsts(parts: Sequence[Rows]) -> tuple[Rows, IntArray]:
-    """Records in a row, and which of them are the first for their thing."""
+    """All records concatenated, and the rows of the first one per key."""
     rows = np.concatenate(parts) if parts else np.zeros(0, RECORD)
     keys = np.stack([rows["a"], rows["b"], rows["kind"]], axis=1)
     return rows, np.sort(np.unique(keys, axis=0, return_index=True)[1])
 
 
 def _undamaged(records: Iterable[Record]) -> Iterator[bytes]:
-    """The payloads of records, as far as they are whole."""
+    """The payloads of the undamaged records."""
     for pack, *where in records:
         payload = pack.read(*where)
         if payload is not None:

@@ -1,15 +1,15 @@
 """Changes between the runs of a component: corridors and junctions that some runs passed and
 others, which should have met them, did not.
 
-Every run that passed an end of a corridor which another run drove is asked whether it saw the
-branch there. A branch that it did not see was missed by the detector, or is not there. The
-probability of a miss is the run's own rate of wrong branches over the number of branches of the
-junction. Several passes of one run by one junction count once: a detector repeats its errors at a
+For every corridor driven by some run, each run that passed one of its ends is checked for having
+seen the branch there. An unseen branch was missed by the detector, or is not there. The probability
+of a miss is the run's own rate of wrong branches divided by the number of branches of the junction.
+Several passes of one run by one junction count once, because detectors repeat their errors at a
 place. The evidence is -log2 of the probability that all of them missed it; the threshold allows for
-the number of questions (Bonferroni).
+the number of tests (Bonferroni).
 
-A junction that lost all branches but one is a dead end, which no merge matches to the junction that
-it was. It is found at the far end of the corridor that is left (`_lookalikes`).
+A junction that lost all branches but one is a dead end, which no merge matches with the former
+junction. It is found at the far end of the remaining corridor (`_lookalikes`).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from .merged_schema import MergedDocument
 
 
 class ChangeKind(StrEnum):
-    """Order in time of the runs that passed a thing and those that did not meet it."""
+    """Order in time of the runs that passed a thing and those that did not find it."""
 
     GONE = "gone"
     NEW = "new"
@@ -45,16 +45,16 @@ class ChangeKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class ChangeSettings:
-    """When a difference is called a change."""
+    """When a difference is reported as a change."""
 
     false_rate: float = 0.05
-    """Probability that a report holds any change that is none (family-wise error rate)."""
+    """Probability that a report holds any false change (family-wise error rate)."""
     least_fault_rate: float = 0.01
     """Lower bound of the rates of missed branches and junctions: a run of a hundred passes cannot
     show less."""
     equal_sigmas: float = 3.0
-    """Corridors whose lengths differ by no more count as equally long (99.7 % of those that
-    are)."""
+    """Corridors whose lengths differ by no more standard deviations are equally long (99.7 % of
+    equal ones)."""
 
 
 CHANGES = ChangeSettings()
@@ -62,7 +62,7 @@ CHANGES = ChangeSettings()
 
 @dataclass(frozen=True, slots=True)
 class Witness:
-    """What one run says of a thing: how often it passed there, and when first and last."""
+    """One run's passes by a thing: their number, and the first and last time."""
 
     run: str
     passes: int
@@ -72,12 +72,12 @@ class Witness:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Change:
-    """A corridor or a junction that is there for some runs and not for others.
+    """A corridor or a junction that exists for some runs and not for others.
 
     thing: "corridor" or "junction"; junctions: its ends, or itself, as ids of the merged document;
-    xy: (2,) its middle, and length [m], None of a junction; there, missing: who passed it, and who
-    had to meet it and did not, by time; bits: -log2 of the chance that those who did not meet it
-    missed it (or that it was invented); needed: the threshold for as many questions as were asked.
+    xy: (2,) its middle [m]; length [m], None for a junction; there, missing: runs that passed it,
+    and runs that should have found it and did not, by time; bits: -log2 of the probability that the
+    latter missed it (or that it was invented); needed: the threshold for the number of tests.
     """
 
     thing: str
@@ -93,13 +93,13 @@ class Change:
 
     @property
     def sure(self) -> bool:
-        """Is it more than chance offers?"""
+        """Whether the evidence exceeds the threshold."""
         return self.bits > self.needed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Doubt:
-    """A thing that some runs passed and others did not, before its evidence is computed."""
+    """A thing that some runs passed and others did not find, before its evidence is computed."""
 
     thing: str
     junctions: tuple[int, ...]
@@ -107,7 +107,7 @@ class _Doubt:
     length: float | None
     there: tuple[Witness, ...]
     missing: tuple[tuple[Witness, float], ...]
-    """Who did not meet it, and the probability that each of them missed it."""
+    """Runs that did not find it, with the probability that each of them missed it."""
     invented: float = 0.0
     """Probability that those who passed it invented it."""
 
@@ -115,7 +115,8 @@ class _Doubt:
 def changes(
     document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
 ) -> tuple[Change, ...]:
-    """What changed between the runs of a component, the surest first; also what is not `sure`.
+    """Changes between the runs of a component, by decreasing evidence, including those below the
+    threshold.
 
     maps: of all its runs, as they were merged (`stale_runs`). O(corridors · runs).
     """
@@ -134,7 +135,7 @@ def changes(
 
 
 class _Seen:
-    """A component's fused map with what every run saw of its vertices."""
+    """A component's fused map with the observations of its vertices by every run."""
 
     def __init__(
         self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
@@ -154,19 +155,20 @@ class _Seen:
         self._lookalikes = _lookalikes(merged, self.nodes)
 
     def places(self, run: str, node: int) -> list[int]:
-        """Fused vertices as which a run passed the place of a fused vertex: itself, or others."""
+        """Fused vertices as which a run passed the place of a fused vertex: itself, or
+        lookalikes."""
         if run in self.nodes[node]:
             return [node]
         return [k for k in self._lookalikes[node] if run in self.nodes[k]]
 
     def times(self, run: str, node: int) -> IntArray:
-        """When a run passed the place of a fused vertex."""
+        """Times [ns] at which a run passed the place of a fused vertex."""
         at = [v for k in self.places(run, node) for v in self.nodes[k][run]]
         rows = [self.passes[run][v] for v in at]
         return np.sort(np.concatenate([np.zeros(0, np.int64), *rows]))
 
     def saw(self, run: str, node: int, heading: float) -> bool:
-        """Did a run see a branch at a fused vertex? heading: in the component's frame."""
+        """Whether a run saw a branch at a fused vertex. heading: in the component's frame [rad]."""
         gate = JOINT.branch_gate_rad
         for place, v in [(k, v) for k in self.places(run, node) for v in self.nodes[k][run]]:
             own = self._headings[run][v]
@@ -179,7 +181,7 @@ class _Seen:
         return False
 
     def heading(self, edge: int, end: int) -> float:
-        """Direction in which a fused edge leaves its source (end 0) or its target (1)."""
+        """Direction [rad] in which a fused edge leaves its source (end 0) or its target (1)."""
         m = self.merged
         node = int((m.source, m.target)[end][edge])
         branch = int((m.source_branch, m.target_branch)[end][edge])
@@ -189,8 +191,8 @@ class _Seen:
 
 
 def _lookalikes(merged: TopoMap, nodes: Sequence[Mapping[str, Any]]) -> list[list[int]]:
-    """For every fused vertex those that other runs alone saw and that are the same place:
-    corridors that leave one vertex by one branch, and are equally long, lead to both. O(m)."""
+    """For every fused vertex, those seen by other runs only that are the same place: equally long
+    corridors that leave one vertex by one branch lead to both. O(m)."""
     leaving: dict[tuple[int, int], list[tuple[int, int]]] = {}
     ends = (merged.source, merged.target)
     branches = (merged.source_branch, merged.target_branch)
@@ -215,8 +217,7 @@ def _fault_rate(rate: float) -> float:
 
 
 def _corridors(seen: _Seen) -> tuple[list[_Doubt], int]:
-    """Corridors that runs passed an end of without seeing their branches, and the number of
-    questions asked."""
+    """Corridors with runs that passed an end without seeing the branch, and the number of tests."""
     out, asked, m = [], 0, seen.merged
     for e, members in enumerate(seen.edges):
         missing = []
@@ -231,7 +232,7 @@ def _corridors(seen: _Seen) -> tuple[list[_Doubt], int]:
                 continue
             at = {ends[k] for k in passed}
             times = np.sort(np.concatenate([seen.times(run, node) for node in at]))
-            # A fault is of one branch of those that the junction has.
+            # The fault rate is per junction: divide it among the branches.
             rate = topomap.measured.branch_fault_rate
             overlooked = [_fault_rate(rate / len(m.branches[k])) for k in at]
             missing.append((_witness(run, times), float(np.prod(overlooked))))
@@ -245,11 +246,10 @@ def _corridors(seen: _Seen) -> tuple[list[_Doubt], int]:
 
 
 def _junctions(seen: _Seen) -> tuple[list[_Doubt], int]:
-    """Junctions that runs drove through without seeing them, and the number of questions asked: one
-    for each run that passed a junction known to several, or drove through one unseen, and one for
+    """Junctions that runs drove through without detecting them, and the number of tests: one for
+    each run that passed a junction known to several, or drove through one undetected, and one for
     each corridor that several drove, in which a junction may have been invented. The probability of
-    a miss is no less than the share of visits at which the runs that know the junction missed it.
-    """
+    a miss is at least the share of visits at which the runs that know the junction missed it."""
     out, m = [], seen.merged
     asked = sum(len(members) for members in seen.nodes if len(members) > 1)
     asked += sum(len(members) > 1 for members in seen.edges)
@@ -289,7 +289,7 @@ def _junctions(seen: _Seen) -> tuple[list[_Doubt], int]:
 
 
 def _unseen_share(topomap: TopoMap, vertices: Sequence[int]) -> float:
-    """Share of a run's visits to some of its own vertices at which it did not see them."""
+    """Share of a run's visits to some of its own vertices without a detection."""
     ends = [np.isin(end, vertices) for end in (topomap.source, topomap.target)]
     visits = sum(int(topomap.traversals[end].sum()) for end in ends) // 2
     seen = int(np.isin(topomap.observation_vertex, vertices).sum())
@@ -307,7 +307,7 @@ def _witness(run: str, times: IntArray) -> Witness:
 
 
 def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
-    """What a run says of corridors of its own map that it drove."""
+    """A run's traversals of edges of its own map."""
     m = seen.maps[run]
     if m.traversal_ns is not None:
         return _witness(
@@ -321,15 +321,15 @@ def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
 
 
 def _needed(asked: int) -> float:
-    """Threshold [bits] for as many questions: half of the false rate is for corridors, half for
+    """Threshold [bits] for the number of tests: half of the false rate is for corridors, half for
     junctions. It exceeds what one junction can contribute, so that it takes two."""
     several = float(np.log2(2 * max(asked, 1) / CHANGES.false_rate))
     return max(several, -float(np.log2(CHANGES.least_fault_rate)))
 
 
 def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -> Change:
-    """The change that a doubt is: GONE if all who did not meet the thing passed after the last who
-    did, NEW if before the first, else DIFFERS; with the evidence of all of them."""
+    """The change: GONE if all who did not find the thing passed after the last who did, NEW if
+    before the first, else DIFFERS; with the evidence of all of them."""
     first = min(w.first_ns for w in doubt.there)
     last = max(w.last_ns for w in doubt.there)
     after = [(w, p) for w, p in doubt.missing if w.first_ns > last]

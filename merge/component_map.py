@@ -1,4 +1,4 @@
-"""One component of a merged document as a map: what everything that takes a map can take."""
+"""One component of a merged document as a map, for all that takes a map."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ def component_map(
 ) -> TopoMap:
     """The fused map of one component, as the map of a run called `name` in a frame called `name`.
 
-    maps: the maps of its runs, by name; with all of them, as they were when they were merged, the
-    result knows when its corridors were driven. `info["members"]` says for every vertex and every
-    edge which vertices and edges of which runs it was fused from. Observations are those of all
-    runs, by time. Raises ValueError where the component is not there or contradicts itself.
+    maps: the maps of its runs, by name; with all of them, unchanged since the merge, the result has
+    the times of its traversals. `info["members"]` holds for every vertex and edge the vertices and
+    edges of the runs that it was fused from. Observations are those of all runs, by time. Raises
+    ValueError if the component does not exist or is inconsistent.
     """
     chosen = [node for node in document.nodes if node.component == component]
     number = {node.id: k for k, node in enumerate(chosen)}
@@ -63,7 +63,7 @@ def component_map(
             length=corridors["length"],
         )
         sure = fused_confidence(members, whole)
-        # Robots of one kind err alike: their scales do not average out.
+        # Robots of one kind share systematic errors: their scales do not average out.
         noise = replace(noise, scale=usual_scale([maps[run] for run in runs]))
     fused = TopoMap(
         run=name,
@@ -86,7 +86,7 @@ def component_map(
 
 
 def places_of(document: MergedDocument, component: int) -> list[MergedNode]:
-    """The fused vertices of a component, which are no turning points of runs."""
+    """The fused vertices of a component, without turning points of runs."""
     own = (node for node in document.nodes if node.component == component)
     return [node for node in own if node.kind not in KINDS]
 
@@ -127,8 +127,8 @@ def component_pose_graph(
     """The joint pose graph of a component, solved.
 
     Poses are the vertices of all its maps, run by run in the order of their names. maps: of all its
-    runs, as they were merged. Identities are plain edges: kernels, headings of a
-    grid and scales of odometries, which the solution also kept to, are left out of the graph.
+    runs, as they were merged. Identities are plain edges; kernels, grid headings and odometry
+    scales, which the solution used, are left out of the graph.
     """
     pool = Pool.of([maps[run] for run in document.graph.runs_of(component)])
     where = zip(pool.run, pool.vertex.tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""A verdict on two runs with everything that it rests on: the evidence term by term, the threshold.
+"""A verdict on two runs with all its evidence, term by term, and the threshold.
 
 This is what `topobatch explain` shows. All bits are those of `merged.json`: the terms of a
 placement add up to its evidence, and the evidence is compared with the threshold.
@@ -21,11 +21,12 @@ DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
 TermKind = Literal[
     "corridor", "position", "branches", "unseen", "elsewhere", "hypotheses", "few", "copies",
 ]  # fmt: skip
-"""What a term counts. corridor: the length of a corridor that both runs have; position: where one
-matched junction lies, seen from another near it; branches: those of one matched junction; unseen: a
-junction in the middle of the other run's corridor; elsewhere: corridors that leave a matched
-junction by the same branch and lead to others; hypotheses: among how many the placement was chosen;
-few: what so few junctions cannot carry; copies: what a copy of the place would offer as well."""
+"""What a term counts. corridor: the length of a corridor that both runs have; position: the
+position of one matched junction relative to another near it; branches: those of one matched
+junction; unseen: a junction in the middle of the other run's corridor; elsewhere: corridors that
+leave a matched junction by the same branch and lead to different ones; hypotheses: the number among
+which the placement was chosen; few: the bound by the number of junctions; copies: the test for a
+copy of the place."""
 
 LINKS: tuple[TermKind, ...] = ("corridor", "position")
 AGAINST: tuple[TermKind, ...] = ("unseen", "elsewhere")
@@ -33,9 +34,9 @@ AGAINST: tuple[TermKind, ...] = ("unseen", "elsewhere")
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A part of the evidence, in bits: what speaks for the placement is positive.
+    """A part of the evidence, in bits, positive if for the placement.
 
-    told: in words; a, b: the junctions of the two maps that it speaks of, a corridor as its two
+    told: in words; a, b: the junctions of the two maps that it concerns, a corridor as its two
     ends, as far as these runs have them; size_m: for a link its length in a and in b [m].
     """
 
@@ -54,8 +55,8 @@ class Term:
 
 
 def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None) -> list[float]:
-    """The parts rounded so that they add up to their rounded sum, or to a total rounded before: all
-    down, and then those of the largest remainders up. Their order stays."""
+    """The parts rounded such that they add up to their rounded sum, or to a given rounded total
+    (largest remainder method). Their order stays."""
     if not bits:
         return []
     unit = 10.0**digits
@@ -71,10 +72,12 @@ def rounded_terms(bits: Sequence[float], digits: int, total: float | None = None
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placement:
-    """One way to lay b over a. The terms add up to `alignment.evidence_bits`: they are rounded as
-    documents hold them, so that they read alike wherever they are shown. searched: whether
-    contradictions were looked for, which is not done where the agreement is no better than
-    chance."""
+    """A placement of b over a with its evidence.
+
+    The terms add up to `alignment.evidence_bits`: they are rounded as in documents, so that they
+    read alike wherever they are shown. searched: whether contradictions were searched, which is not
+    done if the agreement is no better than chance.
+    """
 
     alignment: Alignment
     terms: tuple[Term, ...]
@@ -86,19 +89,19 @@ class Placement:
         object.__setattr__(self, "terms", terms)
 
     def of(self, *kinds: TermKind) -> tuple[Term, ...]:
-        """The terms of some kinds, those that tell most first, whatever they speak for."""
+        """The terms of some kinds, by decreasing absolute value."""
         return tuple(sorted((t for t in self.terms if t.kind in kinds), key=lambda t: -abs(t.bits)))
 
 
 @dataclass(frozen=True, slots=True)
 class Requirement:
-    """What merging needs.
+    """The requirements for merging.
 
-    threshold_bits: log2(pairs / false_merge_rate); least_junctions: that must agree; lead_bits: by
-    which the next best placement must be behind, more where that has no more against it;
-    junction_bits: most that a matched junction counts. repetition: 0 (surely no copy) to 1; where
-    the second question is asked, same_place_bits: evidence that it is the place and not a copy of
-    it, and same_place_needed: its threshold.
+    threshold_bits: log2(pairs / false_merge_rate); pairs: that share the false-merge rate;
+    least_junctions: that must agree; lead_bits: required lead over the next best placement, more if
+    that has no more evidence against it; junction_bits: bound per matched junction; repetition: 0
+    (certainly no copy) to 1; same_place_bits, same_place_needed: evidence that it is not a copy,
+    and its threshold, None if not tested.
     """
 
     threshold_bits: float
@@ -114,8 +117,9 @@ class Requirement:
 
 @dataclass(frozen=True, slots=True)
 class Start:
-    """The best hypothesis of a pair none of whose hypotheses grew. Of `expected` junctions of b
-    that it lays where run a has been, `found` lie on a junction of a; `needed` are asked."""
+    """The best hypothesis of a pair without any that grew. Of `expected` junctions of b that it
+    puts inside the area of run a, `found` lie on a junction of a, and `needed` are required;
+    hypotheses: their number."""
 
     found: int
     expected: int
@@ -127,12 +131,12 @@ class Start:
 class Decision:
     """Why two runs were merged, or not.
 
-    said: the verdict, as the last merge gave it (`of_merge`) or would give it. placements: the
-    one that the verdict speaks of, and the next best that lays b elsewhere; none if nothing in the
-    two maps is alike. start: set where the only placement is a hypothesis that did not grow: its
+    said: the verdict, as the last merge gave it (`of_merge`) or would give it. placements: the one
+    that the verdict refers to, and the next best with another position of b; none if nothing in the
+    two maps is compatible. start: set if the only placement is a hypothesis that did not grow: its
     terms do not add up to the verdict's evidence, which is 0. by_others: (3,) T_a_b of runs that
-    only others join, as these place them. why: what a pair that is not accepted lacks; notes: what
-    the reader must know about the documents it was made from.
+    only others join. why: what a rejected pair lacks; notes: on the documents that it was made
+    from.
     """
 
     said: PairVerdict

@@ -1,4 +1,4 @@
-"""A decision in words: one screen of a terminal, and the parts that a recording shows.
+"""A decision in words: one screen of a terminal, and the texts of a recording.
 
 Degrees and decimals for people; documents hold radians.
 """
@@ -19,10 +19,10 @@ from .result import PairVerdict, Verdict, shown_bits
 from .wording import decimals
 
 WIDTH, HEIGHT = 79, 22
-"""Letters and lines of the smallest usual terminal, two lines left for the file and the prompt."""
+"""Columns and lines of the smallest usual terminal, minus two lines for the file and the prompt."""
 
 NOTABLE_BITS = 0.05
-"""What speaks against a placement by less than this is not shown first."""
+"""Smaller evidence against a placement is not listed first."""
 
 LONGEST_NAME = 18
 """Longer names of runs are shortened in the middle."""
@@ -30,9 +30,11 @@ LONGEST_NAME = 18
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A row of the table of evidence. kind: of what; told: in words; bits: of each placement, None
-    where it has no such part; a, b: the junctions concerned; level: 0 for what is added up, 1 for
-    its parts."""
+    """A row of the table of evidence.
+
+    told: in words; bits: of each placement, None if it has no such part; a, b: the junctions
+    concerned; level: 0 for sums, 1 for their parts.
+    """
 
     told: str
     bits: tuple[float | None, ...]
@@ -42,7 +44,7 @@ class Row:
 
 
 def short(run: str, most: int = LONGEST_NAME) -> str:
-    """A name that fits a column."""
+    """A run's name, shortened in the middle to fit a column."""
     if len(run) <= most:
         return run
     half = (most - 1) // 2
@@ -92,7 +94,7 @@ def digits_of(decision: Decision) -> int:
 
 
 def because(decision: Decision) -> str:
-    """Why, in one sentence."""
+    """The reason in one sentence."""
     said = decision.said
     if said.locked == "never":
         return "Locked apart by a person."
@@ -111,7 +113,7 @@ def because(decision: Decision) -> str:
 
 
 def _given_up(said: PairVerdict, start: Start) -> str:
-    """What became of the best hypothesis."""
+    """Why the best hypothesis was given up."""
     return (
         f"Nothing that chance would not offer: the best of "
         f"{counted(start.hypotheses, 'hypothesis', 'hypotheses')} lays "
@@ -137,7 +139,7 @@ def _contradicted(placement: Placement) -> str:
 
 
 def pose(placement: Placement) -> str:
-    """Where b lies in a's frame."""
+    """Position of b in a's frame."""
     return pose_told(placement.alignment.transform)
 
 
@@ -148,7 +150,7 @@ def pose_told(transform: FloatArray) -> str:
 
 
 def lies(decision: Decision) -> str:
-    """Where b lies in a's frame, or would lie; "" where nothing says so."""
+    """Where b lies in a's frame, or would lie; "" if unknown."""
     said = decision.said
     frame = f"in {short(said.a)}'s frame"
     if decision.by_others is not None:
@@ -165,8 +167,8 @@ def lies(decision: Decision) -> str:
 
 
 def rows(decision: Decision, links: int) -> list[Row]:
-    """The table of evidence: what is added up for every placement, and the links of the first one
-    that tell most, so many at most. The column of each placement adds up as it stands."""
+    """The table of evidence: the sums of every placement, and at most `links` of the largest links
+    of the first one. The column of each placement adds up as shown."""
     digits = digits_of(decision)
     columns = [_groups(p, digits) for p in decision.placements]
     if not columns:
@@ -189,12 +191,12 @@ _GROUPS: dict[TermKind, tuple[TermKind, ...]] = {
     "few": ("few",),
     "copies": ("copies",),
 }
-"""What is added up in one row, in their order."""
+"""Kinds of terms that are summed in one row, in the order of rows."""
 
 
 def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
-    """The sum of every kind of terms, rounded so that the sums add up; contradictions are told even
-    where there are none."""
+    """The sum of every group of terms, rounded so that the sums add up; contradictions are listed
+    even if there are none."""
     sums = [sum(t.bits for t in placement.of(*kinds)) for kinds in _GROUPS.values()]
     total = float(shown_bits(placement.alignment.evidence_bits, digits))
     shown = rounded_terms(sums, digits, total)
@@ -221,7 +223,7 @@ def _group_told(kind: TermKind, placements: Sequence[Placement]) -> str:
 
 
 def _against_told(placements: Sequence[Placement]) -> str:
-    """How many contradictions the first placement has, or that only the next one has some."""
+    """The number of contradictions of the first placement, or that only the next one has some."""
     first, *others = (len(p.of(*AGAINST)) for p in placements)
     if first:
         return counted(first, "contradiction")
@@ -230,9 +232,8 @@ def _against_told(placements: Sequence[Placement]) -> str:
 
 
 def _parts(terms: Sequence[Term], total: float, most: int, digits: int) -> list[Row]:
-    """The terms of a group, those that tell most and those against the rest first, and in one row
-    those that are left; they add up to the group's sum, and each reads alike however many are
-    shown."""
+    """The terms of a group, evidence against it and the largest first, and the rest in one row.
+    They add up to the group's sum, and each reads alike however many are shown."""
     ordered = sorted(terms, key=lambda t: (t.bits > -NOTABLE_BITS, -abs(t.bits)))
     bits = rounded_terms([t.bits for t in ordered], digits, total)
     count = len(ordered) if len(ordered) <= most else max(most - 1, 0)
@@ -248,7 +249,7 @@ def _link(term: Term, bits: float) -> Row:
 
 
 def needs(decision: Decision) -> str:
-    """What the threshold is made of, and what else merging needs."""
+    """What the threshold is made of, and the other requirements."""
     need = decision.requirement
     return (
         f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
@@ -278,14 +279,14 @@ def missing(decision: Decision) -> str:
 
 
 def _short_of(bits: float, needed: float) -> str:
-    """How much is missing, as the reader works it out from the two numbers shown."""
+    """The difference of two numbers as shown."""
     digits = decimals(bits, needed)
     has, asked = (float(shown_bits(number, digits)) for number in (bits, needed))
     return shown_bits(asked - has, digits)
 
 
 def sum_told(decision: Decision) -> str:
-    """What the terms add up to, and how far the next best placement is behind."""
+    """Label of the sum of the terms, with the lead over the next best placement."""
     if decision.start is not None:
         return "what the hypothesis had, not counted"
     margin = decision.said.margin_bits
@@ -301,8 +302,8 @@ def matched(placement: Placement) -> str:
 
 
 def lines(decision: Decision, links: int | None = None) -> list[str]:
-    """The decision as lines of a terminal, the verdict first. links: rows of links to show at most;
-    by default as many as leave the whole on one screen."""
+    """The decision as lines of a terminal, the verdict first. links: most rows of links; by default
+    as many as fit one screen."""
     if links is not None:
         return _lines(decision, links)
     tried = (_lines(decision, most) for most in range(HEIGHT, -1, -1))
@@ -311,7 +312,7 @@ def lines(decision: Decision, links: int | None = None) -> list[str]:
 
 
 def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
-    """brief: without what the recording shows better, where long names leave too little room."""
+    """brief: without what the recording shows better, if long names leave too little room."""
     said = decision.said
     out = [*_folded(headline(decision)), *_folded(because(decision), "  ", most=2 if brief else 3)]
     out += _folded(lies(decision), "  ")
@@ -328,7 +329,7 @@ def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
 
 
 def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
-    """A text over several lines, cut after so many."""
+    """A text wrapped to several lines, cut after `most`."""
     hanging = indent + "  "
     found = wrap(text, WIDTH, initial_indent=indent, subsequent_indent=hanging)
     if len(found) > most:
@@ -337,7 +338,7 @@ def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
 
 
 def _table(decision: Decision, links: int) -> list[str]:
-    """The table of evidence, its sum and what is needed."""
+    """The table of evidence, its sum and the requirements."""
     digits, count = digits_of(decision), len(decision.placements)
     if not count:
         return [_row([threshold(decision)], f"bits needed: {needs(decision)}")]

@@ -1,4 +1,4 @@
-"""Digests: what is kept is found again by the content of all that it follows from."""
+"""Digests: results are cached by the content of all that they follow from."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from ..topology.ragged import Ragged
 from ..topology.topomap import TopoMap
 
 DIGEST = 16
-"""Bytes of a digest: two contents in 2⁶⁴ share one."""
+"""Bytes of a digest: a collision is expected after 2⁶⁴ contents."""
 
 NOT_CONTENT = frozenset({"run", "frame", "closures", "info", "turning_points"})
-"""What a map says about itself and matching never asks."""
+"""Fields of a map that matching does not use."""
 
 
 def digested(*parts: bytes) -> bytes:
-    """16 bytes that are the same for the same bytes, one part after the other."""
+    """A 16-byte digest of the concatenated parts."""
     return hashlib.blake2b(b"".join(parts), digest_size=DIGEST).digest()
 
 
 def digest_of(topomap: TopoMap) -> bytes:
-    """16 bytes that are the same for maps of the same content, whatever the run is called."""
+    """A 16-byte digest of a map's content, independent of the name of its run."""
     parts: list[bytes] = []
     for name, told in _CONTENT:
         parts.append(told)
@@ -51,7 +51,7 @@ def _parts(value: object) -> Iterator[bytes]:
 
 
 class Digests:
-    """Digests of maps, each worked out once."""
+    """Digests of maps, each computed once."""
 
     def __init__(self) -> None:
         self._known: dict[int, tuple[TopoMap, bytes]] = {}

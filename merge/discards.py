@@ -1,4 +1,4 @@
-"""Matches that a person took back: later merges are as if they had never been found.
+"""Matches discarded by the user: later merges treat them as not found.
 
 A lock "never" keeps two runs apart whatever else is known; a discarded match is only not counted:
 others may still join the two (§4.1).

@@ -29,7 +29,7 @@ from .result import (
 )
 
 EXTRA = ("against_chance_bits", "same_place_bits")
-"""What the robust method adds to its entries."""
+"""Entries added by the robust method."""
 
 
 def pose_to_document(pose: Any) -> dict[str, float]:
@@ -56,17 +56,17 @@ def _contradicting(alignment: Alignment) -> dict[str, Any]:
 
 
 def sigmas_to_document(placed: tuple[float, float] | None) -> dict[str, float] | None:
-    """{"sigma_m", "sigma_rad"}, or null."""
+    """{"sigma_m", "sigma_rad"}, or None."""
     return placed and {"sigma_m": significant(placed[0]), "sigma_rad": significant(placed[1])}
 
 
 def bits_to_document(bits: float | None) -> float | None:
-    """Evidence as documents have it, or null."""
+    """Evidence rounded for documents, or None."""
     return None if bits is None else float(rounded(bits, BITS))
 
 
 def entry_of(pair: PairVerdict) -> dict[str, Any]:
-    """A verdict as the document has it; see `MergeEntry`."""
+    """A verdict as in the document; see `MergeEntry`."""
     entry: dict[str, Any] = {
         "a": pair.a,
         "b": pair.b,
@@ -108,7 +108,7 @@ def merged_to_document(result: MergeResult) -> dict[str, Any]:
 
 
 def _parts(result: MergeResult) -> dict[str, Any]:
-    """The document; lists that may be long are made entry by entry."""
+    """The document; lists that may be long are iterators."""
     graph: dict[str, Any] = {
         "components": [
             {"id": c.id, "runs": {run: pose_to_document(c.poses[run]) for run in sorted(c.poses)}}
@@ -129,7 +129,7 @@ def _parts(result: MergeResult) -> dict[str, Any]:
 
 
 def _places(result: MergeResult) -> dict[str, Iterator[Any]]:
-    """The fused vertices and corridors, as text where that of all components is known."""
+    """The fused vertices and corridors, as text if the text of all components is kept."""
     fused = result.fused
     texts = [component.text.partition(BETWEEN) for component in result.components]
     nodes, edges = ([text[k].splitlines() for text in texts] for k in (0, 2))
@@ -147,20 +147,19 @@ def _places(result: MergeResult) -> dict[str, Iterator[Any]]:
 def _late(
     entries: Callable[[FusedMap], Iterator[dict[str, Any]]], fused: FusedMap, first: int
 ) -> Iterator[dict[str, Any]]:
-    """The entries of turning points, of which no component knows; nothing where there are none."""
+    """The entries of turning points, which are not in the text of components."""
     return islice(entries(fused), first, None) if fused.turned else iter(())
 
 
 BETWEEN = b"\n\n"
-"""Stands between the vertices and the corridors of a component, of which each is a line."""
+"""Separates the vertices and the corridors in the text of a component, one per line."""
 
 NODE, EDGE = b'{"id":%d,"component":%d,', b'{"source":%d,"target":%d,'
-"""How their entries begin: with numbers that hang on the other components."""
+"""The beginnings of their entries: numbers that depend on the other components."""
 
 
 def places_text(fused: FusedMap) -> bytes:
-    """What the document says of the vertices and corridors of one component, but for `NODE` and
-    `EDGE`."""
+    """The text of the vertices and corridors of one component, without `NODE` and `EDGE`."""
     both = (_nodes(fused), _edges(fused))
     return BETWEEN.join(b"\n".join(map(_without_numbers, entries)) for entries in both)
 
@@ -172,7 +171,7 @@ def _without_numbers(entry: dict[str, Any]) -> bytes:
 def _numbered(
     begin: bytes, numbers: Iterator[tuple[int, int]], texts: Iterable[Sequence[bytes]]
 ) -> Iterator[Json]:
-    """The entries of every component, in a row."""
+    """The entries of all components, with their numbers."""
     for lines in texts:
         if lines:
             own = islice(numbers, len(lines))
@@ -199,7 +198,7 @@ def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
 
 
 def _place_sigma(fused: FusedMap, vertex: int) -> dict[str, float]:
-    """How sure a fused vertex is, where that is known."""
+    """The sigma of a fused vertex, if known."""
     known = fused.position_sigma
     if known is None or not np.isfinite(known[vertex]):
         return {}
@@ -223,10 +222,10 @@ def _pose_from(pose: Pose) -> FloatArray:
 
 
 def result_from_document(document: MergedDocument) -> MergeResult:
-    """The result that a document was written from: its numbers as rounded there, unrelated pairs
+    """The result that a document was written from: numbers as rounded there, unrelated pairs
     without their alignments, placements without their covariance.
 
-    Raises ValueError where the document names a vertex, a branch or a component that it lacks.
+    Raises ValueError if the document names a vertex, a branch or a component that it lacks.
     """
     graph = document.graph
     components = tuple(
@@ -271,8 +270,8 @@ def _fused_from(document: MergedDocument) -> FusedMap:
 
 
 def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
-    """What a document says about a pair, as the value it was written from: rounded, and without
-    the alignments of unrelated pairs."""
+    """The verdict that an entry was written from: rounded, and without the alignments of unrelated
+    pairs."""
     best = None
     if entry.transform is not None:
         best = _alignment_from(entry, entry.transform, entry.matched or [])
@@ -324,7 +323,8 @@ def _alignment_from(
 
 
 def read_merged(path: Path) -> MergedDocument:
-    """A checked `merged.json`; DocumentError if it cannot be read or is no such document."""
+    """A validated `merged.json`; DocumentError if it cannot be read or does not follow the
+    schema."""
     return validated(MergedDocument, read_json(path), str(path))
 
 

@@ -1,6 +1,6 @@
-"""Maps as bytes: read again they are the same to the last bit, and no document is parsed.
+"""Binary copies of maps, restored to the last bit without parsing their documents.
 
-A map is kept by the digest of its document. What is read is checked as every map is at its birth.
+A map is kept by the digest of its document. What is read is validated like every map.
 """
 
 from __future__ import annotations
@@ -29,15 +29,15 @@ FLAT = (
 )
 WORDS = ("run", "frame", "kind", "shows_bends", "info")
 SIZE = 8
-"""Bytes in front that say how many the words have."""
+"""Bytes of the size of the JSON part, in front of it."""
 
 ARRAYS = "iiiiiiiffffififiiffff"
-"""What `FLAT` names; positions; branches, points of paths and times of traversals, of each the
-numbers of a row and all rows end to end; noise, fitted noise, sigmas of positions and branches.
-What is not known is empty, and named in the words."""
+"""Types of the arrays: those named in `FLAT`; positions; branches, points of paths and times of
+traversals, each as row lengths and concatenated rows; noise, fitted noise, sigmas of positions and
+branches. Unknown ones are empty, and named in the JSON part."""
 
 TURNED = tuple(TurningPoints.__dataclass_fields__)
-"""Fields of turning points, of which a map has a few: kept as words."""
+"""Fields of turning points; a map has few, so they are kept as JSON."""
 
 NOT_ALWAYS = ("fitted_noise", "position_sigma", "branch_sigma", "traversal_ns")
 
@@ -53,7 +53,7 @@ class KeptMaps:
         self._new = PackWriter(self.store.era)
 
     def read(self, path: Path) -> TopoMap:
-        """As `read_map`."""
+        """The map of a document, as by `read_map`."""
         data = document_bytes(path)
         digest = digested(data)
         kept = self.store.find(Kind.MAP, (digest, digest))
@@ -64,13 +64,13 @@ class KeptMaps:
         return found
 
     def keep(self) -> None:
-        """Leave what was read to later merges."""
+        """Keep what was read for later merges."""
         if len(self._new):
             self.store.keep(self._new.pack())
 
 
 def to_bytes(topomap: TopoMap) -> bytes:
-    """A map as it is kept."""
+    """A serialised map."""
     words: dict[str, Any] = {name: getattr(topomap, name) for name in WORDS}
     words["closures"] = [astuple(closure) for closure in topomap.closures]
     words["turning_points"] = {
@@ -96,7 +96,7 @@ def to_bytes(topomap: TopoMap) -> bytes:
 
 
 def from_bytes(data: bytes) -> TopoMap | None:
-    """The map that was kept; None where the bytes are none."""
+    """Inverse of `to_bytes`; None if the bytes are invalid."""
     stop = SIZE + int.from_bytes(data[:SIZE], "little")
     try:
         words = from_json(data[SIZE:stop], allow_inf_nan=False)
@@ -141,13 +141,13 @@ def _turning_points(words: Any) -> TurningPoints:
 
 
 def _end_to_end(rows: Sequence[NDArray[Any]], dtype: type) -> Iterator[NDArray[Any]]:
-    """The numbers of points of each row, and all points."""
+    """The length of each row, and all rows concatenated."""
     yield np.array([len(row) for row in rows], np.int64)
     yield np.concatenate([np.zeros((0, 2), dtype), *rows])
 
 
 def _rows(sizes: IntArray, flat: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """The reverse; ValueError where they do not fit."""
+    """Inverse of `_end_to_end`; ValueError if the sizes do not fit."""
     points = flat.reshape(-1, 2)
     if (sizes < 0).any() or sizes.sum() != len(points):
         raise ValueError("rows do not fit")

@@ -1,4 +1,4 @@
-"""Layers of maps (§4.1): through which matches a run's map rests on another's.
+"""Layers of maps (§4.1): the matches through which a run's map depends on another's.
 
 Layer 0 is a run's own map. Layer 1 holds the maps matched to it, layer n + 1 those matched to maps
 of layer n; every map above layer 0 names the match that it depends on.
@@ -13,7 +13,7 @@ from .result import PairVerdict
 
 
 def layers_to_document(own: str, verdicts: Iterable[PairVerdict]) -> list[dict[str, Any]]:
-    """JSON rows {"run", "layer", "depends_on"} of all runs that accepted verdicts tie to `own`.
+    """JSON rows {"run", "layer", "depends_on"} of all runs connected to `own` by accepted verdicts.
 
     By layer, then by name. A map that several maps of the layer below match depends on the
     strongest of these matches.

@@ -1,4 +1,5 @@
-"""What a person decided about pairs of runs; it overrules the evidence on every later merge."""
+"""Locks: the user's decisions on pairs of runs, which overrule the evidence on every later
+merge."""
 
 from __future__ import annotations
 
@@ -16,11 +17,11 @@ LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
 
 @dataclass(frozen=True, slots=True, order=True)
 class Lock:
-    """A decision about runs `a < b`.
+    """A decision on runs `a < b`.
 
     "same": the two runs are joined, by their best alignment; with `at` (vertex of a, vertex of b)
     by the best one that identifies these two vertices. "never": they never share a component, not
-    even through other runs; `at` must be None then. Raises UsageError where that does not hold.
+    even through other runs; `at` must be None then. Raises UsageError otherwise.
     """
 
     # Documents allow keys that nobody knows; values have no room for them.
@@ -64,13 +65,13 @@ def lock_table(locks: Iterable[Lock]) -> dict[tuple[str, str], Lock]:
 
 
 def with_lock(locks: Sequence[Lock], lock: Lock) -> tuple[Lock, ...]:
-    """The locks with one more, which replaces an earlier one of the same pair; sorted."""
+    """The locks with one more, which replaces that of the same pair; sorted."""
     kept = [k for k in locks if (k.a, k.b) != (lock.a, lock.b)]
     return tuple(sorted([*kept, lock], key=lambda k: (k.a, k.b)))
 
 
 def without_lock(locks: Sequence[Lock], a: str, b: str) -> tuple[Lock, ...]:
-    """The locks but for the one of the pair {a, b}."""
+    """The locks without that of the pair {a, b}."""
     pair = (min(a, b), max(a, b))
     return tuple(k for k in locks if (k.a, k.b) != pair)
 
@@ -90,7 +91,7 @@ def locks_to_document(locks: Sequence[Lock]) -> dict[str, Any]:
 
 
 def locks_from_document(doc: Any, name: str = "locks document") -> tuple[Lock, ...]:
-    """The locks that a parsed document holds; DocumentError if it follows no such schema."""
+    """The locks of a parsed document; DocumentError if it does not follow the schema."""
     try:
         table = lock_table(validated(LocksDocument, doc, name).locks)
     except UsageError as error:

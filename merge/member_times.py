@@ -1,4 +1,4 @@
-"""When the corridors of a fused map were driven, from the maps of the runs it was fused from."""
+"""Traversal times of the corridors of a fused map, from the maps of its runs."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ def member_times(
     target: IntArray,
     length: FloatArray,
 ) -> tuple[IntArray, ...] | None:
-    """`TopoMap.traversal_ns` of a fused map; None where some run's map does not know its own.
+    """`TopoMap.traversal_ns` of a fused map; None if some run's map does not have it.
 
     edge_members: for each fused edge the (run, edge) it was fused from; fused_of[run, vertex]: the
-    fused vertex; source, target, length: (m,) of the fused edges. Where a run drove past a junction
-    that it did not see, its long corridor is a member of both parts: each is given the share of the
-    time that it has of the way, counted from the end that the two corridors share (or, of a part in
-    the middle, from the beginning). O(members).
+    fused vertex; source, target, length: (m,) of the fused edges. If a run drove past a junction
+    undetected, its long corridor is a member of both parts: each part gets the share of the time
+    that it has of the length, from the end that the two corridors share (for a part in the middle,
+    from the start). O(members).
     """
     if any(m.traversal_ns is None for m in maps.values()):
         return None
@@ -51,7 +51,8 @@ def member_times(
 def _part(
     times_ns: IntArray, share: float, ends: Sequence[int], fused: tuple[int, int]
 ) -> IntArray:
-    """(t, 2) times at the ends of a fused edge, from those at the ends of a corridor with it."""
+    """(t, 2) times [ns] at the ends of a fused edge, from those at the ends of a corridor that
+    contains it."""
     first, second = times_ns.T
     turned = ends[0] == fused[1] or ends[1] == fused[0]
     at_end = ends[1] in fused and ends[0] not in fused

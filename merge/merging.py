@@ -1,4 +1,4 @@
-"""The driver: maps to verdicts, verdicts to components and one fused map."""
+"""Merging: from maps to verdicts, components and one fused map."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from .through import joined_through
 
 @dataclass(frozen=True, slots=True)
 class MergeSettings:
-    """Which method decides, and how it is tuned."""
+    """The method and its settings."""
 
     method: Literal["robust", "paper"] = "robust"
     """robust: tolerant matching with evidence in bits; paper: Huang & Beevers as published."""
@@ -41,11 +41,12 @@ class MergeSettings:
 DEFAULT_MERGE = MergeSettings()
 
 MOST_LISTED = 5000
-"""Pairs: of a larger merge those are counted that have nothing to say. As many as are all matched:
-what was not matched is not listed."""
+"""Number of pairs up to which all are listed; in a larger merge pairs without any evidence are only
+counted. Equal to the number up to which all pairs are matched: what was not matched is not listed.
+"""
 
 ALONE = "; the two maps alone: "
-"""Stands in the reasons of pairs that others join, before what they say by themselves."""
+"""In the reasons of pairs joined by others, precedes their own verdict."""
 
 
 def merge_maps(
@@ -58,10 +59,10 @@ def merge_maps(
 ) -> MergeResult:
     """Merge the maps of many runs: a verdict for every pair, components, one fused map.
 
-    locks: what a person decided about pairs; discarded: pairs of runs, each in the order of names,
-    whose matches a person took back; means: where pairs are matched, and what is known of
-    them already. The result depends neither on that nor on the order of the maps.
-    Raises DataError if two maps are of the same run, or one is in pieces (`pieces.joined_pieces`).
+    locks: the user's decisions on pairs; discarded: pairs of runs, in the order of names, whose
+    matches the user discarded; means: where pairs are matched, and known results. The result
+    depends neither on these means nor on the order of the maps. Raises DataError if two maps are of
+    the same run, or one is in pieces (`pieces.joined_pieces`).
     """
     ordered = _sorted_by_run(maps)
     means = means or Means()
@@ -83,7 +84,7 @@ def merge_maps(
 
 
 def _sorted_by_run(maps: Sequence[TopoMap]) -> list[TopoMap]:
-    """The maps sorted by run; DataError on two of the same run, and on one without one frame."""
+    """The maps sorted by run; DataError if two are of the same run, or one is in pieces."""
     count = Counter(m.run for m in maps)
     twice = sorted(run for run, times in count.items() if times > 1)
     if twice:
@@ -107,7 +108,7 @@ def _decided(
     discarded: Collection[Names],
     means: Means,
 ) -> tuple[PairVerdict, ...]:
-    """The verdicts of the method that is asked for; `maps` are sorted by run."""
+    """The verdicts of the chosen method; `maps` are sorted by run."""
     if settings.method == "robust":
         return robust.decide(maps, settings.robust, locks=locks, discarded=discarded, means=means)
     with means.workers.start() if means.workers else nullcontext() as executor:
@@ -118,7 +119,7 @@ def _decided(
 
 
 def _taken_back(verdict: PairVerdict) -> PairVerdict:
-    """The verdict on a pair whose match a person discarded; locks are of a person, too."""
+    """The verdict on a pair whose match was discarded; a lock takes precedence."""
     if verdict.locked:
         return verdict
     need = verdict.threshold_bits
@@ -130,7 +131,7 @@ def _taken_back(verdict: PairVerdict) -> PairVerdict:
 def _worth_listing(
     runs: int, verdicts: tuple[PairVerdict, ...], discarded: Collection[Names]
 ) -> tuple[PairVerdict, ...]:
-    """The verdicts to list: all of a small merge, of a large one those with something to say."""
+    """The verdicts to list: all of a small merge, of a large one those with any evidence."""
     if pairs_of(runs) <= MOST_LISTED:
         return verdicts
     return tuple(
@@ -146,7 +147,7 @@ def _unlisted(
     shown: tuple[PairVerdict, ...],
     components: Sequence[Component],
 ) -> Unlisted | None:
-    """The numbers of the pairs of a large merge that are not shown."""
+    """Counts of the pairs of a large merge that are not listed."""
     if pairs_of(runs) <= MOST_LISTED:
         return None
     home = {run: c.id for c in components for run in c.poses}
@@ -161,8 +162,8 @@ def _unlisted(
 def _with_placements(
     verdicts: tuple[PairVerdict, ...], components: Sequence[Component]
 ) -> tuple[PairVerdict, ...]:
-    """The verdicts; pairs of one component say how surely they lie to each other, and those that
-    only others place through which."""
+    """The verdicts, with the uncertainty of the relative pose of pairs of one component, and for
+    those that only others join, through which runs."""
     home = {run: c for c in components for run in c.poses}
     chains = joined_through(verdicts)
     sigmas = _relative_sigmas(verdicts, chains, home)
@@ -191,8 +192,8 @@ def _with_placements(
 def _relative_sigmas(
     verdicts: Sequence[PairVerdict], chains: Collection[Names], home: Mapping[str, Component]
 ) -> dict[Names, tuple[float, float]]:
-    """How surely the pairs of one component that are accepted, or joined by chains of others, lie
-    to each other, as `PairVerdict.placed` has it."""
+    """The uncertainty (`PairVerdict.placed`) of the relative poses of pairs that are accepted, or
+    joined through others."""
     pairs: dict[int, list[Names]] = {}
     for v in verdicts:
         one, names = home[v.a], (v.a, v.b)
@@ -230,7 +231,7 @@ def _info(
 
 
 def _same_recordings(maps: Sequence[TopoMap], digest: Callable[[TopoMap], bytes]) -> list[str]:
-    """What is said of runs whose maps are the same in everything but their names."""
+    """Warnings on runs whose maps are identical except for their names."""
     runs: dict[bytes, list[str]] = {}
     for m in maps:
         if len(m):

@@ -1,8 +1,8 @@
-"""Packs: results of matching pairs of maps as bytes, found again by the content of the maps.
+"""Packs: serialised results of matching pairs of maps, keyed by the content of the maps.
 
-A pack is what one batch of pairs gave; workers send packs, the cache of a workspace keeps them.
-Nothing in it is believed: damage shows in its checksums, and what does not is looked through by
-whoever reads a payload.
+A pack holds the results of one batch of pairs; workers send packs, the cache of a workspace keeps
+them. Nothing in it is trusted: checksums detect damage, and payloads are validated by their
+readers.
 
     "TOPOPACK"  era  maps  records  payload bytes  checksum of the next two
     (maps, 16)  digests of maps
@@ -44,39 +44,38 @@ RECORD = np.dtype(
         ("check", "<u8"),
     ]
 )
-"""a, b: rows of the maps' digests; kind: of the result, up to who matches; junctions, bits,
-beyond: all there is to say where size is 0; start, size, check: bytes of the payload and their
-checksum."""
+"""a, b: rows of the maps' digests; kind: of the result; junctions, bits, beyond: the whole result
+if size is 0; start, size, check: offset, bytes and checksum of the payload."""
 
 LARGEST = 1e9
-"""No number of a result is larger: metres, bits."""
+"""Upper bound of all numbers of a result: metres, bits."""
 
 
 class Kind(IntEnum):
-    """What a record of a pack tells of its key: two maps, by their digests, or twice the digest of
-    all that something is made of."""
+    """The kind of a result, and what its key stands for: two maps, by their digests, or twice the
+    digest of something else."""
 
     PAIR = 0
     ITSELF = 1
     IMAGE = 2
-    """The first map against the mirror image of the second."""
+    """The first map matched with the mirror image of the second."""
     COMPONENT = 3
     """Several maps fused into one."""
     CHANCES = 4
-    """What the index gives pairs of many maps."""
+    """Screening of pairs of many maps."""
     PROBES = 6
-    """What the index asks of a map; its key is twice the map's digest."""
+    """Columns of a map for the index; keyed by twice the map's digest."""
     COPIES = 7
-    """How copies of places differ, by some maps; its key is twice the digest of theirs."""
+    """A copy model; keyed by twice the digest of the maps that it was estimated from."""
     VERDICT = 5
-    """What two maps say by themselves; its key is of both maps and of what they must reach."""
+    """The verdict on two maps alone; keyed by both maps and their threshold."""
     RIVALS = 8
-    """Two maps, as far as they are matched, with all other hypotheses beyond chance."""
+    """Two maps matched with all hypotheses beyond chance."""
     MAP = 9
-    """A map; its key is twice the digest of its document."""
+    """A map; keyed by twice the digest of its document."""
     TEXT = 10
-    """What the document says of a component's places; its key is of the component and of the names
-    of its runs."""
+    """The document's text of a component's places; keyed by the component and the names of its
+    runs."""
 
     @property
     def told(self) -> str:
@@ -96,17 +95,16 @@ Key = tuple[bytes, bytes]
 
 
 class DamagedPackError(ValueError):
-    """Bytes that are no pack, or none that is whole."""
+    """Bytes that are not a pack, or a damaged one."""
 
 
 def checksum(payload: bytes) -> int:
-    """CRC-32 of a payload, as RECORD holds it: it tells damage and nothing else, and a quarter of
-    the time of a digest is enough for that."""
+    """CRC-32 of a payload: sufficient against damage, at a quarter of the time of a digest."""
     return zlib.crc32(payload)
 
 
 class Payloads(Protocol):
-    """Bytes in a row, here or in a file."""
+    """A sequence of bytes, in memory or in a file."""
 
     def __len__(self) -> int: ...
 
@@ -115,8 +113,8 @@ class Payloads(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class InFile:
-    """Bytes of a file from `start` on, read as they are asked for: a large cache is no memory. The
-    file is closed with this."""
+    """Bytes of a file from `start` on, read on access to save memory. The file is closed with
+    this."""
 
     file: BinaryIO
     start: int
@@ -141,7 +139,8 @@ class InFile:
 
 @dataclass(frozen=True, slots=True, eq=False, weakref_slot=True)
 class Pack:
-    """Results of pairs of some maps. era: what else they depend on (the program, its settings)."""
+    """Results of pairs of some maps. era: digest of what else they depend on (program,
+    settings)."""
 
     era: bytes
     digests: tuple[bytes, ...]
@@ -152,16 +151,16 @@ class Pack:
         return len(self.rows)
 
     def payload(self, row: int) -> bytes | None:
-        """The payload of a record; None where it is damaged."""
+        """The payload of a record; None if it is damaged."""
         return self.read(*(int(self.rows[name][row]) for name in ("start", "size", "check")))
 
     def read(self, start: int, size: int, check: int) -> bytes | None:
-        """The same by what its record says."""
+        """The payload at an offset; None if it is damaged."""
         found = self.payloads[start : start + size]
         return found if not size or checksum(found) == check else None
 
     def to_bytes(self) -> bytes:
-        """The pack as it is kept and sent."""
+        """The serialised pack."""
         body = b"".join(self.digests) + self.rows.tobytes()
         sizes = (len(self.digests), len(self.rows), len(self.payloads))
         head = HEAD.pack(MAGIC, self.era, *sizes, digested(body))
@@ -169,14 +168,14 @@ class Pack:
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Pack:
-        """Raises DamagedPackError. Payloads are checked one by one, when they are wanted."""
+        """Inverse of `to_bytes`. Raises DamagedPackError. Payloads are checked on access."""
         era, maps, payload, check = _head(data[: HEAD.size], len(data))
         start = len(data) - payload
         return cls._of_body(era, maps, data[HEAD.size : start], check, data[start:])
 
     @classmethod
     def of_file(cls, file: BinaryIO) -> Pack:
-        """The same of a file, from which payloads are read when they are wanted."""
+        """The pack in a file, from which payloads are read on access."""
         size = file.seek(0, os.SEEK_END)
         file.seek(0)
         era, maps, payload, check = _head(file.read(HEAD.size), size)
@@ -203,7 +202,8 @@ class Pack:
 
 
 def _head(head: bytes, size: int) -> tuple[bytes, int, int, bytes]:
-    """Era, maps, bytes of payloads and checksum of a pack of so many bytes."""
+    """Era, number of maps, bytes of payloads and checksum, from the head of a pack of `size`
+    bytes."""
     if len(head) < HEAD.size:
         raise DamagedPackError("too short")
     magic, era, maps, records, payload, check = HEAD.unpack(head)
@@ -235,7 +235,7 @@ class PackWriter:
         beyond: float = 0.0,
         payload: bytes = b"",
     ) -> None:
-        """One result, by the digests of its maps."""
+        """Add one result, by the digests of its maps."""
         a, b = (self._number.setdefault(d, len(self._number)) for d in pair)
         check = checksum(payload) if payload else 0
         self._rows.append((a, b, kind, junctions, bits, beyond, self._end, len(payload), check))
@@ -243,21 +243,21 @@ class PackWriter:
         self._end += len(payload)
 
     def pack(self) -> Pack:
-        """All that was added."""
+        """The pack of all that was added."""
         rows = np.array(self._rows, RECORD)
         return Pack(self.era, tuple(self._number), rows, b"".join(self._payloads))
 
 
 class Store(Protocol):
-    """Where the results of an era are kept from merge to merge."""
+    """Keeps the results of an era from merge to merge."""
 
     @property
     def era(self) -> bytes:
-        """What they depend on beside their keys: the program, its settings."""
+        """Digest of what results depend on beside their keys: program, settings."""
         ...
 
     def packs(self, digests: Sequence[bytes]) -> list[Pack]:
-        """All that is known and was kept; what is about things of such digests is wanted."""
+        """All results known; those about the given digests are marked as wanted."""
         ...
 
     def find(self, kind: Kind, key: Key) -> bytes | None:
@@ -275,7 +275,7 @@ class Store(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Kept:
-    """Results that are found and left one by one. digest: of a map."""
+    """Access to single records of a store. digest: of a map."""
 
     store: Store
     digest: Callable[[TopoMap], bytes] = digest_of
@@ -296,15 +296,15 @@ class Kept:
 
 
 def arrays_to_bytes(arrays: Sequence[IntArray | FloatArray]) -> bytes:
-    """Flat arrays of numbers as a payload."""
+    """Arrays of numbers, flattened, as a payload."""
     flat = [a.reshape(-1).astype("<i8" if a.dtype.kind == "i" else "<f8") for a in arrays]
     sizes = np.array([len(a) for a in flat], "<i8")
     return sizes.tobytes() + b"".join(a.tobytes() for a in flat)
 
 
 def arrays_from_bytes(data: bytes, kinds: str) -> list[NDArray[Any]] | None:
-    """The arrays of a payload; kinds: of each, "i" or "f". None where it cannot hold them, or holds
-    what is no number."""
+    """Inverse of `arrays_to_bytes`; kinds: "i" or "f" of each. None if the sizes do not fit or a
+    float is not finite or too large."""
     head = 8 * len(kinds)
     if len(data) < head:
         return None

@@ -1,4 +1,4 @@
-"""Pieces of one run whose odometry broke: maps that share no frame, joined by what they saw."""
+"""Joining the pieces of one run whose odometry broke: maps that share no frame."""
 
 from __future__ import annotations
 
@@ -20,14 +20,13 @@ from .robust import DEFAULT_ROBUST
 
 
 def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
-    """The map of a run in as few pieces as its evidence allows, the one of most passes first.
+    """The map of a run in as few pieces as its evidence allows, the one with most passes first.
 
-    A map of several `pieces` was driven with an odometry that broke: its connected parts are drawn
-    in one frame, but how they lie to each other is unknown. They are merged like the maps of
-    different runs, with the same evidence and the same caution. What stays apart becomes a map of
-    its own, named `RUN#2`, `RUN#3`, … by time, in a frame of its own, for the merge with other
-    runs; what is too small for any merge is left out, and the warnings say so.
-    A map of one piece is returned as it is.
+    In a map with several `pieces` the odometry broke: its connected parts are drawn in one frame,
+    but their relative poses are unknown. They are merged like the maps of different runs, with the
+    same thresholds. What stays apart becomes a map of its own, named `RUN#2`, `RUN#3`, … by time,
+    in a frame of its own, for the merge with other runs; parts too small for any merge are left
+    out, with a warning. A map of one piece is returned as it is.
     """
     if topomap.pieces < 2:
         return (topomap,)
@@ -62,7 +61,7 @@ def _told(topomap: TopoMap, said: str) -> dict[str, Any]:
 
 
 def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
-    """One sentence on what became of the pieces."""
+    """One sentence on the result for the pieces."""
     apart = len(names) + len(small)
     text = f"the odometry broke: {pieces} pieces, "
     if apart == 1:
@@ -91,7 +90,7 @@ def _parts(topomap: TopoMap) -> list[TopoMap]:
 
 
 def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, Any]:
-    """The passes by the vertices of a part, and the closures that they take part in."""
+    """The passes by the vertices of a part, and its closures."""
     times = set(time_ns.tolist())
     return {
         "observation_vertex": vertex,
@@ -101,7 +100,7 @@ def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, An
 
 
 def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
-    """The chosen vertices of a map, which are connected among themselves alone."""
+    """The chosen vertices of a map, which are connected among themselves only."""
     seen = chosen[topomap.observation_vertex]
     vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
     passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
@@ -109,7 +108,7 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
 
 
 def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:
-    """When the corridors of the merged parts were driven."""
+    """Traversal times of the corridors of the merged parts."""
     return member_times(
         parts,
         fused.edge_members,
@@ -136,7 +135,7 @@ def _cut_out(
     )
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
     passes = _seen(topomap, vertex, time_ns)
-    # What each part knew of its own shape says nothing of that of the whole: the merge does.
+    # The sigmas of the parts do not hold for the whole: those of the merge do.
     told = None if fused.position_sigma is None else fused.position_sigma[chosen]
     known = told is not None and bool(np.isfinite(told).all())
     edges = np.flatnonzero(chosen[fused.source]).tolist()

@@ -1,4 +1,4 @@
-"""What merging says: a verdict for every pair of runs, and the fused map of every component."""
+"""The result of merging: a verdict for every pair of runs, and the fused map of every component."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ T = TypeVar("T")
 
 
 class Verdict(StrEnum):
-    """The three answers to "do these two runs share places, and where?"."""
+    """The three answers to the question whether, and where, two runs share places."""
 
     MERGED = "merged"
     AMBIGUOUS = "ambiguous"
@@ -37,9 +37,8 @@ class Verdict(StrEnum):
 
 
 class Standing(StrEnum):
-    """What became of a pair, for people: the verdict, and what other runs and later checks made of
-    it. JOINED: unrelated by itself, and yet in one component; KEPT_OUT: it fits, but a later check
-    kept it out."""
+    """The final state of a pair, for people. JOINED: unrelated by itself, but in one component;
+    KEPT_OUT: it fits, but a later check refused it."""
 
     MERGED = "merged"
     JOINED = "joined through others"
@@ -49,22 +48,22 @@ class Standing(StrEnum):
 
 
 AcceptedBy = Literal["pair", "components", "runs", "lock"]
-"""What an accepted pair was accepted by: its own evidence; that of the two components it joins;
-other runs, which place the two as one of the pair's own alignments does; a person."""
+"""By what an accepted pair was accepted: its own evidence; that of the two components it joins;
+other runs, which place the two like one of the pair's own alignments; a lock."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """One way to lay map b over map a.
+    """An alignment of map b with map a.
 
-    transform: (3,) T_a_b as x, y [m], theta [rad]; evidence_bits: log2 odds of the question that
-    it answers worst: more than chance offers? and, asked where a building may repeat itself: this
-    place, not a copy of it? (counted so that both need the same for merging); matched: (k, 2)
-    int64 pairs (vertex of a, vertex of b), sorted; rmse_m: root mean square distance of the
-    matched vertices under the transform; contradictions: sentences, one per disagreement found
-    ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting: for each
-    of these the vertices of a and of b that it speaks of, a corridor as its two ends; empty where
-    that is not known.
+    transform: (3,) T_a_b as x, y [m], theta [rad]; evidence_bits: log2 odds of the weaker one of
+    two answers: is it more than chance? and, where a building may repeat itself: is it this place,
+    not a copy? (shifted so that both have the same threshold); matched: (k, 2) int64 pairs (vertex
+    of a, vertex of b), sorted; rmse_m: root mean square distance of the matched vertices under the
+    transform; corridors: number of matched ones; contradictions: sentences, one per disagreement
+    found ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting:
+    for each of these the vertices of a and of b concerned, a corridor as its two ends; empty if not
+    known.
     """
 
     transform: FloatArray
@@ -85,22 +84,22 @@ class Alignment:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairVerdict:
-    """What is known about one pair of runs, `a < b` by name.
+    """The verdict on one pair of runs, `a < b` by name.
 
-    accepted: the pair joins a component (verdict MERGED and kept by every later check), by what
-    accepted_by says. threshold_bits: the evidence that merging needs, None where a method has no
-    such threshold. best: the alignment the verdict speaks of, None for most unrelated pairs;
-    runner_up: the next best one that places b elsewhere; evidence_bits: those of best; margin_bits:
-    how many more they are than those of runner_up (negative where a person or other runs chose
-    against the pair's own evidence). Of runs joined by what their components say together best, its
-    bits and margin_bits are those of the two components, and there is no runner_up. advice: what
-    would settle an ambiguous pair; locked: "same" or "never" where a person decided. through: of
-    two runs that only others place in one component, the runs of the shortest chain of accepted
-    pairs from a to b, without these two; placed: how far off [m] the middle of one's map
-    then lies at most in 68.3 % of cases, seen from the other's (the root mean square of both ways
-    to see it), and 1 sigma [rad] of the turn between them. together: the runs of the two components
-    whose evidence joined the pair. transform_sigma: the same as `placed` of an accepted pair, as
-    all maps of its component place it together. extra: JSON values that a method adds to its entry.
+    accepted: the pair joins a component (verdict MERGED and kept by every later check), for the
+    reason accepted_by. threshold_bits: evidence required for merging, None if a method has no such
+    threshold. best: the alignment that the verdict refers to, None for most unrelated pairs;
+    runner_up: the next best one with another position of b; evidence_bits: of best; margin_bits:
+    its lead over runner_up (negative if a lock or other runs overruled the pair's own evidence).
+    For runs joined by their components best, its bits and margin_bits are those of the two
+    components, and there is no runner_up. advice: what would settle an ambiguous pair; locked:
+    "same" or "never" if there is a lock. through: for two runs joined only through others, the runs
+    of the shortest chain of accepted pairs from a to b, without these two; placed: then the
+    distance [m] within which the middle of one's map lies in 68.3 % of cases, relative to the
+    other's (root mean square of both ways to see it), and 1 sigma [rad] of the rotation between
+    them. together: the runs of the two components whose evidence joined the pair. transform_sigma:
+    like `placed`, for an accepted pair, given all maps of its component. extra: JSON values that a
+    method adds to its entry.
     """
 
     a: str
@@ -130,7 +129,7 @@ class PairVerdict:
 
     @property
     def standing(self) -> Standing:
-        """What became of the pair."""
+        """The final state of the pair."""
         if self.accepted:
             return Standing.MERGED
         if self.verdict is Verdict.AMBIGUOUS:
@@ -142,12 +141,11 @@ class PairVerdict:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spread:
-    """Errors of the placements of r runs, sorted by name, all in one frame.
+    """Joint errors of the placements of r runs, sorted by name, in one frame.
 
-    middle: (r, 2) middles of their maps [m]; own: (r, 3, 3) covariance of x, y of the middle and
-    of the turn of each map [m, rad]; cross: (k, 3, 3) covariance of
-    run i with run j, of those pairs i < j of which something is stated; key: (k,) i r + j of each,
-    ascending.
+    middle: (r, 2) middles of their maps [m]; own: (r, 3, 3) covariance of x, y of the middle and of
+    the rotation of each map [m, rad]; cross: (k, 3, 3) covariance of run i with run j for the pairs
+    i < j that were asked for; key: (k,) i r + j of each, ascending.
     """
 
     runs: tuple[str, ...]
@@ -157,9 +155,9 @@ class Spread:
     cross: FloatArray
 
     def relative(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
-        """(k, 3, 3) covariances of where the middle of the second map of each pair lies, seen from
-        the first, and of the turn between them, in the axes of the common frame [m, rad]. Raises
-        KeyError of pairs that were not asked for."""
+        """(k, 3, 3) covariances of the position of the second map's middle relative to the first
+        map, and of the rotation between them, in the axes of the common frame [m, rad]. Raises
+        KeyError for pairs without a cross-covariance."""
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
         # What is seen is A e_i + e_j, of the errors of the two.
@@ -172,8 +170,9 @@ class Spread:
     def sigmas(
         self, pairs: Sequence[tuple[str, str]], share: float = ONE_SIGMA
     ) -> list[tuple[float, float]]:
-        """[m] how far off the middle of one's map lies, seen from the other's (root mean square of
-        both ways to see it), no farther in `share` of all cases; [rad] 1 sigma of the turn."""
+        """For each pair the distance [m] within which the middle of one's map lies, relative to the
+        other's, with the probability `share` (root mean square of both ways to see it), and 1 sigma
+        of the rotation [rad]."""
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
         covariance = self.relative(pairs)
@@ -204,9 +203,8 @@ class Spread:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
-    """Runs that were merged; `poses[run]` is T_component_run (3,); spread: how sure they are, if
-    asked for; text: what the document says of its places (`document.places_text`), where that is
-    known."""
+    """Runs that were merged; `poses[run]` is T_component_run (3,); spread: joint errors, if asked
+    for; text: the document's text of its places (`document.places_text`), if known."""
 
     id: int
     poses: Mapping[str, FloatArray]
@@ -215,8 +213,7 @@ class Component:
 
 
 class Late(Sequence[T]):
-    """Some entries, which are made when somebody first asks for one: of a component that was kept
-    nobody may ever ask."""
+    """A sequence that is made on first access: those of kept components may never be needed."""
 
     __slots__ = ("_count", "_made", "_make")
 
@@ -253,12 +250,12 @@ class Late(Sequence[T]):
 class FusedMap(Graph):
     """The fused vertices and edges of all components.
 
-    component: (n,) id of the component whose frame the vertex is drawn in; members: for each
-    vertex the vertices of the runs' maps that it fuses; observations: for each vertex
-    (run, time_ns) sorted; edge_members: for each edge the (run, edge index) pairs it fuses;
-    position_sigma: (n,) as in TopoMap with each component for itself, NaN where not known.
-    Turning points of runs (`TopoMap.turning_points`) are the last vertices, and the ways to them
-    the last edges; their members are numbered as in documents, after all vertices of their run.
+    component: (n,) id of the component in whose frame the vertex is; members: for each vertex the
+    vertices of the runs' maps that it fuses; observations: for each vertex (run, time_ns) sorted;
+    edge_members: for each edge the (run, edge index) pairs it fuses; position_sigma: (n,) as in
+    TopoMap, for each component by itself, NaN where not known. Turning points of runs
+    (`TopoMap.turning_points`) are the last vertices, and the corridors to them the last edges;
+    their members are numbered as in documents, after all vertices of their run.
     """
 
     component: IntArray
@@ -269,22 +266,22 @@ class FusedMap(Graph):
 
     @property
     def turned(self) -> int:
-        """How many of its vertices, and of its edges, are of turning points."""
+        """Number of its vertices, and of its edges, that belong to turning points."""
         return int(self.is_turned.sum())
 
     @property
     def junctions(self) -> int:
-        """How many of its vertices are not."""
+        """Number of the other vertices."""
         return len(self) - self.turned
 
 
 def pairs_of(runs: int) -> int:
-    """How many pairs of runs there are."""
+    """Number of pairs of so many runs."""
     return runs * (runs - 1) // 2
 
 
 def by_run(members: Iterable[tuple[str, int]]) -> dict[str, tuple[int, ...]]:
-    """(run, index) pairs as the indices of every run, in the order of the pairs."""
+    """(run, index) pairs grouped by run, in their order."""
     out: dict[str, tuple[int, ...]] = {}
     for run, index in members:
         out[run] = (*out.get(run, ()), index)
@@ -305,14 +302,14 @@ def graph_part(graph: Graph, chosen: BoolArray) -> dict[str, Any]:
 
 
 def fused_of(members: Sequence[Mapping[str, Iterable[int]]]) -> dict[tuple[str, int], int]:
-    """The fused vertex of every (run, vertex) that is a member of one."""
+    """The fused vertex of every (run, vertex) that is a member."""
     return {(run, v): k for k, of in enumerate(members) for run, own in of.items() for v in own}
 
 
 def fused_confidence(
     members: Sequence[Mapping[str, Sequence[int]]], maps: Mapping[str, TopoMap]
 ) -> FloatArray:
-    """(n,) confidence of fused vertices: the mean of their members', by passes."""
+    """(n,) confidence of fused vertices: the mean of their members', weighted by passes."""
     passes = {run: m.passes for run, m in maps.items()}
     out = np.ones(len(members))
     for k, of in enumerate(members):
@@ -325,12 +322,11 @@ def fused_confidence(
 
 @dataclass(frozen=True, slots=True)
 class Unlisted:
-    """Pairs of runs that a large merge counts instead of listing: none of them is accepted, or
-    speaks for an alignment, or was spoken of by a person.
+    """Numbers of pairs that a large merge counts instead of listing: pairs that are neither
+    accepted nor ambiguous, locked or discarded.
 
     joined: in one component, through other runs; of the others: unrelated: matched, with nothing
-    that chance would not offer; screened: not matched, as no corridors that hang together look
-    alike enough for the two to be merged.
+    beyond chance; screened: not matched, because the index found too little.
     """
 
     joined: int = 0
@@ -339,18 +335,17 @@ class Unlisted:
 
 
 def nothing_kept(_: PairVerdict) -> bytes | None:
-    """Where no entries of the document are known already."""
+    """The default of `MergeResult.kept_entry`: no entry is kept."""
     return None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeResult:
-    """Everything `merged.json` holds.
+    """All that `merged.json` holds.
 
-    verdicts: one per pair of runs, sorted by (a, b), but for those that a large merge counts in
-    `unlisted`. info: what else the document's `graph` says (method, settings, warnings, layers).
-    JSON values only. kept_entry: what the document says of a verdict, as JSON, where that is known
-    already.
+    verdicts: one per pair of runs, sorted by (a, b), without those that a large merge counts in
+    `unlisted`. info: other entries of the document's `graph` (method, settings, warnings, layers).
+    JSON values only. kept_entry: gives the document's entry of a verdict, as JSON, if it is kept.
     """
 
     components: tuple[Component, ...]
@@ -361,7 +356,7 @@ class MergeResult:
     kept_entry: Callable[[PairVerdict], bytes | None] = nothing_kept
 
     def standings(self) -> dict[Standing, int]:
-        """How many pairs, listed or not, stand how."""
+        """Number of pairs, listed or not, in each state."""
         count = Counter(pair.standing for pair in self.verdicts)
         rest = self.unlisted or Unlisted()
         count[Standing.JOINED] += rest.joined
@@ -370,6 +365,6 @@ class MergeResult:
 
 
 def shown_bits(bits: float, digits: int = 1) -> str:
-    """Bits as people read them: those of the documents with no more decimals, so that a number
-    reads alike before and after it went through a document (3.846 is 3.85 there, and 3.9 here)."""
+    """Bits for people: those of the documents with fewer decimals, so that a number reads alike
+    before and after it went through a document (3.846 is 3.85 there, and 3.9 here)."""
     return f"{round(bits, BITS):.{digits}f}"

@@ -15,7 +15,7 @@ from .result import PairVerdict
 
 def joined_through(verdicts: Iterable[PairVerdict]) -> dict[tuple[str, str], tuple[str, ...]]:
     """For every pair that is not accepted but connected by accepted ones: the runs between the two
-    in the shortest chain, from a to b. O(runs · accepted pairs) of every component."""
+    in the shortest chain, from a to b. O(runs · accepted pairs) per component."""
     pairs = list(verdicts)
     runs = sorted({run for v in pairs for run in (v.a, v.b)})
     row = {run: i for i, run in enumerate(runs)}
@@ -48,7 +48,7 @@ def _chains(graph: csr_array, pairs: IntArray) -> Iterator[tuple[int, int, list[
 
 
 def _between(before: np.ndarray, start: int, end: int) -> list[int]:
-    """The nodes between two, by the predecessors on the ways from the first."""
+    """The nodes between two, from the predecessors on shortest paths from the first."""
     chain = []
     at = int(before[end])
     while at != start:

@@ -1,11 +1,11 @@
-"""Points that people named in one map, carried to another through the junctions that both have.
+"""Transfer of named points from one map to another through the junctions that both have.
 
-Maps bend, each in its own way, so one transform for all of a map is not good enough. A point is
-carried through every matched junction near it, each time rigidly, and what these say of it is
-combined by generalised least squares (universal kriging: Matheron, 1971; Cressie, *Statistics for
-Spatial Data*, 1993, 3.4). What two maps bend apart is taken for an intrinsic random process whose
-variogram grows with the distance; its slope is estimated by predicting each matched junction from
-the others.
+Maps bend, each in its own way, so that one rigid transform for all of a map is not accurate enough.
+A point is transformed rigidly through every matched junction near it, and the results are combined
+by generalised least squares (universal kriging: Matheron, 1971; Cressie, *Statistics for Spatial
+Data*, 1993, 3.4). The bending between two maps is modelled as an intrinsic random process whose
+variogram grows linearly with distance; its slope is estimated by predicting each matched junction
+from the others.
 """
 
 from __future__ import annotations
@@ -26,21 +26,21 @@ from .fusion.joint_graph import JOINT, measured_turn
 from .merged_schema import MergedDocument
 
 WITHIN_SIGMAS = 2.448
-"""95 % of the errors of a point in the plane are no larger than so many sigmas of a coordinate
-(Rayleigh's distribution: √(-2 ln 0.05))."""
+"""95 % quantile of the error of a point in the plane, in sigmas of a coordinate (Rayleigh
+distribution: √(-2 ln 0.05))."""
 
 
 @dataclass(frozen=True, slots=True)
 class TransferSettings:
-    """How points are carried."""
+    """Settings of the interpolation."""
 
     neighbours: int = 4
-    """Matched junctions that a point is carried through, the nearest ones. More tell no more, and
-    bring in what is bent farther away: of 3, 4, 6, 8, 16 and 32 the errors keep best to their
-    sigmas with 4 (`benchmarks/transfer.py`)."""
+    """Nearest matched junctions that a point is transferred through. More do not help, and bring in
+    bending from farther away: of 3, 4, 6, 8, 16 and 32 the errors keep best to their sigmas with 4
+    (`benchmarks/transfer.py`)."""
     prior_log_sigma: float = 1.1
-    """The bending that the noise of both maps suggests is believed to within this (a factor of 3),
-    1 sigma of its natural logarithm; believing it wholly, or hardly, is worse by the same."""
+    """1 sigma of the natural logarithm of the bending that the noise of both maps suggests, a
+    factor of 3; a very strong and a very weak prior are worse by the same."""
 
 
 TRANSFER = TransferSettings()
@@ -50,11 +50,11 @@ TRANSFER = TransferSettings()
 class MatchedJunctions:
     """The junctions that two maps have in common.
 
-    source, target: (k, 2) where either map has them [m]; sigma: (k,) 1 sigma [m] per axis of how
-    far the two may be apart by detection alone; turn: (k,) of the source map's frame there against
-    the target map's [rad], by their branches; turn_sigma: (k,) [rad], inf where no branch tells.
-    bending: variance per metre [m] and turning: per metre [rad²/m] that the noise of the two maps
-    suggests. Raises ValueError on shapes that do not fit.
+    source, target: (k, 2) positions in either map [m]; sigma: (k,) 1 sigma per axis of their
+    difference by detection alone [m]; turn: (k,) rotation of the source map's frame to the target
+    map's there, by their branches [rad]; turn_sigma: (k,) [rad], inf without branches in common.
+    bending: variance per metre [m²/m], and turning: variance of the rotation per metre [rad²/m], as
+    suggested by the noise of the two maps. Raises ValueError on shapes that do not fit.
     """
 
     source: FloatArray
@@ -77,8 +77,11 @@ class MatchedJunctions:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transferred:
-    """Carried points: xy: (p, 2) [m]; turn: (p,) to add to headings there [rad]; sigma_m: (p,)
-    1 sigma of each coordinate; sigma_rad: (p,); nearest_m: (p,) to the nearest matched junction."""
+    """Transferred points.
+
+    xy: (p, 2) [m]; turn: (p,) to be added to headings there [rad]; sigma_m: (p,) 1 sigma of each
+    coordinate; sigma_rad: (p,); nearest_m: (p,) distance of the nearest matched junction.
+    """
 
     xy: FloatArray
     turn: FloatArray
@@ -90,9 +93,9 @@ class Transferred:
 def junctions_of_runs(
     document: MergedDocument, maps: Mapping[str, TopoMap], source: str, target: str
 ) -> MatchedJunctions:
-    """The junctions that a merge found to be one in two runs, directly or through others.
+    """The junctions that a merge identified in two runs, directly or through others.
 
-    maps: those of the two runs at least, as they were merged (`stale_runs`).
+    maps: at least those of the two runs, as they were merged (`stale_runs`).
     """
     home = document.graph.home
     pairs = [
@@ -132,7 +135,7 @@ def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
     spread = np.array([n.branch_rad**2 for n in noise]) @ share / np.maximum(count, 1)
     turning = sum(n.heading_rad_per_sqrt_m**2 for n in noise)
     length = float(np.median(np.concatenate([a.length, b.length, [1.0]])))
-    # A corridor errs along by its own walk, across by what its heading walks: sigma² L² / 3.
+    # Errors of a corridor: along by its own random walk, across by that of its heading, σ² L² / 3.
     bending = sum(n.along_m_per_sqrt_m**2 for n in noise) + turning * length**2 / 3
     return MatchedJunctions(
         source=a.xy[u],
@@ -146,7 +149,7 @@ def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
 
 
 def _likeliest_turn(heading_b: FloatArray, heading_a: FloatArray) -> float:
-    """Of the turns that lay a branch of one junction on one of the other, the one with the least
+    """Rotation [rad] that aligns a branch of one junction with one of the other and minimises the
     sum of angles from every branch to its nearest counterpart; 0 without branches."""
     b, a = heading_b[~np.isnan(heading_b)], heading_a[~np.isnan(heading_a)]
     if not len(b) or not len(a):
@@ -157,13 +160,13 @@ def _likeliest_turn(heading_b: FloatArray, heading_a: FloatArray) -> float:
 
 
 TOGETHER = 4096
-"""Points that are carried at once, five kilobytes each."""
+"""Points per batch, five kilobytes each."""
 
 
 def transfer(points: FloatArray, matched: MatchedJunctions) -> Transferred:
-    """Carry points (p, 2) of the source map to the target map.
+    """Transfer points (p, 2) [m] of the source map to the target map.
 
-    Raises ValueError if there is no matched junction. O(p n³) for n neighbours.
+    Raises ValueError without matched junctions. O(p n³) for n neighbours.
     """
     if len(matched) == 0:
         raise ValueError("the two maps have no junction in common")
@@ -185,10 +188,10 @@ def transfer(points: FloatArray, matched: MatchedJunctions) -> Transferred:
 def _carried(
     points: FloatArray, matched: MatchedJunctions, rows: IntArray, bending: float
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Points (p, 2) through their junctions, rows: (p, n): where they are, with the mean variance
-    of the two coordinates, and the turn with its variance.
+    """Points (p, 2) transferred through their junctions, rows: (p, n): positions, mean variance of
+    the two coordinates, rotation and its variance.
 
-    All points at once: (p, 2 n, 2 n) covariances of what the junctions say, one solve.
+    All points at once: (p, 2 n, 2 n) covariances of the single transfers, one solve.
     """
     arm = matched.source[rows] - points[:, None]
     away = np.hypot(arm[..., 0], arm[..., 1])
@@ -206,7 +209,7 @@ def _carried(
     own = matched.sigma[rows] ** 2
     n = rows.shape[1]
     walk = walk + own[:, :, None] * np.eye(n)
-    # Turning by too much moves what is said across the arm, all by one angle.
+    # An error of the rotation moves all results across their arms, by one angle.
     across = np.stack([-arm[..., 1], arm[..., 0]], axis=-1)
     covariance = np.einsum("pij,ab->piajb", walk, np.eye(2))
     covariance = covariance + np.einsum("pia,pjb,p->piajb", across, across, 1 / total)
@@ -240,7 +243,7 @@ def _bending(matched: MatchedJunctions) -> float:
         xy, variance, *_ = _carried(matched.source, matched, others, bending)
         spread = variance + matched.sigma**2
         off = ((xy - matched.target) ** 2).sum(axis=1)
-        # Junctions carry one another, so what they say is not independent: half the likelihood.
+        # Junctions predict one another and are not independent: half the log likelihood.
         score = -0.5 * float((off / (2 * spread) + np.log(spread)).sum())
         score -= 0.5 * (step / TRANSFER.prior_log_sigma) ** 2
         if score > best_score:

@@ -1,7 +1,7 @@
-"""Tasks side by side: on any `concurrent.futures.Executor`, here if there is none.
+"""Parallel tasks on any `concurrent.futures.Executor`.
 
-A worker that dies takes an executor of processes with it: what was not finished is then given to a
-new one. Tasks are pure, so that doing one twice changes nothing.
+A worker process that dies breaks its executor: unfinished tasks are then given to a new one. Tasks
+are pure, so that repeating one changes nothing.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 TRIES = 4
-"""Executors that a stage may use up, as a task on a Dask cluster may three workers."""
+"""Executors that a stage may use up, as a task on a Dask cluster may use up three workers."""
 
 
 @dataclass(frozen=True, slots=True)
 class Workers:
-    """Where tasks are done. start: an executor, to be entered, and again if it breaks; worth: for
-    fewer pairs than this it is not worth the trouble."""
+    """Where tasks run. start: makes an executor, to be entered, and again if it breaks; worth:
+    fewer pairs than this are matched without it."""
 
     start: Callable[[], AbstractContextManager[Executor]]
     worth: int = 0
@@ -32,8 +32,8 @@ class Workers:
     def results(
         self, function: Callable[[Task], Result], tasks: Sequence[Task]
     ) -> Iterator[tuple[int, Result]]:
-        """The number of each task and its result, as they come. Raises what a task raises, and
-        DataError where workers keep dying."""
+        """The index of each task and its result, as they complete. Raises what a task raises, and
+        DataError if workers keep dying."""
         left = dict(enumerate(tasks))
         for _ in range(TRIES):
             with self.start() as executor:

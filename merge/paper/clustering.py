@@ -1,8 +1,8 @@
-"""Clusters of hypotheses that place one map over the other the same way (§3.2).
+"""Clusters of hypotheses that place one map over the other alike (§3.2).
 
-Distance between two transforms: mean squared displacement, of one against the other, of the
-vertices that either hypothesis matches, and of points one corridor's length around them, so that
-a rotation counts at a single vertex too. In metres squared, like the errors it is compared with.
+Distance between two transforms: mean squared displacement, between the one and the other, of the
+vertices that either hypothesis matches, and of points one corridor's length around them, so that a
+rotation counts at a single vertex too. In metres squared, like the errors it is compared with.
 """
 
 from __future__ import annotations
@@ -25,19 +25,20 @@ class ClusterSettings:
     """Thresholds of clustering in transform space."""
 
     error_factor: float = 3.0
-    """The threshold is so many times the largest mean squared error of a hypothesis (§5)."""
+    """The threshold is this many times the largest mean squared error of a hypothesis (§5)."""
     floor_m: float = 0.1
-    """Transforms this close are always one: exact hypotheses have no error to set a threshold."""
+    """Transforms this close are always in one cluster: exact hypotheses have no error to set a
+    threshold."""
     lever_m: float = 5.0
-    """Length at which a rotation counts around a matched vertex: a typical corridor."""
+    """Distance around a matched vertex at which a rotation counts: a typical corridor."""
     weights: Weights = "equal"
-    """Of matched vertices, in the transforms of clusters (§3.1)."""
+    """Weights of matched vertices in the transforms of clusters (§3.1)."""
     iterative: bool = False
-    """Re-admit hypotheses by their metric error under a cluster's transform (§5)."""
+    """Reassign hypotheses by their metric error under a cluster's transform (§5)."""
     rounds: int = 10
-    """Most rounds of re-admission."""
+    """Most rounds of reassignment."""
     largest_dense: int = 3000
-    """On general angles, above so many hypotheses, those of one vertex are left out."""
+    """On general angles, with more hypotheses than this, those of one vertex are left out."""
 
 
 DEFAULT_CLUSTERS = ClusterSettings()
@@ -72,8 +73,8 @@ def cluster(
 ) -> Clusters:
     """Cluster hypotheses by complete linkage: any two of a cluster are within the threshold.
 
-    xy: positions (n, 2) of a's vertices and of b's. O(H log H) in the hypotheses of a rectilinear
-    world, O(H²) on general angles.
+    xy: positions (n, 2) of a's vertices and of b's [m]. O(H log H) in the hypotheses of a
+    rectilinear world, O(H²) on general angles.
     """
     kept = np.arange(len(h))
     if not h.rectilinear and len(h) > settings.largest_dense:
@@ -132,14 +133,14 @@ def transform_distances(
 ) -> FloatArray:
     """(k, k) mean squared displacement [m²] between the transforms of hypotheses.
 
-    Strategy: with points as complex numbers T(p) = u p + t, so the mean of |Δu p + Δt|² over
-    points is |Δu|² M2 + 2 Re(conj(Δt) Δu M1) + |Δt|²: moments of both point sets are enough.
+    Strategy: with points as complex numbers T(p) = u p + t, so the mean of |Δu p + Δt|² over points
+    is |Δu|² M2 + 2 Re(conj(Δt) Δu M1) + |Δt|²: the moments of both point sets suffice.
     """
     z = xy_b[h.vertex_b] @ np.array([1.0, 1j])
     count = h.size[rows].astype(np.float64)
     first = np.bincount(h.of, z.real, len(h)) + 1j * np.bincount(h.of, z.imag, len(h))
     second = np.bincount(h.of, np.abs(z) ** 2, len(h))
-    # Moments about the middle of all points: far from the origin they would cancel badly.
+    # Moments about the centroid of all points: far from the origin they would lose digits.
     middle = z.mean() if len(z) else 0.0
     second = second - 2 * (np.conj(middle) * first).real + h.size * np.abs(middle) ** 2
     first = first - h.size * middle
@@ -163,10 +164,11 @@ def _readmitted(
     threshold: float,
     settings: ClusterSettings,
 ) -> IntArray:
-    """Hypotheses moved to the largest cluster under whose transform their own error is small (§5).
+    """(H,) clusters after moving hypotheses to the largest cluster under whose transform their own
+    error is small (§5).
 
     As in iterative closest point: transforms are estimated again after every round, until nothing
-    moves. A hypothesis leaves its cluster only for a larger one, so the rounds end.
+    changes. A hypothesis leaves its cluster only for a larger one, so that the rounds terminate.
     """
     rectilinear_turn = np.rint(h.transform[:, 2] * 1e9)  # equal rotations only, where exact
     for _ in range(settings.rounds):
@@ -202,7 +204,7 @@ def _ranked(
     threshold: float,
     settings: ClusterSettings,
 ) -> Clusters:
-    """Clusters with their transforms and errors, renumbered in the order of quality."""
+    """Clusters with their transforms and errors, numbered by decreasing quality."""
     kept = np.flatnonzero(of >= 0)
     labels, compact = np.unique(of[kept], return_inverse=True)
     count = len(labels)

@@ -1,7 +1,7 @@
-"""What the paper's method found between two maps, as its figures show it.
+"""The results of the paper's method for two maps, in the form of its figures.
 
 Fig. 1: tables of vertex pairs, one per number of branches, each cell with the hypotheses that the
-pair belongs to under each correspondence, × where none survived. Fig. 2: the clusters of transform
+pair belongs to under each correspondence, × if none survived. Fig. 2: the clusters of transform
 space with their sizes and errors. As lines of text and as JSON values.
 """
 
@@ -28,12 +28,12 @@ NONE = "×"  # noqa: RUF001 - the paper's sign
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """Everything found between two maps; `tables` is Fig. 1, `clusters` Fig. 2.
+    """All results for two maps; `tables` is Fig. 1, `clusters` Fig. 2.
 
     candidate_a, candidate_b: (K,) compatible vertex pairs, once per correspondence; turn_rad: (K,)
-    rotation of b under it; hypothesis: (K,) number of the hypothesis, -1 where none survived;
-    degree_a, degree_b: branches of every vertex; bits: (C,) how much more than chance each cluster
-    is; settings: those that the maps were matched with.
+    rotation of b under it; hypothesis: (K,) number of the hypothesis, -1 if none survived;
+    degree_a, degree_b: branches of every vertex; bits: (C,) evidence of each cluster; settings: of
+    the matching.
     """
 
     a: str
@@ -51,7 +51,7 @@ class Explanation:
 
 
 def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> Explanation:
-    """Match two maps by the paper's method and keep all of it."""
+    """Match two maps by the paper's method and keep all results."""
     pa, pb = prepare_map(a, settings), prepare_map(b, settings)
     found = match(pa, pb, settings)
     nodes = candidate_nodes(pa.structure, pb.structure, settings.growth)
@@ -122,7 +122,8 @@ def _settings_line(settings: PaperSettings) -> str:
 
 
 def _cell(e: Explanation, u: int, v: int) -> str:
-    """What became of a vertex pair, in the order of rotations: H3, or × for none; · if unlike."""
+    """The hypotheses of a vertex pair, in the order of rotations: H3, × for none, · if
+    incompatible."""
     k = np.flatnonzero((e.candidate_a == u) & (e.candidate_b == v))
     if len(k) == 0:
         return "·"

@@ -1,5 +1,5 @@
-"""The paper's hypotheses: every valid grown match, the single-vertex ones included, with its
-transform (§2, §3.1)."""
+"""The paper's hypotheses: every valid grown match, and those of a single vertex, with their
+transforms (§2, §3.1)."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ class Hypotheses:
 
     of: (N,) hypothesis of each vertex pair, ascending; nodes: the N pairs with the correspondence
     of their branches. size: (H,) vertex pairs; corridors: (H,) corridor pairs; transform: (H, 3)
-    T_a_b; error: (H,) mean squared distance of the matched vertices [m²]; bits: (H,) how much more
-    each is than chance (`significance`).
+    T_a_b; error: (H,) mean squared distance of the matched vertices [m²]; bits: (H,) evidence
+    against chance (`significance`).
     """
 
     of: IntArray
@@ -80,9 +80,9 @@ def hypothesise(
 ) -> Hypotheses:
     """All valid hypotheses of two maps and their transforms.
 
-    With the pairs of vertices that no corridor tests (§2.3: "cannot be grown further"). xy:
-    embedded vertices of a and of b (§3.1). near: vertices of a and of b from which alone
-    matches are grown (§4.2). alike: how each map resembles itself. weights: of the vertices in
+    Including pairs of vertices that no corridor tests (§2.3: "cannot be grown further"). xy:
+    embedded vertices of a and of b (§3.1) [m]. near: vertices of a and of b from which alone
+    matches are grown (§4.2). alike: self-similarity of each map. weights: of the vertices in
     registration.
     """
     grown, singles = _grown(a, b, settings, near)
@@ -172,7 +172,8 @@ def _transforms(
     *,
     rectilinear: bool,
 ) -> FloatArray:
-    """T_a_b of every hypothesis; the branches give the rotation where points cannot."""
+    """(H, 3) T_a_b of every hypothesis; the rotation is that of the branches where points do not
+    determine it."""
     count = int(of.max(initial=-1)) + 1
     cos, sin = (np.bincount(of, f(rotation), count) for f in (np.cos, np.sin))
     several = np.bincount(of, minlength=count) > 1

@@ -1,4 +1,4 @@
-"""A person's locks over the verdicts of a method that judges every pair by itself."""
+"""Locks applied to the verdicts of a method that judges every pair by itself."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, Verdict
 
 NEAR_M = 0.75
-"""Vertices this close under a transform count for it where only one pair is given."""
+"""Vertices this close under a transform count for it if only one pair is given."""
 
 
 def honour(
@@ -23,11 +23,11 @@ def honour(
     locks: Sequence[Lock],
     forced: Callable[[Lock], Alignment | None],
 ) -> tuple[PairVerdict, ...]:
-    """The verdicts with every lock obeyed.
+    """The verdicts with every lock applied.
 
     "same" pairs are accepted with the alignment that `forced` finds for them, "never" pairs are
-    not; and no chain of accepted pairs joins two runs that are locked apart: the weakest match of
-    it gives way. Locks of runs that have no verdict are left alone.
+    not; and no chain of accepted pairs joins two runs that are locked apart: its weakest match is
+    refused. Locks of runs without a verdict are ignored.
     """
     table = lock_table(locks)
     told = [_told(v, table.get((v.a, v.b)), forced) for v in verdicts]
@@ -67,7 +67,8 @@ def _told(
 def _kept_apart(
     verdicts: Sequence[PairVerdict], table: dict[tuple[str, str], Lock]
 ) -> tuple[PairVerdict, ...]:
-    """Verdicts joined strongest first, leaving out those that bring locked runs together."""
+    """Verdicts joined strongest first, refusing those that bring together runs that are locked
+    apart."""
     never = [pair for pair, lock in table.items() if lock.decision == "never"]
     group = {run: {run} for v in verdicts for run in (v.a, v.b)}
     out = {(v.a, v.b): v for v in verdicts}
@@ -90,10 +91,11 @@ def _kept_apart(
 
 
 def aligned_at(a: TopoMap, b: TopoMap, at: tuple[int, int]) -> Alignment | None:
-    """The alignment that lays one junction of b on one of a, branch on branch.
+    """The alignment that puts one junction of b on one of a with branches aligned.
 
-    Of all rotations that lay a branch on a branch, the one that brings most other vertices
-    together. None if a junction has no branches. Raises UsageError if one does not exist.
+    Of all rotations that align a branch of one with a branch of the other, the one that brings most
+    other vertices together. None if a junction has no branches. Raises UsageError if one does not
+    exist.
     """
     for m, vertex in zip((a, b), at, strict=True):
         if vertex >= len(m):

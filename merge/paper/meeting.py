@@ -25,13 +25,13 @@ class Meeting:
     run_b: str
     time_b_ns: int
     range_m: float = 15.0
-    """Vertices this close to where a robot was are near it."""
+    """Vertices within this distance of a robot are near it."""
 
 
 def parse_meeting(text: str) -> Meeting:
-    """A meeting from "run1@TIME,run2@TIME", times in seconds (with a point) or nanoseconds.
+    """A meeting from "run1@TIME,run2@TIME", times in seconds (with a decimal point) or nanoseconds.
 
-    Raises UsageError if the text is of another form.
+    Raises UsageError on any other text.
     """
     form = r"(?P<run_a>.+)@(?P<a>\d+(\.\d*)?),(?P<run_b>.+)@(?P<b>\d+(\.\d*)?)"
     found = re.fullmatch(form, text)

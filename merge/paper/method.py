@@ -1,9 +1,9 @@
 """`method="paper"`: Huang & Beevers, *Topological Map Merging*, as published.
 
-For every pair of maps: grow hypotheses (§2), estimate their transforms (§3.1), cluster them
-(§3.2), take the best cluster. The paper leaves the last word to its reader ("even the best cluster
-choice may later turn out to be incorrect"); here a cluster has to be more than chance offers, and
-more than any cluster that places the maps otherwise (`significance`).
+For every pair of maps: grow hypotheses (§2), estimate their transforms (§3.1), cluster them (§3.2),
+take the best cluster. The paper leaves the final decision to its reader ("even the best cluster
+choice may later turn out to be incorrect"); here a cluster has to exceed chance, and any cluster
+that places the maps otherwise (`significance`).
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from .significance import SelfSimilarity, cluster_bits, self_similarity
 
 @dataclass(frozen=True, slots=True)
 class PaperSettings:
-    """The paper's method, and what makes its best cluster an answer."""
+    """The paper's method, and the significance required of its best cluster."""
 
     growth: GrowthSettings = DEFAULT_GROWTH
     clusters: ClusterSettings = DEFAULT_CLUSTERS
     false_merge_rate: float = 1e-3
-    """Share of batches of maps that may hold any false merge. Clusters of which chance offers more
-    are "generally not significant" (§3.2)."""
+    """Probability that a batch of maps holds any false merge. Clusters that chance explains more
+    often are "generally not significant" (§3.2)."""
     rival_m: float = 3.0
-    """Clusters elsewhere: they displace the best cluster's vertices by more than this …"""
+    """A cluster is a rival if it moves the best cluster's vertices by more than this [m]."""
     rival_rad: float = 0.35
-    """… or turn them by more than this."""
+    """A cluster is also a rival if it rotates them by more than this [rad]."""
     meetings: tuple[Meeting, ...] = ()
     """Runs that met: matches are grown from pairs of vertices near both robots only (§4.2)."""
 
@@ -56,7 +56,7 @@ class PaperSettings:
             raise UsageError(f"a rate lies between 0 and 1, not at {self.false_merge_rate}")
 
     def needed_bits(self, pairs: int = 1) -> float:
-        """Bits that merging needs, by themselves and as a lead, in a batch of so many pairs."""
+        """Threshold [bits] of the evidence, and of its lead, in a batch of so many pairs."""
         return log2(max(pairs, 1) / self.false_merge_rate)
 
 
@@ -64,7 +64,8 @@ DEFAULT_PAPER = PaperSettings()
 
 
 def settings_from_document(values: Mapping[str, Any]) -> PaperSettings:
-    """The settings of a merge from its document's `graph.settings`; ValueError on nonsense."""
+    """The settings of a merge from its document's `graph.settings`; ValueError on invalid
+    values."""
     try:
         return TypeAdapter(PaperSettings).validate_python(values)
     except UsageError as error:
@@ -73,7 +74,7 @@ def settings_from_document(values: Mapping[str, Any]) -> PaperSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PreparedMap:
-    """What matching needs of one map; a pure function of the map."""
+    """All that matching needs of one map; a pure function of the map."""
 
     run: str
     structure: Structure
@@ -85,14 +86,14 @@ class PreparedMap:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matching:
-    """Everything the paper's method found between two maps."""
+    """The hypotheses and clusters of two maps."""
 
     hypotheses: Hypotheses
     clusters: Clusters
 
     @property
     def bits(self) -> FloatArray:
-        """(C,) how much more than chance each cluster is."""
+        """(C,) evidence of each cluster against chance."""
         return cluster_bits(self.clusters.of, self.hypotheses.bits, len(self.clusters))
 
 
@@ -134,7 +135,7 @@ def decide(
     """A verdict for every pair of maps, sorted by name. on_pair(done, total) after each pair.
 
     Raises UsageError on locks that contradict each other or name a junction that does not exist,
-    and on a meeting of a run that is not there.
+    and on a meeting of a run that is not among the maps.
     """
     ordered = sorted(maps, key=lambda m: m.run)
     by_run = {m.run: m for m in ordered}
@@ -157,7 +158,8 @@ def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> Non
 
 
 def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) -> Alignment | None:
-    """The best cluster that honours a "same" lock; at given junctions failing all else."""
+    """The best cluster that satisfies a "same" lock; at given junctions, failing that, these
+    alone."""
     map_a, map_b = by_run[lock.a], by_run[lock.b]
     a, b = prepare_map(map_a, settings), prepare_map(map_b, settings)
     found = match(a, b, settings)
@@ -177,7 +179,7 @@ def _judged(
     settings: PaperSettings,
     executor: Executor | None,
 ) -> Iterator[PairVerdict]:
-    """Verdicts in the order of the pairs; on an executor in batches, to keep messages few."""
+    """Verdicts in the order of the pairs; with an executor in batches, to keep messages few."""
     if executor is None:
         yield from (judge(a, b, settings, len(pairs)) for a, b in pairs)
         return
@@ -196,9 +198,9 @@ def _judge_all(
 def judge(
     a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER, pairs: int = 1
 ) -> PairVerdict:
-    """The most significant cluster of a pair, and whether it is enough to merge.
+    """The most significant cluster of a pair, and whether it suffices to merge.
 
-    pairs: how many pairs of maps the batch compares.
+    pairs: number of pairs of maps in the batch.
     """
     found = match(a, b, settings)
     if len(found.clusters) == 0:
@@ -260,7 +262,7 @@ def _advice(bits: float, needed: float) -> str:
 def _rival(
     found: Matching, ranked: Sequence[int], b: PreparedMap, settings: PaperSettings
 ) -> int | None:
-    """The first of the ranked clusters that places b elsewhere than the very first does."""
+    """The first of the ranked clusters with another placement of b than the first."""
     h, c = found.hypotheses, found.clusters
     points = b.xy[np.unique(h.vertex_b[c.of[h.of] == ranked[0]])]
     at = c.transform[ranked[0]]

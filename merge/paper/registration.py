@@ -17,12 +17,12 @@ from ...topology.se2 import apply, wrap
 
 Weights = Literal["equal", "reweighted"]
 """equal: unweighted, as the paper chooses; reweighted: "iteratively reweighted least-squares", as
-is usual in image registration (§3.1), here for the least sum of distances, not of their squares."""
+is usual in image registration (§3.1), here minimising the sum of distances instead of squares."""
 
 ROUNDS = 20
-"""Rounds of reweighting; by then transforms move by less than a millimetre."""
+"""Rounds of reweighting; by then transforms change by less than a millimetre."""
 NEAR_M = 0.01
-"""Vertices nearer than this all weigh alike: the sum of distances has a kink at 0."""
+"""Distance below which vertices have equal weights: the sum of distances is not smooth at 0."""
 
 
 def fit_groups(
@@ -34,7 +34,7 @@ def fit_groups(
     free: BoolArray,
     weights: Weights = "equal",
 ) -> FloatArray:
-    """(count, 3) T_a_b of every group of pairs; only those of `free` groups find their rotation.
+    """(count, 3) T_a_b of every group of pairs; only `free` groups estimate their rotation.
 
     group: (n,) group of each pair, every group present; rotation_rad, free: (count,): the others
     keep the rotation given (§3.3).

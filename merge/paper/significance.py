@@ -2,20 +2,20 @@
 
 "Clusters containing only one or two pairs of vertices ... are generally not significant", and how
 many are depends on "the size, complexity, and self-similarity of the environment". All three are
-measured, on all other matches of the two maps and on those of either map with other parts of
+estimated from all other matches of the two maps and from those of either map with other parts of
 itself.
 
-L: pairs of corridors of two maps that share nothing which agree by chance; each begins a match.
-p: probability that a further corridor that both maps drove agrees at a pair of vertices so reached.
-E: expected number of chance matches as large as one of v vertices; its evidence is -log2 E bits. E
-is the largest of these:
+L: pairs of corridors of two unrelated maps that agree by chance; each starts a match. p:
+probability that a further corridor that both maps drove agrees at a pair of vertices so reached. E:
+expected number of chance matches as large as one of v vertices; its evidence is -log2 E bits. E is
+the largest of these:
 
 - L p^(v - 2): v - 2 further agreements.
-- p^(v - m), with m the vertices of the largest match of either map with another part of itself:
-  where a building repeats itself, p differs from place to place.
+- p^(v - m), with m the vertices of the largest match of either map with another part of itself: if
+  a building repeats itself, p differs from place to place.
 - L p^n q^(v - 2 - n) in rectilinear buildings, where a map slid along a wall still agrees in all
-  lengths across it: n is the lesser number of independent lengths along the two axes, and the other
-  agreements are of branches alone, with probability q. Where degrees may be inexact, pairs of
+  lengths across it: n is the smaller number of independent lengths along the two axes, and the
+  other agreements are of branches alone, with probability q. If degrees may be inexact, pairs of
   vertices that agree have equal branches with probability r, and this bound is multiplied by the
   probability that as many of v - 2 are equal.
 """
@@ -40,9 +40,9 @@ class SelfSimilarity:
 
     links: pairs of corridors that agree; tested: corridors compared at vertices that a match had
     reached; agreed: how many of these agree; largest: vertices of the largest match, rejected or
-    not; ends: how often corridors from vertices that pair end, whatever their lengths, at vertices
-    that pair (q); equal: how often these have equal branches (r). 1 where the world is not
-    rectilinear.
+    not; ends: how often corridors from compatible vertices end, whatever their lengths, at
+    compatible vertices (q); equal: how often these have equal branches (r). ends and equal are 1 if
+    the world is not rectilinear.
     """
 
     links: int
@@ -54,12 +54,12 @@ class SelfSimilarity:
 
 
 def self_similarity(s: Structure, settings: GrowthSettings) -> SelfSimilarity:
-    """The map matched with itself, without the match of every vertex with itself."""
+    """Statistics of the map matched with itself, without the identity."""
     growth = grow(s, s, settings)
     itself = np.flatnonzero(growth.nodes.vertex_a == growth.nodes.vertex_b)
     turn = node_rotations(s, s, take(growth.nodes, itself), growth.rectilinear)
     other = np.ones(len(growth.rejected), np.bool_)
-    # A vertex may well be laid on itself turned: only unturned it is the map as it is.
+    # A vertex matched with itself under a rotation is not the identity.
     other[growth.component[itself[np.abs(turn) < 1e-6]]] = False
     vertices = np.bincount(growth.component, minlength=len(other))[other]
     ends, equal = _ends_alike(s, settings) if growth.rectilinear else (1.0, 1.0)
@@ -93,14 +93,12 @@ def match_bits(
     alike: tuple[SelfSimilarity, SelfSimilarity],
     share: float = 1.0,
 ) -> FloatArray:
-    """(C,) bits of every grown match of two maps.
+    """(C,) evidence [bits] of every grown match of two maps.
 
-    a, b: the maps; alike: how each of them resembles itself; share: of all pairs of
-    vertices, those that matches were grown from.
-
-    A match is no witness of its own chance; rejected ones are. Corridors that close circles add
-    nothing: their lengths follow from the others. p is the mean of its posterior under a uniform
-    prior, so that few comparisons promise little.
+    a, b: the maps; alike: self-similarity of each; share: of all pairs of vertices, those that
+    matches were grown from. The chance of a match is estimated from all others, including rejected
+    ones. Corridors that close cycles add nothing: their lengths follow from the others. p is the
+    mean of its posterior under a uniform prior, which is conservative for few comparisons.
     """
     count = len(growth.rejected)
     vertices = np.bincount(growth.component, minlength=count)
@@ -133,10 +131,11 @@ def match_bits(
 
 
 def independent_lengths(growth: Growth, a: Structure) -> IntArray:
-    """(2, C) lengths along either axis that do not follow from others, of matches in a rectilinear
-    world; 0 for matches of one corridor.
+    """(2, C) number of independent lengths along either axis of matches in a rectilinear world; 0
+    for matches of one corridor.
 
-    Vertices that corridors across join lie on one line: the lengths between n + 1 lines are n.
+    Vertices joined by perpendicular corridors lie on one line: n + 1 lines have n independent
+    distances.
     """
     count = len(growth.rejected)
     several = np.bincount(growth.link_component, minlength=count)[growth.link_component] > 1
@@ -157,15 +156,17 @@ def independent_lengths(growth: Growth, a: Structure) -> IntArray:
 
 
 def single_bits(candidates: int) -> float:
-    """Bits of a match of one pair of vertices: any of the compatible pairs would have done."""
+    """Evidence [bits] of a match of one pair of vertices: minus log2 of the compatible pairs."""
     return float(-np.log2(max(candidates, 1)))
 
 
 def cluster_bits(of: IntArray, bits: FloatArray, count: int) -> FloatArray:
-    """(count,) bits of clusters: the sum over their significant hypotheses, else the best one's.
+    """(count,) evidence [bits] of clusters: the sum over their significant hypotheses, else the
+    best one's.
 
-    of, bits: (H,) cluster of each hypothesis (-1: none) and its bits. Every hypothesis of a sum
-    pays for the whole search, though under the cluster's transform there were few to choose from.
+    of, bits: (H,) cluster of each hypothesis (-1: none) and its bits. Conservative: every
+    hypothesis of a sum pays for the whole search, although under the cluster's transform there are
+    few alternatives.
     """
     kept = of >= 0
     total = np.bincount(of[kept], np.maximum(bits[kept], 0.0), count)
