@@ -128,6 +128,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     from ..merge.document import poses_from_document, verdict_from_entry
     from ..merge.robust.explained import Batch, explain
     from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
+    from .unchanged import changed_since, told_changed
 
     maps = {run: place.read_map(run) for run in pair}
     document = _last_merge(place)
@@ -145,6 +146,8 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     notes = []
     if why_not:
         notes.append(f"{why_not}; this is what a merge of {counted(len(maps), 'map')} would say")
+    elif document is not None and (new := changed_since(place, document.graph.maps or {}, pair)):
+        notes.append(f"{told_changed(new)}; merge again")
     if gone:
         noun = "map" if len(gone) == 1 else "maps"
         notes.append(

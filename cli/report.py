@@ -49,11 +49,14 @@ def report(
     quiet_fonts()
     from ..topology.files import write_text
     from ..viz.report import Report, report_page
+    from .unchanged import changed_since, told_changed
 
     maps, unread = _maps(place)
     result = read_result(place) if place.merged_json.is_file() else None
+    new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
+    warnings = [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])]
     locks = [str(lock) for lock in place.locks()]
-    html = report_page(Report(maps, result, unread, locks, _versions()))
+    html = report_page(Report(maps, result, warnings, locks, _versions()))
     try:
         write_text(page, html)
     except PermissionError as error:

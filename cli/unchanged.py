@@ -18,6 +18,7 @@ from typing import Any, Literal
 
 from ..topology.errors import DocumentError
 from ..topology.files import encoded, opened, read_json, write_json
+from ..topology.wording import listed
 from .output import Screen, folded
 from .workspace import Workspace
 
@@ -49,6 +50,20 @@ class Said:
 def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
     """What changes with the document of each run's map; None where it cannot be read."""
     return {run: _content(place.maps / f"{run}.json") for run in runs}
+
+
+def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[str]) -> list[str]:
+    """Those of the runs whose maps are not the ones that were merged.
+
+    merged: the `contents` of these, as the document of the merge states them.
+    """
+    now = contents(place, [run for run in runs if run in merged])
+    return [run for run, content in now.items() if content != merged[run]]
+
+
+def told_changed(runs: Sequence[str]) -> str:
+    """That the maps of these runs are not the ones that were merged."""
+    return f"the map{'' if len(runs) == 1 else 's'} of {listed(runs, 3)} changed since the merge"
 
 
 def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:

@@ -363,6 +363,12 @@ class MergeResult:
         count[Standing.UNRELATED] += rest.unrelated + rest.screened
         return {standing: count[standing] for standing in Standing}
 
+    @property
+    def threshold_bits(self) -> float | None:
+        """What merging two runs by themselves takes; those that components joined took less."""
+        told = (pair.threshold_bits for pair in self.verdicts)
+        return max((bits for bits in told if bits is not None), default=None)
+
 
 def shown_bits(bits: float, digits: int = 1) -> str:
     """Bits for people: those of the documents with fewer decimals, so that a number reads alike

@@ -33,13 +33,13 @@ class Report:
     """What a report tells.
 
     maps: of every run that can be read, by name; result: the last merge, None before the first;
-    unread: what cannot be read, with the reason; locks: what a person decided, in words; versions:
-    of the program and what it stands on.
+    warnings: what cannot be read, or has changed since the merge; locks: what a person decided, in
+    words; versions: of the program and what it stands on.
     """
 
     maps: Mapping[str, TopoMap]
     result: MergeResult | None
-    unread: Sequence[str] = ()
+    warnings: Sequence[str] = ()
     locks: Sequence[str] = ()
     versions: Sequence[tuple[str, str]] = ()
 
@@ -98,7 +98,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
         f"<li><b>{number:,}</b>{text(one if number == 1 else many)}</li>"
         for number, one, many in facts
     )
-    warnings = [*report.unread]
+    warnings = [*report.warnings]
     if result is None:
         warnings.append("The runs are not merged yet: topobatch merge --all")
     else:
@@ -107,7 +107,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
         if left_out:
             warnings.append(f"Not in the last merge: {listed(left_out)}")
     told = "".join(f'<p class="warning">{text(w)}</p>' for w in warnings)
-    need = next((p.threshold_bits for p in result.verdicts), None) if result is not None else None
+    need = result.threshold_bits if result is not None else None
     how = f"Merging two runs takes {shown_bits(need)} bits of evidence." if need is not None else ""
     explained = (
         f"<p>{text(how)} Each bit doubles the odds that so much agrees because it is one place. "

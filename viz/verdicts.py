@@ -153,9 +153,8 @@ def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
         lines.append(
             "Runs of one component stand together; the marks at the left tell their names."
         )
-    need = next((p.threshold_bits for p in result.verdicts if p.threshold_bits is not None), None)
-    if need is not None:
-        lines.append(f"Merging needs {need:.1f} bits.")
+    if result.threshold_bits is not None:
+        lines.append(f"Merging needs {shown_bits(result.threshold_bits)} bits.")
     return " ".join(lines)
 
 

@@ -352,10 +352,11 @@ def _changed(
         same &= _alike(told.best, placements[0].alignment)
     if same:
         return ()
-    return (
-        f"merged.json says {shown_bits(told.evidence_bits)} bits, the maps now say "
-        f"{shown_bits(now)}: they, the locks or topobatch have changed since; merge again",
-    )
+    was, is_now = shown_bits(told.evidence_bits), shown_bits(now)
+    differ = f"the merge says {was} bits, the maps now say {is_now}"
+    if was == is_now:
+        differ = "the maps no longer say just what the merge says"
+    return (f"{differ}: they, the locks or topobatch have changed since; merge again",)
 
 
 def _lock_notes(batch: Batch, told: PairVerdict) -> tuple[str, ...]:

@@ -121,6 +121,17 @@ def test_a_report_tells_of_a_broken_map_and_goes_on(topobatch, merged) -> None:
     assert b in html
 
 
+def test_a_report_tells_of_maps_that_changed_since_the_merge(topobatch, merged) -> None:
+    a, _ = runs_of(merged)
+    path = merged / "maps" / f"{a}.json"
+    topobatch("report", "-w", merged)
+    assert "Merge again" not in (merged / "report.html").read_text()
+    path.write_bytes(path.read_bytes() + b"\n")
+    assert topobatch("report", "-w", merged).code == 0
+    told = f"Merge again: the map of {a} changed since the merge"
+    assert told in (merged / "report.html").read_text()
+
+
 def test_a_report_before_the_first_merge(topobatch, workspace) -> None:
     assert topobatch("report", "-w", workspace).code == 0
     assert "not merged yet" in (workspace / "report.html").read_text()

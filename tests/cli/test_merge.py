@@ -102,7 +102,12 @@ def test_explain_asks_the_merge_that_is_named(topobatch, workspace):
     assert topobatch("merge", a, b, "--output", "mine", "-w", workspace).code == 0
     shown = topobatch("explain", a, b, "--merge", "mine", "-w", workspace).out
     assert "not merged yet" not in shown
+    assert "Note" not in shown
     assert "not merged yet" in topobatch("explain", a, b, "-w", workspace).out
+    path = workspace / "maps" / f"{b}.json"
+    path.write_bytes(path.read_bytes() + b"\n")
+    shown = topobatch("explain", a, b, "--merge", "mine", "-w", workspace).out
+    assert f"Note: the map of {b} changed since the merge; merge again" in shown
 
 
 def test_a_broken_map_does_not_stop_the_others(topobatch, workspace):

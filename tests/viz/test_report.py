@@ -13,6 +13,7 @@ from topobatch.merge.result import Standing, Unlisted
 from topobatch.viz.report import Report, report_page
 from topobatch.viz.report_style import VERDICT_COLOURS
 from topobatch.viz.report_verdicts import STANDINGS
+from topobatch.viz.verdicts import MergeLayers, merge_summary
 
 BROWSER = next(
     filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None
@@ -47,7 +48,7 @@ def page_of(result, maps, **fields) -> str:
 
 def test_the_page_holds_summary_pictures_verdicts_health_settings_versions(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"], ["d"]], [("a", "c")])
-    html = page_of(result, maps, locks=["a + d: never"], unread=["The map of x cannot be read"])
+    html = page_of(result, maps, locks=["a + d: never"], warnings=["The map of x cannot be read"])
     for told in (
         "<b>4</b>runs",
         "<b>1</b>pair ambiguous",
@@ -82,6 +83,15 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     }
 
 
+def test_what_components_needed_is_not_what_two_runs_need(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    first, *others = (replace(v, threshold_bits=12.6) for v in result.verdicts)
+    first = replace(first, accepted_by="components", threshold_bits=10.0)
+    result = replace(result, verdicts=(first, *others))
+    assert "takes 12.6 bits" in page_of(result, maps)
+    assert "Merging needs 12.6 bits." in merge_summary(result, MergeLayers())
+
+
 def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
     result, maps = merge_of([[f"a{HOSTILE}", "b"], ["c"]])
     pair = replace(result.verdicts[0], reason=HOSTILE, advice=HOSTILE)
@@ -89,7 +99,7 @@ def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
     source = {"junctions": {"from": "scan", "topic": HOSTILE}}
     info = {"source": source, "warnings": [HOSTILE], "settings": {HOSTILE: HOSTILE}}
     maps[0] = replace(maps[0], info=info)
-    html = page_of(result, maps, locks=[HOSTILE], unread=[HOSTILE])
+    html = page_of(result, maps, locks=[HOSTILE], warnings=[HOSTILE])
     page = Page(html)
     assert not [tag for tag, _ in page.tags if tag in ("img", "iframe", "object", "base")]
     assert sum(tag == "script" for tag, _ in page.tags) == 2

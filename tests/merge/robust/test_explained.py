@@ -10,7 +10,7 @@ from topobatch.merge.document import merged_to_document, poses_from_document, ve
 from topobatch.merge.locks import Lock
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
-from topobatch.merge.result import Verdict
+from topobatch.merge.result import Verdict, shown_bits
 from topobatch.merge.robust.explained import Batch, explain
 from topobatch.merge.robust.settings import RobustSettings, settings_from_document
 from topobatch.topology.digits import BITS, rounded
@@ -81,7 +81,19 @@ def test_a_map_that_changed_since_is_told(halves, see, maze):
     batch = documented(halves)
     less = see(maze, list(range(60)), 1, "left")
     decision = explain(replace_map(batch, less), "left", "right")
+    assert "the merge says " in decision.notes[0]
     assert "changed since; merge again" in decision.notes[0]
+
+
+def test_a_map_that_changed_by_less_than_is_shown_is_told(halves):
+    """Beyond the digits of a document, though both numbers would read alike."""
+    batch = documented(halves)
+    told = batch.said["left", "right"]
+    beside = (told.evidence_bits + 0.03, told.evidence_bits - 0.03)
+    bits = next(x for x in beside if shown_bits(x) == shown_bits(told.evidence_bits))
+    said = {**batch.said, ("left", "right"): replace(told, evidence_bits=bits)}
+    (note,) = explain(replace(batch, said=said), "left", "right").notes
+    assert note.startswith("the maps no longer say just what the merge says: ")
 
 
 def replace_map(batch, changed):
