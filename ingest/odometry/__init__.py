@@ -1,1 +1,1 @@
-"""From raw poses to an odometry that can be relied on: sanity, jumps, calibration, noise."""
+"""From raw poses to a reliable odometry: sanity checks, jumps, calibration, noise."""

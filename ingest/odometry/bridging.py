@@ -1,4 +1,4 @@
-"""How large the odometry's jumps were: told by the places seen on both sides, or not at all."""
+"""Sizes of the odometry's jumps, measured by places seen on both sides."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ from ...topology.se2 import between, compose, inverse, wrap
 from .jumps import driven_on
 
 CLEAR_RAD = np.pi / 12
-"""1 sigma of a turn that is known up to less than an eighth of a turn (3 sigma): a building's right
-angles go on beyond it, and its branches are not taken for each other."""
+"""1 sigma of a rotation that is known to less than an eighth of a turn (3 sigma): the grid of a
+building can be followed across it, and branches are not confused."""
 CLEAR_LEGS = 0.5
-"""1 sigma of a step, in typical distances of neighbouring junctions."""
+"""1 sigma of a step, in median distances of neighbouring junctions, across which places are not
+confused."""
 LEAST_PLACES = 2
-"""Places that must have been seen on both sides: one may be a mistake."""
+"""Least number of places seen on both sides: one may be a mistake."""
 
 
 def bridged(
@@ -30,21 +31,22 @@ def bridged(
     reckoning_of: Callable[[Odometry], DeadReckoning],
     close: Callable[[DeadReckoning], Closed],
 ) -> Odometry:
-    """The odometry with every jump of known size, or broken there.
+    """The odometry with the size of every jump known, or broken there.
 
-    reckoning_of: the passes of an odometry; close: identifies them, without a grid of the building,
-    whose right angles fit every quarter turn. A jump that is small beside what tells places and
-    branches apart is left as it is, with its uncertainty. A larger one is measured, once as if the
-    robot had driven on and once as if it had gone where the odometry says (`Odometry.jump_other`):
-    places seen on both sides tell the step. If they do not, or say this in one case and that in the
-    other, the chain is broken. Closes the loops twice, if there are such jumps.
+    reckoning_of: dead reckoning of an odometry; close: loop closure, without the grid of the
+    building, whose right angles fit every quarter turn. A jump that is small beside the distances
+    of places and branches is left as it is, with its uncertainty. A larger one is measured twice,
+    as if the robot had driven on and as if it had moved as the odometry says
+    (`Odometry.jump_other`): places seen on both sides determine the step. If they do not, or the
+    two results disagree, the odometry is broken there. Closes the loops twice if there are large
+    jumps.
     """
     reckoning = reckoning_of(odometry)
     leg = _legs(odometry, reckoning)
     open_ = _unclear(odometry, reckoning, leg)
     if not open_.any():
         return odometry
-    # Between the two cases lies the whole jump: each answers for half of it (1 sigma).
+    # The two cases differ by the whole jump: each covers half of it (1 sigma).
     sigma = np.where(open_[:, None], 0.5 * odometry.jump_sigma, odometry.jump_sigma)
     driven_on = replace(odometry, jump_sigma=sigma)
     moved = _driven(driven_on, open_, odometry.jump_other[open_])
@@ -54,8 +56,8 @@ def bridged(
     known = np.isin(odometry.jumps, rows) if len(rows) else np.zeros(len(open_), bool)
     steps = np.array([told[row].step for row in rows.tolist()]).reshape(-1, 3)
     bridged = _driven(odometry, known, steps)
-    # What the closure says is believed only as far as it takes to go on: the identifications that
-    # it stands on are made again.
+    # The measured steps get the largest usable sigma, because the identifications that they rest
+    # on are made again.
     same_leg = np.isin(leg, leg[known])
     clear = np.minimum(odometry.jump_sigma, [_clear_m(reckoning), CLEAR_RAD])
     sigma = np.where(same_leg[:, None], clear, odometry.jump_sigma)
@@ -66,10 +68,10 @@ def bridged(
 def confirmed(
     recorded: Odometry, odometry: Odometry, reckoning: DeadReckoning, place: IntArray
 ) -> Odometry:
-    """`bridged`, broken at the jumps that its places, identified anew, do not confirm.
+    """The `bridged` odometry, broken at jumps that its places, identified anew, do not confirm.
 
-    Places that told a step may have been taken for others, so that none of them is seen on both
-    sides once the step is believed: the maps before and after it would be tied by a mistake.
+    If the places that determined a step were misidentified, none of them is seen on both sides once
+    the step is applied: the parts before and after it would be joined by a mistake.
     """
     leg = _legs(odometry, reckoning)
     measured = _unclear(recorded, reckoning, leg)
@@ -78,9 +80,9 @@ def confirmed(
 
 
 def jumps_told(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
-    """For the document: when and how far the odometry jumped, and whether the chain is split there.
+    """For the document: time and size of the odometry's jumps, and whether it is split there.
 
-    recorded: as read; odometry: `bridged`, its rows at the same places.
+    recorded: as read; odometry: `bridged`, with the same rows.
     """
     rows = recorded.jumps
     step = between(recorded.pose[rows - 1], recorded.pose[rows])
@@ -99,7 +101,7 @@ def jumps_told(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
 
 
 def split_told(recorded: Odometry, odometry: Odometry) -> list[str]:
-    """One sentence on the jumps that nothing tells the size of, if there are any."""
+    """A warning on the jumps of unknown size, if there are any."""
     rows = recorded.jumps[_split(odometry)]
     if len(rows) == 0:
         return []
@@ -116,7 +118,7 @@ def _split(odometry: Odometry) -> BoolArray:
 
 
 def _legs(odometry: Odometry, reckoning: DeadReckoning) -> IntArray:
-    """(j,) the leg that each jump falls in: from that pass to the next; -1 if there is none."""
+    """(j,) leg that each jump falls in, by the pass before it; -1 if there is none."""
     leg = np.searchsorted(reckoning.passes.time_ns, odometry.time_ns[odometry.jumps]) - 1
     inside = (leg >= 0) & (leg < len(reckoning) - 1)
     inside &= np.append(np.diff(reckoning.piece) == 0, False)[leg]
@@ -124,7 +126,7 @@ def _legs(odometry: Odometry, reckoning: DeadReckoning) -> IntArray:
 
 
 def _unclear(odometry: Odometry, reckoning: DeadReckoning, leg: IntArray) -> BoolArray:
-    """(j,) jumps beyond which places may be taken for others."""
+    """(j,) whether places may be confused across a jump."""
     sigma = odometry.jump_sigma
     return np.asarray(
         (leg >= 0) & ((sigma[:, 0] > _clear_m(reckoning)) | (sigma[:, 1] > CLEAR_RAD))
@@ -138,15 +140,16 @@ def _clear_m(reckoning: DeadReckoning) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
-    """A jump as places tell it: step (3,) of the robot, with 1 sigma [m per axis] and [rad]; places
-    seen on both sides."""
+    """A jump as measured by places: step: (3,) of the robot [m, m, rad]; sigma: (2,) [m per axis,
+    rad]; places: number seen on both sides."""
 
     step: FloatArray
     sigma: FloatArray
     places: int
 
     def fits(self, step: FloatArray, spare: FloatArray) -> bool:
-        """Whether another step is as near as that [m, rad], and three sigmas of this one."""
+        """Whether another step differs by at most `spare` [m, rad] plus three sigmas of this
+        one."""
         off = between(self.step, step)
         apart = np.array([np.hypot(off[0], off[1]), abs(off[2])])
         return bool(np.all(apart <= spare + 3 * self.sigma))
@@ -158,7 +161,7 @@ def _steps(
     close: Callable[[DeadReckoning], Closed],
     open_: BoolArray,
 ) -> dict[int, _Step]:
-    """What places tell of the open jumps, by row: of the first one in every leg."""
+    """The steps measured at the open jumps, by row: the first one in every leg."""
     reckoning = reckoning_of(case)
     leg = _legs(case, reckoning)
     closed = close(reckoning)
@@ -178,7 +181,7 @@ def _steps(
         moved = between(case.pose[row - 1], compose(T_before_after, case.pose[row]))
         found = _Step(moved, sigma, places)
         taken = between(case.pose[row - 1], case.pose[row])
-        # The odometry is at most as wrong as the jump is large: two sigmas of the case.
+        # The odometry's error is at most the size of the jump: two sigmas of the case.
         likely = found.fits(taken, 2 * case.jump_sigma[jump])
         if likely and bool(np.all(sigma < clear)) and places >= LEAST_PLACES:
             out[row] = found
@@ -186,7 +189,7 @@ def _steps(
 
 
 def _agreed(found: list[dict[int, _Step]], row: int) -> _Step | None:
-    """The step that the cases tell, the one of more places; None if they contradict each other."""
+    """The step measured in both cases, that of more places; None if they contradict each other."""
     steps = sorted((case[row] for case in found if row in case), key=lambda s: -s.places)
     if len(steps) == 2 and not steps[0].fits(steps[1].step, 3 * steps[1].sigma):
         return None
@@ -194,12 +197,12 @@ def _agreed(found: list[dict[int, _Step]], row: int) -> _Step | None:
 
 
 def _shared(place: IntArray, leg: int) -> int:
-    """How many places were seen on both sides of a leg."""
+    """Number of places seen on both sides of a leg."""
     return len(np.intersect1d(place[: leg + 1], place[leg + 1 :]))
 
 
 def _frame(reckoning: DeadReckoning, estimate: Estimate, i: int) -> FloatArray:
-    """T_map_odom as pass i sees it."""
+    """T_map_odom at pass i."""
     x, y = reckoning.passes.centre[i]
     return compose(estimate.pose[i], [-x, -y, 0.0])
 

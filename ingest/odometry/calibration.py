@@ -2,13 +2,13 @@
 
     θ_true = θ + β·s + κ·θ + δ·ω
 
-Real robots turn degrees too little per metre, steadily; a loop closes only after that is taken out.
-The evidence (`heading_evidence`) needs no identification. It is a likelihood of x = (β, κ, δ) with
-outliers in it: readings within a pass scatter with heavy tails; a leg is straight, or anything; a
-branch is square to one seen before, or anything. How often it is, and how exactly, is estimated
-with it, so that a building without right angles or straight corridors tells nothing instead of
-something wrong. The likelihood has many local maxima (a bias that turns one leg by 90° more fits a
-grid as well): the bias is scanned first, the best few maxima are climbed.
+Real robots have constant heading biases of degrees per metre; loops close only after these are
+removed. The evidence (`heading_evidence`) needs no place recognition. The likelihood of x = (β, κ,
+δ) models outliers: readings within a pass have heavy tails; a leg is straight, or arbitrary; a
+branch is perpendicular to an earlier one, or arbitrary. The shares of inliers and their scales are
+estimated along with x, so that a building without right angles or straight corridors has no
+influence. The likelihood has many local maxima (a bias that rotates one leg by 90° more fits a grid
+as well): the bias is scanned first, and the best few maxima are climbed.
 """
 
 from __future__ import annotations
@@ -31,30 +31,31 @@ Terms = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True)
 class CalibrationSettings:
-    """How the heading is calibrated."""
+    """Settings of the heading calibration."""
 
     prior_bias_rad_per_m: float = 0.035
     prior_turn_scale: float = 0.03
     prior_lag_s: float = 0.3
-    """1 sigma of what odometry is like in general, about zero."""
+    """Priors: 1 sigma of odometry in general, with mean zero."""
     apply_at_z: float = 3.0
-    """A term is applied only if it is so many sigmas from zero."""
+    """A term is applied only if it is at least this many sigmas from zero."""
     floor_bias_rad_per_m: float = 0.0005
     floor_turn_scale: float = 0.001
     floor_lag_s: float = 0.01
-    """No estimate is believed to better than this (1 sigma, added in quadrature) …"""
+    """Lower bounds of the estimates' sigmas, added in quadrature."""
     floor_turn_scale_per_s: float = 0.01
     floor_lag_per_s: float = 0.05
-    """… and more with the seconds between two rows of the odometry: what turns it missed."""
+    """Further lower bounds, per second between two rows of the odometry, for rotations in
+    between."""
     scan_bias_rad_per_m: float = 0.14
-    """Biases up to this are looked at."""
+    """Largest bias considered."""
     scan_step_rad_per_m: float = 0.0044
     starts: int = 4
-    """Maxima of the scan that are climbed."""
+    """Number of maxima of the scan that are climbed."""
     rounds: int = 3
-    """Corrections of the track after each of which the passes are fused anew."""
+    """Corrections of the track, after each of which the passes are fused again."""
     looks_per_pass: float = 2.0
-    """Worth of all the readings of one branch in one pass, in independent looks."""
+    """Weight of all readings of one branch in one pass, in independent observations."""
     evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
 
 
@@ -73,12 +74,12 @@ class Calibration:
 
     @property
     def bias_rad_per_m(self) -> float:
-        """Heading to add per metre driven."""
+        """Heading to be added per metre driven."""
         return self.applied[0]
 
     @property
     def turn_scale(self) -> float:
-        """Heading to add per radian turned."""
+        """Heading to be added per radian turned."""
         return self.applied[1]
 
     @property
@@ -93,10 +94,10 @@ def calibrate(
     settings: CalibrationSettings = CalibrationSettings(),
     pass_settings: PassSettings | None = None,
 ) -> Calibration:
-    """Estimate the systematic heading errors of a run from its sightings alone.
+    """Estimate the systematic heading errors of a run from its detections alone.
 
     Never raises on poor data: without passes or turns the estimate is the prior and nothing is
-    applied. O(readings) a few dozen times.
+    applied. A few dozen times O(readings).
     """
     result = Calibration()
     if len(odometry) < 2:
@@ -118,7 +119,7 @@ def calibrate(
 
 
 def _floor(odometry: Odometry, settings: CalibrationSettings) -> FloatArray:
-    """(3,) 1 sigma that no estimate goes below."""
+    """(3,) lower bounds of the sigmas."""
     spacing_s = float(np.median(np.diff(odometry.time_ns))) * 1e-9
     return np.array(
         [
@@ -135,7 +136,7 @@ def _fit(
     floor: FloatArray,
     settings: CalibrationSettings,
 ) -> Calibration:
-    """Total errors under evidence that was corrected by `already`."""
+    """Calibration from evidence that was already corrected by `already` (3,)."""
     sigma = (settings.prior_bias_rad_per_m, settings.prior_turn_scale, settings.prior_lag_s)
     minus = tuple((-already).tolist())
     model = HeadingLikelihood.of(
@@ -150,8 +151,8 @@ def _fit(
         fitted.value(x) - _without(model, [*starts, x], np.arange(TERMS) != k, already)[0]
         for k in range(TERMS)
     ]
-    # A narrow false maximum far from zero is many of its own sigmas away and hardly more likely:
-    # the gain over an error of zero must say the same.
+    # A narrow false maximum far from zero is many of its sigmas away but hardly more likely:
+    # significance is also required of the likelihood ratio against zero.
     total = x + already
     likely = np.sqrt(2 * np.maximum(gain, 0.0)) * plain / spread
     shown = np.minimum(np.abs(total) / spread, likely) >= settings.apply_at_z
@@ -167,13 +168,13 @@ def _without(
     free: BoolArray,
     already: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """Highest likelihood, and where, with all errors zero that are not `free`."""
+    """Highest likelihood, and its location, with all errors zero that are not `free`."""
     fitted, x = _best(model, [np.where(free, start, -already) for start in starts], free)
     return fitted.value(x), x
 
 
 def _terms(values: FloatArray) -> Terms:
-    # As documents state them: what is applied is what is stated, the same on every processor.
+    # Rounded as in documents, so that the values applied are those stated, on every processor.
     a, b, c = (significant(float(v)) for v in values)
     return a, b, c
 
@@ -181,7 +182,8 @@ def _terms(values: FloatArray) -> Terms:
 def _scan(
     model: HeadingLikelihood, already: FloatArray, settings: CalibrationSettings
 ) -> list[FloatArray]:
-    """Corrections to climb from: the best local maxima over the bias, no error, no change."""
+    """Starting points of the optimisation: the best local maxima over the bias, zero error, and no
+    change."""
     steps = int(np.ceil(settings.scan_bias_rad_per_m / settings.scan_step_rad_per_m))
     bias = np.arange(-steps, steps + 1) * settings.scan_step_rad_per_m - already[0]
     points = np.zeros((len(bias), TERMS))
@@ -206,15 +208,15 @@ def _best(
 
 
 def _distinct(points: list[FloatArray]) -> list[FloatArray]:
-    """The points without repetitions, in their order."""
+    """The points without duplicates, in their order."""
     return list({tuple(point.tolist()): point for point in points}.values())
 
 
 def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
-    """The track re-integrated with the applied errors taken out; the same rows, breaks, frames.
+    """The track re-integrated with the applied errors removed; same rows, breaks and frames.
 
-    A lag moves the times of the rows. Every step turns by the mean correction at its two ends;
-    across a break the jump is turned along. The first row stays. O(n).
+    A lag shifts the times of the rows. Every step is rotated by the mean correction at its two
+    ends; jumps at breaks are rotated along. The first position stays. O(n).
     """
     if not any(calibration.applied) or len(odometry) == 0:
         return odometry

@@ -1,12 +1,12 @@
-"""What the sightings of a run say about its heading, before any place is recognised.
+"""Evidence on the odometry's heading error, before any place is recognised.
 
-The odometry's heading θ is wrong by β·s + κ·θ + δ·ω (way driven, angle turned, turning rate: a
-bias per metre, a scale of turns, a time lag). Three kinds of evidence need no identification:
+The odometry's heading θ is wrong by β·s + κ·θ + δ·ω (distance driven, angle turned, turning rate: a
+bias per metre, a scale of turns, a time lag). Three kinds of evidence need no place recognition:
 
-* *pass*: while the robot drives by a junction and turns, a branch keeps its direction;
-* *leg*: corridors are mostly straight, so the heading of the branch by which the robot left one
-  junction is mostly opposite to the one by which it came to the next;
-* *grid*: the branches of neighbouring junctions are mostly parallel or square to each other.
+* *pass*: while the robot passes a junction and turns, a branch keeps its direction;
+* *leg*: corridors are mostly straight, so that the branch by which the robot left one junction is
+  mostly opposite to the one by which it came to the next;
+* *grid*: the branches of neighbouring junctions are mostly parallel or perpendicular.
 
 All are rows y + a·x ≈ 0 with x = (β, κ, δ) and a = (s, θ, ω) or a difference of two such.
 """
@@ -31,30 +31,30 @@ TERMS = 3
 
 @dataclass(frozen=True, slots=True)
 class EvidenceSettings:
-    """Which sightings are compared."""
+    """Which detections are compared."""
 
     match_rad: float = 0.35
-    """A reading farther than this from every fused branch of its pass is noise."""
+    """Readings farther from every fused branch of their pass are ignored."""
     interpolated_rad: float = 0.03
-    """Readings farther in angle from the next row of the odometry are not used."""
+    """Readings at more than this angle from the nearest row of the odometry are ignored."""
     rate_window_s: float = 0.25
-    """The turning rate is taken over twice this time."""
+    """Half the time over which the turning rate is measured."""
     parts: int = 6
-    """The readings of one branch in one pass are averaged over so many stretches of time."""
+    """Intervals over which the readings of one branch in one pass are averaged."""
     most_passes: int = 600
-    """More passes are thinned out evenly: they tell the errors well enough."""
+    """More passes are thinned out evenly, for speed."""
     grid_reach: int = 3
-    """Branches are compared with those of so many passes before …"""
+    """Branches are compared with those of so many passes before."""
     grid_reach_m: float = 40.0
-    """… if not farther back than this along the way."""
+    """They are not compared with passes farther back than this along the track."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """Rows y + a·x ≈ 0: y (r,) [rad], a (r, 3); `owner` (r,) groups rows that tell one thing.
+    """Rows y + a·x ≈ 0: y (r,) [rad], a (r, 3); owner: (r,) groups alternatives for one quantity.
 
-    share: (r,) weights that sum to 1 within an owner; visit: (r,) pass at which the row was seen:
-    rows of one visit share its errors.
+    share: (r,) weights that sum to 1 within an owner; visit: (r,) pass of the row: rows of one
+    visit share its errors.
     """
 
     y: FloatArray
@@ -94,7 +94,8 @@ class HeadingEvidence:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Looks:
-    """Every branch of every pass as it was seen: heading (b,), regressors (b, 3), pass (b,)."""
+    """Every branch of every pass: mean heading (b,) [rad], mean regressors (b, 3), pass (b,), and
+    whether it has readings (b,)."""
 
     heading: FloatArray
     regressor: FloatArray
@@ -109,11 +110,11 @@ def heading_evidence(
     passes: Passes,
     settings: EvidenceSettings = EvidenceSettings(),
 ) -> HeadingEvidence:
-    """Rows from the sightings of a run.
+    """The evidence from the detections of a run.
 
-    odometry: the track as corrected so far, in which headings are compared and `passes` are
-    expressed; nominal: the same rows and times uncorrected, which the regressors are taken from.
-    O(readings + branches · grid_reach).
+    odometry: the track as corrected so far, in which headings are compared and `passes` are given;
+    nominal: the same rows and times uncorrected, for the regressors. O(readings + branches ·
+    grid_reach).
     """
     reading = assign_readings(
         odometry, detections, passes, settings.match_rad, settings.interpolated_rad
@@ -147,7 +148,8 @@ def heading_evidence(
 
 
 def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray, parts: int) -> Rows:
-    """Readings about the mean of their branch, averaged over at most `parts` stretches of time."""
+    """Readings relative to the mean of their branch, averaged over at most `parts` intervals of
+    time."""
     order = np.argsort(branch, kind="stable")
     n = np.bincount(branch, minlength=len(looks.heading))
     owner = branch[order]
@@ -161,7 +163,7 @@ def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray, parts
 
 
 def regressors(odometry: Odometry, time_ns: IntArray, window_s: float) -> FloatArray:
-    """(m, 3) way driven [m], angle turned [rad] and turning rate [rad/s] at the given times."""
+    """(m, 3) distance driven [m], angle turned [rad] and turning rate [rad/s] at times (m,)."""
     origin = odometry.time_ns[0]
     t = (odometry.time_ns - origin) * 1e-9
     q = (np.asarray(time_ns, np.int64) - origin) * 1e-9
@@ -174,10 +176,8 @@ def regressors(odometry: Odometry, time_ns: IntArray, window_s: float) -> FloatA
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Readings:
-    """Branch readings that belong to a fused branch: row (into the flat readings), branch, heading.
-
-    heading is in the odometry frame.
-    """
+    """Branch readings assigned to a fused branch: row (into the flat readings), branch (flat
+    index), heading [rad, odometry frame]."""
 
     row: IntArray
     branch: IntArray
@@ -191,10 +191,10 @@ def assign_readings(
     match_rad: float,
     interpolated_rad: float = np.inf,
 ) -> Readings:
-    """The fused branch (flat index) of every reading, where one is near.
+    """The nearest fused branch (flat index) of every reading, where it is within `match_rad`.
 
-    Readings whose heading would be interpolated over more than `interpolated_rad` are left out. All
-    readings at once: each is paired with every branch of its pass, and the nearest pair kept.
+    Readings whose heading would be interpolated over more than `interpolated_rad` are left out.
+    Vectorised: each reading is paired with every branch of its pass, and the nearest pair kept.
     """
     message = detections.branches.owner
     time_ns = detections.time_ns[message]
@@ -212,7 +212,7 @@ def assign_readings(
     of, local = numbered(counts)
     candidate = passes.branches.offsets[home[rows]][of] + local
     off = np.abs(wrap(heading[rows[of]] - passes.branches.values[candidate]))
-    # Least of each contiguous block, and where it is; backwards, so that the first of equals stays.
+    # Index of the minimum of each contiguous block; backwards, so that the first of equals stays.
     hit = np.flatnonzero(off == np.minimum.reduceat(off, np.flatnonzero(local == 0))[of])[::-1]
     nearest = np.empty(len(rows), np.int64)
     nearest[of[hit]] = hit
@@ -223,8 +223,8 @@ def assign_readings(
 def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m,) angle turned [rad] between each time and the nearer one of the rows around it.
 
-    What happens between two rows is unknown: a turn within one second is no even turning, and taken
-    for one it looks like a wrong scale of turns.
+    Motion between two rows is unknown: a turn within one second is not uniform, and taking it for
+    uniform looks like a wrong scale of turns.
     """
     after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
     t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
@@ -251,7 +251,8 @@ def _legs(passes: Passes, looks: _Looks, stretch: IntArray) -> Rows:
 
 
 def _grid(looks: _Looks, stretch: IntArray, settings: EvidenceSettings) -> Rows:
-    """Every branch beside those of a few passes before: alternatives that may be square to it."""
+    """Every branch paired with those of a few passes before: alternatives that may be
+    perpendicular."""
     first = np.searchsorted(looks.owner, np.arange(len(stretch) + 1))
     begin = first[np.maximum(looks.owner - settings.grid_reach, 0)]
     here, nth = numbered(first[looks.owner] - begin)

@@ -1,9 +1,9 @@
-"""The likelihood of systematic heading errors under evidence with outliers in it.
+"""The likelihood of systematic heading errors, with outliers.
 
     ℓ(x) = Σ_passes w · log t₃(r / σ_p) + Σ_legs, grid log[(1 − g) / period + g Σ_r w_r N(r; σ)]
 
 with r = wrap(y + a·x). Scales σ and shares g of inliers are estimated along with x by expectation
-maximisation, which turns every step into one weighted linear least-squares problem in x.
+maximisation, in which every step is one weighted linear least-squares problem in x.
 """
 
 from __future__ import annotations
@@ -18,18 +18,19 @@ from .heading_evidence import TERMS, HeadingEvidence, Rows
 _QUARTER = np.pi / 2
 _DEGREES_OF_FREEDOM = 3.0
 _FINEST = 0.025
-"""No two corridors are more exactly parallel than this [rad]; keeps a share of one from a spike."""
+"""Lower bound of the scatter of parallel corridors [rad]; avoids a singular likelihood."""
 
 
 def _residual(rows: Rows, x: FloatArray) -> FloatArray:
-    """(r,) y + a·x, without the matrix product that would wake threads for so little."""
+    """(r,) y + a·x, without a matrix product, which would start threads for so little work."""
     out: FloatArray = rows.y + rows.a[:, 0] * x[0] + rows.a[:, 1] * x[1] + rows.a[:, 2] * x[2]
     return out
 
 
 @dataclass(frozen=True, slots=True)
 class _Mixture:
-    """Rows that are near zero with probability `share` (sigma), or anything within the period."""
+    """Rows that are near zero with probability `share` (1 sigma `sigma`), else uniform within the
+    period."""
 
     rows: Rows
     period: float
@@ -42,7 +43,8 @@ class _Mixture:
         return np.asarray(r - self.period * np.round(r / self.period))
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Log-likelihood, residuals, and the probability that each row is the one that holds."""
+        """Log-likelihood, residuals, and the probability that each row is the inlier of its
+        group."""
         r = self.residual(x)
         if len(r) == 0:
             return 0.0, r, r
@@ -53,7 +55,8 @@ class _Mixture:
         return gain, r, inlier / whole[self.rows.owner]
 
     def refit(self, r: FloatArray, holds: FloatArray) -> _Mixture:
-        """Scale and share that fit best, with one inlier and one outlier of 6° for a prior."""
+        """Maximum-a-posteriori scale and share, with a prior worth one inlier and one outlier of
+        6°."""
         total, guess = float(holds.sum()), 0.1
         sigma = float(np.sqrt((float((holds * r**2).sum()) + 2 * guess**2) / (total + 2)))
         share = (total + 1) / (self.rows.owners + 2)
@@ -63,14 +66,14 @@ class _Mixture:
 
 @dataclass(frozen=True, slots=True)
 class _Scatter:
-    """Readings about the mean of their branch: Student's t with three degrees of freedom."""
+    """Readings relative to the mean of their branch: Student's t with three degrees of freedom."""
 
     rows: Rows
     worth: float
     sigma: float = 0.05
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Log-likelihood, residuals, weights of the equivalent least-squares problem."""
+        """Log-likelihood, residuals, and weights of the equivalent least-squares problem."""
         r = _residual(self.rows, x)
         nu, ratio = _DEGREES_OF_FREEDOM, (r / self.sigma) ** 2
         weight = self.worth * self.rows.share
@@ -85,7 +88,7 @@ class _Scatter:
 
 @dataclass(frozen=True, slots=True)
 class HeadingLikelihood:
-    """ℓ(x) for one run, with a normal prior on x of the given sigmas about `centre`."""
+    """ℓ(x) of one run, with a normal prior on x with the given sigmas about `centre`."""
 
     scatter: _Scatter
     mixtures: tuple[_Mixture, _Mixture]
@@ -101,7 +104,7 @@ class HeadingLikelihood:
         centre: tuple[float, float, float],
         worth: float,
     ) -> HeadingLikelihood:
-        """The likelihood of corrections x on top of what the evidence was corrected by."""
+        """The likelihood of corrections x, in addition to those already applied to the evidence."""
         legs = _Mixture(evidence.legs, 2 * np.pi, 0.25)
         grid = _Mixture(evidence.grid, _QUARTER, 0.15)
         return cls(_Scatter(evidence.passes, worth), (legs, grid), prior_sigma, centre)
@@ -116,7 +119,7 @@ class HeadingLikelihood:
         return sum(part.expect(x)[0] for part in self._parts) - 0.5 * float(deviation @ deviation)
 
     def scores(self, x: FloatArray) -> FloatArray:
-        """(visits, 3) what each visit of a junction adds to the gradient of ℓ at x."""
+        """(visits, 3) contribution of each visit of a junction to the gradient of ℓ at x."""
         count = max(part.rows.visits for part in self._parts)
         out = np.zeros((count, TERMS))
         for part in self._parts:
@@ -127,7 +130,7 @@ class HeadingLikelihood:
         return out
 
     def slope(self, x: FloatArray) -> FloatArray:
-        """(3,) gradient of ℓ at x, prior and all."""
+        """(3,) gradient of ℓ at x, including the prior."""
         belief = (x - np.array(self.centre)) / np.square(self.prior_sigma)
         return np.asarray(self.scores(x).sum(axis=0) - belief)
 
@@ -154,7 +157,8 @@ class HeadingLikelihood:
     def climb(
         self, x: FloatArray, free: BoolArray, most: int = 60
     ) -> tuple[HeadingLikelihood, FloatArray]:
-        """Expectation maximisation from x until it moves by less than 10⁻⁴ of the prior."""
+        """Expectation maximisation from x until it changes by less than 10⁻⁴ of the prior's
+        sigmas."""
         here = self
         for _ in range(most):
             here, there = here.improve(x, free)
@@ -165,12 +169,14 @@ class HeadingLikelihood:
         return here, x
 
     def sigma(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) 1 sigma of x by the curvature of ℓ, and the larger one that its scatter shows.
+        """(3,) each: 1 sigma of x from the curvature of ℓ, and the larger robust one from the
+        scores.
 
-        The curvature is taken from differences of the gradient: the bounding least-squares problem
-        would take every inlier for certain. Rows of one visit share errors (a junction seen askew,
-        a wheel that slipped), which the likelihood does not know: the scores of whole visits tell
-        (the sandwich A⁻¹BA⁻¹). On a ridge of ℓ the sigmas are those of the prior.
+        The curvature is taken from differences of the gradient, because the least-squares problem
+        of expectation maximisation treats every inlier as certain. Rows of one visit share errors
+        (a skewed view, a slipping wheel) that the likelihood ignores: the scores are summed by
+        visit in the sandwich estimate A⁻¹BA⁻¹. If the curvature is singular, the sigmas are those
+        of the prior.
         """
         step, observed = self._step(x), np.empty((TERMS, TERMS))
         for k in range(TERMS):
@@ -189,7 +195,7 @@ class HeadingLikelihood:
         return plain, np.maximum(plain, np.sqrt(np.diag(inverse @ between @ inverse)))
 
     def _step(self, x: FloatArray) -> FloatArray:
-        """(3,) steps to differentiate by: a third of a sigma, were all inliers certain."""
+        """(3,) steps for the differences: a third of a sigma, if all inliers were certain."""
         curvature = 1.0 / np.square(self.prior_sigma)
         for part in self._parts:
             _, _, weight = part.expect(x)

@@ -1,9 +1,9 @@
-"""Steps of the odometry that the robot did not drive: how large they are, and what they mean.
+"""Jumps of the odometry: steps that the robot did not drive, their size and kind.
 
-A jump is a step of unknown size. The odometry's frame has jumped while the robot drove on (a
-slipped wheel, a pose corrected by the driver), or the robot was knocked and the odometry saw it:
-what it reports is at most as wrong as the jump is large. So the track goes on as its neighbours
-say, with an uncertainty of the size of the jump. A reset is no step at all: nothing is known of it.
+A jump is a step of unknown size: the odometry frame jumped while the robot drove on (a slipping
+wheel, a pose corrected by the driver), or the robot was pushed and the odometry measured it. Its
+error is at most the size of the jump. So the track is continued with the motion of the neighbouring
+steps, with an uncertainty of the size of the jump. At a reset the motion is unknown altogether.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from .step_bounds import StepBounds, blocks_of_steps, reach, turned, widest_turn
 
 SECOND_S = 1e-9
 MOST_TOLD = 5
-"""So many jumps are told one by one."""
+"""Number of jumps that are listed one by one."""
 BESIDE = np.array([-2, -1, 1, 2])
-"""Steps that a step is compared with."""
+"""Offsets of the steps that a step is compared with."""
 
 
 def times(count: int) -> str:
@@ -31,21 +31,21 @@ def times(count: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class JumpSettings:
-    """Which steps stand out of the run's own motion."""
+    """Which steps stand out from the run's own motion."""
 
     least_m: float = 0.05
     least_rad: float = 0.07
-    """Smaller ones are hidden by the noise of one sighting (0.05 to 0.1 m, 2 to 5 degrees)."""
+    """Smaller jumps are within the noise of one detection (0.05 to 0.1 m, 2 to 5 degrees)."""
     usual_way_m: float = 30.0
-    """What befalls the odometry more often than once in so much way is how this robot moves."""
+    """Deviations that occur more often than once per this distance count as normal motion."""
     factor: float = 3.0
-    """A jump stands out by so many times what is usual."""
+    """A jump exceeds normal deviations by this factor."""
     margin: float = 1.2
-    """A turn is fast if it is so many times as fast as is seldom exceeded."""
+    """A rotation is fast if it exceeds the 99 % quantile of the turning rate by this factor."""
     few_steps: int = 100
-    """Shorter tracks do not tell what is usual."""
+    """Shorter tracks do not show what is normal."""
     samples: int = 20_000
-    """Steps that tell how fast the robot usually is."""
+    """Size of the sample of steps that the usual speed is estimated from."""
 
 
 JUMPS = JumpSettings()
@@ -53,11 +53,12 @@ JUMPS = JumpSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Jumps:
-    """Steps that were not driven, by row: the step from row - 1 to row.
+    """Steps that were not driven, from row - 1 to row.
 
-    rows: (j,) ascending; way: (j,) [m] and turn: (j,) [rad] by which they differ from what their
-    neighbours say; reset: (j,) nothing is known of the motion; late: (j,) the odometry had stood
-    still for so long that the robot can have driven the step; since: (j,) row from which on it had.
+    rows: (j,) ascending; way: (j,) [m] and turn: (j,) [rad] deviation from the motion predicted by
+    neighbouring steps; reset: (j,) whether the motion is unknown; late: (j,) whether the odometry
+    had stood still for so long that the robot can have driven the step; since: (j,) row from which
+    on it had.
     """
 
     rows: IntArray
@@ -68,19 +69,19 @@ class Jumps:
     since: IntArray
 
     def fresh(self, count: int) -> BoolArray:
-        """(count,) rows of the track but those that repeat a pose before a late leap."""
+        """(count,) rows of the track without those that repeat a pose before a late step."""
         keep = np.ones(count, bool)
         for since, row in zip(self.since[self.late], self.rows[self.late], strict=True):
             keep[since + 1 : row] = False
         return keep
 
     def among(self, keep: BoolArray) -> Jumps:
-        """The same jumps in a track of fewer rows."""
+        """The same jumps in a track reduced to the rows `keep`."""
         number = np.cumsum(keep) - 1
         return replace(self, rows=number[self.rows], since=number[self.since])
 
     def sentences(self, time_ns: IntArray) -> list[str]:
-        """What a person is told of them, one sentence per kind."""
+        """Warnings, one sentence per kind."""
         jump = ~self.reset & ~self.late
         told = (
             (
@@ -107,14 +108,15 @@ class Jumps:
 
 
 def no_jumps() -> Jumps:
-    """None at all."""
+    """Without any jumps."""
     none, false, zero = np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(0)
     return Jumps(none, zero, zero, false, false, none)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Usual:
-    """Seconds between rows (median); speed [m/s] and turning rate [rad/s] seldom exceeded."""
+    """period: median time between rows [s]; speed [m/s] and rate [rad/s]: 99 % quantiles in
+    motion."""
 
     period: float
     speed: float
@@ -128,7 +130,7 @@ class _Usual:
         way = np.hypot(*(pose[k + 1, :2] - pose[k, :2]).T)
         turn = np.abs(wrap(pose[k + 1, 2] - pose[k, 2]))
         period = float(np.median(duration))
-        # Stamps that come in bursts make no robot fast.
+        # Bursts of messages must not count as high speed.
         duration = np.maximum(duration, 0.5 * period)
         return cls(period, _seldom(way / duration), _seldom(turn / duration))
 
@@ -139,17 +141,17 @@ def _seldom(values: FloatArray) -> float:
 
 
 def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> BoolArray:
-    """(n - 1,) steps that stand out of their neighbours as few others of the run do.
+    """(n - 1,) steps that deviate from their neighbours more than others of the run.
 
-    Between two quiet steps no robot makes a large one: it has inertia. What is usual for this robot
-    and this odometry (sparse rows, jerky drives) the run shows itself. Light robots turn on the
-    spot by jerks: a turn stands out only if it is faster than they usually are. O(n), a few passes
-    over the rows that may matter.
+    Because of its inertia a robot makes no large step between two small ones. What is normal for
+    this robot and odometry (sparse rows, jerky drives) is estimated from the run. Light robots turn
+    on the spot by jerks: a rotation stands out only if it is also faster than usual. O(n), a few
+    passes over the rows in question.
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
     if len(pose) <= JUMPS.few_steps or not _any_spike(pose, bounds):
         return found
-    # Smaller ones tell what is usual.
+    # Including smaller deviations, which show what is normal.
     rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
     steps = _Steps.of(pose, rows)
     usual = _Usual.of(time_ns, pose)
@@ -165,9 +167,9 @@ def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> BoolArray
 
 
 def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:
-    """Whether any step leaves the range of its neighbours and of standing still by enough.
+    """Whether any step leaves the range of its neighbours and of standing still far enough.
 
-    Nothing that is known of times widens what steps leave.
+    A quick test without times: considering them could only widen the range.
     """
     if bounds.within(JUMPS.least_m, JUMPS.least_rad):
         return False
@@ -180,10 +182,11 @@ def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:
 
 
 def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
-    """Steps that may leave the range of their neighbours by more than so much.
+    """Steps that may leave the range of their neighbours by more than the given amounts.
 
-    The range holds standing still and the steps before and after: what is out of it differs from
-    all three by no less, which is cheap to bound. The first and the last step lie in their own.
+    The range includes standing still and the steps before and after: a step outside it differs from
+    all three by at least as much, which is cheap to bound. The first and the last step are within
+    their own range.
     """
     least_m, least_rad = 0.99 * least_m, 0.99 * least_rad
     found = [np.zeros(0, np.int64)]
@@ -196,7 +199,7 @@ def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
             k = 1 + np.flatnonzero(np.abs(turn[1:-1]) > least_rad)
             off = np.stack([turn[k], turn[k] - turn[k - 1], turn[k + 1] - turn[k]])
             large[k] = (turned(off) > least_rad).all(axis=0)
-        # What bounds all ways of a block costs a fraction of the ways.
+        # A bound for the whole block is cheaper than testing its steps.
         if far > least_m and reach(x[1:] - x[:-1]) + reach(y[1:] - y[:-1]) + far * widest > least_m:
             large[1:-1] |= _far_off(x, y, turn, least_m)
         found.append(first + np.flatnonzero(large))
@@ -204,7 +207,7 @@ def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
 
 
 def _far_off(x: FloatArray, y: FloatArray, turn: FloatArray, least_m: float) -> BoolArray:
-    """(n - 2,) which steps but the first and last may differ by more from those on either side."""
+    """(n - 2,) inner steps that may differ by more than `least_m` from those on either side."""
     far = np.abs(x) + np.abs(y)
     # Seen from the robot, a step is turned by what the one before it turned.
     off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * turned(turn[:-1])
@@ -212,22 +215,22 @@ def _far_off(x: FloatArray, y: FloatArray, turn: FloatArray, least_m: float) -> 
 
 
 def _at_rank(values: FloatArray, rank: int) -> float:
-    """The largest value but for so many; 0 if there are no more."""
+    """The `rank`-th largest value, from 0 on; 0 if there are fewer."""
     if len(values) <= rank:
         return 0.0
     return float(np.partition(values, len(values) - rank - 1)[len(values) - rank - 1])
 
 
 def _moved(pose: FloatArray, rows: IntArray) -> FloatArray:
-    """(k, 3) motion forward [m], to the left [m], turn [rad] of the steps that begin at rows."""
+    """(k, 3) motion forward [m], left [m], turn [rad] of the steps that begin at rows."""
     return between(pose[rows], pose[rows + 1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Steps:
-    """The steps that begin at rows (k,), and those around them.
+    """The steps that begin at rows (k,), and their neighbours.
 
-    beside: (k, 4) rows; moved: (k, 3), around: (k, 4, 3) motions as `_moved` gives them.
+    beside: (k, 4) rows of the neighbours; moved: (k, 3), around: (k, 4, 3) motions as by `_moved`.
     """
 
     rows: IntArray
@@ -242,10 +245,8 @@ class _Steps:
         return cls(rows, beside, _moved(pose, rows), around)
 
     def beyond(self, span: FloatArray, spare: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """(k,) way [m] and turn [rad] by which the steps leave the range of motions (k, s, 3).
-
-        It holds standing still, and is wider by `spare` on either side.
-        """
+        """(k,) each: distance [m] and angle [rad] by which the steps leave the range of motions (k,
+        s, 3), which includes standing still and is extended by `spare` on either side."""
         least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
         off = self.moved - np.clip(self.moved, least - spare, most + spare)
         way: FloatArray = np.hypot(off[:, 0], off[:, 1])
@@ -256,10 +257,11 @@ class _Steps:
 def _excess(
     time_ns: IntArray, pose: FloatArray, steps: _Steps, usual: _Usual
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) way [m] and turn [rad] by which steps leave the range that their neighbours span.
+    """(k,) each: distance [m] and angle [rad] by which steps leave the range of their neighbours.
 
-    The range holds standing still, and the neighbours' motion both per step and per second: stamps
-    may be wrong. Beyond the usual period anything may have been driven, at the usual speed.
+    The range includes standing still, and the neighbours' motion both per step and per second,
+    because stamps may be wrong. In gaps longer than the usual period it is extended by the usual
+    speed.
     """
     rows, beside = steps.rows, steps.beside
     own = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
@@ -271,13 +273,13 @@ def _excess(
 
 
 def _waited(time_ns: IntArray, pose: FloatArray, rows: IntArray) -> FloatArray:
-    """(k,) seconds from the first row that held the pose before each step to the end of it."""
+    """(k,) time [s] from the first row that held the pose before each step to the end of it."""
     waited = time_ns[rows + 1] - time_ns[_first_alike(pose, rows)]
     return np.asarray(waited * SECOND_S, np.float64)
 
 
 def _first_alike(pose: FloatArray, rows: IntArray) -> IntArray:
-    """(k,) first of the rows in a row that hold the same pose as each."""
+    """(k,) first of the consecutive rows with the same pose as each."""
     since = rows.copy()
     stood = np.flatnonzero((rows > 0) & (pose[rows] == pose[rows - 1]).all(axis=1))
     if len(stood):
@@ -290,10 +292,10 @@ def _first_alike(pose: FloatArray, rows: IntArray) -> IntArray:
 def measured_jumps(
     time_ns: IntArray, pose: FloatArray, leaps: BoolArray, restarted: BoolArray
 ) -> Jumps:
-    """What the given steps are: jumps, late messages, or resets.
+    """Classify the given steps as jumps, late messages, or resets.
 
     leaps: (n - 1,) steps that cannot have been driven; restarted: (n - 1,) those of them at which
-    the clock leaps as well. A reset leads back to the origin or to where the track began, or
+    the clock jumps as well. A reset leads back to the origin or to the start of the track, or
     farther than the robot drives in the whole run.
     """
     begin = np.flatnonzero(leaps)
@@ -317,7 +319,8 @@ def measured_jumps(
 def _near(
     pose: FloatArray, rows: IntArray, home: FloatArray, spare_s: FloatArray, usual: _Usual
 ) -> BoolArray:
-    """(k,) whether rows lie where a robot that has just started at `home` may have got to."""
+    """(k,) whether a robot that started at `home` can have reached the rows in the times
+    `spare_s`."""
     away = np.hypot(*(pose[rows, :2] - home[:2]).T)
     turned = np.abs(wrap(pose[rows, 2] - home[2]))
     return np.asarray((away <= usual.speed * spare_s) & (turned <= usual.rate * spare_s))
@@ -326,7 +329,8 @@ def _near(
 def _expected(
     time_ns: IntArray, pose: FloatArray, leaps: BoolArray, rows: IntArray, usual: _Usual
 ) -> FloatArray:
-    """(k, 3) motion of steps as the nearest good steps before and after say, per second."""
+    """(k, 3) motion of steps as predicted by the nearest regular steps before and after, per
+    second."""
     good = np.flatnonzero(~leaps)
     if len(good) == 0:
         return np.zeros((len(rows), 3))
@@ -341,10 +345,10 @@ def _expected(
 
 
 def without_jumps(odometry: Odometry, jumps: Jumps) -> Odometry:
-    """The odometry with breaks at resets, and going on over every jump as its neighbours say.
+    """The odometry with breaks at resets, and jumps replaced by the motion of neighbouring steps.
 
-    The uncertainty of such a step is the size of the jump, and what the robot usually drives in the
-    time. Rows before the first jump stay as they are. O(n).
+    The uncertainty of such a step is the size of the jump and the usual motion in its time. Rows
+    before the first jump stay as they are. O(n).
     """
     if len(jumps.rows) == 0:
         return odometry
@@ -379,7 +383,8 @@ def without_jumps(odometry: Odometry, jumps: Jumps) -> Odometry:
 
 
 def driven_on(pose: FloatArray, rows: IntArray, step: FloatArray) -> FloatArray:
-    """Poses with the steps into the given rows replaced; what lies between them stays rigid."""
+    """Poses with the steps into the given rows replaced, and the parts between them moved
+    rigidly."""
     out, ends = pose.copy(), np.append(rows, len(pose))[1:]
     for row, end, moved in zip(rows, ends, step, strict=True):
         T_new_old = compose(compose(out[row - 1], moved), inverse(pose[row]))

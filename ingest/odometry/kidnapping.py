@@ -1,4 +1,4 @@
-"""Finds where the robot was carried: its wheels stand, but it sees another place."""
+"""Kidnapped robot: where the robot was carried, i.e. its wheels stand but it sees another place."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ...topology.run import Detections
 class CarriedSettings:
     """What counts as standing, and as another place.
 
-    Wheels that turn by no more than standing_m, standing_rad stand: encoders tell less, and slip
-    more. Several `sightings` on both sides must agree among themselves to agree_m, five times a
-    detector's usual noise, and be apart_m or more from the other side, three times that: one wrong
-    sighting is no journey.
+    Wheels that move by at most standing_m, standing_rad stand: encoders resolve less, and slip
+    causes more. At least `sightings` detections on both sides must agree among themselves to
+    agree_m, five times the usual noise of a detector, and differ by apart_m or more from the other
+    side, three times that: a single wrong detection does not count.
     """
 
     standing_m: float = 0.02
@@ -32,7 +32,8 @@ CARRIED = CarriedSettings()
 
 
 def split_where_carried(odometry: Odometry, detections: Detections) -> tuple[Odometry, int]:
-    """The odometry with a break wherever the robot was carried, and their number. O(n + k)."""
+    """The odometry with a break wherever the robot was carried, and the number of these. O(n +
+    k)."""
     jumps = _carried(odometry, detections)
     if len(jumps) == 0:
         return odometry, 0
@@ -42,7 +43,7 @@ def split_where_carried(odometry: Odometry, detections: Detections) -> tuple[Odo
 
 
 def _carried(odometry: Odometry, detections: Detections) -> IntArray:
-    """Rows i of detections so that the robot was carried between i and i + 1."""
+    """Rows i of detections such that the robot was carried between i and i + 1."""
     if len(detections) < 2 * CARRIED.sightings or len(odometry) < 2:
         return np.zeros(0, np.int64)
     row = np.clip(np.searchsorted(odometry.time_ns, detections.time_ns), 0, len(odometry) - 1)
@@ -52,7 +53,7 @@ def _carried(odometry: Odometry, detections: Detections) -> IntArray:
     suspects = suspects[_may_stand(suspects, row, odometry)]
     if len(suspects) == 0:
         return suspects
-    # Way and turn travelled up to each detection, so that standing is a difference of two entries.
+    # Distance and angle up to each detection, so that standing is a difference of two entries.
     way = np.cumsum(odometry.step_m)[row]
     turn = np.cumsum(np.abs(odometry.turn_rad))[row]
     found = [i for i in suspects.tolist() if _is_journey(i, way, turn, centre)]
@@ -60,9 +61,10 @@ def _carried(odometry: Odometry, detections: Detections) -> IntArray:
 
 
 def _may_stand(i: IntArray, row: IntArray, odometry: Odometry) -> BoolArray:
-    """Whether the robot may have stood around detection i, by two poses instead of all between.
+    """(k,) whether the robot may have stood around detection i, by two poses instead of all
+    between.
 
-    Who stands ends where he began, except across a break.
+    If it stood, it ends where it began, except across a break.
     """
     first = np.maximum(i + 1 - CARRIED.sightings, 0)
     last = np.minimum(i + CARRIED.sightings, len(row) - 1)

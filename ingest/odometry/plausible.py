@@ -1,4 +1,4 @@
-"""Odometry that no ground robot can have driven is refused: it is in another unit, or damaged."""
+"""Rejection of odometry that no ground robot can have driven: wrong units, or damaged."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from ...topology.odometry import Odometry
 from .step_bounds import StepBounds
 
 LONGEST_M = 1e6
-"""Widest extent of a drive without a break, 1000 km; what is laid out along it takes memory."""
+"""Largest extent of a drive without a break, 1000 km, to bound memory."""
 
 FASTEST_M_PER_S = 100.0
-"""No robot on the ground usually goes faster: autonomous race cars reach 80 m/s."""
+"""No ground robot is usually faster: autonomous race cars reach 80 m/s."""
 
 
 def check_plausible(odometry: Odometry, bounds: StepBounds, topic: str, log: str) -> None:
     """Raise LogError if a drive is too wide or, in half of its steps, too fast. O(n) at worst.
 
-    bounds: of all steps; mostly they tell enough.
+    bounds: of all steps, which are usually sufficient.
     """
     position = odometry.pose[:, :2]
     if len(position) < 2:

@@ -1,4 +1,4 @@
-"""The odometry of a log: which topic it is, and a track out of what that topic gave."""
+"""The odometry of a log: choice of the topic, and the track from its messages."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .track import Track, TrackSettings, sane_track
 
 @dataclass(frozen=True, slots=True)
 class OdometryTopic:
-    """The topic of the odometry, what it gave, and its frames (parent, child)."""
+    """The topic of the odometry, its messages, and its frames (parent, child)."""
 
     choice: Choice
     poses: TopicPoses
@@ -34,8 +34,8 @@ class OdometryTopic:
 
 @dataclass(frozen=True, slots=True)
 class Driven:
-    """recorded: the track as it is in the log; odometry: the same over its jumps; warnings: one
-    sentence per thing found wrong."""
+    """recorded: the track as in the log; odometry: with its jumps replaced; warnings: one sentence
+    per kind of fault."""
 
     recorded: Odometry
     odometry: Odometry
@@ -43,7 +43,7 @@ class Driven:
 
 
 def odometry_topic(read: LogRead) -> OdometryTopic:
-    """The first choice whose content serves: its poses between one pair of frames.
+    """The first candidate with usable content: its poses between one pair of frames.
 
     Raises LogError if there is none, UsageError if a topic must be named.
     """
@@ -72,7 +72,7 @@ def odometry_topic(read: LogRead) -> OdometryTopic:
 
 
 def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
-    """The way driven, by one clock; the topic's columns are empty afterwards.
+    """The track, by one clock; the topic's columns are released.
 
     Raises LogError if no robot can have moved like that.
     """
@@ -86,7 +86,7 @@ def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
 
 
 def poses_of(read: LogRead, choice: Choice) -> TopicPoses:
-    """What a topic gave; messages of its channels that have no decoder count as failed ones."""
+    """The poses of a topic; messages of its channels without a decoder count as failed ones."""
     topic, intake = choice.topic, read.intake
     intake.check(topic, read.log)
     sinks = intake.of_topic(topic)
@@ -100,13 +100,13 @@ def poses_of(read: LogRead, choice: Choice) -> TopicPoses:
 
 
 def because(poses: TopicPoses, topic: str) -> str:
-    """What was wrong with the messages of a topic, in brackets."""
+    """The faults of a topic's messages, in brackets."""
     reasons = poses.warnings(topic)
     return f" ({'; '.join(reasons)})" if reasons else ""
 
 
 def described(choice: Choice, poses: TopicPoses) -> dict[str, Any]:
-    """What the map document says about a topic: nothing that depends on the container."""
+    """A topic for the map document, independent of the container."""
     return {"topic": choice.topic, "type": choice.type_name, "messages": poses.messages}
 
 

@@ -1,4 +1,4 @@
-"""Passes of the same places: what they repeat, and where they differ."""
+"""Repeated passes by the same places, and their differences."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from ...topology.se2 import wrap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Repeats:
-    """Branches of places passed at least twice: `seen` (c, ·) by which pass, and how far off.
+    """Branches of places that were passed at least twice.
 
-    Flat over sightings (pass, cluster): visit, cluster, off [rad] from the cluster's mean. Over
-    clusters: place, sightings. passes: (places,) passes of each.
+    Flat over sightings (pass, cluster): visit, cluster, off [rad] from the cluster's mean. Per
+    cluster: place, sightings. passes: (places,) number of passes of each.
     """
 
     visit: IntArray
@@ -31,10 +31,10 @@ class Repeats:
     def of(
         cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray, match_rad: float
     ) -> Repeats:
-        """Of the passes with a place (`vertex` >= 0), those whose place was passed before or after.
+        """From the passes with a place (`vertex` >= 0) that was passed at least twice.
 
-        turn_rad: (p,) turn from the odometry's frame to the map's; branches nearer than `match_rad`
-        are the same. O(b log b).
+        turn_rad: (p,) rotation from the odometry frame to the map frame; branches nearer than
+        `match_rad` are the same. O(b log b).
         """
         count = np.bincount(vertex[vertex >= 0], minlength=1)
         owner = passes.branches.owner
@@ -49,7 +49,7 @@ class Repeats:
         return cls(pairs[1], pairs[0], off, clusters.owner, sightings, count)
 
     def faults(self) -> tuple[float, int]:
-        """Passes that saw a branch too many or too few, and passes judged.
+        """Number of passes with a branch missing or invented, and number of passes considered.
 
         The majority of a place's passes is right; of two passes that differ, one is wrong.
         """
@@ -63,9 +63,11 @@ class Repeats:
         return float(np.minimum(by_place, judged / 2).sum()), int(judged.sum())
 
     def branch_sigma(self, prior: float, worth: float) -> float:
-        """1 sigma of a pass's branch: what is left after the direction of place and pass.
+        """1 sigma of a branch heading in one pass [rad]: residuals after fitting the direction of
+        every branch and the rotation of every pass.
 
-        Robust: from the median, scaled for the freedom that the two means take.
+        Robust: from the median, scaled for the degrees of freedom of the two means. prior: 1 sigma,
+        with the weight `worth`.
         """
         visit = np.unique(self.visit, return_inverse=True)[1]
         size = np.bincount(visit)

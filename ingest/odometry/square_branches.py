@@ -1,4 +1,4 @@
-"""Branches square to those of earlier passes, the less exactly the longer the way between."""
+"""Branches perpendicular or parallel to those of earlier passes, as evidence on heading drift."""
 
 from __future__ import annotations
 
@@ -17,9 +17,12 @@ from ...topology.walk_means import WalkMeans
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SquareBranches:
-    """Pairs of branches of different passes: residual (k,) [rad], the angle between them to the
-    next multiple of 90°; walked (k, 2), what the heading walked between both (way [m], angle turned
-    [rad]); worth (k,) of each pair, in independent looks."""
+    """Pairs of branches of different passes.
+
+    residual: (k,) angle between them, to the nearest multiple of 90° [rad]; walked: (k, 2) distance
+    [m] and angle turned [rad] between both; worth: (k,) weight of each pair, in independent
+    observations.
+    """
 
     residual: FloatArray
     walked: FloatArray
@@ -36,8 +39,8 @@ class SquareBranches:
         reach_m: float,
         most_passes: int,
     ) -> SquareBranches:
-        """Branches of `most_passes` passes beside those of `reach_passes` passes before each, as
-        far back as `reach_m`. means: over the messages of each pass."""
+        """Branches of `most_passes` passes paired with those of `reach_passes` passes before each,
+        at most `reach_m` back. means: over the messages of each pass."""
         stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
         stride = -(-len(passes) // most_passes)
         b = np.flatnonzero(of % stride == 0)
@@ -64,12 +67,11 @@ class SquareBranches:
         )
 
     def cost(self, walk: FloatArray, sigma: float, square: float) -> float:
-        """Negative log-likelihood gain over "anything goes"; walk: (2,) variances of the heading
-        [rad²] per metre and per radian; sigma: of one branch [rad]; `square`: share of the pairs
-        that are square.
+        """Negative log-likelihood relative to a uniform distribution.
 
-        Each pair by itself: where several of an earlier pass are square, the nearest of them is
-        nearer than any is meant to be, and the walk seems smaller.
+        walk: (2,) variances of the heading [rad²] per metre and per radian; sigma: of one branch
+        [rad]; square: share of the pairs that are perpendicular or parallel. Each pair counts by
+        itself: taking only the best of several candidates would underestimate the drift.
         """
         quarter = np.pi / 2
         variance = 2 * sigma**2 + self.walked @ walk

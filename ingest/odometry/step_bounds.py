@@ -1,4 +1,4 @@
-"""Bounds of the steps of a track, in one pass: most tracks are sound, and these alone prove it."""
+"""Bounds of the steps of a track, in one pass: they suffice to show that most tracks are sound."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 
 BLOCK_STEPS = 1 << 14
-"""So many steps are looked at together: they stay in the processor's cache, and no large array is
-made."""
+"""Steps per block, to stay in the processor's cache without large temporary arrays."""
 
 
 class StepBounds(NamedTuple):
-    """No step of a track is longer than way [m] or turns by more than turn [rad]; none is shorter
-    than shortest_ns."""
+    """Upper bounds of all steps' length `way` [m] and rotation `turn` [rad], lower bound of their
+    time."""
 
     way: float = 0.0
     turn: float = 0.0
@@ -24,7 +23,8 @@ class StepBounds(NamedTuple):
 
     @classmethod
     def of(cls, time_ns: IntArray, pose: FloatArray) -> StepBounds:
-        """Of poses (n, 3) at times (n,). A way is at most the sum of its two parts. O(n)."""
+        """From poses (n, 3) at times (n,); the length is bounded by the sum of its two components.
+        O(n)."""
         way = turn = 0.0
         for _, (x, y, theta) in blocks_of_steps(pose):
             way = max(way, reach(x) + reach(y))
@@ -33,14 +33,14 @@ class StepBounds(NamedTuple):
         return cls(way, turn, shortest)
 
     def within(self, way: float, turn: float) -> bool:
-        """Whether no step can be so long, or turn so far; rounding is allowed for."""
+        """Whether all steps are shorter and turn less; with a margin for rounding."""
         return self.way <= 0.99 * way and self.turn <= 0.99 * turn
 
 
 def blocks_of_steps(pose: FloatArray, beside: int = 0) -> Iterator[tuple[int, FloatArray]]:
-    """Differences (3, k) between rows of poses (n, 3) in blocks, with the number of the first.
+    """Differences (3, k) between consecutive poses (n, 3) in blocks, with the index of the first.
 
-    beside: so many steps of the blocks before and behind come along. Good until the next block.
+    beside: number of steps of the previous and the next block included. Valid until the next block.
     """
     count = len(pose) - 1
     room = np.empty((3, min(count, BLOCK_STEPS + 2 * beside)))
@@ -50,17 +50,17 @@ def blocks_of_steps(pose: FloatArray, beside: int = 0) -> Iterator[tuple[int, Fl
 
 
 def reach(values: FloatArray) -> float:
-    """The largest size among numbers of either sign."""
+    """The largest absolute value."""
     return max(float(values.max()), -float(values.min()))
 
 
 def widest_turn(theta: FloatArray) -> float:
-    """The largest size of differences of angles, all in [-π, π)."""
+    """The largest absolute difference of angles that are all in [-π, π)."""
     size = reach(theta)
     return size if size <= np.pi else float(turned(theta).max())
 
 
 def turned(theta: FloatArray) -> FloatArray:
-    """Sizes of turns: from one end of the range of angles to the other is a short one as well."""
+    """Absolute rotations of differences of angles, the short way round."""
     size = np.abs(theta)
     return np.minimum(size, np.abs(size - 2 * np.pi))

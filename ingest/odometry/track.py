@@ -1,4 +1,4 @@
-"""From raw poses to an odometry track that can be relied on: time and pose made sane."""
+"""From raw poses to a sane track: order of times, duplicates, glitches, jumps, gaps."""
 
 from __future__ import annotations
 
@@ -16,20 +16,19 @@ SECOND_NS = 10**9
 """A second in nanoseconds."""
 
 FEW_STEPS = 20
-"""With fewer steps in motion than this, nothing is known about how fast the robot usually is."""
+"""With fewer steps in motion, the usual speed of the robot is unknown."""
 
 
 @dataclass(frozen=True, slots=True)
 class TrackSettings:
-    """When odometry is taken for broken.
+    """When odometry is broken.
 
-    A step is a teleport if it is long in itself (teleport_min_m; as a turn,
-    teleport_min_rad), faster than robots drive indoors (teleport_min_speed_m_per_s,
-    teleport_min_turn_rad_per_s) and asks for teleport_speed_factor times what this robot does
-    elsewhere. A step onto exactly the origin is a reset if it is longer than
-    reset_min_m or turns by more than reset_min_rad: a robot may stand there. A gap is a silence of
-    gap_periods of the usual period, and of gap_min_s; a clock that goes back by more than
-    backward_min_s was set, by less it jitters.
+    A step is a teleport if it is long (teleport_min_m; as a rotation, teleport_min_rad), faster
+    than robots drive indoors (teleport_min_speed_m_per_s, teleport_min_turn_rad_per_s) and
+    teleport_speed_factor times faster than this robot elsewhere. A step onto exactly the origin is
+    a reset if it is longer than reset_min_m or turns by more than reset_min_rad, because a robot
+    may stand there. A gap is at least gap_periods of the usual period, and gap_min_s; a clock that
+    goes back by more than backward_min_s was set, by less it jitters.
     """
 
     teleport_min_m: float = 0.5
@@ -47,7 +46,7 @@ class TrackSettings:
 @dataclass(frozen=True, slots=True)
 class Track:
     """A track in order, as recorded, its jumps (still in it), bounds of all its steps, and one
-    sentence per kind of thing that had to be repaired."""
+    warning per kind of repair."""
 
     odometry: Odometry
     jumps: Jumps
@@ -56,16 +55,16 @@ class Track:
 
 
 def backward_jumps(time_ns: IntArray, min_s: float) -> int:
-    """How often the clock itself went back: a step back that is not made up for at once.
+    """How often the clock itself went back: a step back that is not made up for immediately.
 
-    Messages that only changed places are late one by one and are no jump. O(n).
+    Single reordered messages do not count. O(n).
     """
     starts, ends = _behind(time_ns)
     return int((time_ns[ends - 1] - time_ns[starts] >= min_s * SECOND_NS).sum())
 
 
 def _behind(time_ns: IntArray) -> tuple[IntArray, IntArray]:
-    """Runs [start, end) of rows that lie before a time already seen."""
+    """Runs [start, end) of rows before a time already seen."""
     if (time_ns[1:] >= time_ns[:-1]).all():
         none = np.zeros(0, np.int64)
         return none, none
@@ -81,10 +80,10 @@ def sane_track(
     child_frame: str,
     settings: TrackSettings = TrackSettings(),
 ) -> Track:
-    """Sort, drop what is double, single out glitches and jumps. `without_jumps` comes next.
+    """Sort by time, drop duplicates, find glitches and jumps. `without_jumps` comes next.
 
-    time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite.
-    O(n log n) at worst, O(n) for times in order.
+    time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite. O(n
+    log n) at worst, O(n) for times in order.
     """
     warnings: list[str] = []
     time_ns, pose = _forward(time_ns, pose, settings, warnings)
@@ -102,8 +101,8 @@ def _forward(
 ) -> tuple[IntArray, FloatArray]:
     """Drop what was recorded after the clock was set back, until it has caught up.
 
-    Sorting would weave two stretches of the drive into each other. A stretch that fills a gap is
-    kept: the log was not written in the order of time.
+    Sorting would interleave two parts of the drive. A part that fills a gap is kept: the log was
+    then not written in the order of time.
     """
     starts, ends = _behind(time_ns)
     jumps = time_ns[ends - 1] - time_ns[starts] >= settings.backward_min_s * SECOND_NS
@@ -125,9 +124,9 @@ def _forward(
 def _fills_gaps(
     time_ns: IntArray, starts: IntArray, ends: IntArray, settings: TrackSettings
 ) -> BoolArray:
-    """Which rows [start, end) lie between two others in time, without a gap to either.
+    """Whether rows [start, end) lie between two others in time, without a gap to either.
 
-    A clock that was set back hardly stops where its times begin. O(n log n).
+    It is unlikely of a clock that was set back. O(n log n).
     """
     order = np.argsort(time_ns, kind="stable")
     place = np.empty(len(order), np.int64)
@@ -163,7 +162,7 @@ def _in_order(
 def _measured(
     time_ns: IntArray, pose: FloatArray, settings: TrackSettings, warnings: list[str]
 ) -> tuple[IntArray, FloatArray, Jumps, StepBounds]:
-    """Leaps: single poses off the track are dropped, others are jumps or resets."""
+    """The track without glitches (single poses off it), and its jumps and resets."""
     bounds = StepBounds.of(time_ns, pose)
     leaps = _leaps(time_ns, pose, bounds, settings)
     if not leaps.any():
@@ -190,12 +189,12 @@ def _measured(
 def _leaps(
     time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
 ) -> BoolArray:
-    """(n - 1,) steps that cannot have been driven, or stand out of all others."""
+    """(n - 1,) steps that cannot have been driven, or stand out from all others."""
     return _teleports(time_ns, pose, bounds, settings) | spikes(time_ns, pose, bounds)
 
 
 def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n - 1,) way [m], turn [rad] and duration [s] of every step."""
+    """(n - 1,) each: distance [m], rotation [rad] and duration [s] of every step."""
     way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
     turn = np.abs(wrap(np.diff(pose[:, 2])))
     return way, turn, np.diff(time_ns) / SECOND_NS
@@ -204,7 +203,7 @@ def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray
 def _teleports(
     time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
 ) -> BoolArray:
-    """(n - 1,) whether a step cannot have been driven, or falls back to the origin exactly."""
+    """(n - 1,) whether a step cannot have been driven, or leads back to the origin exactly."""
     least_m = min(settings.teleport_min_m, settings.reset_min_m)
     if bounds.within(least_m, min(settings.teleport_min_rad, settings.reset_min_rad)):
         return np.zeros(max(len(time_ns) - 1, 0), bool)
@@ -219,13 +218,13 @@ def _teleports(
     turn_limit = _limit(turn, duration, settings, settings.teleport_min_turn_rad_per_s)
     far = (way > settings.teleport_min_m) & (way > speed_limit * duration)
     far |= (turn > settings.teleport_min_rad) & (turn > turn_limit * duration)
-    # Driving through the exact origin takes a step like any other; a reset takes a far longer one.
+    # Driving through the exact origin is a step like any other; a reset is far longer.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
     return far | (reset & sudden)
 
 
 def _limit(size: FloatArray, duration: FloatArray, settings: TrackSettings, least: float) -> float:
-    """Speed above which a step is not believed: far above what the robot does otherwise."""
+    """Speed above which a step is rejected: far above the robot's usual one."""
     moving = size > 0
     if int(moving.sum()) < FEW_STEPS:
         return least
@@ -236,7 +235,7 @@ def _limit(size: FloatArray, duration: FloatArray, settings: TrackSettings, leas
 def _glitches(
     time_ns: IntArray, pose: FloatArray, teleport: BoolArray, settings: TrackSettings
 ) -> BoolArray:
-    """(n,) single poses between two teleports whose neighbours fit each other."""
+    """(n,) single poses between two teleports whose neighbours are consistent."""
     glitch = np.zeros(len(time_ns), bool)
     lone = np.flatnonzero(teleport[:-1] & teleport[1:]) + 1
     if len(lone) == 0:

@@ -1,1 +1,1 @@
-"""Junctions from the range sensors people record: scan matching, windowed grids, skeletons."""
+"""Junctions from range sensors: scan matching, windowed occupancy grids, skeletons."""

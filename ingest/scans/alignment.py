@@ -1,8 +1,9 @@
-"""Poses of many scans at once, so that the surfaces they share fall on each other.
+"""Joint alignment of many scans: point-to-line scan matching with odometry, as one least-squares
+problem.
 
-Every scan is held against several before it (point to line), every step against the odometry; all
-poses of a window are solved for together, so that what comes later corrects what was before. The
-normal matrix is banded: nothing ties scans that are farther apart than the widest pair.
+Every scan is matched to several before it (point to line), every step to the odometry; all poses of
+a window are solved for jointly. The normal matrix is banded, because scans farther apart than the
+widest pair are not connected.
 """
 
 from __future__ import annotations
@@ -22,43 +23,46 @@ from .scatter import BACK, Scatter, odometry_scores, wall_scores
 
 @dataclass(frozen=True, slots=True)
 class AlignmentSettings:
-    """How scans are held against each other."""
+    """Settings of scan matching."""
 
     sigma_m: float = 0.03
-    """1 sigma of a point's distance from the surface that it is on."""
+    """1 sigma of a point's distance from the surface that it lies on."""
     pair_worth: float = 0.1
-    """Independent looks that a point of one pair is worth: neighbours err together."""
+    """Weight of a point of one pair, in independent observations: neighbouring points have
+    correlated errors."""
     joint_worth: float = 0.0034
-    """The same of a point in all pairs of a window, which err together as well. It is weighed
-    against the odometry: half of it and twice are worse in two real and two simulated buildings
-    (`benchmarks/laser.py`)."""
+    """Weight of a point in all pairs of a window, which have correlated errors as well. It sets the
+    weight against the odometry: half of it and twice are worse in two real and two simulated
+    buildings (`benchmarks/laser.py`)."""
     least_residual_m: float = 0.006
-    """What is nearer is by chance: walls are not flatter."""
+    """Lower bound of the estimated residual: walls are not flatter."""
     offsets: tuple[int, ...] = (1, 2, 4, 8, 14, 24, 36, 52)
-    """How many keyframes back a scan is held against: up to 13 m of way. Two more change nothing,
-    two fewer cost a fifth of the drift."""
+    """Offsets, in keyframes, of the earlier scans that a scan is matched to: up to 13 m of way. Two
+    more change nothing, two fewer cost a fifth of the drift."""
     pair_rounds: tuple[tuple[int, Gate], ...] = ((5, Gate(0.5, 0.2, 1)), (4, Gate(0.2, 0.05, 1)))
     joint_rounds: tuple[tuple[int, Gate], ...] = ((2, Gate(0.3, 0.08)), (8, Gate(0.2, 0.05)))
-    """Rounds at most, and what counts in them: the wide gate reaches from where a bad odometry
-    leads (without it, drift by scans alone is a quarter more)."""
+    """Largest number of rounds, and gate, of each stage (pair by pair, and jointly); the wide gates
+    cover the errors of a bad odometry (without them, drift by scans alone is a quarter more)."""
     settled_share: float = 0.02
-    """All poses stand when no more pairs than these still move: what the others do is not seen in
-    the drift of thirteen logs."""
+    """Converged when at most this share of pairs still moves: the rest is not seen in the drift of
+    thirteen logs."""
     settled_m: float = 0.01
-    """Points that a round moves by less have the same counterparts in the next …"""
+    """Correspondences are kept in the next round if points at `settled_at_m` moved by less than
+    this."""
     settled_at_m: float = 5.0
-    """… at this distance, as far as points in rooms and corridors are."""
+    """Distance of typical points in rooms and corridors."""
     lost_fit: float = 0.6
-    """A step whose points fit less than this is searched for."""
+    """A step is searched for if the share of its points that fit is below this."""
     search_rad: float = 0.52
     search_step_rad: float = 0.052
-    """Headings tried: 30 degrees either way, so near that matching reaches the best from one."""
+    """Headings tried in a search: 30 degrees either way, dense enough for matching to converge from
+    one."""
     better_fit: float = 0.1
-    """What a search must gain to be believed."""
+    """Least gain in fit for accepting the result of a search."""
     grain: float = 2.0**-17
-    """m and rad (8 µm) to which poses are rounded after every round, far below what matching can
-    tell: solvers differ between processors in the last digits, and which points pass a gate would
-    hang on them. As a power of two it is exact, also in single precision up to 128 m."""
+    """Poses are rounded to this after every round [m, rad] (8 µm), far below the accuracy of
+    matching: solvers differ between processors in the last digits, and gates would amplify that. As
+    a power of two it is exact, also in single precision up to 128 m."""
 
     def moved(self, change: FloatArray) -> BoolArray:
         """(p,) whether a change (p, 3) of motions moves points by more than `settled_m`."""
@@ -66,7 +70,7 @@ class AlignmentSettings:
         return np.asarray(shift + self.settled_at_m * np.abs(change[:, 2]) > self.settled_m)
 
     def rounded(self, pose: FloatArray) -> FloatArray:
-        """Poses or motions (p, 3) to the `grain`, turns within half of one."""
+        """Poses or motions (p, 3) rounded to the `grain`, angles wrapped."""
         out = np.rint(pose / self.grain) * self.grain
         out[:, 2] = wrap(out[:, 2])
         return out
@@ -77,8 +81,8 @@ ALIGNMENT = AlignmentSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Steps:
-    """What the odometry says of the motion from some poses to others: (p, 3) motion and (p, 3, 3)
-    information (inverse covariance), in the frame of the pose before."""
+    """The odometry's motion (p, 3) between pairs of poses, and its information (p, 3, 3) (inverse
+    covariance), in the frame of the earlier pose."""
 
     motion: FloatArray
     information: FloatArray
@@ -86,9 +90,12 @@ class Steps:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairMotion:
-    """Motion (p, 3) from scan to scan; fit: (p,) share of points on a surface; searched: (p,)
-    where the odometry led nowhere and another heading was found; loose_m: (p,) 1 sigma of the
-    motion in the direction that the scans tell least of, as along a bare corridor."""
+    """Motion (p, 3) from scan to scan.
+
+    fit: (p,) share of points on a surface; searched: (p,) whether it was found by searching
+    headings; loose_m: (p,) 1 sigma of the motion in its least constrained direction, as along a
+    bare corridor [m].
+    """
 
     motion: FloatArray
     fit: FloatArray
@@ -97,16 +104,17 @@ class PairMotion:
 
 
 MOST_POINTS = 1 << 18
-"""So many points are searched for at once, 100 bytes each."""
+"""Points matched at once, 100 bytes each."""
 
 
 def match_steps(
     scans: Swept, pairs: tuple[IntArray, IntArray], steps: Steps, settings: AlignmentSettings
 ) -> PairMotion:
-    """The motion to scans `first` (p,) from scans `second` alone, by both odometry and scans."""
+    """The motion to scans `first` (p,) from scans `second`, by pairwise matching with the odometry
+    as prior."""
     first, second = pairs
     n = len(first)
-    # The odometry holds what the scans leave open, no more, until all have their say.
+    # Weak weight: the odometry only decides what the scans leave open.
     weak = settings.pair_worth * steps.information
     start = steps.motion
     motion, fit, loose_m = _matched(scans, (first, second), (start, start, weak), settings)
@@ -139,7 +147,8 @@ def _matched(
     odometry: tuple[FloatArray, FloatArray, FloatArray],
     settings: AlignmentSettings,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gauss-Newton on each pair: motion, fit, loose_m. odometry: motion, start, information."""
+    """Gauss-Newton on each pair: motion, fit, loose_m. odometry: motion, initial motion,
+    information."""
     expected, motion, information = odometry
     motion = settings.rounded(motion)
     scale = settings.pair_worth / settings.sigma_m**2
@@ -163,7 +172,7 @@ def _matched(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
-    """Poses (n, 3), and how far off they may be."""
+    """Poses (n, 3), and their uncertainty."""
 
     pose: FloatArray
     scatter: Scatter
@@ -178,11 +187,11 @@ def align(
     earlier: Sequence[IntArray],
     settings: AlignmentSettings,
 ) -> Aligned:
-    """All poses together, starting from `pose` (n, 3), the first `fixed` of which stay.
+    """Align all poses jointly, starting from `pose` (n, 3), the first `fixed` of which stay.
 
-    earlier: per offset of the settings the scan (n,) that each is held against, -1 for none; steps:
-    from each pose to the next. Gauss-Newton with a
-    Cauchy weight on odometry; O(n · offsets · beams) a round.
+    earlier: for each of the settings' offsets the scan (n,) that each is matched to, -1 for none;
+    steps: from each pose to the next. Gauss-Newton with a Cauchy weight on odometry; O(n · offsets
+    · beams) per round.
     """
     looks = _Looks.of(earlier, fixed)
     equations = _Equations.of(len(pose), fixed, looks)
@@ -201,7 +210,7 @@ def align(
     quadratic = looks.quadratic(pose)
     worth = _worth(looks, quadratic, settings)
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
-    # What walls and odometry ask for at poses that all of them together agree on.
+    # Gradients by walls and odometry at the solution.
     walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
     sparser, turned = scans.sparser(BACK), (looks.second, looks.first)
     back, _ = wall_scores(sparser, pose, turned, gate, sparser.each * worth)
@@ -212,14 +221,14 @@ def align(
 
 
 def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
-    """By how much (n - 1, 3) poses stray from every step, and its information with its weight."""
+    """Deviations (n - 1, 3) of poses from the odometry's steps, and the weighted information."""
     off = _difference(between(pose[:-1], pose[1:]), steps.motion)
     distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)
     return off, steps.information / (1 + distance / 9)[:, None, None]
 
 
 def _worth(looks: _Looks, quadratic: _Quadratic, settings: AlignmentSettings) -> float:
-    """What a point's square of 1 m² counts, by how far all points are off."""
+    """Weight of a point's squared residual [1/m²], from the mean squared residual."""
     squares, weight = max(quadratic.squares.sum(), 0.0), max(looks.weight.sum(), 1e-9)
     residual_m = float(np.sqrt(squares / weight))
     return settings.joint_worth / max(residual_m, settings.least_residual_m) ** 2
@@ -235,8 +244,10 @@ class _Quadratic(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class _Looks:
-    """Pairs of scans, those of the first offset first, and what they were when last looked at:
-    motion (p, 3), moments (p, 4, 4), weight (p,); known: (p,) whether they were."""
+    """Pairs of scans, those of the first offset first, with their last linearisation.
+
+    motion: (p, 3), moments: (p, 4, 4), weight: (p,) at that time; known: (p,) whether there is one.
+    """
 
     first: IntArray
     second: IntArray
@@ -257,7 +268,8 @@ class _Looks:
     def renewed(
         self, scans: Swept, pose: FloatArray, gate: Gate, settings: AlignmentSettings
     ) -> float:
-        """Look again at those that moved so far that other points may count; their share."""
+        """Linearise again the pairs that moved so far that correspondences may change; returns
+        their share."""
         motion = between(pose[self.second], pose[self.first])
         k = np.flatnonzero(~self.known | settings.moved(self._change(motion)))
         terms = pair_terms(scans, self.first[k], self.second[k], motion[k], gate)
@@ -269,7 +281,7 @@ class _Looks:
         return _difference(motion, self.motion)
 
     def quadratic(self, pose: FloatArray) -> _Quadratic:
-        """At these poses, by the residuals' derivatives where they were last looked at."""
+        """The quadratic form at these poses, extrapolated from the last linearisation."""
         change = self._change(between(pose[self.second], pose[self.first]))
         inner, outer = self.moments[:, :3, :3], self.moments[:, :3, 3]
         by_change = np.einsum("pkl,pl->pk", inner, change)
@@ -278,7 +290,7 @@ class _Looks:
 
 
 def _difference(motion: FloatArray, other: FloatArray) -> FloatArray:
-    """(p, 3) of motions, turns by the shorter way."""
+    """(p, 3) differences of motions, angles wrapped."""
     out = motion - other
     out[:, 2] = wrap(out[:, 2])
     return out
@@ -286,9 +298,12 @@ def _difference(motion: FloatArray, other: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Equations:
-    """Normal equations of n poses: where the terms of every look, and after them of every step of
-    the odometry, go. first, second: (p,) their poses; entry: (21, p) in the lower band of `rows`
-    rows (as scipy takes it); fixed: first poses that stay."""
+    """Normal equations of n poses: the positions of the terms of every pair, followed by those of
+    the odometry's steps.
+
+    first, second: (p,) their poses; entry: (21, p) index into the lower band with `rows` rows
+    (scipy's format); fixed: number of first poses that stay.
+    """
 
     first: IntArray
     second: IntArray
@@ -301,7 +316,7 @@ class _Equations:
         after = np.arange(1, n)
         first = np.concatenate([looks.first, after])
         second = np.concatenate([looks.second, after - 1])
-        # Of a pose by itself the lower half of its block, of the later by the earlier all of it.
+        # Diagonal blocks: the lower half; off-diagonal blocks: all of it.
         p, q = np.tril_indices(3)
         own = [3 * n * (p - q)[:, None] + (3 * pose + q[:, None]) for pose in (first, second)]
         row, column = np.indices((3, 3)).reshape(2, 9, 1)
@@ -314,9 +329,9 @@ class _Equations:
     ) -> tuple[FloatArray, FloatArray]:
         """The band (rows, 3 n) and the gradient (3 n,) at poses (n, 3).
 
-        With the motion's axes turned into the world, W its information and d the way between the
-        two, the later pose has W, the earlier Bᵀ W B, both -W B; B adds J d of the turn, J a
-        quarter turn.
+        With the motion's axes rotated into the world, W its information and d the vector between
+        the two, the later pose has W, the earlier Bᵀ W B, both -W B, where B adds J d of the
+        rotation, J a quarter turn.
         """
         n = len(pose)
         off, information = _odometry(pose, steps)
@@ -339,7 +354,7 @@ class _Equations:
         both = -w00, -w10, -by_turn[0], -w10, -w11, -by_turn[1], -w20, -w21, -by_turn[2]
         terms = np.stack([*later, *earlier, *both])
         band = _sums(self.entry, terms, self.rows * 3 * n).reshape(self.rows, 3 * n)
-        # Poses that stay, and a little for those that nothing ties down.
+        # Fixed poses, and a small load for unconstrained ones.
         band[0, : 3 * self.fixed] += 1e10
         band[0] += 1e-6
         gx, gy = c * gx - s * gy, s * gx + c * gy
@@ -350,14 +365,14 @@ class _Equations:
 
 
 def _sums(at: IntArray, terms: FloatArray, size: int) -> FloatArray:
-    """(size,) sums of the terms at each place."""
+    """(size,) sums of terms by position."""
     sums = np.bincount(at.ravel(), terms.ravel(), size)
-    # Of nothing numpy makes integers.
+    # bincount of nothing has integer type.
     return np.asarray(sums, np.float64)
 
 
 def chained(start: FloatArray, motion: Sequence[FloatArray] | FloatArray) -> FloatArray:
-    """(n, 3) poses from `start` (3,) on, one after each motion, without the start."""
+    """(n, 3) poses after each motion, from `start` (3,) on, without the start."""
     steps = np.asarray(motion, np.float64).reshape(-1, 3)
     theta = start[2] + np.concatenate([[0.0], np.cumsum(steps[:, 2])])
     c, s = np.cos(theta[:-1]), np.sin(theta[:-1])

@@ -1,12 +1,13 @@
-"""Points of one scan on the surfaces of another: the terms that point-to-line matching sums up.
+"""Projective data association: points of one scan matched to surfaces of another, and the terms of
+point-to-line matching.
 
-Correspondences by projection: a point is moved into the other laser's frame, its bearing says
-which beam's surface it is held against. No tree is built, hundreds of pairs of scans go through one
-call, and no inner loop branches: which of two is nearer no processor guesses.
+A point is transformed into the other laser's frame; its bearing selects the beam whose surface it
+is compared with. No search tree is built, hundreds of pairs of scans go through one call, and inner
+loops are free of branches.
 
-Single precision is enough, of operations that IEEE 754 rounds alike everywhere (+, -, ·, /). What
-numpy's arctangents and BLAS's products make of it differs between processors by 1e-7 and more:
-other points then pass a gate, and poses come out 1e-5 m apart.
+Single precision suffices, with operations that IEEE 754 rounds alike everywhere (+, -, ·, /).
+numpy's arctangents and BLAS's products differ between processors by 1e-7 and more, so that other
+points pass a gate, and poses differ by 1e-5 m.
 """
 
 from __future__ import annotations
@@ -21,14 +22,15 @@ from ...topology.se2 import wrap
 from .surfaces import surfaces
 
 POINT_RAD = 0.035
-"""Beams of one scan that are held against another's surfaces, at most so near to each other: those
-between lie on the same lines (drift is the same within noise, of every third beam a tenth more)."""
+"""Least angle between beams of one scan that are matched: those between lie on the same lines
+(drift is the same within noise, of every third beam a tenth more)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Points:
-    """Every `each`-th point of `k` scans: x, y in the laser's frame [m] and nx, ny of its surface,
-    all 0 where there is none (`valid` is False). Row `each` i + j: scan i from beam j on."""
+    """Every `each`-th point of `k` scans: x, y in the laser's frame [m] and the normal nx, ny of
+    its surface, all 0 where there is none (`valid` is False). Row `each` i + j: scan i from beam j
+    on."""
 
     x: Float32Array
     y: Float32Array
@@ -39,8 +41,8 @@ class Points:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lines:
-    """Surfaces of all beams of `k` scans, one after the other (k m,): a point of each and its
-    normal. A beam without one shows its neighbour's, and zeros where that has none."""
+    """Surfaces of all beams of `k` scans, concatenated (k m,): a point of each and its normal. A
+    beam without one has its neighbour's, or zeros."""
 
     x: Float32Array
     y: Float32Array
@@ -50,9 +52,9 @@ class Lines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swept:
-    """`k` scans on one raster of `beams`, of which one in `each` counts as a point.
+    """`k` scans with `beams` beams each, of which one in `each` counts as a point.
 
-    start, increment: (k,) bearing of the first beam and from beam to beam [rad].
+    start, increment: (k,) bearing of the first beam and between beams [rad].
     """
 
     start: FloatArray
@@ -64,7 +66,7 @@ class Swept:
 
     @classmethod
     def of(cls, xy: Float32Array, start: FloatArray, increment: FloatArray) -> Swept:
-        """Of (k, m, 2) points in the laser's frame [m], NaN where no return."""
+        """From (k, m, 2) points in the laser's frame [m], NaN without return."""
         on = surfaces(xy, increment)
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
         x, y = (np.where(on.valid, xy[..., k], np.float32(0)) for k in (0, 1))
@@ -82,7 +84,7 @@ class Swept:
 
 
 def _every(values: Any, each: int) -> Any:
-    """Columns j, j + each, ... of (k, m) for every j, as rows (each k, ceil(m / each))."""
+    """Columns j, j + each, … of (k, m) for every j, as rows (each k, ceil(m / each))."""
     k, m = values.shape
     padded = np.pad(values, ((0, 0), (0, -m % each)))
     return np.ascontiguousarray(padded.reshape(k, -1, each).swapaxes(1, 2)).reshape(k * each, -1)
@@ -97,10 +99,10 @@ def _with_neighbours(valid: BoolArray) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """Which correspondences count, and how much.
+    """Which correspondences count, and their weight.
 
-    residual_m: largest distance from the line; sigma_m: at which a residual weighs a quarter
-    (Geman-McClure); beams: neighbours on either side among which the nearest is looked for.
+    residual_m: largest distance from the line; sigma_m: residual with weight 1/4 (Geman-McClure);
+    beams: neighbours on either side among which the nearest is searched.
     """
 
     residual_m: float
@@ -109,19 +111,22 @@ class Gate:
 
 
 NEAR_M = 0.3
-"""How far from the point of a surface, besides the spacing of its beams, a point on it may lie."""
+"""Largest distance of a point from the point of its surface, besides the spacing of beams [m]."""
 ALIKE = 0.8
-"""Cosine of the angle (37 degrees) to which normals of one surface agree."""
+"""Cosine of the largest angle between the normals of one surface (37 degrees)."""
 FIT_M = 0.08
-"""A point nearer to a surface fits it: three times the noise of common lasers."""
+"""Distance within which a point fits a surface: three times the noise of common lasers."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairTerms:
-    """Per pair: `moments` (p, 4, 4) Σ w a aᵀ, a the derivative of a residual by the motion from the
-    second scan to the first (shift along the second's axes, turn), and the residual itself. fit:
-    (p,) share of the points that lie on a surface; weight: (p,) Σ w. Sums are of beams: every point
-    stands for `each`."""
+    """Sums of the terms of each pair.
+
+    moments: (p, 4, 4) Σ w a aᵀ, a the derivative of a residual by the motion from the second scan
+    to the first (shift along the second's axes, rotation), and the residual itself; fit: (p,) share
+    of the points that lie on a surface; weight: (p,) Σ w. Sums are per beam: every point stands for
+    `each`.
+    """
 
     moments: FloatArray
     fit: FloatArray
@@ -129,13 +134,13 @@ class PairTerms:
 
 
 MOST_PAIRS = 256
-"""So many pairs at once: of some hundred beams, what they need stays in a processor's cache."""
+"""Pairs per batch: with some hundred beams, they fit a processor's cache."""
 
 
 def pair_terms(
     scans: Swept, first: IntArray, second: IntArray, motion: FloatArray, gate: Gate
 ) -> PairTerms:
-    """Hold points of scans `first` (p,) against surfaces of scans `second` (p,).
+    """Match points of scans `first` (p,) with surfaces of scans `second` (p,).
 
     motion: (p, 3) to the first laser from the second. O(p m).
     """
@@ -153,10 +158,12 @@ def pair_terms(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matches:
-    """Points of `p` scans and what is seen in their direction: (p, h). x, y: in the frame of the
-    scan that holds the surface; nx, ny: its normal; lever: derivative of the residual by the
-    motion's turn; good: within the gate; weight: 0 beyond; near: of one surface; inside: in the
-    field of view."""
+    """Points of `p` scans and their corresponding surfaces, (p, h) each.
+
+    x, y: in the frame of the scan with the surface [m]; nx, ny: its normal; lever: derivative of
+    the residual by the rotation; residual [m]; weight: 0 beyond the gate; good: within the gate;
+    near: on one surface; inside: in the field of view.
+    """
 
     x: Float32Array
     y: Float32Array
@@ -173,11 +180,11 @@ class Matches:
 def matches(
     scans: Swept, first: IntArray, second: IntArray, motion: FloatArray, gate: Gate
 ) -> Matches:
-    """Hold points of scans `first` (p,) against surfaces of scans `second` (p,); as `pair_terms`,
+    """Match points of scans `first` (p,) with surfaces of scans `second` (p,); as `pair_terms`,
     point by point."""
     T = motion.astype(np.float32)[:, :, None]
     turn = [of(motion[:, 2:]).astype(np.float32) for of in (np.cos, np.sin)]
-    # Scans take turns in which of their beams count: all beams have their say in a window.
+    # Pairs alternate between subsets of beams, so that all beams are used in a window.
     held, points, lines = scans.each * first + second % scans.each, scans.points, scans.lines
     rx, ry = _turned(points.x[held], points.y[held], *turn)
     px, py = rx + T[:, 0], ry + T[:, 1]
@@ -206,12 +213,12 @@ def _turned(
 def _beam(
     scans: Swept, second: IntArray, x: Float32Array, y: Float32Array
 ) -> tuple[IntArray, BoolArray]:
-    """Beam of scans `second` (p,) in whose direction each point (p, h) lies, or the nearest there
-    is, and whether that is in the field of view."""
+    """Beam of scans `second` (p,) in the direction of each point (p, h), or the nearest one, and
+    whether the point is in the field of view."""
     start = wrap(scans.start[second]).astype(np.float32)[:, None]
     per_rad = (1 / scans.increment[second]).astype(np.float32)[:, None]
     beam = (bearings(x, y) - start) * per_rad
-    # Rasters begin anywhere in a turn: what lies before the first beam may lie behind the last.
+    # Bearings before the first beam are moved on by a whole turn.
     beam += (beam < -0.5) * (np.float32(2 * np.pi) * per_rad)
     beam = np.rint(beam)
     inside = (beam >= 0) & (beam < scans.beams)
@@ -219,12 +226,12 @@ def _beam(
 
 
 ARCTAN = np.array((0.9998660, -0.3302995, 0.1801410, -0.0851330, 0.0208351), np.float32)
-"""arctan(t) = t Σ a_k t^2k, to 1e-5 rad for t in [0, 1]: a thousandth of what is between two beams
+"""arctan(t) = t Σ a_k t^2k, to 1e-5 rad for t in [0, 1], a thousandth of the angle between beams
 (Abramowitz and Stegun, Handbook of Mathematical Functions, 1964, 4.4.47)."""
 
 
 def bearings(x: Float32Array, y: Float32Array) -> Float32Array:
-    """Direction of every point [rad], as arctan2(y, x), but the same on every processor."""
+    """Bearing of every point [rad], as arctan2(y, x), but the same on every processor."""
     across, along = np.abs(y), np.abs(x)
     longer = np.maximum(np.maximum(across, along), np.finfo(np.float32).tiny)
     ratio = np.minimum(across, along) / longer
@@ -246,8 +253,8 @@ def _nearest(
     xy: tuple[Float32Array, Float32Array],
     beams: int,
 ) -> tuple[IntArray, Float32Array, Float32Array, Float32Array]:
-    """Flat index of the nearest of `beams` surfaces on either side, and how far along x and y, and
-    squared, each point lies from it."""
+    """Flat index of the nearest of `beams` surfaces on either side, and the offset along x and y
+    and squared distance of each point from it."""
     lines, (x, y) = scans.lines, xy
     base = scans.beams * second[:, None]
     at = beam + base

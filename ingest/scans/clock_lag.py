@@ -1,9 +1,8 @@
-"""By how much the stamps of scans lag behind the odometry's: drivers stamp what arrives, each after
-a delay of its own.
+"""Lag of the scans' stamps behind the odometry's: drivers stamp messages on arrival, after a delay.
 
-Scans and odometry tell the same turns, at times that differ by the lag: of many lags the one is
-taken after which the turns between keyframes agree best, whatever bias and scale the odometry's
-have (temporal calibration by the angular rates of both: Kelly and Sukhatme, A general framework for
+Scans and odometry measure the same rotations, at times that differ by the lag: it is chosen such
+that the rotations between keyframes agree best, after fitting bias and scale of the odometry
+(temporal calibration by the angular rates of both: Kelly and Sukhatme, A general framework for
 temporal calibration of multiple proprioceptive and exteroceptive sensors, 2010).
 """
 
@@ -21,17 +20,18 @@ from ...topology.se2 import wrap
 
 @dataclass(frozen=True, slots=True)
 class LagSettings:
-    """Which lags are looked for."""
+    """Which lags are considered."""
 
     most_s: float = 1.0
-    """Beyond this, headers hold other clocks, which differ by anything."""
+    """Beyond this, the clocks are different ones, with an arbitrary offset."""
     step_s: float = 0.05
-    """Robots turn alike for longer than that; what lies between two steps is interpolated."""
+    """Step of the search, with interpolation: rotations of robots last longer."""
     least_s: float = 0.1
-    """What is less, `StepErrors` learns with all else that is wrong with turns: 1 sigma there."""
+    """Smaller lags are estimated by `StepErrors` with the other errors of rotations: 1 sigma
+    there."""
     left: float = 0.67
-    """A lag explains at least a third of what turns differ by (root mean square): it explains half
-    and more where scans of two buildings are stamped late by 0.15 s and more, and nothing where
+    """Largest share of the rotations' difference (root mean square) that may remain: half and less
+    remains where scans of two buildings are stamped late by 0.15 s and more, and all of it where
     they are of another drive."""
 
 
@@ -39,7 +39,7 @@ LAG = LagSettings()
 
 
 class LaggingError(DataError):
-    """The scans are stamped late, or early; lag_s: by how much."""
+    """The scans are stamped late, or early; lag_s: by how much [s]."""
 
     def __init__(self, lag_s: float) -> None:
         self.lag_s = lag_s
@@ -48,7 +48,7 @@ class LaggingError(DataError):
 
 
 def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: IntArray) -> float:
-    """By how much scans are stamped late [s]; 0 where no lag is large and sure.
+    """Lag of the scans' stamps [s]; 0 unless it is large and certain.
 
     time_ns: (k,) by the scans' clock, ascending; pose: (k, 3) of the robot, by its scans; piece:
     (k,) of the odometry.

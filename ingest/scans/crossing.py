@@ -1,8 +1,9 @@
-"""Where the corridors at a node of a skeleton cross, and which way they leave.
+"""Centres of junctions in a skeleton, where the axes of its corridors cross, and headings of
+branches.
 
-A skeleton forks where the discs that touch walls on three sides are, not where the axes of the
-corridors meet: at acute angles up to a corridor's width aside, and differently with every niche and
-every pillar there. The axes are seen further out, if the branches are corridors.
+A skeleton forks at discs that touch walls on three sides, not where the axes of the corridors meet:
+at acute angles up to a corridor's width away, and moved by every niche and pillar. The axes are
+measured farther out, if the branches are corridors.
 """
 
 from __future__ import annotations
@@ -20,69 +21,70 @@ from .grid import GridSettings
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
 
 AXIS_M = 3.0
-"""Length of a branch that its axis is taken from, beyond the widening: half of what a window shows.
+"""Length of a branch that its axis is fitted to, beyond the widening: half of what a window shows.
 At 2 m furniture passes for corridors (repeatability .86 for .89 in one real building), at 4 m
 niches keep straight ones from being any (centres off by .06 for .045 m in simulated offices and
 tunnels)."""
 
 BENT_PER_M = 0.03
-"""1 sigma of how far the axis of a corridor that bends lies from a straight line, by the square of
-the way along it (half its curvature). Half and twice of it move simulated centres by 1 cm."""
+"""1 sigma of the deviation of a bent corridor's axis from a straight line, per squared distance
+along it (half its curvature). Half and twice of it move simulated centres by 1 cm."""
 
 APART_M = 0.3
-"""Cells of an axis nearer to each other than that are off alike, for what stands along a wall is no
-smaller. Were each to count, what stands along straight corridors would bend them (centres in
-simulated rows and mazes off by 5 and 6 cm for 3.5 and 4)."""
+"""Correlation length of the deviations of an axis's cells. Counting each cell as independent would
+fit bends to objects along straight corridors (centres in simulated rows and mazes off by 5 and 6 cm
+for 3.5 and 4)."""
 
 ANGLES_RAD = (np.pi / 6, np.pi / 2)
-"""Between these, the sharpest angle of two branches counts."""
+"""Range to which the smallest angle between two branches is clipped."""
 
 FORK_SHARE = 0.07
-"""1 sigma, by its clearance, of how far a fork of corridors at right angles lies from where theory
-has it: .03 to .13 in five kinds of simulated world, more in organic streets."""
+"""1 sigma, in clearances, of the deviation of a fork of perpendicular corridors from its
+theoretical position: .03 to .13 in five kinds of simulated world, more in organic streets."""
 
 ROUGH_M = GridSettings().cell_m
-"""Walls in finer grids are no smoother than those in the grids of scans."""
+"""Lower bound of the rounding error of walls: they are no smoother in finer grids."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Crossing(Node):
-    """A node as a place where ways of a skeleton meet: xy is where they do, clearance_m that of
-    the node. headings: (b,) [rad] of its branches, ascending, as `ends` has them; bends: (b,) how
-    they turn further on (`bends`), where that was asked for."""
+    """A node as a junction: xy is where its axes cross, clearance_m that of the node.
+
+    headings: (b,) [rad] of its branches, ascending, in the order of `ends`; bends: (b,) change of
+    heading further on (`bends`), if asked for.
+    """
 
     headings: FloatArray = field(kw_only=True)
     bends: FloatArray = field(default_factory=lambda: np.zeros(0), kw_only=True)
 
 
 SHARES = (np.arange(20) + 0.5) / 20
-"""Shares of a run's axes that bend, each as likely as the others before any axis is seen."""
+"""Possible shares of a run's axes that bend, with equal prior probabilities."""
 
 
 @dataclass(slots=True)
 class BendTally:
-    """Which share of a run's axes bends, by all that were looked at so far. weight: what an axis
-    counts that is looked at once; log: (20,) log likelihood [nats] of each of the `SHARES`: axes
-    that are too short to tell leave it as it is."""
+    """Posterior of the share of a run's axes that bend. weight: of an axis; log: (20,) log
+    likelihood [nats] of each of the `SHARES`; axes too short to decide leave it unchanged."""
 
     weight: float = 1.0
     log: FloatArray = field(default_factory=lambda: np.zeros(len(SHARES)))
 
     @property
     def usual(self) -> float:
-        """How likely an axis bends before its cells are looked at: the mean of the shares."""
+        """Prior probability that an axis bends: the posterior mean of the share."""
         likelihood = np.exp(self.log - self.log.max())
         return float((likelihood * SHARES).sum() / likelihood.sum())
 
     def add(self, odds: Sequence[float]) -> None:
-        """Axes with log odds [nats] that each bends, by its own cells alone."""
+        """Add axes with log odds [nats] that each bends, by its own cells alone."""
         bent = np.logaddexp(np.log1p(-SHARES), np.log(SHARES) + np.array(odds)[:, None])
         self.log += self.weight * bent.sum(axis=0)
 
 
 Known = dict[tuple[bytes, ...], tuple[FloatArray, float]]
-"""Centres of the nodes of a grid and their sigmas, by what they hang on: graphs of one grid share
-most of them."""
+"""Cache of the centres of a grid's nodes and their sigmas, keyed by what they depend on: graphs of
+one grid share most of them."""
 
 
 def placed(
@@ -94,11 +96,10 @@ def placed(
     known: Known | None = None,
     tally: BendTally | None = None,
 ) -> Node:
-    """A node of a graph where the axes of its branches cross.
+    """A node of a graph at the crossing of the axes of its branches.
 
-    clearance_m: (h, w) distance from walls, as the graph was traced with; known: centres worked out
-    before in the same grid, to which its own is added; tally: of the axes seen before, to which its
-    own are added, None if nothing else is known.
+    clearance_m: (h, w) distance from walls, as the graph was traced with; known: cache of centres
+    of the same grid, updated; tally: of the axes seen before, updated, None if there is none.
     """
     known = {} if known is None else known
     tally = BendTally() if tally is None else tally
@@ -130,8 +131,8 @@ def crossing(
 def bends(
     graph: SkeletonGraph, place: Crossing, cell_m: float, settings: SkeletonSettings
 ) -> FloatArray:
-    """(b,) how far each branch of a place turns [rad] from where its heading is taken to twice as
-    far away; NaN where it ends before, or is one of both ends of a ring."""
+    """(b,) change of heading [rad] of each branch between the distance where it is measured and
+    twice that; NaN where it ends before, or for the two ends of a ring."""
     reach = 2 * _reach(place, settings)
     far = [np.hypot(*graph.edges[k].away(place.xy, cell_m).T) for k in place.ends]
     known = [
@@ -143,13 +144,13 @@ def bends(
 
 
 def _reach(node: Node, settings: SkeletonSettings) -> float:
-    """How far from a node headings are taken [m]."""
+    """Distance from a node at which headings are measured [m]."""
     return max(settings.chord_m, node.clearance_m + settings.chord_beyond_m)
 
 
 class Crossings(NamedTuple):
-    """Placed nodes of a graph, by number; joints: of every way that lies within one place, the
-    number of the node that it leads to, and of that which stands for both."""
+    """Placed nodes of a graph, by number; joints: for every edge within one junction, the number of
+    the node that was merged, and of that which represents both."""
 
     places: dict[int, Node]
     joints: dict[int, tuple[int, int]]
@@ -165,9 +166,9 @@ def crossings(
     known: Known | None = None,
     tally: BendTally | None = None,
 ) -> Crossings:
-    """Nodes `numbers` of a graph, placed; known, tally: as in `placed`. Two ends of one way whose
-    axes cross at one place are one: a skeleton may take a crossing of many branches for two forks
-    farther apart than `join_m`, their centres lie nearer."""
+    """Nodes `numbers` of a graph, placed; known, tally: see `placed`. Two ends of one edge whose
+    axes cross at one point are merged: a skeleton may show a crossing of many branches as two forks
+    farther apart than `join_m`, whose centres are nearer."""
     found = {
         k: placed(graph, graph.nodes[k], clearance_m, cell_m, known=known, tally=tally)
         for k in numbers
@@ -197,8 +198,8 @@ def with_crossings(
     *,
     known: Known | None = None,
 ) -> tuple[SkeletonGraph, tuple[Crossing, ...]]:
-    """A graph whose nodes are places, and these: two forks of one crossing are one of its nodes,
-    without the way between them."""
+    """A graph with its nodes placed, and these: two forks of one crossing become one node, without
+    the edge between them."""
     every = range(len(graph.nodes))
     found, joints = crossings(graph, every, clearance_m, cell_m, settings, known=known)
     kept, ways = sorted(found), [k for k in range(len(graph.edges)) if k not in joints]
@@ -217,9 +218,12 @@ def with_crossings(
 
 
 class _Bend(NamedTuple):
-    """How an axis bends: with s along it from its middle [m], it lies bent (s² - spread - skew s)
-    aside, `bent` known to `variance`; odds: log odds [nats] that it bends at all, by its cells
-    alone; left: mean square of what cells lie beside it [m²]."""
+    """Bend of an axis: at s [m] along it from its middle, it deviates by bent (s² - spread - skew
+    s), with the variance `variance` of `bent`.
+
+    odds: log odds [nats] that it bends, by its cells alone; left: mean squared residual of its
+    cells [m²].
+    """
 
     spread: float
     skew: float
@@ -230,8 +234,8 @@ class _Bend(NamedTuple):
 
 
 class _Axis(NamedTuple):
-    """The axis of a branch: its middle (2,), its normal (2,) there, how sure it is of where it lies
-    in its middle [m²] and of its direction, and its bend."""
+    """The axis of a branch: middle (2,), normal (2,) there, variance of its lateral position [m²]
+    and of its direction [rad²], and its bend."""
 
     middle: FloatArray
     normal: FloatArray
@@ -241,16 +245,16 @@ class _Axis(NamedTuple):
 
 
 class _Branch(NamedTuple):
-    """A branch beyond the widening of its node: bearing [rad] of its axis; where it has none, of
-    the middle of its cells from the node."""
+    """A branch beyond the widening of its node: bearing [rad] of its axis or, without one, of the
+    centroid of its cells."""
 
     bearing: float
     axis: _Axis | None
 
 
 class _Cells(NamedTuple):
-    """Cells (n, 2) of a branch, how far they lie from its node, away (n, 2) and distance (n,) [m],
-    and their size [m]."""
+    """Cells (n, 2) of a branch, their offsets (n, 2) and distances (n,) from its node [m], and
+    their size [m]."""
 
     cells: IntArray
     away: FloatArray
@@ -259,21 +263,20 @@ class _Cells(NamedTuple):
 
     @classmethod
     def of(cls, edge: Edge, node: Node, cell_m: float) -> _Cells:
-        """Those of a way, seen from a node of it."""
+        """The cells of an edge, relative to one of its nodes."""
         away = edge.away(node.xy, cell_m)
         return cls(edge.cells, away, np.hypot(away[:, 0], away[:, 1]), cell_m)
 
     def axis(self, begin_m: float) -> tuple[BoolArray, FloatArray]:
-        """(n,) which of them an axis is taken from that begins so far from the node, and where
-        these lie; all, if there are none."""
+        """(n,) which cells an axis that begins at `begin_m` is fitted to, and their offsets; all
+        offsets if there are none."""
         beyond = (self.distance >= begin_m) & (self.distance <= begin_m + AXIS_M)
         return beyond, self.away[beyond] if beyond.any() else self.away
 
 
 def _begins(node: Node, branches: Sequence[_Cells]) -> FloatArray:
-    """(b,) how far from a node the widening of each of its branches ends [m]: its clearance, or,
-    of corridors of one width at an acute angle a, cot(a / 2) half widths, where their walls
-    meet."""
+    """(b,) distance at which the widening of each branch of a node ends [m]: its clearance or, for
+    corridors of equal width at an acute angle a, cot(a / 2) half widths, where their walls meet."""
     toward = np.array([cells.axis(node.clearance_m)[1].sum(axis=0) for cells in branches])
     bearings = np.arctan2(toward[:, 1], toward[:, 0])
     apart = np.abs(wrap(bearings[:, None] - bearings))
@@ -291,11 +294,11 @@ def _branch(
     usual: float,
     ring: bool,
 ) -> _Branch:
-    """A corridor bends little, and is as wide everywhere as at its begin, to within the rounding of
-    cells: the likelihood of that says how much of a corridor's axis a branch has.
+    """A branch with its axis, if it is a corridor: nearly straight and of constant width, up to the
+    rounding of cells.
 
-    begin_m: how far from its node that begins; usual: how likely the axis bends before its cells
-    are looked at; ring: the branch is one of both ends of a way.
+    begin_m: distance of its start from the node [m]; usual: prior probability that the axis bends;
+    ring: whether both ends of the edge are at this node.
     """
     beyond, own = seen.axis(begin_m)
     middle = own.sum(axis=0) / max(len(own), 1)
@@ -311,8 +314,8 @@ def _branch(
 def _with_axis(
     own: FloatArray, middle: FloatArray, node: Node, noise: tuple[float, float], usual: float
 ) -> _Branch | None:
-    """A branch with the axis of its cells (n, 2) from the node [m], about their middle; None if
-    they are unlike a corridor's. noise: as of `_bend`."""
+    """A branch with the axis fitted to its cells (n, 2), relative to the node [m], about their
+    centroid; None if they are unlike those of a corridor. noise: see `_bend`."""
     u, v = (own - middle).T
     angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
     if np.cos(angle) * middle[0] + np.sin(angle) * middle[1] < 0:
@@ -321,7 +324,7 @@ def _with_axis(
     bend = _bend(c * u + s * v, c * v - s * u, noise, usual)
     rounding, wide = noise
     unlike = 0.5 * (max(bend.left, 0.0) + wide) / rounding
-    # Beyond three sigma it is none: nothing would be left of it, and exp would run over.
+    # Beyond three sigma it is none; exp would overflow.
     if unlike >= 4.5:
         return None
     of_mean = float(np.exp(unlike)) * rounding / len(own)
@@ -331,16 +334,16 @@ def _with_axis(
 
 
 def _bend(along: FloatArray, across: FloatArray, noise: tuple[float, float], usual: float) -> _Bend:
-    """How cells bend that lie (n,) along and across the straight line that fits them best [m].
+    """The bend of cells (n,) along and across the best-fitting straight line [m].
 
-    noise: variances [m²] of their rounding, and of the corridor's width, for furniture bends
-    nothing. An axis is straight, or it bends by a normal number of sigma BENT_PER_M, which it does
-    with the probability `usual` before its cells are looked at.
+    noise: variances [m²] of rounding, and of the corridor's width: objects in the corridor are not
+    a bend. An axis is straight, or bends by a normal number of sigma BENT_PER_M, with the prior
+    probability `usual`.
     """
     count, square = len(along), along * along
     spread = float(square.sum()) / count
     skew = float(square @ along) / count / spread
-    # What is left of the squares beside a straight line tells of the bend.
+    # Variance of s² that a straight line does not explain.
     told = max(float(square @ square) / count - spread * spread - skew * skew * spread, 1e-9)
     shown, strays = float(square @ across) / count, float(across @ across) / count
     rounding, wide = noise
@@ -355,11 +358,11 @@ def _bend(along: FloatArray, across: FloatArray, noise: tuple[float, float], usu
 
 
 def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
-    """(2,) the point likeliest by the axes, and by the node itself, within the node's disc; 1 sigma
-    of each of its coordinates [m].
+    """(2,) maximum-likelihood position from the axes and the node itself, within the node's disc; 1
+    sigma of each coordinate [m].
 
-    Forks lie farther aside than they should where a corner is rounded or a niche is near: the node
-    counts by a Cauchy kernel, and gives way where the axes agree on another point.
+    Forks deviate more than expected at rounded corners and niches: the node has a Cauchy kernel, so
+    that axes that agree on another point win.
     """
     beside = aside(np.array([b.bearing for b in branches])) * node.clearance_m**2
     axes = [branch.axis for branch in branches if branch.axis is not None]
@@ -372,7 +375,7 @@ def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
     by_fork = np.linalg.inv(beside)
     xy, kernel, information = node.xy, 1.0, by_fork
     for _ in range(3):
-        # How far from the middle of its cells an axis is asked for makes it less sure.
+        # The variance of an axis grows with the distance from the middle of its cells.
         off = xy - middle
         along = off[:, 0] * normal[:, 1] - off[:, 1] * normal[:, 0]
         bow = along * along - bends.spread - bends.skew * along
@@ -382,7 +385,7 @@ def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
         xy = np.linalg.solve(information, right)
         moved = xy - node.xy
         kernel = 1 / (1 + float(moved @ by_fork @ moved))
-    # Of a symmetric matrix of two rows, the trace of the inverse.
+    # Trace of the inverse of a symmetric 2 × 2 matrix: trace / determinant.
     sigma_m = float(np.sqrt(0.5 * np.trace(information) / np.linalg.det(information)))
     far_off = float(np.hypot(*moved))
     if far_off > node.clearance_m:
@@ -391,12 +394,12 @@ def _centre(node: Node, branches: list[_Branch]) -> tuple[FloatArray, float]:
 
 
 def aside(bearings: FloatArray) -> FloatArray:
-    """(2, 2) covariance of how far a fork lies from where axes cross, by its clearance squared.
+    """(2, 2) covariance of the offset of a fork from where the axes cross, in squared clearances.
 
-    Of a corridor of half width h and one of the same width that leaves it at an angle a: the disc
-    that touches the far wall and both corners lies h cot a along and h / (4 sin² a) aside, and is
-    that more than h wide. Corridors bend, and three of them may all turn: h cot a counts in every
-    direction. Where corridors cross, the fork is in their middle.
+    For a corridor of half width h and one of equal width that leaves it at an angle a, the disc
+    that touches the far wall and both corners lies h cot a along and h / (4 sin² a) aside, and its
+    radius exceeds h by the latter. Because corridors bend, h cot a counts in every direction. Where
+    two corridors cross, the fork is at their centre.
     """
     least = FORK_SHARE**2 * np.eye(2)
     if len(bearings) != 3:
@@ -407,7 +410,7 @@ def aside(bearings: FloatArray) -> FloatArray:
     corridor = np.delete(turned, third)
     a = np.clip(np.abs(wrap(turned[third] - corridor)).min(), *ANGLES_RAD)
     towards = _towards(a)
-    # Both of its ends tell: which of them sorts first is by chance where one points along the grid.
+    # Both ends are used: which one sorts first is arbitrary where one points along the grid.
     s, c = (of(corridor[0]) - of(corridor[1]) for of in (np.sin, np.cos))
     across = np.array([-s, c]) / np.hypot(s, c)
     spread = np.tan(a) ** -2.0 * np.eye(2) + towards**2 * np.outer(across, across)
@@ -415,14 +418,14 @@ def aside(bearings: FloatArray) -> FloatArray:
 
 
 def _towards(angle: FloatArray | float) -> FloatArray | float:
-    """By how many half widths the disc at a fork is wider than its corridors."""
+    """Radius of the disc at a fork minus that of its corridors, in half widths."""
     return 0.25 / np.sin(angle) ** 2
 
 
 def _headings(
     centre: FloatArray, graph: SkeletonGraph, ways: tuple[int, ...], reach_m: float, cell_m: float
 ) -> FloatArray:
-    """Headings of the chords from a place to where its ways cross a circle about it."""
+    """(b,) headings [rad] of the chords from a node to where its edges cross a circle about it."""
     out = np.zeros(len(ways))
     used: dict[int, float] = {}
     for k, way in enumerate(ways):

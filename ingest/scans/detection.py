@@ -1,4 +1,4 @@
-"""From odometry and scans to corrected odometry and the junctions that the scans show."""
+"""From odometry and scans to corrected odometry and junctions."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from .step_errors import SpanErrors
 from .windows import WINDOWS, Seen, windows
 
 LEAST_FIT = 0.5
-"""A keyframe of which less fits what the one before saw tells nothing."""
+"""Least fit to the previous keyframe at which a keyframe counts as matched."""
 
 
 def detect(
     odometry: Odometry | None, scans: Iterable[ScanBatch], *, may_lag: bool = True
 ) -> ScanResult:
-    """Correct a run's odometry by its scans and find the junctions it drove by.
+    """Correct a run's odometry by its scans and find the junctions it passed.
 
     scans: in the order of time, several lasers interleaved; may_lag: whether they may be stamped by
-    another clock than the odometry. The odometry of the result has a row
-    per keyframe. Memory follows the keyframes' poses and a thinned picture, not the scans.
-    Raises MirroredError as soon as the scans turn against the odometry, LaggingError as soon as
-    they turn earlier or later than it does, DataError where nothing can be made of them.
+    another clock than the odometry. The odometry of the result has a row per keyframe. Memory
+    follows the keyframes' poses and a thinned picture, not the scans. Raises MirroredError as soon
+    as the scans turn against the odometry, LaggingError as soon as they turn earlier or later than
+    it does, DataError where nothing can be made of them.
     """
     counted = _Counted(scans)
     track = _Track()
@@ -50,16 +50,17 @@ def detect(
 
 
 SECTORS = 36
-"""Directions told apart in what scans see, 10 degrees each: no scanner's beams lie so far apart."""
+"""Number of directions in which the field of view is recorded: 10 degrees each, wider than the
+spacing of any scanner's beams."""
 NARROW_DEG = 120
-"""With a view of 120 degrees all junctions of a simulated maze are found, with one of 90 three of
-four, of 4 m and 60 degrees hardly any."""
+"""A smaller field of view gives a warning: with 120 degrees all junctions of a simulated maze are
+found, with 90 three of four, with 60 degrees and 4 m hardly any."""
 
 
 @dataclass(slots=True, eq=False)
 class _Counted:
-    """The scans as they come, counted; echoing: those with an echo; seen: (SECTORS,) whether any
-    echo came from that direction about the robot."""
+    """Counts scans as they pass: scans; echoing: those with a return; seen: (SECTORS,) whether
+    there was any return from that direction of the robot."""
 
     batches: Iterable[ScanBatch]
     scans: int = 0
@@ -76,7 +77,7 @@ class _Counted:
             yield batch
 
     def warnings(self) -> list[str]:
-        """What is to be expected of scans with a narrow view."""
+        """A warning if the field of view is narrow."""
         degrees = round(int(self.seen.sum()) * 360 / SECTORS)
         if degrees >= NARROW_DEG or not self.echoing:
             return []
@@ -88,8 +89,8 @@ class _Counted:
 
 @dataclass(slots=True, eq=False)
 class _Track:
-    """What is kept of the keyframes that went by: rows (k, 3) of the robot's pose, corrected and
-    as recorded."""
+    """Data kept of processed keyframes: rows (k, 3) of the robot's pose, corrected and as
+    recorded."""
 
     time_ns: list[IntArray] = field(default_factory=list)
     pose: list[FloatArray] = field(default_factory=list)
@@ -103,10 +104,10 @@ class _Track:
     bias_rad_per_m: float = 0.0
     turns: Turns = field(default_factory=Turns)
     lag: Callable[[IntArray, FloatArray, IntArray], float] | None = None
-    """How much the scans lag, asked once, when turns enough are known."""
+    """Estimates the lag of the scans, called once, after enough rotation."""
 
     def passing(self, parts: Iterable[Matched]) -> Iterator[Matched]:
-        """The parts as they come, what is needed of them noted."""
+        """The parts as they pass, after recording what is needed of them."""
         for part in parts:
             off = inverse(part.keyframes.mount)
             self.time_ns.append(part.keyframes.time_ns)
@@ -132,7 +133,7 @@ class _Track:
             yield part
 
     def driven(self) -> Driven:
-        """Rows by time; two lasers at one time make one row. Way as in `windows`."""
+        """Rows by time; two lasers at one time make one row. Distance as in `windows`."""
         pose, piece = np.concatenate(self.pose), np.concatenate(self.piece)
         step = np.hypot(*np.diff(pose[:, :2], axis=0).T)
         step[np.diff(piece) != 0] = 0.0
@@ -141,7 +142,7 @@ class _Track:
 
 
 MOST_POINTS = 400_000
-"""Wall points kept for the picture, 10 MB; of longer runs every second, every fourth, ..."""
+"""Wall points kept for the picture, 10 MB; longer runs are thinned by powers of two."""
 
 
 def _thinned(points: Anchored, every: int) -> Anchored:
@@ -149,7 +150,7 @@ def _thinned(points: Anchored, every: int) -> Anchored:
 
 
 def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored:
-    """Points of a stretch of keyframes, one per cell, in the robot's frame."""
+    """Points of a part, one per cell, in the robot's frame."""
     distance = np.hypot(part.keyframes.xy[..., 0], part.keyframes.xy[..., 1])
     row, beam = np.nonzero(distance < reach_m)
     own = part.keyframes.xy[row, beam].astype(np.float64)
@@ -221,7 +222,7 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
 
 
 DRIFT_M = 20.0
-"""Way after which drift is told."""
+"""Distance after which drift is stated."""
 
 
 def _nothing(counted: _Counted) -> str:
@@ -237,7 +238,7 @@ def _nothing(counted: _Counted) -> str:
 
 
 def _covered(driven: Driven, good: BoolArray) -> float:
-    """Share of the way driven between keyframes that fit each other."""
+    """Share of the distance driven between keyframes that fit each other."""
     step = np.diff(driven.way)
     total = float(step.sum())
     return float(step[good[1:]].sum()) / total if total > 0 else 0.0
@@ -253,7 +254,8 @@ def _joined(parts: list[Anchored]) -> Anchored:
 
 
 def _skeleton(seen: list[Seen], driven: Driven) -> Anchored:
-    """Skeletons of the windows, each where it is nearer to its middle than the next one's."""
+    """Skeletons of the windows, each where it is nearer to its own centre than to the next
+    one's."""
     rows = [min(int(np.searchsorted(driven.way, w.way)), len(driven.way) - 1) for w in seen]
     middles = driven.pose[rows]
     points, anchor = [np.zeros((0, 2))], [np.zeros(0, np.int64)]

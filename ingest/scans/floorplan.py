@@ -1,4 +1,4 @@
-"""Junctions and corridors of a saved grid: the skeleton of all its free space."""
+"""Junctions and corridors of a saved grid, from the skeleton of its free space."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from .skeleton_lines import Lines, labelled, lines_of
 
 @dataclass(frozen=True, slots=True)
 class FloorplanSettings:
-    """How a grid's free space becomes a graph."""
+    """How a grid's free space is converted to a graph."""
 
     skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
     island_m: float = GridSettings().island_m
-    """What stands free and is smaller is filled before."""
+    """Smaller isolated obstacles are removed first."""
     agree_m: float = 0.7
-    """A variant agrees on a junction if it has one so near with as many branches."""
+    """A variant agrees on a junction if it has one within this distance with as many branches."""
 
     @property
     def variants(self) -> tuple[SkeletonSettings, ...]:
-        """The skeleton's settings and six beside them, each off in one respect."""
+        """The skeleton's settings and six variations, each in one parameter."""
         s = self.skeleton
         return (
             s,
@@ -48,8 +48,8 @@ class FloorplanSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
-    """A place of a floor plan: (2,) x, y [m] from the grid's corner, headings (b,) [rad] of its
-    branches, ascending, share of the variants of the settings that agree on them."""
+    """A place of a floor plan: xy: (2,) from the grid's corner [m]; branches: (b,) headings [rad],
+    ascending; confidence: share of the variants that agree on the branches."""
 
     xy: FloatArray
     branches: FloatArray
@@ -59,8 +59,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corridor:
-    """A way from place to place: their numbers, the row of each one's branches that it leaves by,
-    and a polyline (k, 2) [m], k >= 2."""
+    """A corridor between two places: their indices, the branch of each that it leaves by, and a
+    polyline (k, 2) [m], k >= 2."""
 
     source: int
     target: int
@@ -75,14 +75,14 @@ def skeleton_graph(
     settings: FloorplanSettings = FloorplanSettings(),
     frontier: BoolArray | None = None,
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """Places and corridors of free space (h, w), row 0 at the least y, column 0 at the least x.
+    """Places and corridors of free space (h, w), row 0 at the smallest y, column 0 at the smallest
+    x.
 
-    Whatever stands in it counts as wall: small islands are filled before (`without_islands`).
-    frontier: (h, w) free cells beside what is not known; none unless told.
-    Every corridor has a place at both ends: where it ends without a junction, a dead end. A way
-    that leads on into what is not known is a branch of its junction and no corridor. A loop without
-    any place is left out. Raises ValueError on a grid that is not
-    two-dimensional or a resolution that is not positive. O(h w) a variant.
+    Every obstacle counts as wall; remove small islands first (`without_islands`). frontier: (h, w)
+    free cells next to unknown ones; none by default. A corridor that ends without a junction gets a
+    dead end. A corridor that leads into the unknown is a branch of its junction only. Loops without
+    a junction are left out. Raises ValueError on a grid that is not two-dimensional or a resolution
+    that is not positive. O(h w) per variant.
     """
     free = np.asarray(free, bool)
     if free.ndim != 2 or not resolution_m > 0:
@@ -105,8 +105,8 @@ def skeleton_graph(
 def _openings(
     frontier: BoolArray | None, clearance_m: FloatArray, cell_m: float, least_m: float
 ) -> BoolArray:
-    """(h, w) cells no farther from a frontier `least_m` wide than from any wall: a way that ends
-    there goes on beyond. frontier: without the rim that clearance_m has."""
+    """(h, w) cells at most as far from a frontier of width `least_m` as from any wall: corridors
+    that end there continue beyond. frontier: without the border that clearance_m has."""
     out = np.zeros(clearance_m.shape, bool)
     if frontier is None:
         return out
@@ -122,7 +122,7 @@ def _openings(
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
-    """Where a way forks in front of an opening, into its two corners, the way goes on, not they."""
+    """Remove from the border lines that fork in front of an opening into its two corners."""
     columns, rows = np.rint(lines.fork_xy / cell_m).astype(np.int64).T
     in_front = opening[rows, columns]
     ends = Counter(line for line, _ in lines.touching)
@@ -137,7 +137,7 @@ def _places(
     cell_m: float,
     settings: FloorplanSettings,
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """lines: of the skeleton under each of the variants; opening: as of `_openings`."""
+    """lines: of the skeleton under each of the variants; opening: see `_openings`."""
     known: Known = {}
     graph, own = with_crossings(
         traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton, known=known
@@ -176,10 +176,10 @@ def _places(
 
 
 def _ended(path: FloatArray, clearance_m: FloatArray, cell_m: float) -> FloatArray:
-    """A way into a dead end, up to the middle of its widest part.
+    """A path into a dead end, cut at the centre of its widest part.
 
-    Where in a room a skeleton ends, and with what hook, is chance. The widest part is the largest
-    free disc around a cell of the way that holds the way's end.
+    Where exactly a skeleton ends in a room, and with what hook, is arbitrary. The widest part is
+    the largest free disc around a cell of the path that contains the path's end.
     """
     columns, rows = np.rint(path.T / cell_m).astype(np.int64)
     clear = clearance_m[rows, columns]
@@ -196,7 +196,7 @@ def _ended(path: FloatArray, clearance_m: FloatArray, cell_m: float) -> FloatArr
 
 
 def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) -> int:
-    """The branch of a place that a way leaves by; a ring leaves by two."""
+    """The branch of a place that an edge leaves by; a ring leaves by two."""
     for branch, way in enumerate(graph.nodes[node].ends):
         if way == edge and not used[node][branch]:
             used[node][branch] = True
@@ -207,8 +207,8 @@ def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) ->
 def _agreement(
     places: Sequence[Node], shown: Sequence[Sequence[Node]], settings: FloorplanSettings
 ) -> list[float]:
-    """Share of the variants that have each place of the first one, the first included: near
-    enough, and with as many branches. shown: places of the others."""
+    """Share of the variants, including the first one, that have each place of the first: within the
+    tolerance, with as many branches. shown: places of the others."""
     own = _placed(places, settings)
     agreeing = np.ones(len(own))
     for others in shown:
@@ -219,14 +219,16 @@ def _agreement(
 
 
 def _placed(places: Sequence[Node], settings: FloorplanSettings) -> FloatArray:
-    """(n, 3) x, y [m], and what keeps places of different numbers of branches apart."""
+    """(n, 3) x, y [m], and a coordinate that separates places with different numbers of
+    branches."""
     xy = np.array([place.xy for place in places]).reshape(-1, 2)
     branches = np.array([len(place.ends) for place in places])
     return np.column_stack([xy, 2 * settings.agree_m * branches])
 
 
 def _polylines(graph: SkeletonGraph, cell_m: float) -> list[FloatArray | None]:
-    """Of each way its cells in order, between the centres of its places; None if it has neither."""
+    """For each edge its cells in order, between the centres of its places; None if it has
+    neither."""
     begun = [k for k, edge in enumerate(graph.edges) if edge.nodes[0] >= 0 and len(edge.cells)]
     ways = []
     for edge in (graph.edges[k] for k in begun):
@@ -248,7 +250,7 @@ def _polyline(
 
 
 class _Way(NamedTuple):
-    """Cells (k, 2) of a way in no order, the number of the first one, whether it is a ring."""
+    """Cells (k, 2) of an edge, unordered, the index of the first one, and whether it is a ring."""
 
     cells: IntArray
     first: int
@@ -256,10 +258,11 @@ class _Way(NamedTuple):
 
 
 def _chains(ways: list[_Way]) -> list[IntArray]:
-    """Of each way the rows of its cells along the shortest way from the first to the farthest one.
+    """For each edge the rows of its cells along the shortest path from the first to the farthest
+    one.
 
-    Neighbouring cells hang together; where a dissolved place left a gap, it is bridged at a price.
-    All ways are one graph of many parts.
+    Neighbouring cells are connected; gaps left by removed nodes are bridged at a higher cost. All
+    edges are components of one graph.
     """
     if not ways:
         return []

@@ -1,4 +1,4 @@
-"""Occupancy grids of what the robot saw around a place, from aligned keyframes."""
+"""Occupancy grids of the surroundings of a place, from aligned keyframes."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from .keyframes import Keyframes
 
 @dataclass(frozen=True, slots=True)
 class GridSettings:
-    """What counts as wall and as free."""
+    """When cells are walls or free."""
 
     cell_m: float = 0.1
-    """Side of a cell: a doorway is nine of them wide."""
+    """Side of a cell: a doorway has nine."""
     reach_m: float = 8.0
-    """How far along a beam cells are observed: beyond, beams are more than a cell apart."""
+    """Distance up to which cells are observed: beyond, beams are more than a cell apart."""
     wall_hits: int = 2
     wall_share: float = 0.15
-    """A wall is hit by so many keyframes, and in so large a share of the looks at it: who walks
-    by is hit in few."""
+    """A wall is hit by at least `wall_hits` keyframes, and by this share of its observations;
+    people walking by are hit by few."""
     free_looks: int = 1
-    """Keyframes that saw through a free cell."""
+    """Keyframes that must have seen through a free cell."""
     strip_m: float = 0.3
-    """Where the robot itself drove is free, this far to either side."""
+    """Half the width of the strip along the track that is free because the robot drove there."""
     island_m: float = 2.0
-    """What stands free and is smaller (pillars, furniture, people) is no part of the building."""
+    """Smaller isolated obstacles (pillars, furniture, people) are not walls."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Looks:
-    """What every keyframe saw of the cells around it: patches (k, s, s) of cells seen through and
-    of cells hit, row y, column x; corner: (k, 2) lattice cell (x, y) of each patch's first."""
+    """Observations of cells by every keyframe: patches (k, s, s) of cells seen through and of cells
+    hit, row y, column x; corner: (k, 2) lattice cell (x, y) of each patch's first."""
 
     free: BoolArray
     hit: BoolArray
@@ -49,17 +49,17 @@ class Looks:
 
 @lru_cache(maxsize=4)
 def _patch(half: int, cell_m: float) -> tuple[Float32Array, Float32Array]:
-    """Bearing and distance of every cell of a patch from its middle."""
+    """Bearing and distance of every cell of a patch from its centre."""
     step = np.arange(-half, half + 1) * cell_m
     x, y = np.meshgrid(step, step)
     return np.arctan2(y, x).astype(np.float32), np.hypot(x, y).astype(np.float32)
 
 
 def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSettings()) -> Looks:
-    """Cast the beams of keyframes at `pose` (k, 3) into cells of the frame of the poses.
+    """Cast the beams of keyframes at `pose` (k, 3) into cells of the poses' frame.
 
-    Every cell asks the beam that goes by it, the laser standing in the middle of its own cell:
-    0.05 m off at most, less than the cell that beams stop short of what they hit.
+    Inverse ray casting: each cell looks up the beam in its direction, with the laser at the centre
+    of its own cell, an error of at most 0.05 m, less than the cell by which beams are shortened.
     """
     half = round(settings.reach_m / settings.cell_m)
     bearing, distance = _patch(half, settings.cell_m)
@@ -96,8 +96,8 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
 
 
 def _blanked(mount: FloatArray, echo: BoolArray, near: BoolArray) -> BoolArray:
-    """(k, m) beams of lasers mounted at (k, 3) that have no echo in any scan, though `near` walls
-    were on both sides of them: the robot itself is in their way, or a filter blanks them."""
+    """(k, m) beams of lasers mounted at (k, 3) without a return in any scan although there were
+    `near` walls on both sides: the robot itself is in their way, or a filter removes them."""
     out = np.zeros(echo.shape, bool)
     laser = np.unique(mount, axis=0, return_inverse=True)[1].ravel()
     for number in np.unique(laser):
@@ -107,10 +107,10 @@ def _blanked(mount: FloatArray, echo: BoolArray, near: BoolArray) -> BoolArray:
 
 
 def _beside(ranges: Float32Array, echo: BoolArray) -> tuple[Float32Array, Float32Array]:
-    """(k, m) the nearer and the farther of the next echoes on either side of every beam, 0 where
-    there is none.
+    """(k, m) each: the nearer and the farther of the next returns on either side of every beam, 0
+    where there is none.
 
-    A beam without an echo amid a wall met glass or something dark, not the way out.
+    A beam without a return between returns hit glass or something dark, not free space.
     """
     beam = np.arange(ranges.shape[1])
     before = np.maximum.accumulate(np.where(echo, beam, -1), axis=1)
@@ -123,8 +123,8 @@ def _beside(ranges: Float32Array, echo: BoolArray) -> tuple[Float32Array, Float3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Window:
-    """A square of the lattice: how many keyframes saw through each cell (s, s), and hit it; driven:
-    cells that the robot drove over; corner: (2,) lattice cell (x, y) of the first."""
+    """A square of the lattice: numbers of keyframes that saw through each cell (s, s), and hit it;
+    driven: cells that the robot drove over; corner: (2,) lattice cell (x, y) of the first."""
 
     free: IntArray
     hit: IntArray
@@ -141,8 +141,8 @@ def gather(
     *,
     known: Window | None = None,
 ) -> Window:
-    """What keyframes `rows` saw within so many cells of a place ((2,), half); way_xy: (w, 2) the
-    way driven meanwhile, densely [m]; known: what others saw there, to be added to."""
+    """The observations by keyframes `rows` within `half` cells of a place ((2,), half); way_xy: (w,
+    2) the track meanwhile, densely sampled [m]; known: a window to add to."""
     centre, half = place
     corner = np.floor(centre / settings.cell_m).astype(np.int64) - half
     side = 2 * half + 1
@@ -150,7 +150,7 @@ def gather(
     if known is not None:
         free, hit = known.free.copy(), known.hit.copy()
     patch = seen.free.shape[1]
-    # Bytes are summed up several times as fast as integers are, and hold so many looks.
+    # Sums of bytes are several times as fast, and hold up to 255 observations.
     for begin in range(0, len(rows), 255):
         some = [np.zeros((side, side), np.uint8) for _ in range(2)]
         for k in rows[begin : begin + 255]:
@@ -170,7 +170,7 @@ def gather(
 
 
 def free_space(window: Window, settings: GridSettings) -> BoolArray:
-    """(s, s) cells that are free: seen through, or driven over; without walls, but for islands."""
+    """(s, s) free cells: seen through or driven over, and not walls; islands are removed."""
     observed = window.hit + window.free
     wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
     free = (window.free >= settings.free_looks) & ~wall
@@ -179,7 +179,7 @@ def free_space(window: Window, settings: GridSettings) -> BoolArray:
 
 
 def _beside_cells(cells: BoolArray, radius: int) -> BoolArray:
-    """Cells within `radius` of few given ones."""
+    """Cells within `radius` of the given ones."""
     rows, columns = np.nonzero(np.pad(cells, radius))
     dy, dx = np.nonzero(disc(radius))
     near = np.zeros((cells.shape[0] + 2 * radius, cells.shape[1] + 2 * radius), bool)
@@ -188,7 +188,7 @@ def _beside_cells(cells: BoolArray, radius: int) -> BoolArray:
 
 
 def without_islands(free: BoolArray, settings: GridSettings) -> BoolArray:
-    """Free space with small islands of anything else filled, unless they touch the border."""
+    """Free space with small isolated obstacles filled, unless they touch the border."""
     labels, count = ndimage.label(~free, np.ones((3, 3)))
     if count == 0:
         return free
@@ -202,6 +202,6 @@ def without_islands(free: BoolArray, settings: GridSettings) -> BoolArray:
 
 
 def disc(radius: int) -> BoolArray:
-    """(2 r + 1, 2 r + 1) cells within `radius` of the middle."""
+    """(2 r + 1, 2 r + 1) cells within `radius` of the centre."""
     step = np.arange(-radius, radius + 1)
     return np.asarray(step[:, None] ** 2 + step**2 <= (radius + 0.5) ** 2)

@@ -1,7 +1,7 @@
-"""Whether scans turn as the odometry does: those of a laser upside down turn the other way.
+"""Detection of lasers mounted upside down: their scans turn against the odometry.
 
-Seen from above, what such a laser sees is a mirror image, and matching mirror images gives turns of
-the wrong sign, whatever else the odometry gets wrong.
+Seen from above, the scans of such a laser are mirror images, and matching them gives rotations of
+the wrong sign.
 """
 
 from __future__ import annotations
@@ -15,26 +15,26 @@ from ...topology.errors import DataError
 from ...topology.se2 import wrap
 
 TURN_RAD = 0.05
-"""A step that turns by more, by scans and odometry, turns beyond the errors of both."""
+"""Rotations larger than this, by scans and odometry, exceed the errors of both."""
 ENOUGH = 20
-"""Steps, of a turn about once, after which chance alone gives 4 of 5 one time in 170."""
+"""Number of steps, about one full turn, after which chance alone gives 4 of 5 once in 170 times."""
 SAME_SHARE = 0.8
-"""Of the steps so many turn one way, or neither hand fits."""
+"""Least share of the steps with one sign; with less, neither mounting fits."""
 
 
 class MirroredError(DataError):
-    """The scans are mirror images of what is around: they turn against the odometry."""
+    """The scans are mirror images: they turn against the odometry."""
 
 
 @dataclass(frozen=True, slots=True)
 class Turns:
-    """Steps between keyframes that turn as the odometry says, and against it."""
+    """Numbers of steps between keyframes that turn with the odometry, and against it."""
 
     alike: int = 0
     against: int = 0
 
     def more(self, recorded: FloatArray, matched: FloatArray, piece: IntArray) -> Turns:
-        """With those between poses (k, 3) that follow on one another, by odometry and by scans."""
+        """Add the steps between consecutive poses (k, 3), by odometry and by scans."""
         odometry, scans = (wrap(np.diff(pose[:, 2])) for pose in (recorded, matched))
         tells = (np.abs(odometry) > TURN_RAD) & (np.abs(scans) > TURN_RAD) & (np.diff(piece) == 0)
         alike = int(np.sum(odometry[tells] * scans[tells] > 0))
@@ -42,17 +42,17 @@ class Turns:
 
     @property
     def enough(self) -> bool:
-        """Whether there are steps enough to tell."""
+        """Whether there are enough steps to decide."""
         return self.alike + self.against >= ENOUGH
 
     @property
     def mirrored(self) -> bool:
-        """Whether it is the scans' mirror images that turn as the odometry does."""
+        """Whether the scans turn against the odometry."""
         return self.enough and self.against >= SAME_SHARE * (self.alike + self.against)
 
     @property
     def unlike(self) -> bool:
-        """Whether neither the scans nor their mirror images do."""
+        """Whether the scans turn neither with nor against the odometry."""
         return (
             self.enough
             and not self.mirrored

@@ -1,4 +1,4 @@
-"""Passes of junctions: what windows along the way agree on."""
+"""Junction passes: fusion of the forks in all windows along the track."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from .windows import WINDOWS, Seen
 
 @dataclass(frozen=True, slots=True)
 class JunctionSettings:
-    """When what windows show is one junction."""
+    """When forks in windows are one junction."""
 
     together_m: float = 0.7
-    """Places of different windows and variants nearer than this are one …"""
+    """Forks of different windows and variants within this distance are one junction."""
     together_way_m: float = 2.5
-    """… if the robot had not driven more than this in between: else it was there twice."""
+    """Only within this distance driven: else the robot was there twice."""
     least_share: float = 0.5
-    """Of the windows that could show a junction, so many must."""
+    """Least share of the windows that could show a junction that must show it."""
     gap_rad: float = 0.35
-    """Headings farther apart than this are of different branches."""
+    """Headings farther apart belong to different branches."""
 
 
 JUNCTIONS = JunctionSettings()
@@ -37,7 +37,7 @@ JUNCTIONS = JunctionSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Driven:
-    """The way driven: (k,) times, (k, 3) poses in the corrected frame, (k,) way so far [m]."""
+    """The track: (k,) times, (k, 3) poses in the corrected frame, (k,) distance driven [m]."""
 
     time_ns: IntArray
     pose: FloatArray
@@ -45,9 +45,9 @@ class Driven:
 
 
 class _Junction(NamedTuple):
-    """A junction as the windows around it show it: when [m of way], where [m], headings of its
-    branches with the share of looks that show each; confidence, clearance_m, sigma_m: as in
-    `ScanPasses`; windows: how many show it."""
+    """A junction fused from the windows around it: way: distance driven at it [m]; xy [m];
+    branches: headings with their support; windows: number that show it; confidence, clearance_m,
+    sigma_m: see `ScanPasses`."""
 
     way: float
     xy: FloatArray
@@ -80,7 +80,7 @@ def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
         at = float(np.median(way[members]))
         near = np.flatnonzero(np.abs(middles - at) <= 1.5 * WINDOWS.every_m)
         looks = len(WINDOWS.variants) * max(len(near), 1)
-        # One window shows a place once under one variant, or as two halves of it.
+        # Count each window and variant once, even if it shows the place as two halves.
         shown = len(np.unique(number[members] * len(WINDOWS.variants) + variant[members]))
         if shown < JUNCTIONS.least_share * looks:
             continue
@@ -109,18 +109,19 @@ def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
 
 
 QUARTILE = 0.3186
-"""Of the sigma of a normal error, within which a quarter of all lie."""
+"""Quantile of the absolute value of a standard normal at 25 %."""
 
 
 def _askew(turns: list[FloatArray], cell: float) -> float:
-    """1 sigma [rad] of headings that all passes of a place share, by how branches turn.
+    """1 sigma [rad] of the heading error that all passes by a place share, from the bends of
+    branches.
 
-    Where a centre is off by d across a branch, a chord of length r to it is off by d / r, one of
-    2 r by half of that, and they differ by the other half. Where the branch bends, a chord is off
-    by what it differs from one twice as long. Twice the difference covers both. By the first
-    quartile: half of the corridors between racks have a corner there. Both chords end at cells:
-    cell is the side of one, by r. What rounding to it adds to the difference is taken off; in the
-    heading it differs from pass to pass, as `branch_rad` tells.
+    If a centre is off by d across a branch, a chord of length r is off by d / r, one of 2 r by half
+    of that: they differ by the other half. If the branch bends, a chord is off by its difference
+    from one twice as long. Twice the difference covers both. Estimated from the first quartile,
+    because half of the corridors between racks have a corner there. Both chords end at cells (cell:
+    their size divided by r); the rounding's part of the difference is subtracted, because it varies
+    from pass to pass (`branch_rad`).
     """
     every = np.concatenate([np.zeros(0), *turns])
     told = np.abs(every[np.isfinite(every)])
@@ -129,22 +130,22 @@ def _askew(turns: list[FloatArray], cell: float) -> float:
 
 
 def no_passes() -> ScanPasses:
-    """Of a run that passed no junction."""
+    """The passes of a run without junctions."""
     none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
     row = np.zeros(0)
     return ScanPasses(none, none, none, np.zeros((0, 2)), empty, empty, row, none, row, row)
 
 
 def _together(xy: FloatArray, way: FloatArray) -> IntArray:
-    """(q,) number of the junction of each record: linked if near in place and way."""
+    """(q,) junction of each fork: connected if near in place and in distance driven."""
     scaled = np.column_stack([xy, way * (JUNCTIONS.together_m / JUNCTIONS.together_way_m)])
     pairs = cKDTree(scaled).query_pairs(JUNCTIONS.together_m, output_type="ndarray")
     return connected(pairs[:, 0], pairs[:, 1], len(xy))
 
 
 def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> IntArray:
-    """Of the records of one junction, those of each variant's nearest window: it shows the most
-    of what is around."""
+    """The forks of one junction in each variant's nearest window, which sees most of the
+    surroundings."""
     order = members[np.lexsort((members, away[members], variant[members]))]
     return order[np.unique(variant[order], return_index=True)[1]]
 
@@ -152,11 +153,11 @@ def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> In
 def _branches(
     looks: tuple[Ragged, FloatArray], members: IntArray, votes: IntArray, degree: int
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Headings of a junction of `degree` branches, the share of all looks that show each, and how
-    it turns further on (NaN: nothing tells). looks: headings and bends of all; members: ascending.
+    """Headings of a junction with `degree` branches [rad], the support of each, and its change of
+    heading further on [rad] (NaN: unknown).
 
-    Of the votes for so many branches, the one that the others are nearest to; every branch is the
-    mean of what all looks show near it.
+    looks: headings and bends of all forks; members: ascending. The medoid of the votes with this
+    degree, refined by the mean over all forks' branches near it.
     """
     headings, bends = looks
     alike = headings.take(votes[headings.counts[votes] == degree])
@@ -181,7 +182,7 @@ def _branches(
 
 
 def _passes(found: list[_Junction], driven: Driven) -> ScanPasses:
-    """Junctions in the corrected frame, turned into the robot's at the time it was nearest."""
+    """Junctions in the corrected frame, transformed to the robot's frame at the nearest time."""
     if not found:
         return no_passes()
     nearest, start, end = np.empty((3, len(found)), np.int64)

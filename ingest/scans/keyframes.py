@@ -1,4 +1,4 @@
-"""Scans worth matching: one after every bit of way or turn, on a raster of beams."""
+"""Keyframes: scans selected by distance or rotation, resampled to an even raster of beams."""
 
 from __future__ import annotations
 
@@ -15,13 +15,14 @@ from .scan import ScanBatch
 
 @dataclass(frozen=True, slots=True)
 class KeyframeSettings:
-    """Which scans are matched, and how finely."""
+    """Which scans are matched, and their resolution."""
 
     step_m: float = 0.25
     turn_rad: float = 0.15
-    """Way or turn after which the next scan is a keyframe: neighbours still see nearly the same."""
+    """Distance or rotation after which the next scan is a keyframe: neighbours still see nearly the
+    same."""
     raster_rad: float = 0.0175
-    """Beams nearer to each other are thinned out: a degree is 9 cm at 5 m."""
+    """Beams are thinned out to this spacing: a degree is 9 cm at 5 m."""
 
 
 KEYFRAMES = KeyframeSettings()
@@ -29,10 +30,13 @@ KEYFRAMES = KeyframeSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Keyframes:
-    """`k` scans by time. odometry: (k, 3) pose of the *laser* in the odometry frame; mount: (k, 3)
-    T_body_laser; xy: (k, m, 2) points in the laser's frame, NaN without return; start, increment:
-    (k,) bearing of the first beam and between beams [rad]; free: (k,) way free along beams without
-    return [m]; rate: (k,) [rad/s]; piece: (k,) of unbroken odometry."""
+    """`k` scans by time.
+
+    odometry: (k, 3) pose of the *laser* in the odometry frame; mount: (k, 3) T_body_laser; xy: (k,
+    m, 2) points in the laser's frame [m], NaN without return; start, increment: (k,) bearing of the
+    first beam and between beams [rad]; free: (k,) free distance along beams without return [m];
+    rate: (k,) turning rate [rad/s]; piece: (k,) unbroken piece of odometry.
+    """
 
     time_ns: IntArray
     odometry: FloatArray
@@ -49,21 +53,21 @@ class Keyframes:
 
 
 def join(parts: list[Keyframes]) -> Keyframes:
-    """Keyframes one after the other; rasters of different width are filled up with NaN."""
+    """Keyframes concatenated; narrower rasters are padded with NaN."""
     width = max(part.xy.shape[1] for part in parts)
     return joined([replace(part, xy=_widened(part.xy, width)) for part in parts])
 
 
 def _widened(xy: Float32Array, width: int) -> Float32Array:
-    """(k, width, 2) points of a raster that wide, NaN in the columns that it has not."""
+    """(k, width, 2) points, padded with NaN columns."""
     return np.pad(xy, ((0, 0), (0, width - xy.shape[1]), (0, 0)), constant_values=np.nan)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Posed:
-    """A batch of scans with the pose (n, 3) of the robot, in the odometry frame, at each, and how
-    it moved (n, 3) during the sweep, in its own frame, and turned (n,) [rad/s]. usable: (n,) times
-    with a known pose; piece: (n,) which piece of unbroken odometry."""
+    """A batch of scans with the robot's pose (n, 3) in the odometry frame at each, its motion (n,
+    3) during the sweep in its own frame, and its turning rate (n,) [rad/s]. usable: (n,) whether
+    the pose is known; piece: (n,) unbroken piece of odometry."""
 
     batch: ScanBatch
     pose: FloatArray
@@ -84,10 +88,10 @@ def keyframes(posed: Iterable[Posed]) -> Iterator[Keyframes]:
 
 
 def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Iterator[Keyframes]:
-    """The same keyframes by time, `size` at once (the last ones fewer).
+    """The same keyframes sorted by time, `size` at once (the last ones fewer).
 
-    Batches of several lasers may overlap: a keyframe is held back until every laser that was heard
-    of in the last `late_s` has gone on beyond it.
+    Batches of several lasers may overlap: a keyframe is held back until every laser heard in the
+    last `late_s` has moved on beyond it.
     """
     waiting: list[Keyframes] = []
     heard: dict[bytes, int] = {}
@@ -109,7 +113,7 @@ def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Ite
 
 
 def _by_time(parts: list[Keyframes]) -> Keyframes:
-    """Keyframes of several lasers by time, those of one time by where their lasers are."""
+    """Keyframes of several lasers sorted by time, at equal times by the lasers' positions."""
     joint = join(parts)
     x, y, theta = joint.mount.T
     return take(joint, np.lexsort((theta, y, x, joint.time_ns)))
@@ -160,9 +164,9 @@ def prepared(part: Posed, rows: IntArray) -> Keyframes:
 
 
 def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, float]:
-    """Columns of a scan that stand, ascending, on an even raster; its first bearing and step [rad].
+    """Columns of a scan, ascending, on an even raster; its first bearing and step [rad].
 
-    Beams in uneven steps go to the nearest place of the raster; every place takes one.
+    Unevenly spaced beams are resampled to the nearest one for each position of the raster.
     """
     order = np.argsort(angles_rad, kind="stable")
     angles = angles_rad[order]
@@ -183,7 +187,8 @@ def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, 
 def _at_mid_sweep(
     xy: FloatArray, motion: FloatArray, share: FloatArray, mount: FloatArray
 ) -> FloatArray:
-    """Points seen at `share` (m,) of the sweep, -1/2 to 1/2, in the laser's frame at its middle."""
+    """Points measured at the share (m,) of the sweep, -1/2 to 1/2, in the laser's frame at its
+    middle."""
     own = compose(compose(inverse(mount), motion), mount)[:, None, :] * share[:, None]
     c, s = np.cos(own[..., 2]), np.sin(own[..., 2])
     x = c * xy[..., 0] - s * xy[..., 1] + own[..., 0]
@@ -192,7 +197,7 @@ def _at_mid_sweep(
 
 
 def _rastered(xy: FloatArray, start: float, step: float) -> FloatArray:
-    """The points at the places of the raster that their bearings now have."""
+    """The points sorted into the raster by their present bearings."""
     m = xy.shape[1]
     middle = start + 0.5 * step * (m - 1)
     bearing = wrap(np.arctan2(xy[..., 1], xy[..., 0]) - middle) + 0.5 * step * (m - 1)

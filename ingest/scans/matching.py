@@ -1,4 +1,4 @@
-"""Odometry corrected by scan matching, window by window as the scans come in."""
+"""Correction of the odometry by scan matching, in sliding windows."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
 
 @dataclass(frozen=True, slots=True)
 class MatchingSettings:
-    """How odometry is corrected by scans."""
+    """Settings of the sliding windows."""
 
     window: int = 400
     """Keyframes solved for at once: much more than the widest pair, little memory."""
     lag: int = 60
-    """The last ones of a window are solved for again with those that follow: the widest pair."""
+    """Last keyframes of a window that are solved for again with the next one: the widest pair."""
     outside_s: float = 0.5
-    """How far beyond the odometry's ends a scan may lie."""
+    """Largest time of a scan beyond the odometry's ends."""
 
 
 MATCHING = MatchingSettings()
@@ -37,9 +37,12 @@ MATCHING = MatchingSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Matched:
-    """Keyframes whose poses are final. pose: (k, 3) of the laser in the corrected frame; fit: (k,)
-    share of the points that lie on what the keyframe before saw; searched: (k,) found by search;
-    spans: how well the poses are known."""
+    """Keyframes with final poses.
+
+    pose: (k, 3) of the laser in the corrected frame; fit: (k,) share of the points that fit the
+    previous keyframe; searched: (k,) whether found by searching; spans: uncertainty of the poses;
+    errors: the learned model of the odometry's errors.
+    """
 
     keyframes: Keyframes
     pose: FloatArray
@@ -74,8 +77,8 @@ def posed(odometry: Odometry, batches: Iterable[ScanBatch]) -> Iterator[Posed]:
 def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
     """The keyframes of a run with their corrected poses. Memory: one window.
 
-    Every window begins with keyframes whose poses are final and stay, and ends with some that are
-    solved for again in the next one.
+    Every window begins with keyframes whose poses are final, and ends with some that are solved for
+    again in the next one.
     """
     held: Keyframes | None = None
     solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
@@ -94,8 +97,8 @@ def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """What is known of the keyframes of a window: poses, fit and whether they were searched for
-    (`Matched`), and how the window as a whole was aligned."""
+    """The state of a window's keyframes: poses, fit and whether they were searched for (`Matched`),
+    and the alignment of the window."""
 
     pose: FloatArray
     fit: FloatArray
@@ -109,8 +112,7 @@ class _Solved:
 def _solve(
     held: Keyframes, known: _Solved, final: int, errors: StepErrors
 ) -> tuple[_Solved, StepErrors]:
-    """All keyframes held, of which the first ones were solved for before, `final` of them for
-    good."""
+    """Solve for all keyframes held; the first ones were solved before, `final` of them finally."""
     scans = Swept.of(held.xy, held.start, held.increment)
     n, least_fit = len(held), ALIGNMENT.lost_fit
     before = _before(held)
@@ -132,7 +134,7 @@ def _solve(
 
 
 def _before(held: Keyframes) -> IntArray:
-    """(n,) the keyframe of the same laser before each, in the same piece of odometry; else -1."""
+    """(n,) the previous keyframe of the same laser in the same piece of odometry; else -1."""
     key = np.column_stack([held.mount, held.piece])
     kind = np.unique(key, axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(kind, kind="stable")
@@ -143,7 +145,8 @@ def _before(held: Keyframes) -> IntArray:
 
 
 def _earlier(before: IntArray, offsets: tuple[int, ...]) -> list[IntArray]:
-    """Per offset, the keyframe of the same laser so many before each; -1 where there is none."""
+    """For each offset, the keyframe of the same laser that many before each; -1 where there is
+    none."""
     out, at, gone = [], np.arange(len(before)), 0
     for offset in offsets:
         while gone < offset:
@@ -159,8 +162,8 @@ def _guess(
     matched_to: tuple[IntArray, IntArray, FloatArray],
     raw: Steps,
 ) -> FloatArray:
-    """(n, 3) poses to start from: those known, then one after the other, each from the keyframe
-    that it was matched to, or by the odometry."""
+    """(n, 3) initial poses: the known ones, then dead reckoning by pairwise matches or the
+    odometry."""
     fresh, before, motion = matched_to
     came_from, step = np.arange(len(held)) - 1, np.concatenate([np.zeros((1, 3)), raw.motion])
     came_from[fresh], step[fresh] = before[fresh], motion

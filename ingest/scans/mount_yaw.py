@@ -1,9 +1,9 @@
-"""Which way a laser looks, where the log does not say: its own motion beside the odometry's.
+"""Yaw of a laser whose mounting the log does not state, from its own motion and the odometry's.
 
-Driving straight on, a laser moves in its own frame as the robot does in its, turned by how it is
-mounted; where it sits on the robot does not matter (the rotational part of hand-eye calibration:
+On straight drives, a laser moves in its own frame as the robot does in its, rotated by the
+mounting; its position on the robot does not matter (the rotational part of hand-eye calibration:
 Censi, Franchi, Marchionni and Oriolo, Simultaneous calibration of odometry and sensor parameters
-for mobile robots, 2013). Each scan is matched to the one before without asking the odometry.
+for mobile robots, 2013). Each scan is matched to the one before without using the odometry.
 """
 
 from __future__ import annotations
@@ -23,20 +23,21 @@ from .scan import ScanBatch
 from .step_errors import LOOSE_M, odometry_motion
 
 ENOUGH = 40
-"""Steps that tell: their directions scatter by some degrees, their mean then by one."""
+"""Number of straight steps: their directions scatter by some degrees, their mean by one."""
 MOST_SCANS = 4000
-"""Scans asked at most."""
+"""Largest number of scans read."""
 STRAIGHT_RAD = 0.05
-"""Turn of a step by which a laser 0.5 m off the middle moves aside by a tenth of the step."""
+"""Largest rotation of a straight step: with a laser 0.5 m off the centre, a sideways motion of a
+tenth of the step."""
 SAME_RAD, SAME_SHARE = 0.2, 0.8
-"""So near each other so many directions have to be: scans matched wrongly go anywhere."""
+"""Tolerance of directions, and the share of them that must agree: wrongly matched scans have
+arbitrary ones."""
 
 
 def mount_yaw(odometry: Odometry, batches: Iterable[ScanBatch]) -> float | None:
-    """The yaw [rad] of a laser in the robot's frame, whose scans are taken to be of the robot's
-    middle; None if not sure.
+    """The yaw [rad] of a laser in the robot's frame; None if it is uncertain.
 
-    batches: of one laser. Reads as few as needed.
+    batches: of one laser, taken to be mounted at the robot's centre. Reads as few as needed.
     """
     found = np.zeros(0)
     for frames in keyframes(posed(odometry, _first(batches))):
@@ -56,7 +57,7 @@ def _first(batches: Iterable[ScanBatch]) -> Iterator[ScanBatch]:
 
 
 def _yaws(frames: Keyframes) -> FloatArray:
-    """Of every step of a stretch of keyframes that goes straight on and is known by its scans."""
+    """The yaw by every straight step of a part that is determined by its scans [rad]."""
     second = np.arange(len(frames) - 1)
     own = odometry_motion(frames, second + 1, second)
     way = np.hypot(own[:, 0], own[:, 1])

@@ -1,4 +1,4 @@
-"""How well scan-matched odometry is known, in the terms of loop closure."""
+"""Noise of scan-matched odometry, in the terms of loop closure."""
 
 from __future__ import annotations
 
@@ -17,31 +17,32 @@ from .scan import ScanPasses
 from .step_errors import LONG, SHORT, SpanErrors
 
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)
-"""Of passes that scans show: the same place, passed again, moves by 0.08 to 0.18 m and turns by
-2 to 4 degrees, and is not found again in 6 of 100 (`benchmarks/laser.py`)."""
+"""Of passes from scans: the same place, passed again, moves by 0.08 to 0.18 m and turns by 2 to 4
+degrees, and is not detected again in 6 of 100 (`benchmarks/laser.py`)."""
 LEAST_HEADING = 1e-4
-"""No heading is kept better than this [rad per root metre]: nothing in nature is exact."""
+"""Lower bound of the heading noise [rad per root metre]."""
 USUAL_HEADING = 1e-3
-"""Heading noise [rad per root metre, or radian] of scans in twelve buildings, 0.0005 to 0.0024: as
-much as one long span tells. Of a drive of a few metres little else is known."""
+"""Prior heading noise [rad per root metre, or per root radian] with the weight of one long span:
+scans in twelve buildings have 0.0005 to 0.0024. It decides for drives of a few metres."""
 USUAL_TOGETHER, TOGETHER_SPREAD = 1.3, 0.5
-"""Variance of what all patches of wall ask for, by what it were if each erred by itself: mean and
-1 sigma over five kinds of simulated world and two buildings, 0.3 (aces) to 1.9 (organic ways), of
-all pairs of scans both ways. Measured again, over six kinds and the two: 1.2 and 0.4, 0.4 (aces) to
-1.7 (offices)."""
+"""Prior mean and 1 sigma of the design effect of wall patches: the variance of their sum, relative
+to independent errors. Over five kinds of simulated world and two buildings, 0.3 (aces) to 1.9
+(organic ways), of all pairs of scans both ways. Measured again, over six kinds and the two: 1.2 and
+0.4, 0.4 (aces) to 1.7 (offices)."""
 LEAST_SEEN = 0.25
-"""Share of the walls' errors that is seen at least: of scans that see hardly any walls."""
+"""Lower bound of the share of the walls' errors that remains in the residuals."""
 ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
-"""Of scans without odometry, at least: what bare corridors leave open [m, rad per root metre]."""
+"""Lower bounds for scans without odometry, because of bare corridors [m, rad per root metre]."""
 
 
 def matched_noise(
     spans: Sequence[SpanErrors], passes: ScanPasses, *, alone: bool = False
 ) -> RunNoise:
-    """Random walks that give the variances of the spans, those of headings by non-negative least
-    squares; branch faults by the share of variants that disagree with their pass.
+    """Noise of matched odometry: random walks fitted to the variances of the spans, those of
+    headings by non-negative least squares; branch faults by the share of variants that disagree
+    with their pass.
 
-    alone: there was no odometry beside the scans.
+    alone: whether there was no odometry beside the scans.
     """
     doubt = float(np.mean(1 - passes.confidence)) if len(passes) else PRIOR.branch_fault_rate
     fault = float(np.clip(doubt, PRIOR.branch_fault_rate, 0.5))
@@ -61,12 +62,11 @@ def matched_noise(
 
 
 def _variance(told: SpanErrors) -> FloatArray:
-    """(r,) of the turns of spans [rad²].
+    """(r,) variance of the rotations of spans [rad²].
 
-    With scores s of patches, M the sum of their variances and κ M that of their sum, what is left
-    of them at the poses fitted, s - A H⁻¹ Σ s, has squares that sum up to M (1 - 2 κ l + κ l), l
-    the share that poses absorb (if a patch has as much of the errors as of the curvature): patches
-    that err together take the poses along the more.
+    With scores s of patches, M the sum of their variances and κ M the variance of their sum, the
+    residual scores at the fitted poses, s - A H⁻¹ Σ s, have squares that sum up to M (1 - 2 κ l + κ
+    l), where l is the share absorbed by the poses (if errors are distributed like the curvature).
     """
     together = _together(told)
     seen = np.maximum(1 - together * told.absorbed, LEAST_SEEN)
@@ -74,8 +74,8 @@ def _variance(told: SpanErrors) -> FloatArray:
 
 
 def _together(told: SpanErrors) -> float:
-    """By how much all patches of wall err more than each by itself, of what is usual and of the
-    spans, each by what it tells: a square of one normal number has twice its mean as variance."""
+    """The design effect of wall patches: prior and spans, weighted by their information (the square
+    of a normal number has twice its squared mean as variance)."""
     usual = 2 * (USUAL_TOGETHER / TOGETHER_SPREAD) ** 2
     spans = len(told.apart) * SHORT / LONG
     own = float(told.apart.sum()) / max(float(told.apart_alone.sum()), 1e-12)
@@ -83,7 +83,7 @@ def _together(told: SpanErrors) -> float:
 
 
 def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> FloatArray:
-    """(2,) variance of headings per metre and per radian: as much as all spans have together."""
+    """(2,) variance of headings per metre and per radian that matches the total over all spans."""
     terms = np.column_stack([way, turned])
     weight = 1 / np.maximum(way, 0.1)
     walk, _ = nnls(terms * weight[:, None], variance * weight)
@@ -94,13 +94,13 @@ def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> 
 
 
 HALF = 0.6745
-"""Of the sigma of a normal error, within which half of all lie: errors of position are mostly
-across the way, hardly along it."""
+"""Median of the absolute value of a standard normal: position errors are mostly across the
+track."""
 
 
 def expected_drift(noise: RunNoise, pose: FloatArray, way: FloatArray, way_m: float) -> float:
-    """Median distance [m] to which a run's noise knows where `way_m` led, over all stretches of the
-    poses (n, 3) so long; NaN if there is not so much way. O(n) by sums over what turns the end."""
+    """Median position error [m] after `way_m`, by a run's noise, over all parts of the poses (n, 3)
+    of that length; NaN if the run is shorter. O(n) by prefix sums."""
     first, last = _stretches(way, way_m)
     if len(first) == 0:
         return float("nan")
@@ -117,7 +117,7 @@ def expected_drift(noise: RunNoise, pose: FloatArray, way: FloatArray, way_m: fl
 
 
 def _stretches(way: FloatArray, way_m: float) -> tuple[IntArray, IntArray]:
-    """First and last rows of all stretches of so much way."""
+    """First and last rows of all parts of the given length."""
     last = np.searchsorted(way, way + way_m)
     first = np.flatnonzero(last < len(way))
     return first, last[first]
@@ -126,8 +126,8 @@ def _stretches(way: FloatArray, way_m: float) -> tuple[IntArray, IntArray]:
 def recorded_drift(
     recorded: FloatArray, corrected: FloatArray, way: FloatArray, way_m: float
 ) -> float:
-    """Median distance [m] between where odometry as recorded (n, 3) and as corrected lead to
-    after `way_m`; NaN if there is not so much way."""
+    """Median distance [m] between recorded (n, 3) and corrected odometry after `way_m`; NaN if the
+    run is shorter."""
     first, last = _stretches(way, way_m)
     if len(first) == 0:
         return float("nan")

@@ -1,4 +1,4 @@
-"""What goes into the scan chain, and what comes out of it."""
+"""Input and output of junction detection in scans."""
 
 from __future__ import annotations
 
@@ -18,12 +18,11 @@ class ScanBatch:
     """Consecutive planar scans of one laser with the same geometry, in the order of time.
 
     times_ns: (n,) int64, time of the middle beam of each sweep; ranges_m: (n, m) float32 [m], NaN
-    where nothing was returned; free_m: (n,) or one number [m], way known to be free along a beam
-    without return, 0 where nothing is known; angles_rad: (m,) beam directions in the laser's frame,
-    counter-clockwise seen from above; T_body_laser: (3,) x, y [m], yaw [rad] of the laser in the
-    odometry's child frame; sweep_s: time from the first column's beam to the last one's [s],
-    negative if the last was taken first, 0 if unknown.
-    Raises ValueError on shapes that do not fit or times that descend.
+    without return; free_m: (n,) or one number, free distance along a beam without return [m], 0 if
+    unknown; angles_rad: (m,) beam directions in the laser's frame, counter-clockwise seen from
+    above; T_body_laser: (3,) x, y [m], yaw [rad] of the laser in the odometry's child frame;
+    sweep_s: time from the first column's beam to the last one's [s], negative if the last was
+    measured first, 0 if unknown. Raises ValueError on shapes that do not fit or times that descend.
     """
 
     times_ns: IntArray
@@ -64,15 +63,14 @@ class ScanBatch:
 
 @dataclass(frozen=True, slots=True)
 class ScanStatistics:
-    """What scan matching made of a run.
+    """Statistics of scan matching.
 
     scans: read; matched: of these, used and found to fit; drift_before_m, drift_after_m: median
-    of the position error after 20 m of way [m], of the odometry as recorded (by what was corrected)
-    and as corrected (by its own covariance, over the same ways), NaN where the run is shorter;
-    bias_rad_per_m: heading error of the odometry that was found and taken out; covered: share of
-    the way driven where the scans show the surroundings well enough to tell a junction; searched:
-    times that matching had lost its way and searched for it; odometry: whether there was any
-    beside the scans.
+    position error after 20 m [m] of the odometry as recorded (relative to the corrected one) and as
+    corrected (by its own covariance, over the same parts), NaN if the run is shorter;
+    bias_rad_per_m: heading bias of the odometry that was removed; covered: share of the distance
+    driven where the scans show enough of the surroundings; searched: number of steps found by
+    searching; odometry: whether there was any beside the scans.
     """
 
     scans: int = 0
@@ -87,10 +85,10 @@ class ScanStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanResult:
-    """Corrected odometry, its noise, and the junctions that the scans show.
+    """Corrected odometry, its noise, and the junctions detected in scans.
 
-    noise: of `odometry`, as loop closure takes it, and of the passes (centre, branch).
-    warnings: one sentence per thing found wrong, with a count.
+    noise: of `odometry`, for loop closure, and of the passes (centre, branch). warnings: one
+    sentence per kind of fault, with a count.
     """
 
     odometry: Odometry

@@ -1,4 +1,4 @@
-"""Odometry out of scans alone, where a log has no other."""
+"""Odometry from scans alone, for logs without another one."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ MOST_SCANS = 256
 """Scans matched at once."""
 
 APART_S = 0.18
-"""Scans nearer to each other are passed over: at 40 Hz the errors of many short steps add up to
+"""Least time between scans that are matched: at 40 Hz the errors of many short steps add up to
 three times those of few long ones. At 5 Hz some come early by a tenth."""
 
 LOOSE_M = 0.05
-"""1 sigma beyond which scans are not believed to tell how far the robot went between two."""
+"""1 sigma of the motion above which scans do not determine the distance of a step."""
 
 
 SPEED_M_PER_S, TURN_RAD_PER_S = 1.0, 1.0
-"""How robots move that nothing is known of: 1 sigma of speed and of rate of turn."""
+"""Prior of the motion: 1 sigma of speed and of turning rate."""
 
 
 def scan_odometry(batches: Iterable[ScanBatch]) -> Iterator[Posed]:
-    """The robot's pose at scans of the first laser, each matched to that `APART_S` before.
+    """The robot's pose at scans of the first laser, each matched to one at least `APART_S` before.
 
-    It starts at (0, 0, 0). `usable` is False for scans of other lasers and those passed over.
+    It starts at (0, 0, 0). `usable` is False for scans of other lasers and skipped ones.
     """
     laser: FloatArray | None = None
     before: Keyframes | None = None
@@ -69,7 +69,7 @@ def _without_pose(batch: ScanBatch, pose: FloatArray) -> Posed:
 def _posed(
     batch: ScanBatch, pose: FloatArray, before: Keyframes | None
 ) -> tuple[Posed, FloatArray, Keyframes | None]:
-    """A batch with its poses; the last scan's pose, and the last scan that shows anything."""
+    """A batch with its poses; the last scan's pose, and the last scan with returns."""
     part = _without_pose(batch, pose)
     rows = _apart(batch, before)
     if len(rows) == 0:
@@ -86,7 +86,7 @@ def _posed(
     found = match_steps(scans, pairs, still, ALIGNMENT)
     motion = found.motion
     if (found.loose_m > LOOSE_M).any() and (found.loose_m <= LOOSE_M).any():
-        # Along bare walls robots go on as before: the pace of the steps around that are sure.
+        # Along bare walls: match again, expecting the speed of the well-determined steps around.
         sure = found.loose_m <= LOOSE_M
         when = np.cumsum(seconds)
         pace_of = [np.interp(when, when[sure], (motion[:, k] / seconds)[sure]) for k in range(3)]
@@ -109,7 +109,7 @@ def _posed(
 
 
 def _apart(batch: ScanBatch, before: Keyframes | None) -> IntArray:
-    """Rows of scans that show anything, `APART_S` from each other and from those before."""
+    """Rows of scans with returns, at least `APART_S` from each other and from those before."""
     rows: list[int] = []
     next_ns = int(batch.times_ns[0]) if before is None else int(before.time_ns[-1] + 1e9 * APART_S)
     seen = np.isfinite(batch.ranges_m).any(axis=1)
@@ -123,13 +123,13 @@ def _apart(batch: ScanBatch, before: Keyframes | None) -> IntArray:
 
 
 def _held(time_ns: IntArray, known_ns: IntArray, pose: FloatArray) -> FloatArray:
-    """(n, 3) pose at every time: that of the last known one."""
+    """(n, 3) pose at every time: the last known one."""
     at = np.maximum(np.searchsorted(known_ns, time_ns, side="right") - 1, 0)
     return np.asarray(pose[at])
 
 
 def _rates(time_ns: IntArray, pose: FloatArray) -> FloatArray:
-    """(n,) rate of turn [rad/s] at every scan."""
+    """(n,) turning rate [rad/s] at every scan."""
     if len(pose) < 2:
         return np.zeros(len(pose))
     step = between(pose[:-1], pose[1:])[:, 2] / np.maximum(np.diff(time_ns) * 1e-9, 1e-3)

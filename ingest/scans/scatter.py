@@ -1,21 +1,22 @@
-"""How far off poses are: by how much the walls that they were fitted to pull them apart.
+"""Uncertainty of aligned poses, from the scatter of the gradients by which single walls pull at
+them.
 
-The weights of a fit say what a point is worth beside others, not how wrong the result is: what is
-seen of a stretch of wall errs together in every pair of scans that sees it, by noise, roughness and
-what stands in front of it. Stretches of wall err each by itself. An M-estimate whose data come in
-groups, independent of each other whatever hangs together within, has the covariance
+The weights of a fit determine the relative weight of points, not the error of the result: errors of
+one part of a wall are common to all pairs of scans that see it (noise, roughness, objects in
+front). Different parts of walls err independently. An M-estimate whose data come in independent
+groups has the covariance
 
     H⁻¹ (Σ s sᵀ) H⁻¹,  s = Σ of a group's gradients, H = curvature of the robust loss
 
 (Huber, The behavior of maximum likelihood estimates under nonstandard conditions, 1967; Liang and
 Zeger, Longitudinal data analysis using generalized linear models, 1986). Groups are patches of wall
-and stretches of odometry.
+and parts of the odometry.
 
-Patches of one bent wall err together. How much shows when pairs of scans are held against each
-other the other way round, points of the one before against surfaces of the one after: those err
-otherwise, as lines through bent walls lie to one side of them. Where patches are independent, the
-square of all differences' sum is the sum of their squares; else it is more, the design effect of
-clusters (Kish, Survey sampling, 1965), here without any truth.
+Patches of one bent wall err alike. How much shows when pairs of scans are matched the other way
+round, points of the earlier against surfaces of the later one, with different errors because lines
+through bent walls lie to one side of them. If patches were independent, the square of the
+differences' sum would be the sum of their squares; the ratio is the design effect of clusters
+(Kish, Survey sampling, 1965), estimated without any ground truth.
 """
 
 from __future__ import annotations
@@ -31,21 +32,21 @@ from ...topology.se2 import apply, between, turned_axes
 from .association import MOST_PAIRS, Gate, Matches, Swept, matches
 
 PATCH_M = 2.0
-"""Longer than what one line is fitted to (0.7 m) and than a door. Patches of 1 m and of 4 m give
-headings a tenth less and more noise."""
+"""Side of a patch: longer than a fitted line (0.7 m) and than a door. Patches of 1 m and of 4 m
+give headings a tenth less and more noise."""
 BACK = 4
-"""Of so many points one is held against surfaces the other way round as well: matching takes a
-twentieth longer, not a fifth. All points of every fourth scan cost as much, but what is seen in one
-scan errs together in all of its pairs: of four simulated drives `TurnErrors.apart` over apart_alone
-is off by 0.20 (r.m.s., all of all scans told 1.2 to 2.1), of every fourth point by 0.14."""
+"""Every `BACK`-th point is matched the other way round as well: matching takes a twentieth longer,
+not a fifth. All points of every fourth scan cost as much, but errors of one scan are common to all
+of its pairs: over four simulated drives `TurnErrors.apart` over apart_alone is off by 0.20 (r.m.s.,
+all of all scans gave 1.2 to 2.1), with every fourth point by 0.14."""
 STRETCH = 16
-"""Steps of odometry that err together, 4 m: turns and bends go on for so long."""
+"""Steps of odometry with common errors, 4 m: turns and bends last that long."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scores:
-    """What groups ask for. first, second: (e,) scans of a pair; group: (e,) number; gradient:
-    (e, 3) by the motion to the first scan from the second."""
+    """Gradients by groups. first, second: (e,) scans of a pair; group: (e,) index; gradient: (e, 3)
+    with respect to the motion to the first scan from the second."""
 
     first: IntArray
     second: IntArray
@@ -59,10 +60,13 @@ NO_SCORES = Scores(_NONE, _NONE, _NONE, np.zeros((0, 3)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TurnErrors:
-    """Of turns (q,), sum of squares [rad²] of what patches of walls and stretches of odometry ask
-    for; absorbed: share of the patches' errors that poses follow, so that it is not seen; apart:
-    square [rad²] of what both ways to hold scans against each other differ by, apart_alone: the sum
-    of every patch's own square."""
+    """Errors of rotations (q,).
+
+    walls, odometry: sums of squares [rad²] by patches of wall and by parts of odometry; absorbed:
+    share of the patches' errors that poses follow, so that it does not remain in the residuals;
+    apart: square [rad²] of the difference between both ways of matching scans; apart_alone: the sum
+    of every patch's own square.
+    """
 
     walls: FloatArray
     absorbed: FloatArray
@@ -73,8 +77,8 @@ class TurnErrors:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """curvature: banded (lower form, 3 n columns); what walls and odometry ask for; back: walls,
-    where every `BACK`-th point of the scan before is held against the surfaces of the one after."""
+    """curvature: banded (lower form, 3 n columns); gradients by walls and odometry; back: by walls,
+    with every `BACK`-th point of the earlier scan matched to the surfaces of the later one."""
 
     curvature: FloatArray
     walls: Scores
@@ -82,7 +86,8 @@ class Scatter:
     odometry: Scores
 
     def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> TurnErrors:
-        """Of the turns from poses `first` (q,) to `last`, by how far the groups pull them apart."""
+        """Errors of the rotations from poses `first` (q,) to `last`, from the scatter of the
+        groups."""
         q = np.arange(len(first))
         onto = np.zeros((3 * len(pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
@@ -100,8 +105,8 @@ class Scatter:
         )
 
     def ways(self, pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-        """(q,) variance [m²] of the way ahead from poses `first` (q,) to `last`, by the curvature
-        alone: where odometry leads along bare walls, nothing pulls."""
+        """(q,) variance [m²] of the distance ahead from poses `first` (q,) to `last`, by the
+        curvature alone: along bare walls there are no gradients."""
         by_last, by_first = motion_by_ends(pose, last, first)
         k, q = np.arange(3), np.arange(len(first))[:, None]
         onto = np.zeros((3 * len(pose), len(first)))
@@ -116,7 +121,8 @@ class Scatter:
 
 
 def _pulls(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
-    """(g, s) how far every group moves what `moved` (n, 3, s) stands for."""
+    """(g, s) by how much every group moves the quantities with the sensitivities `moved` (n, 3,
+    s)."""
     if len(scores.group) == 0:
         return np.zeros((0, moved.shape[2]))
     # As `motion_by_ends`, without its matrices, of which there would be one an entry.
@@ -127,7 +133,7 @@ def _pulls(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
     at_first = np.column_stack([gx, gy, turn])
     at_second = np.column_stack([-gx, -gy, dy * gx - dx * gy - turn])
     asks = np.concatenate([at_first, at_second])
-    # What a group asks of a pose, of all its pairs at once: they are many times as many.
+    # Sum by group and pose first: pairs are many times as many.
     rows = np.concatenate([scores.first, scores.second])
     where = np.tile(scores.group, 2) * len(pose) + rows
     order = np.argsort(where, kind="stable")
@@ -139,8 +145,8 @@ def _pulls(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
 
 
 def _absorbed(walls: Scores) -> float:
-    """Share of the scans' errors that their poses follow: a scan that sees k patches has three of
-    as many (MacKinnon and White, 1985)."""
+    """Share of the scans' errors that their poses follow: a scan that sees k patches has three
+    degrees of freedom of as many (MacKinnon and White, 1985)."""
     looks = len(np.unique(walls.first * (4 * SPREAD**2) + walls.group))
     return min(3 * len(np.unique(walls.first)) / max(looks, 1), 1.0)
 
@@ -148,7 +154,7 @@ def _absorbed(walls: Scores) -> float:
 def motion_by_ends(
     pose: FloatArray, first: IntArray, second: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Derivatives (p, 3, 3) of the motion to `first` from `second` by both poses."""
+    """Derivatives (p, 3, 3) of the motion to `first` from `second` with respect to both poses."""
     motion = between(pose[second], pose[first])
     by_first = turned_axes(-pose[second, 2])
     by_second = -by_first
@@ -157,7 +163,7 @@ def motion_by_ends(
 
 
 def odometry_scores(gradient: FloatArray) -> Scores:
-    """Of steps (n - 1, 3), from every pose to the next."""
+    """Gradients of steps (n - 1, 3), from every pose to the next."""
     before = np.arange(len(gradient))
     return Scores(before + 1, before, before // STRETCH, gradient)
 
@@ -169,8 +175,8 @@ def wall_scores(
     gate: Gate,
     worth: float,
 ) -> tuple[Scores, float]:
-    """What patches of wall ask for in pairs of scans that lie at poses (n, 3), a point's square of
-    1 m² counting `worth`; and the curvature of the loss, as a share of the weights. O(p m log m).
+    """Gradients by patches of wall in pairs of scans at poses (n, 3), with the weight `worth` of a
+    squared residual [1/m²]; and the curvature of the loss, as a share of the weights. O(p m log m).
     """
     first, second = pairs
     parts, curvature, weight = [NO_SCORES], 0.0, 0.0
@@ -187,15 +193,15 @@ def wall_scores(
 
 
 LEAST_CURVATURE = 0.1
-"""Where hardly a point fits, the loss as a whole may curve the other way."""
+"""Lower bound of the curvature: if hardly any point fits, it may be negative."""
 
 
 def _by_patch(on: Matches, pose: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Row of a pair, number of a patch, and the sum of gradients of points there (e, 3)."""
+    """Row of a pair, index of a patch, and the sum of the gradients of its points (e, 3)."""
     row, beam = np.nonzero(on.good)
     at = apply(pose[row], np.stack([on.x[row, beam], on.y[row, beam]], axis=1).astype(np.float64))
     nx, ny = on.nx[row, beam], on.ny[row, beam]
-    # Both sides of a wall, and two walls of a corner, are patches of their own.
+    # Both sides of a wall, and two walls at a corner, are different patches.
     bearing = np.arctan2(ny, nx, dtype=np.float64) + pose[row, 2]
     faces = np.floor(bearing / (0.5 * np.pi) + 0.5).astype(np.int64) % 4
     x, y = np.floor(at / PATCH_M).astype(np.int64).T
@@ -210,4 +216,4 @@ def _by_patch(on: Matches, pose: FloatArray) -> tuple[IntArray, IntArray, FloatA
 
 
 SPREAD = 1 << 14
-"""Patches to either side that are told apart: 32 km."""
+"""Number of patches per axis that are distinguished: 32 km."""

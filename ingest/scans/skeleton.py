@@ -1,4 +1,4 @@
-"""The skeleton of free space as a graph: places with their branches, and corridors."""
+"""The skeleton of free space as a graph of junctions and corridors."""
 
 from __future__ import annotations
 
@@ -13,30 +13,34 @@ from .skeleton_lines import Lines
 
 @dataclass(frozen=True, slots=True)
 class SkeletonSettings:
-    """What of a skeleton is a corridor, and what a corner of a room."""
+    """What is a corridor, and what a corner of a room."""
 
     clearance_m: float = 0.25
-    """Free space narrower than twice this is no way: half the width of a small robot."""
+    """Half the width of the narrowest corridor: half the width of a small robot."""
     spur_m: float = 1.5
     spur_beyond_m: float = 0.5
-    """Branches that end within this, or within the place's clearance and this, are corners."""
+    """Branches that end within `spur_m`, or within the node's clearance plus this, are corners."""
     join_m: float = 1.0
-    """Places nearer to each other along the skeleton are one: the skeleton of a crossing is two
-    forks beside each other."""
+    """Nodes nearer to each other along the skeleton are merged: a crossing appears as two adjacent
+    forks."""
     chord_m: float = 1.5
     chord_beyond_m: float = 0.3
-    """Where a branch's heading is taken: this far from the place, out of its widening."""
+    """A branch's heading is measured at a distance of `chord_m`, or of the node's clearance plus
+    this."""
 
     def with_spurs(self, factor: float) -> SkeletonSettings:
-        """The same with spurs of `factor` times the length pruned."""
+        """The same, with spurs of `factor` times the length pruned."""
         return replace(self, spur_m=factor * self.spur_m, spur_beyond_m=factor * self.spur_beyond_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A fork of a skeleton. xy: (2,) x, y [m] from the middle of the first cell; clearance_m: from
-    the nearest wall; ends: (b,) the edge of each branch, a ring's twice; sigma_m: 1 sigma of each
-    coordinate of where its ways cross, NaN before that is known."""
+    """A fork of a skeleton.
+
+    xy: (2,) from the centre of the first cell [m]; clearance_m: distance of the nearest wall; ends:
+    (b,) the edge of each branch, a ring's twice; sigma_m: 1 sigma of each coordinate of the
+    crossing of its axes, NaN if unknown.
+    """
 
     xy: FloatArray
     clearance_m: float
@@ -46,7 +50,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonGraph:
-    """Places and the ways between them. pixels: of the skeleton that is left, row and column."""
+    """Nodes and the edges between them. pixels: of the remaining skeleton, row and column."""
 
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
@@ -55,21 +59,21 @@ class SkeletonGraph:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """A way of the skeleton. nodes: at its ends, -1 for none (a dead end, or the border); cells:
-    (k, 2) row and column, in no order; length_m: along it."""
+    """A line of the skeleton. nodes: at its ends, -1 for none (a dead end, or the border); cells:
+    (k, 2) row and column, unordered; length_m: along it."""
 
     nodes: tuple[int, int]
     cells: IntArray
     length_m: float
 
     def away(self, xy: FloatArray, cell_m: float) -> FloatArray:
-        """(k, 2) where its cells lie from a point of the grid [m]."""
+        """(k, 2) offsets of its cells from a point of the grid [m]."""
         return self.cells[:, ::-1] * cell_m - xy
 
 
 @dataclass(slots=True, eq=False)
 class _Segment:
-    """A piece of skeleton while the graph is being simplified."""
+    """A line of the skeleton while the graph is being simplified."""
 
     parts: list[int]
     nodes: list[int]
@@ -79,7 +83,7 @@ class _Segment:
 
 @dataclass(slots=True, eq=False)
 class _Net:
-    """Nodes (centre, pixels) and segments by number."""
+    """Nodes (centre, clearance, number of pixels) and segments by number."""
 
     centre: dict[int, FloatArray]
     clearance: dict[int, float]
@@ -88,13 +92,13 @@ class _Net:
     incident: dict[int, list[int]] = field(default_factory=dict)
     """Segment numbers by node, twice for a loop."""
     joints: dict[int, list[int]] = field(default_factory=dict)
-    """Segments swallowed by a node when others were joined to it."""
+    """Segments absorbed by a node when nodes were merged."""
     changed: list[int] = field(default_factory=list)
-    """Segments that are no longer what they were when they were last looked at."""
+    """Segments changed since they were last examined."""
 
 
 def thin(free: BoolArray) -> BoolArray:
-    """The skeleton of a mask: one cell wide, as connected as the mask."""
+    """The skeleton of a mask: one cell wide, with the same connectivity."""
     from skimage.morphology import skeletonize
 
     lines: BoolArray = skeletonize(free)  # type: ignore[no-untyped-call]
@@ -102,10 +106,9 @@ def thin(free: BoolArray) -> BoolArray:
 
 
 def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> SkeletonGraph:
-    """The places and ways of a skeleton.
+    """The graph of a skeleton.
 
-    Spurs are pruned shortest first, places of two branches dissolved, near ones joined. Labels of
-    pixels are made at once for all of the image; what is simplified is a graph of a few nodes.
+    Spurs are pruned shortest first, nodes with two branches dissolved, near ones merged.
     """
     net = _net(lines)
     _simplify(net, settings)
@@ -139,10 +142,10 @@ def _net(lines: Lines) -> _Net:
 
 
 def _simplify(net: _Net, settings: SkeletonSettings) -> None:
-    """Prune spurs, dissolve places of two branches, join near ones, until nothing changes.
+    """Prune spurs, dissolve nodes with two branches, merge near ones, until nothing changes.
 
-    Spurs go before places are joined, the shortest first. What may be next stands in heaps, by
-    length; entries that changed since are passed over. O(n log n).
+    Spurs go before nodes are merged, the shortest first. Candidates are kept in heaps by length;
+    outdated entries are skipped. O(n log n).
     """
     spurs: list[tuple[float, int]] = []
     joints: list[tuple[float, int]] = []
@@ -159,7 +162,7 @@ def _simplify(net: _Net, settings: SkeletonSettings) -> None:
 
 
 def _is_spur(net: _Net, k: int, settings: SkeletonSettings) -> bool:
-    """Whether segment k is a corner of the free space, and no way."""
+    """Whether segment k is a corner of the free space."""
     segment = net.segments.get(k)
     if segment is None or len(segment.nodes) != 1 or segment.border:
         return False
@@ -168,7 +171,8 @@ def _is_spur(net: _Net, k: int, settings: SkeletonSettings) -> bool:
 
 
 def _joint_rank(net: _Net, k: int, settings: SkeletonSettings) -> tuple[float, int] | None:
-    """When segment k is taken for part of one place; None if it is longer. Rings come first."""
+    """The order in which segment k is merged into one node; None if it is longer. Rings come
+    first."""
     segment = net.segments.get(k)
     if segment is None or len(segment.nodes) != 2 or segment.length >= settings.join_m:
         return None
@@ -190,7 +194,7 @@ def _prune(net: _Net, spurs: list[tuple[float, int]], settings: SkeletonSettings
 
 
 def _join(net: _Net, joints: list[tuple[float, int]], settings: SkeletonSettings) -> bool:
-    """Make one place of the two nearest; False if none are near."""
+    """Merge the two nearest nodes; False if none are near."""
     while joints:
         rank = heappop(joints)
         at = abs(rank[1])
@@ -219,7 +223,7 @@ def _join(net: _Net, joints: list[tuple[float, int]], settings: SkeletonSettings
 
 
 def _dissolve(net: _Net, node: int) -> None:
-    """Let a place of fewer than three branches be part of the way through it."""
+    """Remove a node of fewer than three branches and join its segments."""
     ends = net.incident[node]
     if len(ends) >= 3:
         return
@@ -244,7 +248,7 @@ def _dissolve(net: _Net, node: int) -> None:
 
 
 def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
-    """What is left, with the cells of every way."""
+    """The remaining graph, with the cells of every edge."""
     home = np.zeros(len(lines.length_m), np.int64)
     kept = sorted(net.segments)
     for number, k in enumerate(kept, start=1):

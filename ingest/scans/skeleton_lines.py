@@ -1,4 +1,4 @@
-"""A skeleton as numbered forks and the lines between them, before anything is simplified."""
+"""A skeleton as numbered forks and the lines between them, before simplification."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from ...topology.errors import DataError
 Labels = NDArray[np.int32]
 
 SHORTEST_CELLS = 5.0
-"""Ways of a building have more cells on average. Floors of 6,000 rooms, in the largest cells that
-they are mapped in, have 6, other buildings 8 to 60; noise of single cells, of any density, 1.4 to
-4. Ways of fewer are not resolved: three of their cells are the forks'."""
+"""Least mean number of cells per line: floors of 6,000 rooms, in the largest cells that they are
+mapped in, have 6, other buildings 8 to 60; noise of single cells, of any density, 1.4 to 4. Shorter
+lines are not resolved: three of their cells are the forks'."""
 
 FEW_LINES = 1 << 13
-"""So few are traced whatever they are: it takes no second."""
+"""So few lines are traced in any case: it takes less than a second."""
 
 MOST_LINES = 1 << 14
-"""A floor of 4,700 rooms has so many: to map it takes some three seconds."""
+"""A floor of 4,700 rooms has as many, which takes about three seconds."""
 
 _AROUND = np.ones((3, 3), np.int8)
 
@@ -31,11 +31,11 @@ _AROUND = np.ones((3, 3), np.int8)
 class Lines:
     """Forks and lines of a skeleton, each numbered from 1 on.
 
-    cells: (c, 2) row and column of all cells of lines; line: (c,) of which;
-    fork_xy: (f + 1, 2) x, y [m] of each fork's middle, from that of the first cell;
-    fork_clearance_m: (f + 1,) from the nearest wall; fork_cells: (f + 1,) in it; length_m: (l + 1,)
-    of each line, and from its ends into the forks; touching: line and fork of every end of a line;
-    border: lines that run into where the grid ends.
+    cells: (c, 2) row and column of all cells of lines; line: (c,) line of each; fork_xy: (f + 1, 2)
+    centre of each fork, from that of the first cell [m]; fork_clearance_m: (f + 1,) distance of the
+    nearest wall; fork_cells: (f + 1,) number of cells; length_m: (l + 1,) of each line, including
+    its ends in the forks; touching: line and fork of every end of a line; border: lines that run
+    into the border of the grid.
     """
 
     cells: IntArray
@@ -54,10 +54,10 @@ def lines_of(
     cell_m: float,
     border: BoolArray | None = None,
 ) -> Lines:
-    """The forks and lines of a skeleton (h, w); clearance_m: (h, w) distance from walls;
-    border: (h, w) cells where the grid ends and ways may go on, by default those around it.
+    """The forks and lines of a skeleton (h, w); clearance_m: (h, w) distance from walls; border:
+    (h, w) cells at the end of the grid, where corridors may go on, by default those around it.
 
-    Raises DataError on noise, and where there are too many. O(h w).
+    Raises DataError on noise, and if there are too many. O(h w).
     """
     fork = skeleton & (_around(skeleton) > 3)
     fork_label, forks = labelled(fork)
@@ -87,7 +87,7 @@ def lines_of(
 
 
 def _around(mask: BoolArray) -> NDArray[np.int8]:
-    """(h, w) how many of each cell and the eight around it are in a mask."""
+    """(h, w) number of cells in a mask among each cell and its eight neighbours."""
     h, w = mask.shape
     padded = np.zeros((h + 2, w + 2), np.int8)
     padded[1:-1, 1:-1] = mask
@@ -97,7 +97,7 @@ def _around(mask: BoolArray) -> NDArray[np.int8]:
 
 
 def _check(cells: int, lines: int) -> None:
-    """Raise DataError if so many lines, of so many cells together, are no building's."""
+    """Raise DataError if the number of lines, or of cells per line, is not that of a building."""
     if lines > FEW_LINES and cells < SHORTEST_CELLS * lines:
         raise DataError(
             f"the free space falls into {lines} ways of {cells / lines:.1f} cells on average: "
@@ -111,7 +111,7 @@ def _check(cells: int, lines: int) -> None:
 
 
 def labelled(mask: BoolArray) -> tuple[Labels, int]:
-    """Numbers from 1 on of cells that hang together by sides or corners, and how many."""
+    """Connected components of cells (8-connectivity), numbered from 1 on, and their number."""
     label, count = ndimage.label(mask, _AROUND)
     return np.asarray(label, np.int32), int(count)
 
@@ -124,7 +124,7 @@ def _outline(mask: BoolArray) -> BoolArray:
 
 
 def _lengths(skeleton: BoolArray, label: Labels, count: int) -> FloatArray:
-    """(count + 1,) length of every line in cells, and from its ends into the forks."""
+    """(count + 1,) length of every line in cells, including its ends in the forks."""
     out = np.zeros(count + 1)
     s = skeleton
     for a, b, step in (
@@ -154,7 +154,7 @@ def _touching(fork: Labels, line: Labels) -> list[tuple[int, int]]:
             ends_line.append(lines[there])
             ends_fork.append(number[there])
             cells.append(((rows + dy) * width + columns + dx)[there])
-    # By line, fork and cell: one number of each three sorts faster than they do.
+    # Sorted by (line, fork, cell), as one number each, which is faster.
     shape = int(line.max(initial=0)) + 1, int(fork.max(initial=0)) + 1, line.size
     every = (np.concatenate(c) for c in (ends_line, ends_fork, cells))
     found = np.unravel_index(np.unique(np.ravel_multi_index(tuple(every), shape)), shape)

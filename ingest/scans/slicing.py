@@ -1,4 +1,4 @@
-"""Clouds of points sliced at a band of heights, as if a laser had scanned there."""
+"""Point clouds sliced at a band of heights, as virtual laser scans."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from ..logs.clouds import Cloud
 from ..logs.scan_rows import Geometry, RawScans
 
 FARTHEST_M = 1000.0
-"""Ranges beyond that are broken numbers: the longest scanners measure some hundred metres."""
+"""Larger ranges are invalid: the longest scanners measure some hundred metres."""
 
 BEAMS = 360
-"""Directions of a slice, 1 degree each: as coarse as the beams of the laser scanners in use."""
+"""Number of directions of a slice, 1 degree each, as for common laser scanners."""
 
 WIDEST = 6
-"""Directions of a sparse cloud are up to so many degrees wide: points of a wall 3 m away are then
-as far apart as a line in it is long (`SurfaceSettings.reach_m`)."""
+"""Largest width of the directions of a sparse cloud [degrees]: points on a wall 3 m away are then
+as far apart as a fitted line is long (`SurfaceSettings.reach_m`)."""
 
 IN_A_ROW = 0.8
-"""Share of directions next to which something is seen, too: of five in a row, which make a line
-(`SurfaceSettings.least_beams`), four have a next one."""
+"""Least share of directions with a return that have one in the next direction as well: of five in a
+row, which make a line (`SurfaceSettings.least_beams`), four do."""
 
 PIECE = 1 << 18
-"""So many points are looked at together: memory for more is not needed."""
+"""Points processed at once, to bound memory."""
 
 OPTICAL = np.array([0.0, 0.0, 0.0, -0.5, 0.5, -0.5, 0.5])
-"""A camera looks along z with y downwards: its frame, in one that looks along x with z upwards."""
+"""Rotation of a camera's optical frame (z ahead, y down) to one with x ahead and z up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,8 +38,8 @@ class SliceSettings:
     """Which points of a cloud are walls.
 
     band_m: lowest and highest z in the robot's frame; None: `half_m` below and above the sensor,
-    but not the floor, for which everything below floor_m above the robot's origin is taken, if the
-    sensor is higher. nearest_m: what is nearer is the robot itself.
+    but without the floor: everything below floor_m above the robot's origin, if the sensor is
+    higher. nearest_m: nearer points are the robot itself.
     """
 
     band_m: tuple[float, float] | None = None
@@ -52,7 +52,7 @@ class SliceSettings:
             raise UsageError(f"--cloud-band: heights must come lowest first, not {self.band_m}")
 
     def band(self, sensor_z_m: float) -> tuple[float, float]:
-        """Lowest and highest z for a sensor at a height."""
+        """Lowest and highest z for a sensor at the given height."""
         if self.band_m is not None:
             return self.band_m
         low, high = sensor_z_m - self.half_m, sensor_z_m + self.half_m
@@ -63,7 +63,7 @@ DEFAULT_SLICES = SliceSettings()
 
 
 def mount_of_camera(frame: str) -> FloatArray:
-    """(7,) how a sensor looks whose mounting nobody knows: ahead, if it is a camera's."""
+    """(7,) assumed pose of a sensor of unknown mounting: looking ahead if it is a camera."""
     optical = frame.endswith("optical_frame")
     return OPTICAL.copy() if optical else np.array(NOWHERE_ELSE)
 
@@ -71,8 +71,8 @@ def mount_of_camera(frame: str) -> FloatArray:
 def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> RawScans:
     """The nearest point of the band in each of BEAMS directions, seen from the sensor.
 
-    T_body_sensor: (7,) pose of the cloud's frame. Directions in which nothing is seen tell nothing.
-    Where the points stand farther apart, there are fewer, wider directions. O(points).
+    T_body_sensor: (7,) pose of the cloud's frame. Directions without points are unknown. For sparse
+    clouds there are fewer, wider directions. O(points).
     """
     from scipy.spatial.transform import Rotation
 
@@ -103,8 +103,8 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
 
 
 def _in_a_row(ranges: FloatArray) -> FloatArray:
-    """The nearest ranges of directions as wide as it takes for neighbours to see something, too;
-    (BEAMS,) as they are where no width does that. ranges: inf where nothing is seen."""
+    """The ranges in the narrowest directions that have returns in adjacent ones; (BEAMS,) unchanged
+    if no width does. ranges: inf without return."""
     for degrees in range(1, WIDEST + 1):
         wider = ranges.reshape(-1, degrees).min(axis=1)
         seen = np.isfinite(wider)

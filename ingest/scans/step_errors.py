@@ -1,4 +1,4 @@
-"""What the odometry gets wrong from scan to scan, and what is left of it after matching."""
+"""A model of the odometry's errors between scans, and the uncertainty left after matching."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from .alignment import Aligned
 from .keyframes import Keyframes
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
-"""1 sigma of heading errors in general: per metre [rad/m], per radian, and by a lag [s]."""
+"""Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s]."""
 SHIFT_PRIOR = (0.03, 0.03, 0.1, 0.1)
-"""1 sigma of the scale of ways, of their direction [rad], and of where the odometry's centre of
-turns lies [m]."""
+"""Prior 1 sigma of the scale of distances, of their direction [rad], and of the position of the
+odometry's centre of rotation [m]."""
 LOOSE_M = 0.03
-"""1 sigma beyond which scans are not believed to tell how far the robot went."""
+"""1 sigma of the motion above which scans do not determine the distance of a step."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Learned:
-    """Robust least squares so far: `normal` (k, k), `right` (k,), under a prior of k sigmas."""
+    """Recursive robust least squares: `normal` (k, k), `right` (k,), with a prior of k sigmas."""
 
     normal: FloatArray
     right: FloatArray
@@ -36,7 +36,7 @@ class _Learned:
         return np.asarray(np.linalg.solve(self.normal, self.right))
 
     def more(self, A: FloatArray, b: FloatArray) -> _Learned:
-        """With rows A (p, k) x = b (p,)."""
+        """Add rows A (p, k) x = b (p,)."""
         out = self
         for _ in range(8):
             off = b - A @ out.terms
@@ -48,12 +48,11 @@ class _Learned:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepErrors:
-    """A model of the odometry's steps, learned from what matching makes of them.
+    """A model of the odometry's errors, learned from scan matching.
 
-    heading: θ_true = θ + β s + κ θ + δ ω (bias per metre forwards, which unequal wheels turn the
-    other way when they go backwards; scale of turns, lag); shift: of the
-    scale of ways, their direction, and x, y of the centre of the odometry's turns in the robot's
-    frame.
+    heading: θ_true = θ + β s + κ θ + δ ω (bias per metre forwards, which has the opposite sign
+    backwards for unequal wheels; scale of turns, lag); shift: scale of distances, their direction,
+    and x, y of the odometry's centre of rotation in the robot's frame.
     """
 
     heading: _Learned = field(default_factory=lambda: _Learned.of(HEADING_PRIOR))
@@ -67,14 +66,15 @@ class StepErrors:
     def steps(
         self, frames: Keyframes, first: IntArray, second: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Motion (p, 3) to keyframes `first` from `second`, corrected; information."""
+        """Corrected motion (p, 3) to keyframes `first` from `second`, and its information (p, 3,
+        3)."""
         own = odometry_motion(frames, first, second)
         inputs = _inputs(frames, first, second, own)
         turn = wrap(own[:, 2] + inputs @ self.heading.terms)
         shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
         motion = np.column_stack([own[:, :2] + shift, turn])
         motion = compose(compose(inverse(frames.mount[second]), motion), frames.mount[first])
-        # What learning leaves: errors of ways and headings hang together over many steps.
+        # Remaining errors of distances and headings, correlated over many steps.
         way = np.hypot(own[:, 0], own[:, 1])
         along, heading = 0.01 + 0.05 * way, 0.005 + 0.02 * way + 0.05 * np.abs(own[:, 2])
         information = np.zeros((len(motion), 3, 3))
@@ -88,7 +88,8 @@ class StepErrors:
         pairs: tuple[IntArray, IntArray],
         matched: tuple[FloatArray, BoolArray, BoolArray],
     ) -> StepErrors:
-        """With the motion (p, 3) of more pairs as matched, where turn and where way are sure."""
+        """The model after adding the matched motion (p, 3) of pairs, where rotation and where
+        distance are certain."""
         (first, second), (motion, turn_sure, way_sure) = pairs, matched
         own = odometry_motion(frames, first, second)
         real = compose(compose(frames.mount[second], motion), inverse(frames.mount[first]))
@@ -110,33 +111,33 @@ def odometry_motion(frames: Keyframes, first: IntArray, second: IntArray) -> Flo
 
 
 def _inputs(frames: Keyframes, first: IntArray, second: IntArray, own: FloatArray) -> FloatArray:
-    """(p, 3) way forwards, turn and change of the rate of turn over each step."""
+    """(p, 3) distance forwards, rotation and change of the turning rate over each step."""
     return np.column_stack([own[:, 0], own[:, 2], frames.rate[first] - frames.rate[second]])
 
 
 def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
-    """(p, 2, 4) what a motion's x and y change by a scale, by another direction, and by a centre
-    at x and at y."""
+    """(p, 2, 4) derivatives of a motion's x and y with respect to the scale, the direction, and the
+    centre's x and y."""
     (x, y), c, s = own[:, :2].T, np.cos(turn) - 1, np.sin(turn)
     out = np.stack([x, -y, c, -s, y, x, s, c], axis=1)
     return np.asarray(out.reshape(-1, 2, 4))
 
 
 SHORT, LONG = 16, 80
-"""Keyframes over which ways are told (4 m: headings add little to them) and headings (20 m: what
-a single keyframe is off adds little)."""
+"""Lengths of spans in keyframes, for distances (4 m: heading errors add little) and for headings
+(20 m: errors of single keyframes add little)."""
 SURER_ALONG = 0.4
-"""Of the variance by which `alignment` weighs scans against odometry, the part by which ways are
-off (`benchmarks/laser.py`): it takes the looks of a scan for more alike than they are."""
+"""Factor on the variance of distances by the weights of `alignment` (`benchmarks/laser.py`), which
+assume more correlation between the points of a scan than there is."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SpanErrors:
-    """Stretches of corrected odometry and how well they are known by the scans' own account.
+    """Spans of corrected odometry and their uncertainty.
 
-    way: (q,) [m]; along: (q,) variance of the way [m²]; far: (r,) [m] and turned: (r,) [rad summed
-    up] of other stretches, longer where there are any; walls, absorbed, odometry, apart,
-    apart_alone: (r,) of their turns (`TurnErrors`).
+    way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m] and turned: (r,)
+    absolute rotation [rad] of other, longer spans; walls, absorbed, odometry, apart, apart_alone:
+    (r,) of their rotations (`TurnErrors`).
     """
 
     way: FloatArray
@@ -151,7 +152,7 @@ class SpanErrors:
 
 
 def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
-    """Of spans among the rows of a window."""
+    """The errors of spans among the given rows of a window."""
     pose, scatter = aligned.pose, aligned.scatter
     first, last = _spans(rows, SHORT)
     begin, end = _spans(rows, min(LONG, max(rows.stop - rows.start - 1, SHORT)))
@@ -172,6 +173,6 @@ def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
 
 
 def _spans(rows: slice, length: int) -> tuple[IntArray, IntArray]:
-    """First and last rows of spans that overlap, `SHORT` keyframes apart."""
+    """First and last rows of overlapping spans, `SHORT` keyframes apart."""
     first = np.arange(rows.start, max(rows.stop - length, rows.start), SHORT)
     return first, first + length

@@ -1,4 +1,4 @@
-"""Junctions seen from every stretch of the way: a grid around it, its skeleton, what forks near."""
+"""Junctions seen from every part of the track: a grid around it, its skeleton, and its forks."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .skeleton_lines import Lines, labelled, lines_of
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One way of looking at a window."""
+    """One variant of the settings of a window."""
 
     grid: GridSettings
     skeleton: SkeletonSettings
@@ -30,22 +30,21 @@ class Variant:
 
 @dataclass(frozen=True, slots=True)
 class WindowSettings:
-    """Where windows lie and what is looked for in them."""
+    """Positions of windows and their contents."""
 
     grid: GridSettings = field(default_factory=GridSettings)
     skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
     way_m: float = 10.0
-    """Way driven before and after that a window is made of: what comes counts as much as what
-    was, and drift is still small."""
+    """Distance before and after that a window is made of: short enough for little drift."""
     every_m: float = 1.5
     half_m: float = 6.0
     """Half the side of a window: the farthest node, and a spur beyond it."""
     near_m: float = 1.25
-    """A place that the robot drove by at no more than this was passed."""
+    """Largest distance at which a passed junction counts."""
 
     @property
     def variants(self) -> tuple[Variant, ...]:
-        """The settings themselves and six others beside them, each off in one respect."""
+        """The settings and six variations, each in one parameter."""
         g, s, way = self.grid, self.skeleton, self.way_m
         return (
             Variant(g, s, way),
@@ -62,14 +61,15 @@ WINDOWS = WindowSettings()
 
 
 MOST_HELD = 800
-"""Keyframes held for the windows to come, 50 kB each."""
+"""Keyframes held for later windows, 50 kB each."""
 SHOWN_M = 4.0
-"""How far from the middle of a window its skeleton is kept for the picture."""
+"""Distance from the centre of a window up to which its skeleton is kept for the picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
-    """What one window shows: its middle [m of way], forks, skeleton points (k, 2) near it."""
+    """The contents of one window: its position [m driven], forks (variant, distance driven,
+    crossing), and skeleton points (k, 2) near it."""
 
     number: int
     way: float
@@ -79,19 +79,19 @@ class Seen:
 
 @dataclass(slots=True, eq=False)
 class _Rolling:
-    """Keyframes around the next window, and the way driven up to each."""
+    """Keyframes around the next window, and the distance driven up to each."""
 
     seen: Looks
     body: FloatArray
     way: FloatArray
 
     def at(self, way: FloatArray | float) -> FloatArray:
-        """(…, 2) where the robot was after so much of the way."""
+        """(…, 2) position of the robot after a distance."""
         return np.stack([np.interp(way, self.way, self.body[:, k]) for k in (0, 1)], axis=-1)
 
 
 def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
-    """Look through a window at every stretch of the way, as the keyframes come in.
+    """Evaluate a window at every `every_m` of the track, as the keyframes come in.
 
     Memory: the keyframes of two windows.
     """
@@ -117,7 +117,7 @@ def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
 
 
 def _pieces(part: Matched) -> Iterator[Matched]:
-    """A part cut where the odometry is broken."""
+    """A part, cut at breaks of the odometry."""
     cuts = np.flatnonzero(np.diff(part.keyframes.piece)) + 1
     for a, b in zip([0, *cuts], [*cuts, len(part.pose)], strict=True):
         if b > a:
@@ -126,7 +126,7 @@ def _pieces(part: Matched) -> Iterator[Matched]:
 
 
 def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
-    """The keyframes held, with more behind them; driven: the way before the first of all."""
+    """The keyframes held, with more appended; driven: the distance before the first of all."""
     body = compose(run.pose, inverse(run.keyframes.mount))
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
@@ -141,7 +141,7 @@ def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
 
 def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     first = min(int(np.searchsorted(held.way, oldest)), len(held.way) - 1)
-    # A robot that turns and turns on the spot adds no way: every second keyframe tells as much.
+    # Rotation on the spot adds keyframes without distance: thin them out.
     every = 1 + (len(held.way) - first) // MOST_HELD
     rows = np.arange(len(held.way) - 1, first - 1, -every)[::-1]
     return _Rolling(take(held.seen, rows), held.body[rows], held.way[rows])
@@ -150,7 +150,7 @@ def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
 def _due(
     held: _Rolling, stretch: tuple[float, float], numbers: Iterator[int], tally: BendTally
 ) -> Iterator[Seen]:
-    """The windows whose middles lie within a stretch of the way held, from its begin on."""
+    """The windows whose centres lie within an interval of the distance held, from its start on."""
     (following, ready), last = stretch, float(held.way[-1])
     while following <= min(ready, last):
         yield _look(held, following, next(numbers), tally)
@@ -197,8 +197,8 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _View:
-    """Free space that the robot drove through: (s + 1, s) distance from walls, the last row none,
-    and the lines of its skeleton."""
+    """Free space that the robot drove through: clearance_m: (s + 1, s) distance from walls, the
+    last row empty; lines of its skeleton."""
 
     clearance_m: FloatArray
     lines: Lines
@@ -207,8 +207,8 @@ class _View:
 def _views(
     masks: Sequence[BoolArray], variants: Sequence[Variant], at: IntArray, cell_m: float
 ) -> list[_View]:
-    """Per variant, its free space (s, s) around cells `at` (c, 2) of the way; one for those that
-    differ in what is pruned."""
+    """For each variant, its free space (s, s) around cells `at` (c, 2) of the track; shared by
+    those that differ only in pruning."""
     side = len(masks[0])
     kinds = [(id(m), v.skeleton.clearance_m) for m, v in zip(masks, variants, strict=True)]
     distinct = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
@@ -229,13 +229,13 @@ def _views(
 
 
 def _distances(mask: BoolArray, cell_m: float) -> FloatArray:
-    """(s, s) distance from the nearest wall [m]; what lies beyond the border is none."""
+    """(s, s) distance from the nearest wall [m]; the border is not a wall."""
     away = ndimage.distance_transform_edt(np.pad(mask, 1, mode="edge"))
     return np.asarray(away, np.float64)[1:-1, 1:-1] * cell_m
 
 
 def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
-    """What hangs together with cells `at` (c, 2), x and y."""
+    """The components that contain cells `at` (c, 2), x and y."""
     labels, count = labelled(open_)
     mine = np.zeros(count + 1, bool)
     mine[labels[at[:, 1], at[:, 0]]] = True
@@ -269,7 +269,7 @@ def _masks(
 
 
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
-    """(w, 2) points of the way, closer than `step`."""
+    """(w, 2) points of the track, closer than `step`."""
     begin, end = max(begin, float(held.way[0])), min(end, float(held.way[-1]))
     return held.at(np.linspace(begin, end, max(2, int((end - begin) / (0.7 * step)) + 2)))
 
@@ -287,7 +287,8 @@ def _near(held: _Rolling, middle: float, reach: float) -> _Span:
 
 
 def _passed(xy: FloatArray, span: _Span, near_m: float) -> float | None:
-    """Way driven when the robot was nearest to a place; None if it did not drive by in the span."""
+    """Distance driven when the robot was nearest to a place; None if it did not pass within the
+    span."""
     distance = np.hypot(*(span.xy - xy).T)
     best = int(np.argmin(distance))
     return float(span.way[best]) if distance[best] <= near_m else None
