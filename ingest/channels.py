@@ -1,4 +1,4 @@
-"""Which channels of a log are read, how they are decoded, and whether that can work at all."""
+"""Selection of a log's channels, their decoders, and early checks of both."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .read_settings import ReadSettings
 from .topic_poses import TopicPoses
 
 TRIED = 100
-"""So many messages are tried before all are read, where only messages tell what is in them."""
+"""Number of messages tried before all are read, if only messages show their contents."""
 
 
 def acceptance(
     counts: Mapping[Channel, int] | None, settings: ReadSettings, log: str
 ) -> Callable[[Channel], bool]:
-    """Which channels to keep: the chosen ones if the index tells, else all that may be chosen."""
+    """Which channels to keep: the chosen ones if the index lists them, else all candidates."""
     named = {
         f"/{name.strip('/')}"
         for name in (settings.odometry_topic, settings.junction_topic)
@@ -43,7 +43,7 @@ def acceptance(
 
 
 def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> set[str]:
-    """Topics of odometry and detections; scans are read by themselves, and can do without both."""
+    """Topics of odometry and detections; scans are read separately, and need neither."""
     source = junction_source(counts, settings, log)
     detections = {source.choice.topic} if source.way == "topic" else set()
     if source.way == "grid":
@@ -57,7 +57,7 @@ def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> 
 
 
 def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecoder]:
-    """How channels are decoded: by their types, but the junctions by the fields that are named."""
+    """The decoder of each channel: by its type, or for junctions by the fields that are named."""
     if settings.junction_fields is None:
         return decoder_for
     fields = JunctionFields.parse(settings.junction_fields)
@@ -73,7 +73,8 @@ def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecode
 
 
 def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
-    """Channels of detections: how a sensor is mounted is found out when all is read."""
+    """Channels of detections, kept in three dimensions: their sensor's mounting is only known in
+    the end."""
     return lambda channel: (
         channel.topic == settings.mapped_topic or channel.type_name in JUNCTION_KINDS
     )
@@ -82,9 +83,9 @@ def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
 def check_mapping(
     recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings
 ) -> None:
-    """UsageError where --junction-fields leads nowhere in the topic, before all of it is read.
+    """UsageError if --junction-fields does not fit the topic, before all of it is read.
 
-    What the definition of the messages leaves open, the first messages tell.
+    What the definition of the messages leaves open is checked on the first messages.
     """
     if settings.junction_fields is None:
         return
@@ -96,9 +97,9 @@ def check_mapping(
 
 
 def try_mapping(recording: Recording, settings: ReadSettings) -> None:
-    """UsageError if nothing comes of the first messages of the mapped topic.
+    """UsageError if none of the first messages of the mapped topic can be decoded.
 
-    These are looked for as far as they lie apart: one that says something else proves nothing.
+    Several are tried, because a single one that fails proves nothing.
     """
     topic, log = settings.mapped_topic or "", str(recording.path)
     intake = Intake(

@@ -1,4 +1,4 @@
-"""Grids too large to be thinned as they are, in larger cells: work follows what a grid can show."""
+"""Coarsening of grids that are too large for thinning at full resolution."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from ..topology.run import Grid
 from .scans.grid import GridSettings, without_islands
 
 MOST_CELLS = 1 << 21
-"""Cells that are thinned at most, 70 by 70 m at 5 cm, 140 at the 10 cm of scans:
+"""Largest number of cells that are thinned, 70 by 70 m at 5 cm, 140 at the 10 cm of scans:
 distances from walls take 64 bytes each."""
 
 MOST_PEELED = 1 << 28
-"""Thinning goes through all cells for every layer of the widest open space. So many, in all its
+"""Thinning visits all cells for every layer of the widest open space. This many visits, in all
 variants, take a second."""
 
 ISLAND_M = GridSettings().island_m
 
 
 class Affordable(NamedTuple):
-    """A grid that can be thinned; open_: (h, w) its free cells with islands filled, as it is
-    thinned; told: what a person is told of larger cells."""
+    """A grid that can be thinned; open_: (h, w) its free cells with islands filled; told: a warning
+    if it was coarsened."""
 
     grid: Grid
     open_: BoolArray
@@ -34,10 +34,10 @@ class Affordable(NamedTuple):
 
 
 def affordable(grid: Grid, island_m: float = ISLAND_M) -> Affordable:
-    """The grid, in larger cells where there are too many.
+    """The grid, with larger cells if there are too many.
 
-    A larger cell is free if all its parts are: walls stay where they are, ways get narrower by a
-    cell at most. island_m: what stands free in it and is no larger is no wall. O(cells).
+    A larger cell is free if all its parts are: walls stay, corridors get narrower by at most a
+    cell. island_m: isolated obstacles up to this size are not walls. O(cells).
     """
     factor = math.ceil(math.sqrt(grid.free.size / MOST_CELLS))
     # With a cell around: a grid in one row is three of them.
@@ -63,13 +63,13 @@ def affordable(grid: Grid, island_m: float = ISLAND_M) -> Affordable:
 
 
 def _filled(grid: Grid, island_m: float) -> BoolArray:
-    """Its free cells, and what stands free among them."""
+    """Its free cells, with islands filled."""
     settings = replace(GridSettings(), island_m=island_m, cell_m=grid.resolution_m)
     return without_islands(grid.free, settings)
 
 
 def _coarser(grid: Grid, factor: int) -> Grid:
-    """Cells of `factor` by `factor` others as one, or of those that are left at the far edges."""
+    """Blocks of `factor` by `factor` cells as one, smaller at the far edges."""
     if factor <= 1:
         return grid
     free, unknown = grid.free, grid.unknown
@@ -80,7 +80,7 @@ def _coarser(grid: Grid, factor: int) -> Grid:
 
 
 def _joined(cells: BoolArray, factor: int, axis: int, join: np.ufunc) -> BoolArray:
-    """Every `factor` rows or columns as one; numpy's `reduceat` takes ten times as long."""
+    """Blocks of `factor` rows or columns combined; ten times as fast as numpy's `reduceat`."""
     turned = np.moveaxis(cells, axis, 0)
     out: BoolArray = turned[::factor].copy()
     for k in range(1, min(factor, len(turned))):

@@ -1,4 +1,4 @@
-"""How much of the way that a robot drove the corridors of its map stand for."""
+"""Shares of the distance driven that the corridors of a map represent."""
 
 from __future__ import annotations
 
@@ -12,18 +12,17 @@ from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points
 
 ON_THE_WAY = TurnedBack(NO_TURNING_POINTS)
-"""Of a robot that turned round nowhere but at its junctions."""
+"""For a robot that turned round only at its junctions."""
 
 
 def driven_shares(
     topomap: TopoMap, odometry: Odometry, turned: TurnedBack = ON_THE_WAY
 ) -> dict[str, float]:
-    """Of the way driven: how long it is [m], and the shares of it `corridors`: from junction to
-    junction, to turning points and back, and along a part of such ways; `out_and_back`: out of a
-    junction and back to it, where the map has nothing; `ends`: before the first and after the last
-    place of the map, likewise.
+    """The distance driven [m] and its shares: `corridors`: between junctions, to turning points and
+    back, and partial traversals of these; `out_and_back`: out of a junction and back where the map
+    has no corridor; `ends`: before the first and after the last place of the map, likewise.
 
-    odometry: that which the map was made with; turned: what was driven along parts. O(n log n).
+    odometry: that of the map; turned: distances driven on partial traversals. O(n log n).
     """
     way = float(way_along(odometry)[-1]) if len(odometry) else 0.0
     topomap = with_turning_points(topomap)

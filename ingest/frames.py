@@ -1,4 +1,4 @@
-"""Which frames of a robot the fixed transforms of a log join: a sensor to its base, say."""
+"""Fixed transforms of a log, e.g. from a sensor to the robot's base."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from .logs.poses import Frames, PoseDecoder, Poses, no_poses
 Pair = tuple[str, str]
 
 NOWHERE_ELSE = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
-"""The transform from a frame to itself."""
+"""The identity transform."""
 
 FIXED = 1e-3
-"""A transform is fixed if no translation [m] or quaternion component of it changes by more: what is
-computed from joints that stand is rounded, what moves at all moves further."""
+"""A transform is fixed if no translation [m] or quaternion component changes by more than this, to
+allow for rounding."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixedTransforms:
-    """Transforms that stay the same all through a log.
+    """Transforms that are constant throughout a log.
 
     value: by (parent, child) T_parent_child as x, y, z [m], qx, qy, qz, qw; moving: pairs whose
     transform changes.
@@ -36,7 +36,8 @@ class FixedTransforms:
     moving: frozenset[Pair] = frozenset()
 
     def joined_to(self, target: str) -> dict[str, FloatArray]:
-        """(7,) T_target_source of every frame that fixed transforms join, by the fewest of them.
+        """(7,) T_target_source of every frame connected by fixed transforms, along the shortest
+        chain.
 
         O(number of transforms).
         """
@@ -85,7 +86,7 @@ class FixedTransforms:
 
     @property
     def groups(self) -> list[list[str]]:
-        """Names of the frames that are fixed to each other, group by group."""
+        """Connected components of frames, by name."""
         from scipy.cluster.hierarchy import DisjointSet
 
         joined = DisjointSet({name for pair in self.value for name in pair})
@@ -110,7 +111,7 @@ NO_TRANSFORMS = FixedTransforms()
 
 
 def seen_from(T_a_b: FloatArray, poses: FloatArray) -> FloatArray:
-    """Poses (k, 7) given in frame b, in frame a. T_a_b: (7,)."""
+    """Poses (k, 7) of frame b in frame a. T_a_b: (7,)."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(T_a_b[3:])

@@ -1,4 +1,4 @@
-"""A grid as a log or a file holds it, in place of a run."""
+"""An occupancy grid from a log or a file, in place of a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..topology.run import Grid
 
 @dataclass(frozen=True, slots=True)
 class GridLog:
-    """A grid as it was saved or recorded; name, source, warnings: as of a run."""
+    """A grid as it was saved or recorded; name, source, warnings: see `Run`."""
 
     name: str
     grid: Grid

@@ -21,26 +21,27 @@ from .grid_log import GridLog
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 
 SMOOTH_M = 0.5
-"""Skeletons go in steps of cells; corridors are straight over this."""
+"""Length over which the staircase steps of skeletons are smoothed; corridors are straight over
+it."""
 
 PATH_TOLERANCE_M = 0.08
-"""As for the corridors of runs (`mapbuilding`)."""
+"""Tolerance of simplified paths, as for the corridors of runs (`mapbuilding`)."""
 
 GRID_NOISE = RunNoise(
     centre_m=0.1, branch_rad=0.07, miss_rate=0.05, phantom_rate=0.03, branch_fault_rate=0.1
 )
 """Of places found in skeletons, as measured on passes of real buildings: centres repeat within 0.08
-to 0.18 m, branches within 4 degrees, one place in ten with another number of branches. Maps of
-others are corrected by their makers; how well, they do not say: odometry's defaults stand."""
+to 0.18 m, branches within 4 degrees, one place in ten with another number of branches. The accuracy
+of the grid itself is unknown: the defaults of odometry are used."""
 
 
 FLOORPLAN = FloorplanSettings()
 
 
 def map_of_grid(log: GridLog) -> TopoMap:
-    """The topological map of the largest connected part of a grid's free space.
+    """The topological map of the largest connected component of a grid's free space.
 
-    It has no observations, and corridors that nobody drove. Raises DataError if there is no
+    It has no observations, and corridors without traversals. Raises DataError if there is no
     junction. O(cells).
     """
     grid, open_, coarser = affordable(_cropped(log.grid), FLOORPLAN.island_m)
@@ -105,7 +106,7 @@ def _cropped(grid: Grid) -> Grid:
 
 
 def _span(mask: BoolArray) -> slice:
-    """From the first to the last of those marked, from 0 to 0 if there are none."""
+    """From the first to the last marked element; empty if there are none."""
     if not mask.any():
         return slice(0, 0)
     return slice(int(mask.argmax()), len(mask) - int(mask[::-1].argmax()))
@@ -114,7 +115,8 @@ def _span(mask: BoolArray) -> slice:
 def _largest(
     places: tuple[Place, ...], corridors: tuple[Corridor, ...]
 ) -> tuple[list[int], list[Corridor], int]:
-    """Places and corridors of the part with most corridors by length; junctions of the others."""
+    """Places and corridors of the component with the longest corridors; number of junctions of the
+    others."""
     ends = np.array([(c.source, c.target) for c in corridors], np.int64).reshape(-1, 2)
     if len(ends) == 0:
         return [0], [], len(places) - 1
@@ -128,7 +130,7 @@ def _largest(
 
 
 def _branches(place: Place, grid: Grid) -> tuple[FloatArray, IntArray]:
-    """Headings in the map's frame, ascending, and the row of each one's former place in them."""
+    """Headings in the map's frame, ascending, and the new index of each branch."""
     heading = np.asarray(wrap(place.branches + grid.origin[2]))
     order = np.argsort(heading, kind="stable")
     return heading[order], np.argsort(order, kind="stable")
@@ -139,7 +141,7 @@ def _slots(ends: list[tuple[int, int]], place_of_branch: Mapping[int, IntArray])
 
 
 def _path(corridor: Corridor, places: tuple[Place, ...], grid: Grid) -> FloatArray:
-    """A corridor from place to place, in the map's frame, the steps of its cells smoothed out."""
+    """A corridor from place to place, in the map's frame, with the steps of its cells smoothed."""
     cells = max(1, round(SMOOTH_M / grid.resolution_m))
     path = uniform_filter1d(corridor.path, cells, axis=0, mode="nearest")
     path = np.concatenate(

@@ -1,4 +1,4 @@
-"""What a log holds, and what reading it would use."""
+"""The contents of a log, and which of them would be used."""
 
 from __future__ import annotations
 
@@ -21,8 +21,11 @@ from .survey import Index, surveyed, walk
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic of a log: `use` is "odometry", "junctions", "scans", "clouds", "grid" or "", `why`
-    the reason; of what could be used but is not, it says so."""
+    """One topic of a log.
+
+    use: "odometry", "junctions", "scans", "clouds", "grid" or ""; why: the reason, also for topics
+    that could be used but are not.
+    """
 
     topic: str
     type_name: str
@@ -33,7 +36,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """What a log holds. `problems`: one sentence each, empty for a whole, usable log."""
+    """The contents of a log. problems: one sentence each, empty for a whole, usable log."""
 
     path: LogPath
     name: str
@@ -46,7 +49,8 @@ class LogInfo:
 
 
 def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
-    """What a log holds and what `read_run` would use. Reads the index, or all if there is none."""
+    """The contents of a log and what `read_run` would use. Reads the index, or everything if there
+    is none."""
     recording = recording_at(path)
     if is_saved_map(recording.path):
         return _of_saved_map(recording, recording.path)
@@ -97,7 +101,7 @@ def _uses(
     settings: ReadSettings,
     problems: list[str],
 ) -> dict[str, tuple[str, str]]:
-    """Per topic what it would be used for and why; what is missing becomes a problem."""
+    """For each topic its use and the reason; what is missing is added to the problems."""
     log = str(recording.path)
     uses: dict[str, tuple[str, str]] = {}
     source: JunctionSource | None = None
@@ -126,7 +130,7 @@ def _uses(
 
 
 def _instead(way: Way, counts: Mapping[Channel, int]) -> str:
-    """Why junctions come this way and no other, and how far each is believed."""
+    """Why junctions come from this kind of source, and their confidence."""
     if way == "topic":
         beside = bool(sensor_topics(counts))
         return "; taken before what sensors show, each of confidence 1" if beside else ""

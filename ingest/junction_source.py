@@ -1,4 +1,4 @@
-"""Where the junctions of a run come from: a topic of detections, scans, clouds, or a grid."""
+"""The source of a run's junctions: a topic of detections, scans, clouds, or a grid."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ SENSORS: Mapping[Way, tuple[Iterable[str], str, str]] = MappingProxyType(
         "grid": (GRID_KINDS, GRID_TYPES, "/map"),
     }
 )
-"""Types, their names for people and the usual topic, of every way but detections."""
+"""Types, their names for people and the usual topic, of every kind of source but detections."""
 
 
 @dataclass(frozen=True, slots=True)
 class JunctionSource:
-    """The way that junctions come, its topic, and topics of other ways that were passed over.
+    """The kind of source, its topic, and topics of other kinds that were passed over.
 
-    beside: further topics of the same way, of other lasers perhaps.
+    beside: further topics of the same kind, e.g. of other lasers.
     """
 
     way: Way
@@ -51,10 +51,10 @@ class JunctionSource:
 def junction_source(
     counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> JunctionSource:
-    """The first way that the log has anything for: detections, scans, clouds, grids.
+    """The first kind of source that the log has: detections, scans, clouds, grids.
 
-    A way that is asked for is the only one tried. Raises LogError if there is none, UsageError if
-    a topic must be named.
+    If a kind is asked for, no other is tried. Raises LogError if there is none, UsageError if a
+    topic must be named.
     """
     asked = _asked(counts, settings)
     for way in asked:
@@ -74,8 +74,7 @@ def junction_source(
 
 
 def walks(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> int:
-    """How often a log is walked through whose index says that it holds `counts`: scans are read
-    after all else."""
+    """Number of times that a log with these channels is read: scans are read separately."""
     try:
         way = junction_source(counts, settings, log).way
     except (LogError, UsageError):
@@ -120,7 +119,7 @@ def _namespace(counts: Mapping[Channel, int], settings: ReadSettings, log: str) 
 
 
 def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:
-    """Every topic that junctions can be found in, and how."""
+    """Every topic in which junctions can be detected, with the kind of source."""
     return sorted(
         {
             (channel.topic, way)
@@ -132,7 +131,7 @@ def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:
 
 
 def _others(way: Way, counts: Mapping[Channel, int]) -> tuple[str, ...]:
-    """Topics that could have shown junctions as well."""
+    """Topics of another kind that could be used as well."""
     if way not in ("topic", "scan"):
         return ()
     types = {*SCAN_KINDS} if way == "topic" else {*JUNCTION_KINDS}

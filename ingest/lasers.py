@@ -1,4 +1,4 @@
-"""Which lasers, or clouds, of a log are used, and where each is on the robot."""
+"""The lasers, or clouds, of a log that are used, and their mounting."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from .survey import LogRead
 from .topic_poses import TopicPoses
 
 FIRST_SCANS = 50
-"""So many scans tell in which frames they are, and whether their clock is the odometry's."""
+"""Number of scans read to find out their frames and clock."""
 
 ANYWHERE = Mounting(otherwise=lambda _: np.array(NOWHERE_ELSE))
 
 
 @dataclass(frozen=True, slots=True)
 class Laser:
-    """A topic; of its first scans the names of their frames, and their times as a source's."""
+    """A topic; the frames of its first scans, and their times."""
 
     choice: Choice
     frames: frozenset[str]
@@ -38,7 +38,7 @@ class Laser:
 
     @classmethod
     def of(cls, read: LogRead, choice: Choice) -> Laser:
-        """LogError if the topic holds nothing that can be decoded."""
+        """Read the first scans; LogError if none can be decoded."""
         stream = ScanStream(read.recording, choice.topic, ANYWHERE)
         frames: set[str] = set()
         stamp_ns, log_ns, scans = [], [], 0
@@ -60,8 +60,8 @@ class Laser:
 
 @dataclass(frozen=True, slots=True)
 class Lasers:
-    """used: the one that the run goes by first; where: what the log says of their places;
-    warnings: one sentence for each laser that is left out, and of transforms that are at odds."""
+    """used: the main one first; where: the log's transforms; warnings: one for each laser that is
+    left out, and on contradictory transforms."""
 
     used: tuple[Laser, ...]
     where: Joined
@@ -69,10 +69,10 @@ class Lasers:
 
 
 def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
-    """The lasers of which the log says where they are, or the first one if it says it of none.
+    """The lasers with a known mounting, or the first one if none is known.
 
-    body: the robot's frame, None without odometry. What shows in the frame of another topic again
-    (`/scan_filtered`, say) is passed over. LogError if the first one holds nothing.
+    body: the robot's frame, None without odometry. Topics with scans in the frame of another one
+    (e.g. `/scan_filtered`) are passed over. LogError if the first one has no scans.
     """
     first = Laser.of(read, source.choice)
     if read.settings.laser_pose is not None:
@@ -97,7 +97,7 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
 def _others(
     read: LogRead, source: JunctionSource, first: Laser, warn: Callable[[str], object]
 ) -> list[Laser]:
-    """Further lasers: in frames of their own, where the first one's scans are not shown again."""
+    """Further lasers, in frames of their own."""
     if source.way != "scan":
         return []
     found, frames = [], first.frames

@@ -1,4 +1,4 @@
-"""From a recorded run to its topological map: the whole chain, one step after the other."""
+"""From a recorded run to its topological map, step by step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phant
 
 
 def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
-    """The map of what a log holds: of a run by `build_map`, of a grid by its skeleton."""
+    """The map of a log: of a run by `build_map`, of a grid by its skeleton."""
     if isinstance(log, GridLog):
         from .grid_map import map_of_grid
 
@@ -50,9 +50,8 @@ def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) 
 def build_map(run: Run, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
     """The topological map of a run.
 
-    Where the odometry broke, the map is in several `pieces`, drawn side by side: how they lie to
-    each other is for `merge.pieces` to find out. Raises DataError if the run has no junction pass,
-    or its odometry does not move.
+    If the odometry broke, the map is in several `pieces`, drawn side by side, which `merge.pieces`
+    may join. Raises DataError if the run has no junction pass, or its odometry does not move.
     """
     return build_map_with_errors(run, settings)[0]
 
@@ -60,7 +59,7 @@ def build_map(run: Run, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
 def build_map_with_errors(
     run: Run, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[TopoMap, VertexErrors]:
-    """`build_map`, and how far off its vertices may be, together: what its sigmas come from."""
+    """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
     source = pass_source(run, settings)
     odometry, reckoning, calibration = dead_reckoned(run, source, settings)
     if len(odometry.jumps) and settings.closure == "full":
@@ -113,12 +112,12 @@ def build_map_with_errors(
 def dead_reckoned(
     run: Run, source: PassSource, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[Odometry, DeadReckoning, Calibration]:
-    """The calibrated odometry of a run, and its passes with all that is known of their noise."""
+    """The calibrated odometry of a run, and its passes with the noise known before loop closure."""
     calibration = source.calibration()
     odometry = apply_calibration(run.odometry, calibration)
     passes = source.passes(odometry)
     if len(passes) == 0:
-        # What is missing may be what was found wrong.
+        # The faults found may be the reason.
         raise DataError("; ".join((f"run {run.name}: {why_none(run)}", *run.warnings)))
     _require_motion(run, settings.passes.reach_m)
     noise = source.noise(odometry, passes)
@@ -127,8 +126,8 @@ def dead_reckoned(
 
 
 def _require_motion(run: Run, reach_m: float) -> None:
-    """DataError if the robot never got out of the one junction that it may have stood at: a reset
-    of its odometry is no drive."""
+    """DataError if the robot never moved beyond one junction, not counting resets of its
+    odometry."""
     xy, first = run.odometry.pose[:, :2], [0, *run.odometry.breaks.tolist()]
     if len(xy) == 0:
         return
@@ -142,7 +141,7 @@ def _require_motion(run: Run, reach_m: float) -> None:
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
-    """What the calibration leaves of the constant errors: its sigma, and what it did not apply."""
+    """Constant errors left by the calibration: its sigma, and what it did not apply."""
     usual = settings.systematic
     left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
     left = settings.calibration_doubt * left
@@ -155,8 +154,8 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
 def _with_jumps_measured(
     recorded: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
 ) -> tuple[Odometry, DeadReckoning, Closed]:
-    """The odometry once the places seen before and after every jump told how far it went, or broken
-    there; its passes, and their places."""
+    """The odometry with its jumps measured by the places seen on both sides, or broken there; its
+    passes, and their places."""
 
     def reckoning_of(track: Odometry) -> DeadReckoning:
         return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
@@ -172,7 +171,7 @@ def _with_jumps_measured(
 
 
 def _identified(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
-    """The places of the passes, by as much of loop closure as is asked for."""
+    """The places of the passes, by the chosen kind of loop closure."""
     if settings.closure == "full":
         return full_closure(reckoning, settings.rounds)
     if settings.closure == "gated":
@@ -188,9 +187,9 @@ def _measured(
     source: PassSource,
     settings: MappingSettings,
 ) -> tuple[DeadReckoning, FloatArray | None]:
-    """Dead reckoning with what closed loops do not tell of its noise: the scale, and how far off
-    all passes of a place see its centre alike; (p,) the latter of each pass [m], None where passes
-    share nothing."""
+    """Dead reckoning with the noise that closed loops do not show: the scale, and the error of
+    centres that all passes by a place share; and (p,) the latter of each pass [m], None if there is
+    none."""
     passes, noise = fitted.passes, fitted.noise
     scale = refine_scale(odometry, run.detections, passes, noise, settings.noise)
     noise = replace(noise, scale=scale)
@@ -201,7 +200,7 @@ def _measured(
 
 
 def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
-    """The record of the map: every identification made, refused and taken back."""
+    """The record of the map: all identifications made, refused and taken back."""
     asked = [*closed.asked, *corrected.asked]
     answers = [(_without_phantoms(q, corrected.place), False) for q in asked]
     answers += [(q, True) for q in closed.revised]
@@ -223,7 +222,7 @@ def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tup
 
 
 def _without_phantoms(q: Identification, place: IntArray) -> Identification:
-    """An identification is taken back with the place that it made, if that was a phantom."""
+    """An identification whose place was a phantom is taken back."""
     if not q.accepted or min(place[q.first], place[q.second]) >= 0:
         return q
     return replace(q, accepted=False, reason=_PHANTOM, round=0, accepted_round=q.round)
@@ -236,7 +235,7 @@ def _info(
     reckoning: DeadReckoning,
     odometry: Odometry,
 ) -> dict[str, Any]:
-    """What the document says about the making of the map."""
+    """The document's entries on how the map was made."""
     pieces = len(np.unique(reckoning.piece))
     return {
         "source": dict(run.source),

@@ -1,4 +1,4 @@
-"""How a run becomes a map."""
+"""Settings of the conversion of a run to a map."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from .passes import PassSettings
 
 @dataclass(frozen=True, slots=True)
 class MappingSettings:
-    """How a run becomes a map; part of the document, so that a map tells how it was made."""
+    """Settings of the conversion of a run to a map; part of the document, for reproducibility."""
 
     closure: Literal["none", "gated", "full"] = "full"
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     calibration_doubt: float = 1.5
-    """Factor on the calibration's own sigma, which trusts corridors to be straight."""
+    """Factor on the calibration's own sigma, which assumes straight corridors."""
     systematic: SystematicErrors = field(default_factory=SystematicErrors)
     """Constant errors of an odometry that could not be calibrated."""
     passes: PassSettings = field(default_factory=PassSettings)

@@ -1,4 +1,4 @@
-"""Where sensors are on the robot: by the transforms of the log, as the user says, or assumed."""
+"""Mounting of sensors on the robot: from the transforms of the log, from the user, or assumed."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from .sightings import side_of
 from .survey import walk
 
 BODIES = ("base_link", "base_footprint", "base")
-"""Usual names of the robot's frame, for logs without odometry, which would tell it."""
+"""Usual names of the robot's frame, for logs without odometry, which would name it."""
 AHEAD = np.array(NOWHERE_ELSE)
 
 
 def transforms_about(
     recording: Recording, frames: Iterable[str], odometry: Odometry
 ) -> FixedTransforms:
-    """How frames of the robot lie to each other; the log is read again only where that is asked."""
+    """The fixed transforms of a log; it is read again only if some frame is not of the odometry."""
     if all(side_of(name, odometry.frame, odometry.child_frame) != "foreign" for name in frames):
         return NO_TRANSFORMS
     return fixed_transforms(recording)
 
 
 def fixed_transforms(recording: Recording) -> FixedTransforms:
-    """All transforms of a log that stay the same. Reads the log again."""
+    """All constant transforms of a log. Reads the log again."""
     collector = FixedCollector()
     intake = Intake(lambda channel: channel.type_name in TRANSFORM_KINDS, collector.decoder_for)
     walk(recording, intake, None)
@@ -45,10 +45,10 @@ def fixed_transforms(recording: Recording) -> FixedTransforms:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joined:
-    """Which sensors the log places on the robot.
+    """Sensors whose mounting the log states.
 
-    known: (7,) T_body_sensor by frame; body: the robot's frame; fixed: all transforms that the log
-    holds, None where nothing had to be looked up.
+    known: (7,) T_body_sensor by frame; body: the robot's frame; fixed: all transforms of the log,
+    None if they were not needed.
     """
 
     known: Mapping[str, FloatArray]
@@ -56,15 +56,15 @@ class Joined:
     fixed: FixedTransforms | None = None
 
     def knows(self, frames: Collection[str]) -> bool:
-        """Whether all of these frames are placed."""
+        """Whether the mounting of all these frames is known."""
         return all(frame in self.known for frame in frames)
 
 
 def joined(recording: Recording, frames: Collection[str], body: str | None) -> Joined:
-    """Where the transforms of a log place sensors with these frames on the robot.
+    """The mounting of sensors with these frames, by the transforms of a log.
 
     body: the robot's frame, the odometry's child; None: one of the usual names. The log is read
-    again only where a frame is none of these.
+    again only if a frame is none of these.
     """
     bodies = (body,) if body is not None else BODIES
     known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
@@ -82,11 +82,11 @@ def mounting(
     settings: ReadSettings,
     yaw_of: Callable[[str], float | None] | None = None,
 ) -> tuple[Mounting, list[str]]:
-    """Where the sensors with these frames are on the robot, and what had to be assumed.
+    """The mounting of the sensors with these frames, and warnings on what was assumed.
 
-    yaw_of: which way the sensor of a frame looks [rad] by what it saw and the odometry, None if
-    that is not sure; asked where the log does not say. None: there is no odometry, and the robot's
-    frame is the sensor's own.
+    yaw_of: estimates the yaw [rad] of the sensor of a frame from its motion, None if uncertain;
+    called if the log does not state it. None: there is no odometry, and the robot's frame is the
+    sensor's own.
     """
     if settings.laser_pose is not None:
         x, y, yaw = settings.laser_pose
@@ -114,7 +114,7 @@ def mounting(
 
 
 def planar(x: float, y: float, yaw: float) -> FloatArray:
-    """(7,) pose of a sensor that stands upright."""
+    """(7,) pose of an upright sensor."""
     return np.array([x, y, 0.0, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
 
 

@@ -1,6 +1,6 @@
-"""Where the passes of a run come from: detections that were recorded, or its scans.
+"""The source of a run's passes: recorded detections, or its scans.
 
-All that mapping does otherwise for the one and for the other stands here.
+All differences between the two in mapping are kept here.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from .passes import fuse_passes, scanned_passes
 
 
 class PassSource(Protocol):
-    """What mapping asks.
+    """What mapping needs of a source of passes.
 
-    shows_bends: a bend without a branch is a junction, too; resolution_m: junctions nearer to each
-    other than this look like one [m]; askew_rad: 1 sigma of headings, shared_m: (p,) of centres per
-    axis [m], that all passes of a place share.
+    shows_bends: whether bends without a branch are reported; resolution_m: junctions nearer to each
+    other than this show as one [m]; askew_rad: 1 sigma of headings, shared_m: (p,) of centres per
+    axis [m], of errors that all passes by a place share.
     """
 
     @property
@@ -47,21 +47,21 @@ class PassSource(Protocol):
         """The passes in the frame of the odometry as corrected so far."""
 
     def noise(self, odometry: Odometry, passes: Passes) -> RunNoise:
-        """Of odometry and passes, as far as it is known before loops are closed."""
+        """Noise of odometry and passes, as far as it is known before loop closure."""
 
     def expected(self) -> NoiseSettings:
-        """What rates of faults are expected of such a detector."""
+        """Priors of the detector's error rates."""
 
 
 def pass_source(run: Run, settings: MappingSettings) -> PassSource:
-    """The source that a run has."""
+    """The source of a run."""
     if run.scanned is None:
         return _Detected(run, settings)
     return _FromScans(run.scanned, settings)
 
 
 def why_none(run: Run) -> str:
-    """What is said of a run without any pass."""
+    """The reason why a run has no pass."""
     if len(run.odometry) == 0:
         return "holds no odometry; nothing can be mapped"
     if run.scanned is not None:
@@ -118,7 +118,7 @@ class _FromScans:
         return self.scanned.passes.shared_m
 
     def calibration(self) -> Calibration:
-        """Of odometry that scans corrected, nothing is left but what usually is left."""
+        """Odometry corrected by scans has only the usual remaining errors."""
         usual = self.settings.systematic
         return Calibration(sigma=(usual.turn_rad_per_m, usual.turn_rad_per_rad, 0.0))
 

@@ -1,4 +1,4 @@
-"""Junction sightings fused to passes: each drive by a junction becomes one row."""
+"""Fusion of junction detections to passes: one row per drive by a junction."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ from ..topology.track import stretch_of, track_directions, way_at
 
 @dataclass(frozen=True, slots=True)
 class PassSettings:
-    """How sightings are grouped."""
+    """How detections are grouped."""
 
     gap_s: float = 1.2
     """A longer silence ends a pass, if the robot moved meanwhile."""
     gap_way_m: float = 1.0
-    """Way driven in a silence that makes it the end of a pass."""
+    """Distance driven in a silence that ends a pass."""
     jump_m: float = 0.8
-    """A sighting whose centre is farther than this from the one before begins a new pass."""
+    """A detection with its centre farther than this from the previous one begins a new pass."""
     cluster_gap_rad: float = 0.3
     """Branch readings farther apart than this belong to different branches."""
     least_support: float = 0.5
     """Share of a pass's messages that must report a branch."""
     least_messages_share: float = 0.12
-    """Passes with a smaller share of the usual number of messages are flicker."""
+    """Passes with a smaller share of the median number of messages are dropped as flicker."""
     reach_m: float = 0.95
-    """Where, from the centre, the track tells the branch driven."""
+    """Distance from the centre at which the track shows the branch driven."""
     match_rad: float = 0.7
-    """A branch farther than this from the track's direction was not the one driven."""
+    """Largest angle between the branch driven and the track's direction."""
 
 
 def fuse_passes(
@@ -43,7 +43,7 @@ def fuse_passes(
 ) -> Passes:
     """The passes of a run, in the odometry frame.
 
-    Sightings outside the time of the odometry, and without any branch, are left out; the result
+    Detections outside the time of the odometry, and without any branch, are left out; the result
     may be empty. O(n + k log k) for n odometry rows and k branch readings.
     """
     if len(odometry) == 0 or len(detections) == 0:
@@ -77,7 +77,7 @@ def fuse_passes(
 def scanned_passes(
     odometry: Odometry, seen: ScanPasses, settings: PassSettings = PassSettings()
 ) -> Passes:
-    """The passes that scans show, in the odometry frame."""
+    """The passes detected in scans, in the odometry frame."""
     if len(odometry) == 0 or len(seen) == 0:
         return no_passes()
     pose = odometry.at(seen.time_ns)
@@ -102,13 +102,14 @@ def scanned_passes(
 
 
 def no_passes() -> Passes:
-    """Passes of a run that saw no junction."""
+    """The passes of a run without junctions."""
     none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
     return Passes(none, none, none, np.zeros((0, 2)), empty, empty, none, none, none, np.zeros(0))
 
 
 def _within_break(odometry: Odometry, time_ns: IntArray) -> BoolArray:
-    """Sightings while the odometry was broken or jumped: where the robot was then is unknown."""
+    """(k,) detections between the two rows of a break or jump: the robot's position then is
+    unknown."""
     row = np.searchsorted(odometry.time_ns, time_ns, side="left")
     broken = np.zeros(len(odometry) + 1, bool)
     broken[odometry.cuts] = True
@@ -120,7 +121,7 @@ def _within_break(odometry: Odometry, time_ns: IntArray) -> BoolArray:
 def _group(
     odometry: Odometry, time_ns: IntArray, centre: FloatArray, settings: PassSettings
 ) -> IntArray:
-    """(k,) number of the pass of each sighting."""
+    """(k,) index of the pass of each detection."""
     way = way_at(odometry, time_ns)
     silence = np.diff(time_ns) > settings.gap_s * 1e9
     moved = np.diff(way) > settings.gap_way_m
@@ -131,7 +132,8 @@ def _group(
 
 
 def _without_flicker(group: IntArray, settings: PassSettings) -> tuple[BoolArray, IntArray]:
-    """Drop groups far smaller than usual; (rows kept, their groups renumbered)."""
+    """Drop groups far smaller than the median; returns the rows kept, and their groups
+    renumbered."""
     counts = np.bincount(group)
     keep = (counts >= settings.least_messages_share * np.median(counts))[group]
     return keep, np.unique(group[keep], return_inverse=True)[1].astype(np.int64)
@@ -148,7 +150,8 @@ def _median_by(values: FloatArray, group: IntArray, offsets: IntArray) -> FloatA
 
 
 def _middle(xy: FloatArray, group: IntArray, offsets: IntArray) -> FloatArray:
-    """Mean of each group's points without its outliers: those far from the median, as others go."""
+    """Mean of each group's points without outliers (more than three median distances from the
+    median)."""
     median = np.column_stack([_median_by(xy[:, k], group, offsets) for k in (0, 1)])
     away = np.hypot(*(xy - median[group]).T)
     usual = _median_by(away, group, offsets)
@@ -201,7 +204,7 @@ def _cluster_branches(
 ) -> tuple[Ragged, Ragged]:
     """Branches of each pass, ascending, and the share of its messages that reported each.
 
-    A branch counts if enough of the messages saw it; the best seen one always does.
+    A branch counts if enough of the messages report it; the most frequent one always does.
     """
     clusters = cluster_angles(heading, group, settings.cluster_gap_rad)
     share = clusters.votes(message) / messages[clusters.owner]

@@ -1,4 +1,4 @@
-"""What reading a remote log takes, by its index alone."""
+"""The cost of reading a remote log, by its index alone."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ Accept = Callable[[Channel], bool]
 
 
 def read_cost(path: RemotePath, settings: ReadSettings) -> int:
-    """How many bytes are still to be fetched to read a log; 0 for one that will be refused.
+    """Number of bytes still to be fetched to read a log; 0 for one that will be refused.
 
-    A log with scans is gone through once for its odometry, once for its transforms, and once for
-    the scans of every laser. What fits into memory is fetched once, what does not every time.
+    A log with scans is read once for its odometry, once for its transforms, and once for the scans
+    of every laser. What fits into memory is fetched once, otherwise every time.
     """
     recording, index = surveyed(recording_at(path))
     if index is None:
@@ -40,7 +40,7 @@ def read_cost(path: RemotePath, settings: ReadSettings) -> int:
 
 
 def _further_passes(source: JunctionSource, settings: ReadSettings) -> list[Accept]:
-    """What is read besides odometry and detections, pass by pass."""
+    """What is read in addition to odometry and detections, pass by pass."""
     if source.way == "topic":
         return []
     choices = [source.choice, *(source.beside if source.way == "scan" else ())]

@@ -1,4 +1,4 @@
-"""What to read out of a log, and how."""
+"""Settings of reading a log."""
 
 from __future__ import annotations
 
@@ -15,23 +15,22 @@ from .sightings import SightingSettings
 from .topic_poses import Clock
 
 Way = Literal["topic", "scan", "cloud", "grid"]
-"""How junctions come: as detections, or found in scans, in clouds of points, in a grid."""
+"""Source of junctions: detections, or found in scans, in point clouds, in a grid."""
 
 Stamp = Literal["begin", "middle", "end"]
-"""Which beam of a scan its time is of."""
+"""The beam that the time of a scan refers to."""
 
 
 @dataclass(frozen=True, slots=True)
 class ReadSettings:
-    """What to read out of a log, and how.
+    """What to read from a log, and how.
 
-    odometry_topic, junction_topic, scan_topic: None finds them; base_frame: the robot's frame,
-    where a topic holds the odometry of several; junction_fields: which fields of any other message
-    are the junction ("center=pose.position,branches=frontiers[].angle"); junctions_from: how
-    junctions come, None takes the first way that the log has something for; laser_pose: x, y [m],
-    yaw [rad] of the scans' frame on the robot, None finds it; scan_stamp: which beam the time of a
-    scan is of; time: the clock to go by; strict: refuse a damaged log instead of using what it
-    still holds.
+    odometry_topic, junction_topic, scan_topic: None finds them; base_frame: the robot's frame, if a
+    topic holds the odometry of several; junction_fields: the fields of any other message that form
+    a junction ("center=pose.position,branches=frontiers[].angle"); junctions_from: source of
+    junctions, None takes the first available one; laser_pose: x, y [m], yaw [rad] of the scans'
+    frame on the robot, None finds it; scan_stamp: the beam that the time of a scan refers to; time:
+    the clock to use; strict: refuse a damaged log instead of using what remains.
     """
 
     odometry_topic: str | None = None
@@ -61,7 +60,7 @@ class ReadSettings:
 
     @property
     def mapped_topic(self) -> str | None:
-        """The topic that `junction_fields` is about."""
+        """The topic that `junction_fields` applies to."""
         if self.junction_fields is None:
             return None
         return "/" + (self.junction_topic or "junctions").strip("/")

@@ -1,4 +1,4 @@
-"""Reads one recorded run out of whatever log holds it."""
+"""Reading of one recorded run from a log of any format."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ OnBytes = Callable[[int], None]
 def read_run(
     path: LogPath, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
 ) -> Run:
-    """`read_log`, of a log that holds a run; LogError if it holds a grid alone."""
+    """`read_log` for a log that holds a run; LogError if it holds only a grid."""
     found = read_log(path, settings, on_bytes=on_bytes)
     if isinstance(found, GridLog):
         raise LogError(f"{path}: holds a grid, but no run")
@@ -58,14 +58,16 @@ def read_run(
 def read_log(
     path: LogPath, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
 ) -> Run | GridLog:
-    """Read the odometry of one log, and the junction sightings or what shows junctions.
+    """Read the odometry of one log, and its junction detections or the sensors to find junctions
+    in.
 
-    A saved map, or a log that shows nothing else, gives a grid.
+    A saved map, or a log without any other source, gives a grid.
 
     path: an MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder with the parts of one
-    recording. on_bytes is told how many more bytes of `log_size(path)` are done. What a damaged
-    log still holds is used and reported in the run's warnings. Raises LogError if there is nothing
-    to use, UsageError if a topic must be named. O(bytes read); memory follows the poses kept.
+    recording. on_bytes is called with the number of further bytes of `log_size(path)` processed.
+    What remains of a damaged log is used, with warnings in the run. Raises LogError if there is
+    nothing to use, UsageError if a topic must be named. O(bytes read); memory follows the poses
+    kept.
     """
     log = str(path)
     recording = recording_at(path)
@@ -82,7 +84,7 @@ def read_log(
         source = junction_source(findings.counts, settings, log)
         return READERS[source.way](read, source)
     except LogError as error:
-        # What is missing may be what is damaged.
+        # The damage may be the reason.
         raise LogError("; ".join([str(error), *warnings])) from error
     finally:
         progress.finish()
@@ -91,7 +93,8 @@ def read_log(
 def _kept(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
 ) -> tuple[Intake, Findings]:
-    """What is kept and found, by the index as long as it can be believed."""
+    """The messages kept and the findings, using the index as long as it is consistent with the
+    data."""
     if index is not None:
         try:
             intake, findings = _walked(recording, settings, progress, index)
@@ -102,14 +105,15 @@ def _kept(
                 raise
             if settings.junction_fields is not None:
                 try_mapping(recording, settings)
-    # There is no index, or what it says led to nothing, or to something else than the data say.
+    # There is no index, or it is inconsistent with the data.
     return _walked(recording, settings, progress, None)
 
 
 def _walked(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
 ) -> tuple[Intake, Findings]:
-    """What one walk through a recording keeps and finds; index: what is said to be in it."""
+    """The messages kept and the findings of one pass over a recording; index: its claimed
+    contents."""
     log = str(recording.path)
     counts = index.counts if index is not None else None
     accept = acceptance(counts, settings, log)
@@ -170,7 +174,7 @@ def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
 
 
 def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:
-    """What is wrong with the log; raises LogError if nothing is left, or if it is to be strict."""
+    """The faults of the log; raises LogError if nothing is left, or in strict mode."""
     damage = [*recording.notes, *findings.damage]
     if recording.declared is not None and findings.messages < recording.declared:
         damage.append(

@@ -1,4 +1,4 @@
-"""Reads a run whose junctions are found in scans or clouds of points."""
+"""Reading of a run with junctions to be found in scans or point clouds."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     """The run of a log with scans or clouds: its odometry corrected by them, and the junctions.
 
     Without odometry the scans are matched with each other alone. Raises LogError if no scan can be
-    used, DataError if nothing can be made of them.
+    used, DataError if the scans cannot be processed.
     """
     warnings = list(read.warnings)
     odometry = _odometry_if_any(read)
@@ -66,7 +66,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
 
 @dataclass(frozen=True, slots=True)
 class _Scans:
-    """How the scans of a log are read. recorded: the odometry, None if there is none."""
+    """Access to the scans of a log. recorded: the odometry, None if there is none."""
 
     read: LogRead
     lasers: Lasers
@@ -74,9 +74,10 @@ class _Scans:
     recorded: Odometry | None
 
     def stream(self, overturned: bool) -> tuple[InterleavedScans, list[str]]:
-        """The scans of all lasers in the order of time, and what of their mounting was assumed.
+        """The scans of all lasers in the order of time, and warnings on assumptions about their
+        mounting.
 
-        overturned: all lasers are the other way up than the log says.
+        overturned: whether all lasers are mounted upside down relative to the log's transforms.
         """
 
         first, recorded = self.lasers.used[0], self.recorded
@@ -89,7 +90,7 @@ class _Scans:
         ask = partial(yaw_of, recorded) if recorded is not None else None
         mounts, told = mounting(self.lasers.where, first.frames, self.read.settings, ask)
         mounts = replace(mounts, overturned=overturned)
-        # Every laser's stream walks through all of the log: one tells how far it is.
+        # Every laser's stream reads all of the log: one reports the progress.
         streams = [
             self._of(laser, mounts, self.read.progress if laser is first else None)
             for laser in self.lasers.used
@@ -113,9 +114,10 @@ class _Scans:
 def _detected(
     scans: _Scans, odometry: Odometry | None
 ) -> tuple[ScanResult, InterleavedScans, list[str]]:
-    """What the scans show, their stream and what was assumed.
+    """The detection result, its stream, and warnings.
 
-    As mirror images if they are some, and beside the odometry as late as they lag behind it.
+    Repeated with mirrored scans or with a delayed odometry where the first attempt shows that this
+    is needed.
     """
     may_lag, overturned, found = True, False, list[str]()
     while True:
@@ -138,7 +140,7 @@ def _detected(
 
 
 def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) -> ScanResult:
-    """`detect`; errors say as well what is wrong with the scans."""
+    """`detect`, with the faults of the scans added to errors."""
     try:
         return detect(odometry, stream, may_lag=may_lag)
     except (MirroredError, LaggingError):
@@ -153,7 +155,7 @@ NO_DETECTIONS = Detections(
 
 
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
-    """The odometry's topic; LogError if the one that was named cannot be used."""
+    """The odometry's topic; LogError if one was named and cannot be used."""
     try:
         return odometry_topic(read)
     except LogError:
@@ -178,7 +180,7 @@ def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:
 
 
 def _told(statistics: ScanStatistics) -> dict[str, Any]:
-    """What matching the scans has brought, for the document; what is not known is null."""
+    """Statistics of scan matching for the document; unknown values are None."""
     told = asdict(statistics)
     for name, value in told.items():
         if isinstance(value, float):

@@ -1,4 +1,4 @@
-"""From the poses of detection messages to junction sightings in the robot's frame."""
+"""From the poses of detection messages to junction detections in the robot's frame."""
 
 from __future__ import annotations
 
@@ -21,14 +21,13 @@ Side = Literal["robot", "odometry", "foreign"]
 
 @dataclass(frozen=True, slots=True)
 class SightingSettings:
-    """What is believed to be a sighting of one junction.
+    """What is a valid detection of one junction.
 
-    max_branches: more meet nowhere, and would take memory; outside_s: how far beyond the
-    odometry's first and last time a sighting may lie; centre_m: how far apart the poses of one
-    message may lie before it is reported; steepest: sine of how far a branch may point up or down
-    after a sensor's mount is taken into account, 45 degrees: beyond, its direction in the plane is
-    less of it than what is lost; farthest_m: how far from the robot it may lie, farther than any
-    sensor sees, as points of lasers (`scans/slicing.py`).
+    max_branches: more are implausible, and would take memory; outside_s: how far beyond the
+    odometry's first and last time a detection may lie [s]; centre_m: distance between the poses of
+    one message above which there is a warning; steepest: sine of the largest elevation of a branch
+    after applying a sensor's mount, 45 degrees; farthest_m: largest distance from the robot, beyond
+    the range of any sensor, as for points of lasers (`scans/slicing.py`).
     """
 
     max_branches: int = 32
@@ -40,7 +39,7 @@ class SightingSettings:
 
 @dataclass(frozen=True, slots=True)
 class Sightings:
-    """Detections, how many messages they leave out, and why."""
+    """Detections, and warnings on messages that were left out."""
 
     detections: Detections
     warnings: tuple[str, ...]
@@ -62,7 +61,7 @@ def robot_frame_sightings(
     fixed: FixedTransforms = NO_TRANSFORMS,
     settings: SightingSettings = SightingSettings(),
 ) -> Sightings:
-    """One sighting per junction of a message, in the robot's frame at the message's time, by time.
+    """One detection per junction of a message, in the robot's frame at the message's time, by time.
 
     columns: poses in space; time_ns: (k,) time of each pose's message; frames: name of every frame
     number. Messages in a frame that is neither of the odometry's nor fixed to one, with branches
@@ -122,9 +121,10 @@ def robot_frame_sightings(
 
 @dataclass(frozen=True, slots=True)
 class _Mounted:
-    """Poses (k, 7) in the odometry's two frames, and which of the two that is by frame number.
+    """Poses (k, 7) in the odometry's two frames, and which of the two by frame number.
 
-    rise: (k,) sine of how far each x axis points up or down where a mount turned it, else 0.
+    rise: (k,) sine of the elevation of each x axis if a mount was applied, else 0; foreign: names
+    of other frames.
     """
 
     pose: FloatArray
@@ -133,11 +133,11 @@ class _Mounted:
     foreign: tuple[str, ...]
 
     def on(self, side: Side) -> BoolArray:
-        """Whether a frame is on that side, by frame number."""
+        """Whether each frame, by number, is on that side."""
         return np.array([own == side for own in self.sides], bool)
 
     def expected(self, odometry: Odometry, fixed: FixedTransforms) -> str:
-        """What is wrong with frames that nothing joins to the odometry's."""
+        """The error for frames that are not connected to the odometry's."""
         names = ", ".join(repr(name[:100]) for name in self.foreign[:5])
         return (
             f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}, or "
@@ -180,7 +180,7 @@ def _mounted(
 
 
 def _rise(pose: FloatArray) -> FloatArray:
-    """(k,) sine of the angle between the x axis of poses (k, 7) and the plane."""
+    """(k,) sine of the elevation of the x axis of poses (k, 7)."""
     x, y, z, w = pose[:, 3:].T
     return np.asarray(np.abs(2 * (x * z - w * y)))
 
@@ -192,7 +192,7 @@ def _centres(
     settings: SightingSettings,
     warnings: list[str],
 ) -> FloatArray:
-    """(m, 2) mean position of every message's poses; they should coincide."""
+    """(m, 2) mean position of every message's poses, which should coincide."""
     if len(first) == 0:
         return np.zeros((0, 2))
     # Relative to the first pose of each message, so that equal positions give exactly that one.

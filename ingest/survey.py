@@ -1,4 +1,4 @@
-"""What the indexes of a recording say, and the walk through all of its files."""
+"""The indexes of a recording, and a pass over all of its files."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ OnBytes = Callable[[int], None]
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """What the indexes of all files say together.
+    """The combined indexes of all files.
 
-    sure: whether all of it is; log: the reader of the only file, which keeps its index; None for
-    several files, or one that was unpacked to be read.
+    sure: whether they are reliable; log: the reader of the only file, which keeps its index; None
+    for several files, or one that was decompressed.
     """
 
     counts: dict[Channel, int]
@@ -30,9 +30,9 @@ class Index:
 
 
 def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Index | None]:
-    """The files by their start, and what their indexes say; None if some file has none.
+    """The files sorted by their start, and their combined indexes; None if some file has none.
 
-    A file that is compressed as a whole is only unpacked for exactness.
+    A file that is compressed as a whole is only decompressed if `exact`.
     """
     surveys: list[Survey] = []
     only: Container | None = None
@@ -62,9 +62,9 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
 def walk(
     recording: Recording, intake: Intake, on_bytes: OnBytes | None, index: Index | None = None
 ) -> Findings:
-    """Read all files; on_bytes is told exactly the size of the recording in the end.
+    """Read all files; the calls of on_bytes add up to the size of the recording.
 
-    index: what `surveyed` gave with the recording; what it has read is not read again.
+    index: from `surveyed`; what it has read is not read again.
     """
     findings = Findings()
     for file in recording.files:
@@ -89,9 +89,9 @@ def walk(
 
 @dataclass(slots=True, eq=False)
 class Progress:
-    """Bytes of a log that is walked through several times, told as if it were once.
+    """Progress of several passes over a log, reported as if it were one.
 
-    size: of the log; walks: through all of it.
+    size: of the log [bytes]; walks: number of passes.
     """
 
     size: int
@@ -101,12 +101,12 @@ class Progress:
     _read: int = 0
 
     def __call__(self, count: int) -> None:
-        """So many more bytes have been read, by any of the walks."""
+        """Report that so many more bytes were read, in any pass."""
         self._read += count
         self._tell(min(self._read // self.walks, self.size))
 
     def finish(self) -> None:
-        """All walks are done."""
+        """Report that all passes are done."""
         self._tell(self.size)
 
     def _tell(self, upto: int) -> None:
@@ -117,8 +117,7 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """What one walk through a log has brought to light; warnings: what is damaged; progress: for
-    further walks."""
+    """The result of one pass over a log; warnings: damage; progress: for further passes."""
 
     recording: Recording
     intake: Intake

@@ -1,4 +1,4 @@
-"""The columns of one topic, the frames in it, and the clock that a run goes by."""
+"""The columns of one topic, its frames, and the choice of the clock."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Clock = Literal["header", "log"]
 
 @dataclass(slots=True)
 class TopicPoses:
-    """Everything that one topic gave.
+    """The poses of one topic.
 
-    frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: how
-    many there were; failed, not_finite, zero_quaternion, empty, elsewhere: what could not be
-    used; foreign: messages beside these, of a type that is decoded in another way; reason: why the
-    first of `failed` could not be decoded; rivals: other frames that could be the odometry's.
+    frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: their
+    number; failed, not_finite, zero_quaternion, empty, elsewhere: numbers of unusable ones;
+    foreign: messages of another type; reason: why the first of `failed` could not be decoded;
+    rivals: other frames that could be the odometry's.
     """
 
     columns: PoseColumns
@@ -42,7 +42,8 @@ class TopicPoses:
 
     @classmethod
     def of(cls, sinks: Sequence[Sink]) -> TopicPoses:
-        """Join the sinks of one topic; there are several if its definition changed on the way."""
+        """Join the columns of one topic; there are several if its definition changed during the
+        recording."""
         frames: dict[tuple[str, str], int] = {}
         parts: list[PoseColumns] = []
         before = 0
@@ -70,16 +71,16 @@ class TopicPoses:
         return len(self.columns.pose)
 
     def keep(self, rows: BoolArray) -> None:
-        """Leave out the poses that are not marked."""
+        """Drop the poses that are not marked."""
         if not rows.all():
             self.columns = take(self.columns, rows)
 
     def time_ns(self, clock: Clock) -> IntArray:
-        """Time of every pose by one of the two clocks."""
+        """Time of every pose by one of the two clocks [ns]."""
         return self.columns.log_ns if clock == "log" else self.columns.stamp_ns
 
     def warnings(self, topic: str) -> list[str]:
-        """Sentences about the messages that could not be used."""
+        """Warnings on messages that could not be used."""
         out = []
         because = f" ({self.reason})" if self.reason else ""
         for count, what in (
@@ -107,7 +108,7 @@ def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:
 
 
 def _by_log_time(parts: Sequence[PoseColumns]) -> PoseColumns:
-    """Columns of several channels in the order of log time."""
+    """Columns of several channels, sorted by log time."""
     if len(parts) == 1:
         return parts[0]
     if not parts:
@@ -117,10 +118,10 @@ def _by_log_time(parts: Sequence[PoseColumns]) -> PoseColumns:
 
 
 def pair_of_transforms(poses: TopicPoses, base: str | None = None) -> int | None:
-    """The frames (odom → base) in a topic of transforms, None if it holds none.
+    """The frames (odom → base) in a topic of transforms, None if there are none.
 
-    base: the child frame to look for. The parent is called `odom`, whatever stands before the last
-    slash; of several children a `base…` one is preferred, then the one with the most messages.
+    base: the child frame to look for. The parent is called `odom…` after the last slash; of several
+    children a `base…` one is preferred, then the one with the most messages.
     """
     counts = np.bincount(poses.columns.frame, minlength=len(poses.frames))
     fit = [
@@ -136,15 +137,15 @@ def _is_odometry(frame: str) -> bool:
 
 
 def other_odometries(poses: TopicPoses, pair: int) -> tuple[tuple[str, str], ...]:
-    """The frames from other odom frames than that of `pair` in a topic of transforms."""
+    """The other odom frames than that of `pair`, with their children, in a topic of transforms."""
     chosen = poses.frames[pair][0]
     return tuple(sorted(p for p in poses.frames if _is_odometry(p[0]) and p[0] != chosen))
 
 
 def pair_of_poses(poses: TopicPoses, base: str | None = None) -> int | None:
-    """The frames that most poses have, None if there are no poses.
+    """The frames of most poses, None if there are no poses.
 
-    base: the child frame to look for; a topic that names no child frame may be anyone's.
+    base: the child frame to look for; a topic without a child frame matches any.
     """
     if len(poses) == 0:
         return None
@@ -161,7 +162,7 @@ def choose_clock(
     warnings: list[str],
     what: str = "junction",
 ) -> Clock:
-    """The clock to go by: the wanted one, or log time where header stamps cannot serve.
+    """The clock to use: the wanted one, or log time if header stamps are unusable.
 
     what: the messages of `junctions`, for the warnings.
     """
@@ -183,7 +184,7 @@ def choose_clock(
 def clock_without_jumps(
     odometry: TopicPoses, clock: Clock, min_s: float, warnings: list[str]
 ) -> Clock:
-    """Log time instead of header time where the header's clock was set back."""
+    """Log time instead of header time if the header's clock was set back."""
     jumps = backward_jumps(odometry.time_ns(clock), min_s)
     if not jumps:
         return clock
