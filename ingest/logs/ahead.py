@@ -1,4 +1,4 @@
-"""Compressed chunks are read, inflated and checked on other threads, ahead of the decoding."""
+"""Reading, decompression and checksums of chunks on other threads, ahead of the decoding."""
 
 from __future__ import annotations
 
@@ -13,21 +13,20 @@ Chunk = TypeVar("Chunk")
 Task = Callable[[], Bytes | bytes]
 
 THREADS = 2
-"""Reading, inflating and checking leave the interpreter's lock, so they run beside the decoding."""
+"""Threads: reading, decompression and checksums release the interpreter's lock."""
 
 AHEAD_BYTES = 1 << 25
-"""How much is read and inflated ahead of the decoding."""
+"""Bytes read and decompressed ahead of the decoding."""
 
 AHEAD_CHUNKS = 64
-"""And in how many chunks, where they are small."""
+"""Limit of the number of chunks read ahead, for small chunks."""
 
 
 class Ahead(Generic[Chunk]):
-    """Chunks in the order of the file, each with the task that makes its bytes.
+    """Chunks in the order of the file, each with the task that provides its bytes.
 
-    Tasks that only read are better left to the caller's thread: handing a chunk from thread to
-    thread takes as long as reading it. Leaving the context ends the threads; what they had not
-    begun is dropped.
+    Tasks that only read are better run on the caller's thread: passing a chunk between threads
+    takes as long as reading it. Leaving the context ends the threads and drops tasks not begun.
     """
 
     def __init__(self) -> None:
@@ -43,25 +42,26 @@ class Ahead(Generic[Chunk]):
             self._pool.shutdown(cancel_futures=True)
 
     def begin(self, chunk: Chunk, task: Callable[[], bytes], size: int) -> None:
-        """Have a task begun on another thread; it holds `size` bytes in memory."""
+        """Start a task on another thread; its result takes `size` bytes of memory."""
         if self._pool is None:
             self._pool = ThreadPoolExecutor(THREADS)
         self._waiting.append((chunk, self._pool.submit(task).result, size))
         self._bytes += size
 
     def put(self, chunk: Chunk, task: Task | None) -> None:
-        """Leave a task to who asks for what is due; None for a chunk of no need."""
+        """Queue a task to be run by the consumer; None for a chunk that is not needed."""
         self._waiting.append((chunk, task, 0))
 
     @property
     def last(self) -> Chunk | None:
-        """The chunk put in last, if it is still waiting."""
+        """The chunk queued last, if it is still waiting."""
         return self._waiting[-1][0] if self._waiting else None
 
     def due(self, everything: bool = False) -> Iterator[tuple[Chunk, Task | None]]:
-        """The first chunks, each with what gives its bytes; the last few stay unless all are due.
+        """The first chunks, each with the task for its bytes; the last few stay queued unless
+        `everything`.
 
-        The last one stays in any case: what comes behind it in the file may belong to it.
+        The last one stays in any case: records behind it in the file may belong to it.
         """
         while self._waiting and (
             everything

@@ -49,7 +49,8 @@ class BagChunks(ChunkReader):
         self._index_like: IndexTemplate | None = None
 
     def take(self, position: int, record: Record) -> Walking:
-        """Have a chunk inflated ahead, or take what it holds; returns where the next begins."""
+        """Queue a chunk for decompression, or consume small ones at once; returns where the next
+        begins."""
         head = _head_of(record)
         self._messages.packed |= head.compression != ""
         if not is_open(record):
@@ -62,7 +63,7 @@ class BagChunks(ChunkReader):
         return self._window.size
 
     def cut(self, record: Record) -> Iterator[Block]:
-        """What is left of the last chunk of a file that was cut."""
+        """The remaining messages of the last chunk of a truncated file."""
         self._findings.truncated = True
         yield from self._messages.front(self._part(_head_of(record)))
 
@@ -73,7 +74,7 @@ class BagChunks(ChunkReader):
         return None
 
     def _directly(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of a chunk that is not compressed, or too large for the memory."""
+        """The messages of a chunk that is not compressed, or too large for memory."""
         head = chunk.head
         if head.compression:
             yield from super()._directly(chunk)
@@ -120,10 +121,10 @@ class BagChunks(ChunkReader):
         return position
 
     def _index_at(self, position: int) -> tuple[int, int, int, int] | None:
-        """Connection and count of the index record at a place, where its data begin and end.
+        """Connection and count of the index record at a position, and the range of its data.
 
-        None if there is none. Recorders write one header again and again: what is like the last one
-        is not taken apart.
+        None if there is none. Recorders repeat one header: one equal to the previous is not parsed
+        again.
         """
         head = self._window.view(position, HEAD_BYTES).tobytes()
         found = self._index_like.read(head) if self._index_like is not None else None
@@ -139,7 +140,8 @@ class BagChunks(ChunkReader):
         return (key, count, position + data_at, end) if end <= self._window.size else None
 
     def _census(self, chunk: Chunk) -> dict[int, int]:
-        """Connections that are described nowhere else are taken from the chunk as well."""
+        """Message counts of a damaged chunk; connections described nowhere else are learned from
+        it."""
         if not chunk.head.compression:
             return {}  # it was used as far as its records lead on
         data = self._part(chunk.head)
@@ -180,5 +182,5 @@ def _head_of(record: Record) -> ChunkHead:
 
 
 def is_open(record: Record) -> bool:
-    """Whether the recorder died before it could fill in the head of its last chunk."""
+    """Whether the recorder died before it could complete the header of its last chunk."""
     return record.data_size == 0 and number(record.fields, b"size") == 0

@@ -1,6 +1,6 @@
-"""ROS 1 bags, closed or `.active`: a walk over chunks that needs no index and survives damage.
+"""ROS 1 bags, closed or `.active`: a scan over chunks that needs no index and survives damage.
 
-What chunks hold is read by `bag_chunks`, what messages and connections are by `bag_messages`.
+The contents of chunks are read by `bag_chunks`, messages and connections by `bag_messages`.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class BagFile(ChunkedFile):
 
     @cached_property
     def index(self) -> BagIndex | None:
-        """The index section of a closed bag, None where it is missing or wrong."""
+        """The index section of a closed bag, None if it is missing or wrong."""
         with window_on(self.path) as window:
             return read_index(window)
 
@@ -71,7 +71,7 @@ class BagFile(ChunkedFile):
 
 
 class _Walk:
-    """One pass over a bag."""
+    """One scan of a bag."""
 
     def __init__(
         self, window: Window, tally: Tally, findings: Findings, index: BagIndex | None
@@ -109,7 +109,7 @@ class _Walk:
         self.tally.finish(declared)
 
     def _chosen(self, index: ChunkIndex) -> Iterator[Block]:
-        """Go through the chunks that hold anything wanted; of the others the index tells enough."""
+        """Scan the chunks with wanted messages; for the others the index suffices."""
         needed = passed_over(index, self.tally, self._findings)
         self._chunks.met += int((~needed).sum())
         for begin, stop, _ in index.places(needed):
@@ -119,7 +119,7 @@ class _Walk:
             self._window.passed(stop)
 
     def _records(self) -> Iterator[Block]:
-        """Go through the records outside chunks."""
+        """Scan the records outside chunks."""
         window, position = self._window, len(MAGIC)
         while position < window.size:
             if self._index is not None and position == self._index.start:
@@ -128,14 +128,14 @@ class _Walk:
             window.passed(min(position, window.size))
 
     def _next(self, position: int) -> Walking:
-        """Take in what is at a place; returns where to go on."""
+        """Process what is at a position; returns where to go on."""
         record = self._at(position)
         if record is None or not self._leads_on(record):
             return (yield from self._around_damage(position, record))
         return (yield from self._record(position, record))
 
     def _leads_on(self, record: Record) -> bool:
-        """Whether a record is all there, and another one behind it."""
+        """Whether a record is complete and followed by another one."""
         if record.op == CHUNK and is_open(record):
             return True
         return record.end <= self._window.size and (
@@ -143,14 +143,14 @@ class _Walk:
         )
 
     def _at(self, position: int) -> Record | None:
-        """The record at a place; each is asked for as what follows, and then as what is next."""
+        """The record at a position, cached, as each is asked for twice."""
         if self._looked_at[0] != position:
             head = self._window.view(position, HEAD_BYTES).tobytes()
             self._looked_at = position, self._heads.record(position, head)
         return self._looked_at[1]
 
     def _record(self, position: int, record: Record) -> Walking:
-        """Take in a sound record outside chunks, or several; returns where to go on."""
+        """Process a sound record outside chunks, or several; returns where to go on."""
         if record.op in IN_CHUNKS:
             yield from self._chunks.caught_up(everything=True)
             return (yield from self._slab(position, record))
@@ -161,9 +161,9 @@ class _Walk:
         return record.end
 
     def _around_damage(self, position: int, record: Record | None) -> Walking:
-        """Go on at a place where no sound record is: repair its head, or find the next one.
+        """Continue at a position without a sound record: repair its head, or find the next one.
 
-        record: the one there, if only what is behind it is in doubt. Returns a place.
+        record: the one there, if only what follows is in doubt. Returns a position.
         """
         yield from self._chunks.caught_up(everything=True)
         whole = record is not None and record.end < self._window.size
@@ -195,7 +195,7 @@ class _Walk:
         return self._window.size
 
     def _repaired(self, position: int, head: bytes) -> Walking:
-        """Take in the record whose head was set right; returns where to go on."""
+        """Process the record with a repaired head; returns where to go on."""
         self._findings.repaired += 1
         record = self._heads.record(position, head)
         assert record is not None
@@ -207,7 +207,7 @@ class _Walk:
         return record.end
 
     def _next_record(self, position: int) -> int | None:
-        """Place of the next believable record at or after `position`, None if there is none."""
+        """Position of the next plausible record at or after `position`, None if there is none."""
         if self._index is not None:
             starts, stop = self._index.chunk_starts, self._index.start
             listed = next_listed(starts, stop, position, self._is_chunk)
@@ -220,7 +220,7 @@ class _Walk:
         return record is not None and record.op == CHUNK
 
     def _closed(self, record: Record) -> None:
-        """Report a bag without index; one whose header names its place was closed and had one."""
+        """Report a missing index in a bag whose header claims one."""
         index_at = number(record.fields, b"index_pos", 8)
         if self._index is None and index_at >= self._window.size:
             self._findings.truncated = True
@@ -229,7 +229,8 @@ class _Walk:
             self._findings.note(f"the index {reason}")
 
     def _slab(self, position: int, record: Record) -> Walking:
-        """Messages and connections outside chunks; returns the place of the next other record."""
+        """Messages and connections outside chunks; returns the position of the next other
+        record."""
         need = record.end - position
         if need > RECORD_BYTES:
             self._messages.too_large(self._window.view(position, HEAD_BYTES))
@@ -242,7 +243,7 @@ class _Walk:
         return position + stop
 
     def _led_on(self, data: Bytes, position: int) -> int:
-        """Length of the records at the front of `data` that a sound record is behind."""
+        """Length of the records at the front of `data` that are followed by a sound record."""
         ends = _whole_records(data, only=(MESSAGE, CONNECTION))
         while ends and not self._heads.begins(position + ends[-1]):
             ends.pop()
@@ -250,7 +251,7 @@ class _Walk:
 
 
 def _whole_records(data: Bytes, only: tuple[int, ...]) -> list[int]:
-    """Where the records at the front of `data` end that are there to their last byte.
+    """Ends of the complete records at the front of `data`.
 
     only: stop at the first record of another kind.
     """

@@ -1,8 +1,8 @@
-"""Which bytes of a ROS 1 bag are a record: by its fields, and by the record behind it.
+"""Validation and repair of ROS 1 record headers, by their fields and by the record that follows.
 
-A record names its fields, so that hardly any bytes look like one; but the length of its data stands
-nowhere else, save for the record that begins behind it. Where no record begins, the head is tried
-with each one of its bits changed; if none makes it whole, the next record is looked for.
+A record names its fields, so that random data rarely look like one; but the length of its data is
+stated nowhere else, and is only confirmed by the record that follows. If no record follows, the
+header is tried with each single bit flipped; if none works, the next record is searched for.
 """
 
 from __future__ import annotations
@@ -30,11 +30,12 @@ from .messages import SCHEMA_BYTES, Bytes, DamageError
 from .spelling import nearest
 
 HEAD_BYTES = 256
-"""So much of a record is looked at first, and tried bit by bit: of most connections all lengths."""
+"""Bytes of a record that are examined first and repaired bit by bit: all lengths of most
+connections."""
 
 REPAIRS = 64
-"""Heads of one file that are tried bit by bit, 2 ms each; a file with more wrong bits is read by
-its rest."""
+"""Headers per file that are repaired bit by bit, 2 ms each; of a file with more wrong bits the rest
+is read."""
 
 COMPRESSIONS = frozenset({b"none", b"bz2", b"lz4"})
 
@@ -66,7 +67,8 @@ Read = Callable[[int, int], bytes]
 
 
 class BagHeads:
-    """Records in a bag, or in the data of one chunk. read: of any place; size: of all."""
+    """Records in a bag, or in the data of one chunk. read: reads at any position; size: total
+    bytes."""
 
     def __init__(self, read: Read, size: int, *, file: bool = True) -> None:
         self._read = read
@@ -85,8 +87,8 @@ class BagHeads:
     def record(self, position: int, head: bytes | None = None) -> Record | None:
         """The record at `position`, None if its fields are not those of its kind.
 
-        Its data may reach beyond the end of all, where a log was cut. head: its first HEAD_BYTES,
-        if they are known better.
+        Its data may extend beyond the end, if a log was truncated. head: its first HEAD_BYTES, if
+        they were repaired.
         """
         if head is None:
             head = self._read(position, HEAD_BYTES)
@@ -108,7 +110,7 @@ class BagHeads:
             return None
 
     def _fits(self, record: Record, front: bytes) -> bool:
-        """Whether a record has what its kind has; raises DamageError if it lacks a number.
+        """Whether a record has the fields of its kind; raises DamageError if a number is missing.
 
         front: of its data, as far as it is known.
         """
@@ -131,22 +133,23 @@ class BagHeads:
         return True
 
     def begins(self, position: int) -> bool:
-        """Whether a record begins at `position`, or all ends there, be it within a record head."""
+        """Whether a record begins at `position`, or the data end there, possibly within a record
+        header."""
         if position + HEAD_BYTES > self._size:
             return position == self._size or (position < self._size and self._cut_head(position))
         return self.record(position) is not None
 
     def _cut_head(self, position: int) -> bool:
-        """Whether the last bytes of all are a record, or the front of one."""
+        """Whether the last bytes are a record, or the front of one."""
         if self.record(position) is not None:
             return True
         head = self._read(position, HEAD_BYTES)
         return self._file and (len(head) < 8 or U32(head)[0] + 8 > len(head))
 
     def repaired(self, position: int) -> bytes | None:
-        """The head of the record at `position` with one bit changed that makes it sound, or None.
+        """The header of the record at `position` with one bit flipped that makes it sound, or None.
 
-        Of several the one that ends first: it takes least for its own.
+        Of several the one with the earliest end, as the most conservative.
         """
         head = self._read(position, HEAD_BYTES)
         if self._repairs[0] <= 0 or len(head) < 8:
@@ -167,7 +170,7 @@ class BagHeads:
         return best
 
     def following(self, position: int, packed: bool = False) -> int | None:
-        """Place of the next sound record at or behind `position`, None if there is none.
+        """Position of the next sound record at or behind `position`, None if there is none.
 
         packed: whether chunks are compressed; what looks like a message is then part of one.
         """
@@ -194,5 +197,5 @@ def _named(fields: Fields) -> bool:
 
 
 def compression_of(fields: Fields) -> bytes:
-    """How a chunk is compressed, with at most one wrong bit in the name set right."""
+    """The compression of a chunk, with at most one wrong bit in the name repaired."""
     return nearest(fields.get(b"compression", b"none"), COMPRESSIONS)

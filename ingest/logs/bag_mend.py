@@ -1,4 +1,4 @@
-"""Records of a bag's chunk of which some are damaged: the others are found again."""
+"""Recovery of the undamaged records of a damaged bag chunk."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from .messages import Bytes
 
 
 def mended(data: Bytes, heads: BagHeads) -> Mended:
-    """All records of damaged data that can still be found. heads: of the data. O(records)."""
+    """All records of damaged data that can be recovered. heads: of the data. O(records)."""
     data = data.copy()
     heads = heads.within(data)
     where: list[int] = []

@@ -1,4 +1,4 @@
-"""The messages in runs of bag records, with the connections that stand among them."""
+"""The messages in runs of bag records, with the connection records among them."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from .tally import NUMBERS, Tally
 from .walk import bag_listed, bag_records, inside, seamless
 
 HEAD_BYTES = 64
-"""So much of many records is looked at together: of most connections, number and kind."""
+"""Bytes of many records examined together: number and kind of most connections."""
 
 
 class MessageReader:
     """Turns runs of records of one bag into blocks of messages.
 
-    told: the connection records of the index; packed: whether the bag has compressed chunks, of
-    which damage may show records that were never written.
+    told: the connection records of the index; packed: whether the bag has compressed chunks, where
+    damage may produce records that were never written.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class MessageReader:
         self._template: HeadTemplate | None = None
 
     def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
-        """The wanted messages in a run of records; offsets: where an index says they are."""
+        """The wanted messages in a run of records; offsets: their positions by an index."""
         listed = self.listed(data, np.concatenate(offsets)) if offsets else None
         if listed is None:
             where, stop = bag_records(data)
@@ -61,7 +61,7 @@ class MessageReader:
         yield from listed
 
     def listed(self, data: Bytes, offsets: IntArray) -> Iterator[Block] | None:
-        """The same by the places of messages; None unless the index is proven."""
+        """The same by the listed positions of messages; None unless the index is proven right."""
         regular = self._regular(data, offsets)
         if regular is not None:
             return self._blocks(data, *regular)
@@ -71,10 +71,10 @@ class MessageReader:
     def _regular(
         self, data: Bytes, offsets: IntArray
     ) -> tuple[IntArray, IntArray, IntArray, IntArray] | None:
-        """Connection, time, size and its place, of messages in data that hold nothing else.
+        """Connection, time, size and its position, of messages in data that hold nothing else.
 
         None unless all are like the template and each ends where the next begins, from the first
-        byte to the last: then a walk would have met exactly these.
+        byte to the last: a scan would then find exactly these.
         """
         template = self._template
         if template is None:
@@ -91,7 +91,7 @@ class MessageReader:
         return (*template.read(heads), size, size_at)
 
     def _records(self, data: Bytes, where: IntArray) -> Iterator[Block]:
-        """The wanted messages among records; connections met are taken in."""
+        """The wanted messages among records; connections are learned."""
         conn, time, size_at, others = self.columns(data, where)
         if len(others) and any(self.heads.within(data).record(k) is None for k in others.tolist()):
             data, where = self._mended(data)
@@ -117,13 +117,13 @@ class MessageReader:
             yield Block(data, sink, time[rows], size_at[rows] + 4, size[rows])
 
     def front(self, data: Bytes) -> Iterator[Block]:
-        """The messages in whole records at the front of data that were cut."""
+        """The messages in complete records at the front of truncated data."""
         where, stop = bag_records(data)
         self.findings.unreadable_bytes += len(data) - stop
         yield from self._records(data[:stop], where)
 
     def _mended(self, data: Bytes) -> tuple[Bytes, IntArray]:
-        """Damaged records without those that cannot be found again, and their places."""
+        """Damaged records without unrecoverable ones, and their positions."""
         found = mended(data, self.heads.within(data))
         self.findings.unreadable_bytes += found.unreadable
         self.findings.repaired += found.repaired
@@ -134,7 +134,7 @@ class MessageReader:
         return found.data, found.where
 
     def _learn(self, data: Bytes, where: IntArray) -> None:
-        """Take the header of the first message as the template of all."""
+        """Use the header of the first message as the template of all."""
         for place in where.tolist():
             size = U32(data.data, place)[0]
             try:
@@ -146,7 +146,8 @@ class MessageReader:
     def columns(
         self, data: Bytes, where: IntArray
     ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-        """Connection, time and place of the payload's size of usual messages; the other places."""
+        """Connection, time and position of the payload's size of messages like the template;
+        positions of other records."""
         if self._template is None:
             self._learn(data, where)
         conn, time, size_at, others = self._columns(data, where)
@@ -159,10 +160,10 @@ class MessageReader:
     def _columns(
         self, data: Bytes, where: IntArray
     ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-        """Connection, time and place of the payload's size of the records like the template.
+        """Connection, time and position of the payload's size of the records like the template.
 
-        Also the places of the records that are not. All headers are gathered at once and compared
-        with the template in the bytes that every message shares.
+        Also the positions of the other records. All headers are gathered at once and compared with
+        the template in the bytes that every message shares.
         """
         template = self._template
         if template is None:
@@ -180,7 +181,7 @@ class MessageReader:
         return conn, time, found + (4 + template.size), where[left]
 
     def _once(self, data: Bytes, places: IntArray) -> IntArray:
-        """The places without those of connections that are described again and again."""
+        """The positions without repeated connection records."""
         header = words(data, "<u4", places).astype(np.int64)
         inside = places + header + 8 <= len(data)
         size = np.full(len(places), len(data), np.int64)
@@ -194,7 +195,7 @@ class MessageReader:
         return places[~left_out] if described else places
 
     def _worth(self, data: Bytes, places: IntArray) -> IntArray:
-        """The places without those of more connections than any log describes."""
+        """The positions without connections beyond the plausible number."""
         at = np.minimum(places, max(len(data) - HEAD_BYTES, 0))
         rows = gather(data, at, min(HEAD_BYTES, len(data)))
         key = numbers_of(rows)
@@ -207,7 +208,7 @@ class MessageReader:
         return np.delete(places, described[~worth])
 
     def one_by_one(self, data: Bytes, places: IntArray) -> list[tuple[int, int, int]]:
-        """Connection records, and messages whose header is written in another order."""
+        """Connection records, and messages with another order of header fields."""
         out = []
         for place in places.tolist():
             size = U32(data.data, place)[0]
@@ -228,7 +229,7 @@ class MessageReader:
         return out
 
     def _connection(self, fields: Fields, record: bytes, data_at: int) -> None:
-        """Take in what a connection is, once; raises DamageError."""
+        """Learn a connection, once; raises DamageError."""
         if record not in self._described:
             self._described.look(min(number(fields, b"conn"), NUMBERS - 1))
             key, channel = connection_of(fields, record[data_at:])
@@ -237,11 +238,11 @@ class MessageReader:
             self.tally.describe(key, channel, contradicts(record, self._told.get(key)))
 
     def unwanted(self, conn: int) -> bool:
-        """Whether nobody asked for the messages of that connection."""
+        """Whether the messages of that connection are not wanted."""
         return conn < NUMBERS and self.tally.sink(conn) == UNWANTED
 
     def too_large(self, head: Bytes) -> None:
-        """Count a record that is too large to be looked at, by its first bytes."""
+        """Count a record that is too large to be processed, by its first bytes."""
         header = U32(head.data)[0]
         try:
             fields = fields_of(head[4 : 4 + header].tobytes())

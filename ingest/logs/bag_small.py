@@ -1,4 +1,4 @@
-"""Runs of small chunks of a bag taken together: some recorders close one after every message."""
+"""Batches of small chunks of a bag: some recorders close one after every message."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ LONGEST_HEADER = 256
 
 
 class Batch(NamedTuple):
-    """Small chunks one behind the other.
+    """Consecutive small chunks.
 
-    stop: bytes of the file that they take; data: the records of each; repaired: how many declare
-    another size than they have.
+    stop: bytes of the file that they take; data: the records of each; repaired: number of chunks
+    with a wrong declared size.
     """
 
     stop: int
@@ -28,7 +28,7 @@ class Batch(NamedTuple):
 
 
 class _Likes:
-    """The headers that a recorder repeats: of chunks in all but the size, of indexes."""
+    """The headers that a recorder repeats: of chunks except for the size, and of indexes."""
 
     def __init__(self) -> None:
         self._chunk: tuple[int, bytes, bytes] | None = None
@@ -36,7 +36,7 @@ class _Likes:
         self._compression = b"none"
 
     def chunk_size(self, head: bytes) -> int | None:
-        """The size that the header of a chunk declares, None if it is none. Length included."""
+        """The size in the header of a chunk, None if it is not one."""
         if self._chunk is None:
             fields = _fields(head)
             if fields.get(b"op") != bytes([CHUNK]) or len(fields.get(b"size", b"")) != 4:
@@ -83,8 +83,7 @@ def _fields(head: bytes) -> dict[bytes, bytes]:
 def small_chunks(raw: Bytes) -> Batch:
     """The small chunks at the front of `raw` and their indexes, up to anything else.
 
-    A chunk counts only if a chunk or an index is behind it: nothing else tells that its length is
-    right.
+    A chunk counts only if another chunk or an index follows: nothing else confirms its length.
     """
     view, at, size = raw.data, 0, len(raw)
     data: list[bytes] = []

@@ -1,4 +1,4 @@
-"""A chunk of a bag without its large messages that nobody wants: images are not even read."""
+"""Reading a bag chunk without its large unwanted messages, such as images."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from .messages import Bytes, DamageError
 from .windows import Window
 
 LARGE_BYTES = 1 << 16
-"""Less is rather read along than skipped; images are larger by far, most other messages smaller."""
+"""Smaller messages are read rather than skipped; images are much larger, most other messages
+smaller."""
 
 HEAD_BYTES = 512
-"""So much of a large message is read, which is its header and the size of its data."""
+"""Bytes read of a large message: its header and the size of its data."""
 
 
 def without_large(
     window: Window, chunk: ChunkHead, listed: IntArray, unwanted: Callable[[int], bool]
 ) -> Bytes | None:
-    """The records of an uncompressed chunk, with holes in the data of large unwanted messages.
+    """The records of an uncompressed chunk, with undefined bytes in place of the data of large
+    unwanted messages.
 
-    listed: places in the chunk where an index says messages are; unwanted: by connection number.
-    None if there is nothing to leave out, or if the index does not agree with what is met. The
-    holes hold anything; every record's own sizes are read, so that the index can be proven.
+    listed: positions of messages by an index; unwanted: by connection number. None if there is
+    nothing to leave out, or if the index is wrong. Every record's own sizes are read, so that the
+    index can be proven right.
     """
     where = np.sort(listed)
     if len(where) == 0 or where[0] < 0 or where[-1] >= chunk.data_size:

@@ -33,11 +33,11 @@ MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Codes of the format (http://wiki.ros.org/Bags/Format/2.0)."""
 
 HEADER_BYTES = 2 * NAME_BYTES + 128
-"""Longest record header that is believed: it holds one or two names and a few numbers."""
+"""Largest record header accepted: it holds one or two names and a few numbers."""
 
 INDEX_BYTES = 1 << 26
-"""Largest index section that is read: a chunk with a dozen topics takes 200 bytes in it,
-so 300,000 of them."""
+"""Largest index section read: a chunk with a dozen topics takes 200 bytes in it, so 300,000 of
+them."""
 
 U32 = struct.Struct("<I").unpack_from
 U64 = struct.Struct("<Q").unpack_from
@@ -85,7 +85,7 @@ def time_ns(raw: bytes) -> int:
 
 
 class Record(NamedTuple):
-    """A record at the top of a file: its fields and the place of its data."""
+    """A record outside chunks: its fields and the position of its data."""
 
     fields: dict[bytes, bytes]
     op: int
@@ -147,7 +147,7 @@ INDEX_ENTRY = 12
 
 
 def listed_offsets(entries: Bytes) -> IntArray:
-    """Places in their chunk that the entries of an index record list, unchecked."""
+    """Positions in their chunk that the entries of an index record list, unchecked."""
     count = len(entries) // INDEX_ENTRY
     return np.asarray(np.ndarray((count, 3), "<u4", entries.data)[:, 2].astype(np.int64))
 
@@ -155,10 +155,10 @@ def listed_offsets(entries: Bytes) -> IntArray:
 class BagIndex(NamedTuple):
     """The index at the end of a closed bag.
 
-    start: its place; told: the connection records; counts: messages per connection; chunk_starts,
-    first_ns, last_ns, listed: (c,) of every chunk, ascending: its place, its log times, and how
-    many connections are in it; pairs: (k, 2) these connections, chunk by chunk, and the messages of
-    each.
+    start: its position; told: the connection records; counts: messages per connection;
+    chunk_starts, first_ns, last_ns, listed: (c,) of every chunk, ascending: its position, its log
+    times, and the number of connections in it; pairs: (k, 2) these connections, chunk by chunk,
+    with the number of messages of each.
     """
 
     start: int
@@ -173,7 +173,8 @@ class BagIndex(NamedTuple):
 
     @property
     def chunks(self) -> ChunkIndex:
-        """What is in which chunk; each reaches as far as the next one, with the index behind it."""
+        """The contents of each chunk, which extends up to the next one, including its index
+        records."""
         begin = self.chunk_starts
         stop = np.append(begin[1:], self.start)[: len(begin)]
         channel, count = self.pairs.T.astype(np.int64)
@@ -196,7 +197,7 @@ class BagIndex(NamedTuple):
 
 
 def read_index(window: Window) -> BagIndex | None:
-    """The index of a bag, None where it is missing or does not agree with the bag's header."""
+    """The index of a bag, None if it is missing or inconsistent with the bag's header."""
     try:
         header = record_at(window, len(MAGIC))
         start = number(header.fields, b"index_pos", 8)
@@ -250,9 +251,9 @@ def _parse_index(window: Window, start: int, connections: int, chunks: int) -> B
 
 
 def _chunk_info(record: Record, connections: int) -> tuple[int, int, int, int]:
-    """Place, first and last time of a chunk, and how many connections are in it.
+    """Position, first and last time of a chunk, and number of connections in it.
 
-    Raises DamageError; connections: that there are.
+    Raises DamageError; connections: number in the file.
     """
     if record.data_size % 8 or record.data_size > 8 * connections:
         raise DamageError("a chunk info record is cut, or counts more connections than there are")
@@ -279,10 +280,10 @@ def _totals(pairs: NDArray[np.uint32], channels: Iterable[int]) -> dict[int, int
 
 
 class HeadTemplate(NamedTuple):
-    """Where the fields of a message record's header lie; most bags use one order throughout.
+    """Positions of the fields in a message record's header; most bags use one order throughout.
 
-    size: bytes of the header, without its length; shape: what every such header shares, length
-    included; conn_at, time_at: places from the record's start.
+    size: bytes of the header, without its length; shape: bytes that all such headers share, length
+    included; conn_at, time_at: positions from the record's start.
     """
 
     size: int
@@ -314,9 +315,9 @@ class HeadTemplate(NamedTuple):
 
 
 class IndexTemplate(NamedTuple):
-    """The header of an index record, length included, and where its numbers lie.
+    """The header of an index record, length included, and the positions of its numbers.
 
-    fixed: what such headers share, by its place.
+    fixed: bytes that such headers share.
     """
 
     head: bytes
@@ -333,9 +334,9 @@ class IndexTemplate(NamedTuple):
         return cls(head, conn_at, count_at, fixed)
 
     def read(self, front: bytes) -> tuple[int, int, int] | None:
-        """Connection, count, and place of the data of a record, by its first bytes.
+        """Connection, count, and position of the data of a record, by its first bytes.
 
-        None if its header is not like this one, or its data have another size than the count says.
+        None if its header is not like this one, or the size of its data contradicts the count.
         """
         size = len(self.head)
         if len(front) < size + 4 or any(front[part] != self.head[part] for part in self.fixed):

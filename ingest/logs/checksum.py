@@ -13,9 +13,10 @@ __all__ = ["agrees", "crc32"]
 
 
 def agrees(found: int, expected: int) -> bool:
-    """Whether data of the checksum `found` are whole, where `expected` may itself have a wrong bit.
+    """Whether data with the checksum `found` are intact, where `expected` may itself have a wrong
+    bit.
 
-    No single wrong bit in less than 512 MiB of data changes just one bit of the checksum: the
-    polynomial is primitive. Any other damage does so once in 130 million times.
+    No single wrong bit in less than 512 MiB of data changes just one bit of the checksum, because
+    the polynomial is primitive. Any other damage does so once in 130 million times.
     """
     return (found ^ expected).bit_count() <= 1

@@ -12,20 +12,19 @@ from .messages import Findings
 from .tally import Tally
 
 Wanted = BoolArray
-"""By channel number: whether anybody wants its messages, or it is not described."""
+"""By channel number: whether its messages are wanted, or it is not described."""
 
 
 TRIED_STARTS = 64
-"""So many chunks of an index are looked for before the index is given up: damage takes a few in a
-row, and of another file's index none is there."""
+"""Indexed chunks that are tried before an index is given up: damage affects a few in a row; of
+another file's index none exists."""
 
 
 class ChunkIndex(NamedTuple):
     """The chunks of a log in the order of the file.
 
-    begin, end: (c,) places of their bytes; first_ns, last_ns: (c,) log times; chunk, channel,
-    messages: (k,) so many messages of a channel are in a chunk, in
-    the order of chunks.
+    begin, end: (c,) positions of their bytes; first_ns, last_ns: (c,) log times; chunk, channel,
+    messages: (k,) number of messages of a channel in a chunk, in the order of chunks.
     """
 
     begin: IntArray
@@ -37,7 +36,7 @@ class ChunkIndex(NamedTuple):
     messages: IntArray
 
     def needed(self, wanted: Wanted) -> BoolArray:
-        """(c,) which chunks hold any message that is wanted."""
+        """(c,) which chunks hold any wanted message."""
         out = np.zeros(len(self.begin), bool)
         out[self.chunk[wanted[self.channel] & (self.messages > 0)]] = True
         return out
@@ -64,7 +63,7 @@ class ChunkIndex(NamedTuple):
         return {int(n): int(totals[n]) for n in totals.nonzero()[0]}
 
     def span_ns(self, chunks: BoolArray) -> tuple[int, int] | None:
-        """First and last log time in some of the chunks, as far as they hold anything."""
+        """First and last log time in some of the chunks, None if they are empty."""
         filled = chunks & (self.first_ns <= self.last_ns)
         if not filled.any():
             return None
@@ -72,7 +71,7 @@ class ChunkIndex(NamedTuple):
 
 
 def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> BoolArray:
-    """Count the messages in chunks that nobody needs; returns (c,) which are needed."""
+    """Count the messages in chunks that are not needed; returns (c,) which are needed."""
     needed = index.needed(tally.wanted())
     for number, count in index.counts(~needed).items():
         tally.passed(number, count)
@@ -85,10 +84,10 @@ def passed_over(index: ChunkIndex, tally: Tally, findings: Findings) -> BoolArra
 def next_listed(
     starts: IntArray, stop: int, position: int, is_chunk: Callable[[int], bool]
 ) -> int | None:
-    """The next place at or after `position` at which a listed chunk is, or the index begins.
+    """The next position at or after `position` with a listed chunk, or where the index begins.
 
-    starts: (c,) where the index says that chunks are, ascending; stop: where it begins itself;
-    is_chunk: whether one is there. None if what follows is not known.
+    starts: (c,) positions of chunks by the index, ascending; stop: position of the index; is_chunk:
+    whether there is one at a position. None if it is unknown.
     """
     for start in starts[np.searchsorted(starts, position) :][:TRIED_STARTS].tolist():
         if is_chunk(start):

@@ -1,7 +1,6 @@
-"""Chunks of a log: read ahead, inflated, checked, and saved where they are damaged.
+"""Chunks of a log: read ahead, decompressed, checked, and recovered if they are damaged.
 
-How records and the indexes behind a chunk look differs between formats; `bag_chunks` and
-`mcap_chunks` tell it.
+Subclasses in `bag_chunks` and `mcap_chunks` know the records and chunk indexes of their format.
 """
 
 from __future__ import annotations
@@ -32,23 +31,23 @@ from .tally import Tally
 from .windows import RemoteWindow, Window
 
 SMALL_BYTES = FileWindow.STEP
-"""Up to this size, packed and inflated, the work per chunk exceeds the work per byte: it was read
-along with what is in front of it."""
+"""Up to this size, compressed and decompressed, the work per chunk exceeds the work per byte: it
+was read with the preceding bytes."""
 
 RUN = 8
-"""After so many small chunks the next ones are expected to be small, too. After 64, logs of 4,000
-chunks of one message take 1.1 to 1.2 times as long (benchmarks/reading_numbers.py)."""
+"""After so many consecutive small chunks the next ones are expected to be small. After 64, logs of
+4,000 chunks of one message take 1.1 to 1.2 times as long (benchmarks/reading_numbers.py)."""
 
 PATIENCE = 1000
-"""So many damaged chunks are looked at closely; a file with more is an attack."""
+"""Damaged chunks that are examined closely; a file with more is an attack."""
 
 
 class ChunkHead(NamedTuple):
-    """What a chunk record says of its data, and their place.
+    """A chunk record's description of its data, and their position.
 
-    compression: empty if there is none; size: of the data when inflated; crc: their checksum, 0 if
-    none is given; start_ns, end_ns: of the messages, where the format says it. MCAP's C++ writer
-    lets a chunk that holds none start at the largest time and end at 0.
+    compression: empty if there is none; size: of the data when decompressed; crc: their checksum, 0
+    if none is given; start_ns, end_ns: of the messages, if the format states it. MCAP's C++ writer
+    lets an empty chunk start at the largest time and end at 0.
     """
 
     compression: str
@@ -63,8 +62,8 @@ class ChunkHead(NamedTuple):
 class Chunk(NamedTuple):
     """A chunk read ahead.
 
-    position: of its record; needed: whether it may hold wanted messages; counts, offsets: what the
-    index records behind it say, per channel and of all of them.
+    position: of its record; needed: whether it may hold wanted messages; counts, offsets: contents
+    of the index records behind it, per channel and of all of them.
     """
 
     position: int
@@ -75,32 +74,32 @@ class Chunk(NamedTuple):
 
 
 class Messages(Protocol):
-    """What turns runs of records into blocks of messages; `MessageReader` of either format."""
+    """Turns runs of records into blocks of messages; `MessageReader` of either format."""
 
     tally: Tally
     findings: Findings
 
     def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
-        """The wanted messages in a run of records; offsets: where an index says they are."""
+        """The wanted messages in a run of records; offsets: their positions by an index."""
 
     def too_large(self, head: Bytes) -> None:
-        """Count a record that is too large to be looked at, by its first bytes."""
+        """Count a record that is too large to be processed, by its first bytes."""
 
 
 class WrongChecksumError(DamageError):
-    """Data have another checksum than they are said to."""
+    """The data have another checksum than declared."""
 
     def __init__(self) -> None:
         super().__init__("checksum (CRC) is wrong")
 
 
 def wrong_size() -> bytes:
-    """The task of a chunk whose declared size is not believed."""
+    """The task of a chunk with an implausible declared size."""
     raise WrongSizeError
 
 
 def _inflated(head: ChunkHead, read: Callable[[int, int], Bytes | bytes]) -> bytes:
-    """The records of a compressed chunk; raises DamageError. For any thread if `read` is."""
+    """The records of a compressed chunk; raises DamageError. Thread-safe if `read` is."""
     data = inflate(head.compression, read(head.data_at, head.data_size), head.size)
     if head.crc and not agrees(crc32(data), head.crc):
         raise WrongChecksumError
@@ -108,9 +107,9 @@ def _inflated(head: ChunkHead, read: Callable[[int, int], Bytes | bytes]) -> byt
 
 
 class ChunkReader(ABC):
-    """The chunks of one file in their order; leaving the context ends the threads that inflate.
+    """The chunks of one file in their order; leaving the context ends the decompressing threads.
 
-    met: how many chunks there were.
+    met: number of chunks met.
     """
 
     def __init__(self, window: Window, messages: Messages) -> None:
@@ -122,7 +121,7 @@ class ChunkReader(ABC):
         self._ahead: Ahead[Chunk] = Ahead()
         self._allowance = Allowance()
         self._small_run = 0
-        # What lies between them is not there.
+        # The gap is not part of the file.
         self._chosen = isinstance(window, RemoteWindow)
         self._patience = PATIENCE
 
@@ -137,27 +136,27 @@ class ChunkReader(ABC):
 
     @abstractmethod
     def _needed(self, position: int) -> bool:
-        """Whether the chunk at a place may hold wanted messages."""
+        """Whether the chunk at a position may hold wanted messages."""
 
     @abstractmethod
     def _plain(self, head: ChunkHead) -> Task | None:
-        """What gives the records of a chunk that is not compressed, None if `_directly` does."""
+        """The task for the records of an uncompressed chunk, None if `_directly` reads it."""
 
     @abstractmethod
     def _listed_behind(self, position: int) -> int:
-        """Take in the sound index records behind the last chunk; returns where they end."""
+        """Read the sound index records behind the last chunk; returns where they end."""
 
     @abstractmethod
     def _small_chunks(self, position: int) -> Walking:
-        """The messages of small chunks one behind the other; returns where they end."""
+        """The messages of consecutive small chunks; returns where they end."""
 
     @abstractmethod
     def _front(self, data: Bytes) -> int:
-        """Bytes of the whole records, of whatever kind, at the front of data."""
+        """Bytes of the complete records, of whatever kind, at the front of data."""
 
     @abstractmethod
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
-        """Places of the whole records at the front of a chunk's data, and where they stop."""
+        """Positions of the complete records at the front of a chunk's data, and where they end."""
 
     @abstractmethod
     def _record_length(self, data: Bytes) -> int:
@@ -165,12 +164,12 @@ class ChunkReader(ABC):
 
     @abstractmethod
     def _census(self, chunk: Chunk) -> dict[int, int]:
-        """How many messages a damaged chunk without index held, as far as its records tell."""
+        """Message counts of a damaged chunk without index, as far as its records show."""
 
     # What is the same
 
     def _taken(self, position: int, head: ChunkHead, end: int) -> Walking:
-        """Queue a chunk, or take many small ones at once; returns where to go on."""
+        """Queue a chunk, or process many small ones at once; returns where to go on."""
         wrong = head.compression == "" and head.size != head.data_size
         if wrong:
             # How large the data are is told by the record as well.
@@ -186,7 +185,8 @@ class ChunkReader(ABC):
         return end
 
     def _small_ones(self, position: int, head: ChunkHead) -> Walking:
-        """Take a run of small chunks; returns where it ends, its beginning if there is none."""
+        """Process a run of small chunks; returns where it ends, or where it begins if there is
+        none."""
         small = max(head.size, head.data_size) <= SMALL_BYTES and not self._chosen
         self._small_run = self._small_run + 1 if small else 0
         if self._small_run <= RUN:
@@ -195,9 +195,9 @@ class ChunkReader(ABC):
         return (yield from self._small_chunks(position))
 
     def _queue(self, chunk: Chunk) -> bool:
-        """Have a chunk that is slow to inflate begun on another thread; others wait their turn.
+        """Start a slowly decompressing chunk on another thread; others wait in the queue.
 
-        Returns whether it is best used at once, while its bytes and those behind it are at hand.
+        Returns whether it is best processed at once, while its bytes are in the cache.
         """
         head, window = chunk.head, self._window
         if not chunk.needed or max(head.size, head.data_size) > WHOLE_BYTES:
@@ -221,7 +221,7 @@ class ChunkReader(ABC):
         return True
 
     def caught_up(self, everything: bool = False) -> Iterator[Block]:
-        """Messages of the chunks read ahead; of the last one only when its index has been met."""
+        """Messages of the chunks read ahead; of the last one only after its index has been read."""
         for chunk, task in self._ahead.due(everything):
             try:
                 if task is None:
@@ -236,7 +236,7 @@ class ChunkReader(ABC):
             yield from self._messages.blocks(data, chunk.offsets)
 
     def _rescued(self, chunk: Chunk, damage: DamageError) -> Bytes | None:
-        """The records of a chunk of which only the declared size is wrong; else None, counted."""
+        """The records of a chunk with only a wrong declared size; else None, and it is counted."""
         self._patience -= 1
         head = chunk.head
         if isinstance(damage, WrongSizeError) and head.compression and self._patience >= 0:
@@ -254,9 +254,9 @@ class ChunkReader(ABC):
         return None
 
     def _check(self, head: ChunkHead, data: Bytes) -> None:
-        """Raise DamageError if data of another size than declared are not a chunk's all the same.
+        """Raise DamageError if data of another size than declared are not a valid chunk anyway.
 
-        Without a checksum, records that fill them tell that the declared size is wrong.
+        Without a checksum, records that fill the data show that the declared size is wrong.
         """
         if head.crc:
             if not agrees(crc32(data), head.crc):
@@ -268,7 +268,7 @@ class ChunkReader(ABC):
         return self._census(chunk) if self._patience >= 0 else {}
 
     def _part(self, head: ChunkHead) -> Bytes:
-        """What a cut or damaged chunk still gives."""
+        """The recoverable part of a truncated or damaged chunk."""
         data = self._window.view(head.data_at, min(head.data_size, WHOLE_BYTES))
         if not head.compression:
             return data
@@ -279,7 +279,7 @@ class ChunkReader(ABC):
         return part
 
     def _directly(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of a chunk too large for the memory; it is checked before any is used."""
+        """The messages of a chunk too large for memory; it is checked before any is used."""
         head = chunk.head
         size = self._check_pieces(head)
         self._allowance.again(head.compression, head.data_size, size)
@@ -290,8 +290,8 @@ class ChunkReader(ABC):
                 yield from self._messages.blocks(part)
 
     def _check_pieces(self, head: ChunkHead) -> int:
-        """Go through all data of a chunk; returns their size, or raises DamageError if they are not
-        what is declared."""
+        """Check all data of a chunk; returns their size, or raises DamageError if they are not as
+        declared."""
         found, crc = head.data_size, 0
         if head.compression or head.crc:
             found, stream = 0, self._pieces(head)
@@ -307,7 +307,7 @@ class ChunkReader(ABC):
         return found
 
     def _pieces(self, head: ChunkHead) -> Iterator[bytes]:
-        """What a chunk inflates to, piece by piece."""
+        """The decompressed chunk, piece by piece."""
         at, end = head.data_at, head.data_at + head.data_size
 
         def read(size: int) -> bytes:
@@ -319,7 +319,7 @@ class ChunkReader(ABC):
         return pieces(head.compression, read)
 
     def _damaged(self, reason: str, counts: dict[int, int]) -> None:
-        """Count a chunk that cannot be used, and its messages if its index tells their number."""
+        """Count an unusable chunk, and its messages if its index states their number."""
         self._findings.damaged_chunks[reason] += 1
         for number, count in counts.items():
             self._tally.lost(number, count)

@@ -1,4 +1,4 @@
-"""Logs that hold their messages in chunks: MCAP files and bags, here or elsewhere."""
+"""Logs that hold their messages in chunks: MCAP files and bags, local or remote."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .windows import RemoteWindow, Window, window_on
 
 
 class Walk(Protocol):
-    """One pass over a file; tally: of its channels, as far as they are known in advance."""
+    """One scan of a file; tally: of its channels, as far as they are known in advance."""
 
     tally: Tally
 
@@ -26,7 +26,7 @@ class Walk(Protocol):
 
 
 class ChunkedFile(ABC):
-    """One log in chunks; BEHIND: how far behind a chunk is looked to know where it ends."""
+    """One log in chunks; BEHIND: bytes read behind a chunk to find its end."""
 
     BEHIND = 0
 
@@ -35,18 +35,18 @@ class ChunkedFile(ABC):
 
     @abstractmethod
     def _chunks(self) -> ChunkIndex | str:
-        """What is in which chunk by the file's index, or why there is none."""
+        """The contents of each chunk by the file's index, or why there is none."""
 
     @abstractmethod
     def _channels(self) -> Mapping[int, Channel]:
-        """The channels that the index describes."""
+        """The channels described by the index."""
 
     @abstractmethod
     def _walk(self, window: Window, want: Want, findings: Findings) -> Walk:
-        """A pass over the file that is not begun yet."""
+        """A new scan of the file."""
 
     def cost(self, want: Want) -> int:
-        """How many bytes of a remote file are fetched for what is wanted."""
+        """Number of bytes of a remote file to be fetched for what is wanted."""
         assert isinstance(self.path, RemotePath)
         wanted = Tally(want, Findings(), self._channels()).wanted()
         return RemoteWindow(self.path).cost(self._chunks(), wanted, self.BEHIND)
@@ -54,7 +54,7 @@ class ChunkedFile(ABC):
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
-        """Walk the file once. O(bytes); memory: one chunk, compressed and inflated."""
+        """Scan the file once. O(bytes); memory: one chunk, compressed and decompressed."""
         with window_on(self.path, progress) as window:
             walk = self._walk(window, want, findings)
             if isinstance(window, RemoteWindow):

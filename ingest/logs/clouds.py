@@ -1,4 +1,4 @@
-"""The points of clouds, whatever their fields: sensor_msgs/PointCloud2, foxglove.PointCloud."""
+"""Points of clouds with any fields: sensor_msgs/PointCloud2, foxglove.PointCloud."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from .messages import DamageError, text
 from .wire import WireParser
 
 FIELDS = 256
-"""Most fields of a point that are believed."""
+"""Largest number of fields of a point."""
 
 MOST_POINTS = 1 << 21
-"""Largest cloud that is believed: a picture of 1920 by 1080 pixels of depth, or ten turns of the
-scanner with the most beams."""
+"""Largest cloud: a depth image of 1920 by 1080 pixels, or ten turns of the scanner with the most
+beams."""
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""
@@ -43,7 +43,7 @@ the unsigned ones."""
 
 
 class Cloud(NamedTuple):
-    """xyz: (k, 3) float64 points [m] in the frame, not all of them finite."""
+    """xyz: (k, 3) float64 points in the frame [m], possibly not finite."""
 
     stamp_ns: int
     frame: str
@@ -51,7 +51,7 @@ class Cloud(NamedTuple):
 
 
 class _Layout(NamedTuple):
-    """Where the points of a cloud are in its data; fields: offset and datatype by name."""
+    """The layout of a cloud's data; fields: offset and datatype by name."""
 
     height: int
     width: int
@@ -183,7 +183,8 @@ def _packed(stride: int, fields: dict[str, tuple[int, int]], data: NDArray[np.ui
 
 
 def _placed(stamp_ns: int, frame: str, pose: tuple[float, ...] | None, xyz: FloatArray) -> Cloud:
-    """Points as they lie in their frame; a pose of zeros, as protobuf leaves it out, is none."""
+    """Points transformed to their frame; a pose of all zeros, protobuf's default, is the
+    identity."""
     if pose is not None and any(pose):
         if not np.isfinite(pose).all():
             raise DamageError("a pose holds numbers that are not finite")
@@ -197,7 +198,7 @@ def _placed(stamp_ns: int, frame: str, pose: tuple[float, ...] | None, xyz: Floa
 
 
 def _points(layout: _Layout, data: NDArray[np.uint8]) -> FloatArray:
-    """(k, 3) the points, row by row; raises DamageError where they do not fit into the data."""
+    """(k, 3) the points, row by row; raises DamageError if they exceed the data."""
     height, width, step = layout.height, layout.width, layout.point_step
     if height * width == 0:
         return np.zeros((0, 3))
@@ -215,7 +216,7 @@ def _points(layout: _Layout, data: NDArray[np.uint8]) -> FloatArray:
 
 
 def _place(layout: _Layout, name: str) -> tuple[int, np.dtype[Any]]:
-    """Where a field lies in its point, and what it is; raises DamageError if it is not there."""
+    """Offset and dtype of a field in its point; raises DamageError if it is missing."""
     if name not in layout.fields:
         raise DamageError(f"the points of a cloud have no {name}")
     offset, datatype = layout.fields[name]

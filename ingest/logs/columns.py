@@ -1,4 +1,4 @@
-"""Bytes at many places of one buffer, taken out together and read as columns."""
+"""Gathering bytes at many positions of one buffer, and reading them as columns."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from ...topology.arrays import BoolArray, IntArray
 from .messages import Bytes
 
 WORD = 8
-"""Bytes that are copied at once."""
+"""Bytes copied at once."""
 
 
 def words(data: Bytes, kind: str, at: IntArray) -> NDArray[Any]:
-    """The number of type `kind` at each place, through an unaligned view with stride 1."""
+    """The number of type `kind` at each position, through an unaligned view with stride 1."""
     count = len(data) - np.dtype(kind).itemsize + 1
     return np.ndarray((max(count, 0),), kind, data.data, strides=(1,))[at]
 
 
 def gather(data: Bytes, start: IntArray, width: int) -> Bytes:
-    """(n, w) bytes of `data` from each place on, w: `width` rounded up to whole words.
+    """(n, w) bytes of `data` from each position on, w: `width` rounded up to whole words.
 
-    What lies behind `width` means nothing. Every place must have `width` bytes.
+    Bytes beyond `width` are undefined. Every position must have `width` bytes.
     """
     wide = -(-width // WORD) * WORD
     if len(start) == 0 or width == 0:
@@ -41,7 +41,7 @@ def _items(data: Bytes, start: IntArray, width: int) -> Bytes:
 
 
 def column(rows: Bytes, kind: str, at: int) -> IntArray:
-    """The numbers of type `kind` at one place of every gathered row, as 64-bit ones."""
+    """The numbers of type `kind` at one offset of every gathered row, as 64-bit ones."""
     if len(rows) == 0:
         return np.zeros(0, np.int64)
     strides = (rows.shape[1],)
@@ -49,15 +49,15 @@ def column(rows: Bytes, kind: str, at: int) -> IntArray:
 
 
 class Growing:
-    """A column, or rows of equal width, that further rows are put behind.
+    """A column, or rows of equal width, that can be appended to.
 
-    A long column grows in place: the C library moves a large block to where it has room without
-    touching it, while parts that are joined in the end take twice the memory, and fresh pages cost
-    more than the decoding of what goes into them.
+    A long column grows in place: the C library remaps a large block without touching it, whereas
+    joining parts in the end would take twice the memory, and fresh pages cost more than the
+    decoding.
     """
 
     ROOMS = (1 << 12, 1 << 16, 1 << 20)
-    """So many rows are room for at first; what is not filled takes no memory."""
+    """Initial capacities [rows]; unused room takes no memory."""
 
     def __init__(self, kind: str, width: int | None = None) -> None:
         self._beyond = () if width is None else (width,)
@@ -65,7 +65,7 @@ class Growing:
         self._count = 0
 
     def add(self, rows: NDArray[Any]) -> None:
-        """Put rows behind the others, as numbers of the column's kind."""
+        """Append rows, converted to the column's type."""
         end = self._count + len(rows)
         if end > len(self._rows):
             self._grow(end)
@@ -96,9 +96,9 @@ ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 
 
 class Shape(NamedTuple):
-    """What rows of one kind have in common.
+    """The bytes that rows of one kind share.
 
-    words: per word that holds anything fixed its number, its value and which of its bits count.
+    words: for each word with fixed bytes its index, its value and its mask.
     """
 
     words: tuple[tuple[int, np.uint64, np.uint64], ...]
@@ -125,20 +125,20 @@ class Shape(NamedTuple):
 
 
 MANY = 1024
-"""So many descriptions in one piece of a log are looked through for repeats."""
+"""Number of descriptions in one piece of a log from which on repeats are searched."""
 
 REPEATED = 8
-"""So many of them are looked for."""
+"""Number of different repeats searched for."""
 
 REPEATED_BYTES = 512
-"""Longer records make no flood out of few bytes."""
+"""Longer records need not be searched: they cannot be a flood of few bytes."""
 
 
 def without_repeats(data: Bytes, start: IntArray, size: IntArray) -> IntArray:
-    """Which of the records at `start` with `size` to look at, by number, ascending.
+    """Indices of the records at `start` with `size` to be processed, ascending.
 
-    A flood that compresses to nothing repeats a few records. Of many, the first ones are compared
-    with all; of those that are equal byte by byte, the first and the last are left. O(bytes).
+    A flood that compresses well repeats a few records. The first ones are compared with all; of
+    those that are equal byte by byte, the first and the last are kept. O(bytes).
     """
     left, kept = np.arange(len(start)), []
     for _ in range(REPEATED):

@@ -1,4 +1,4 @@
-"""The descriptions of a file's channels, as they are met: each counts once, and all are bounded."""
+"""Bounded bookkeeping of a file's channel descriptions; each counts once."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from .messages import Channel, DamageError
 from .tally import NUMBERS
 
 DEFINITION_BYTES = 1 << 25
-"""What the different schemas and channels of one file may take together, 32 MiB: a thousand topics
-with the largest definitions in use take 20."""
+"""Limit of the different schemas and channels of one file, 32 MiB: a thousand topics with the
+largest definitions in use take 20."""
 
 DEFINITION_COST = 200
-"""What a channel takes beside its names."""
+"""Memory of a channel in addition to its names [bytes]."""
 
 SHORT_NAMES = 256
-"""Names that are kept where there is no room for definitions any more: 65,536 of them take 16 MiB.
-Longest name that DDS allows."""
+"""Longest names kept once there is no room for definitions: 65,536 of them take 16 MiB. Longest
+name that DDS allows."""
 
 LOOKED_AT = 2 * NUMBERS
-"""So many different descriptions are looked at, every number twice; a file with more is an attack,
-and each costs 10 microseconds."""
+"""Number of different descriptions processed, twice for every number; a file with more is an
+attack, and each costs 10 microseconds."""
 
 TOO_MANY = "implausibly many channels are described; what describes one anew is left out"
 
@@ -29,7 +29,7 @@ TOO_MANY = "implausibly many channels are described; what describes one anew is 
 class Described:
     """The records that describe channels of one file; writers repeat them in every chunk.
 
-    left: how many more that are new are looked at, whatever they describe.
+    left: number of further new ones that are processed.
     """
 
     def __init__(self) -> None:
@@ -42,7 +42,7 @@ class Described:
         return record in self._met
 
     def worth(self, numbers: IntArray) -> BoolArray:
-        """Which of these descriptions to look at: so many, and those of a number not met.
+        """Which of these descriptions to process: a bounded number, and those of new numbers.
 
         numbers: what each describes, below 2 NUMBERS.
         """
@@ -53,26 +53,26 @@ class Described:
         return out
 
     def look(self, number: int) -> None:
-        """Count a description that was not met yet; number: as in `worth`."""
+        """Count a new description; number: as in `worth`."""
         self.left = max(self.left - 1, 0)
         self._looked_at[number] = True
 
     def add(self, record: bytes) -> bool:
-        """Remember a record; whether there is room for what it says."""
+        """Remember a record; returns whether there is room for its contents."""
         room = self.has_room(record)
         if room:
             self._met.add(record)
         return room
 
     def has_room(self, record: bytes) -> bool:
-        """Whether there is room for what a record says; it is taken."""
+        """Whether there is room for a record's contents, which is then reserved."""
         if len(record) + DEFINITION_COST > self._room:
             return False
         self._room -= len(record) + DEFINITION_COST
         return True
 
     def forget(self) -> None:
-        """What was met so far may mean something else from here on."""
+        """Forget all records, because their meaning may change from here on."""
         self._met.clear()
 
 
@@ -84,7 +84,7 @@ def short(channel: Channel) -> Channel:
 
 
 def contradicts(record: bytes, told: bytes | None) -> bool:
-    """Whether a description is another one than an index gives, by more than a wrong bit."""
+    """Whether a description differs from the index's by more than one wrong bit."""
     if told is None or record == told:
         return False
     wrong = int.from_bytes(record, "little") ^ int.from_bytes(told, "little")

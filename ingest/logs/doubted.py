@@ -1,4 +1,4 @@
-"""Messages of a known type whose embedded definition is another one: which of the two is right."""
+"""Messages of a known type with another embedded definition: which of the two is right."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from .poses import Frames, Heads, PoseDecoder, Poses
 from .wire import WireDecoder
 
 UNIT = 1e-3
-"""Recorded orientations are unit quaternions up to rounding; other bytes are not by this much."""
+"""Tolerance of recorded unit quaternions; arbitrary bytes do not meet it."""
 
 
 class DoubtedDecoder:
-    """Decodes by the embedded definition; or, where that serves for no message, by the known one.
+    """Decodes by the embedded definition or, if that never works, by the known one.
 
-    A wrong bit in a definition can join two of its lines. The known one is only believed if all
-    messages it is tried on have it, with unit quaternions.
+    A wrong bit in a definition can join two of its lines. The known one is only used if all
+    messages tried decode by it, with unit quaternions.
     """
 
     def __init__(self, embedded: RowDecoder, known: WireDecoder) -> None:
@@ -28,7 +28,7 @@ class DoubtedDecoder:
 
     @property
     def frames(self) -> Frames:
-        """Those of the definition that serves."""
+        """Those of the definition that works."""
         return (self._chosen or self._embedded).frames
 
     @property
@@ -43,7 +43,7 @@ class DoubtedDecoder:
         return self._embedded.reason or (self._chosen.reason if self._chosen else "")
 
     def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
-        """What is needed of the messages, once the known definition has proved right."""
+        """The bytes needed of the messages, once the known definition has proved right."""
         return self._known.heads(data, start, size) if self._chosen is self._known else None
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:

@@ -1,4 +1,4 @@
-"""Whether the paths of a mapping lead anywhere, by the definition of the messages alone."""
+"""Validation of a field mapping's paths by the definition of the messages."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ _EXPECTED = {
 
 
 def check_fields(channel: Channel, fields: JunctionFields, log: str) -> bool:
-    """Follow every path through the definition that the log holds of a channel's messages.
+    """Follow every path through the log's definition of a channel's messages.
 
-    Raises UsageError that names the first path that leads nowhere, and what there is instead.
-    False if only the messages themselves can tell: there is no definition, or a path leads into
-    JSON in a string.
+    Raises UsageError that names the first path that does not exist, and the alternatives. False if
+    only the messages themselves can show: there is no definition, or a path leads into JSON in a
+    string.
     """
     if channel.encoding not in ("cdr", "ros1"):
         return False
@@ -53,7 +53,7 @@ def check_fields(channel: Channel, fields: JunctionFields, log: str) -> bool:
 
 
 def _end(types: Types, begin: str | None, path: FieldPath) -> str | None:
-    """The type that a path leads to, None where that is not known."""
+    """The type that a path leads to, None if it is unknown."""
     here, many = begin, False
     for number, (name, through) in enumerate(path.steps):
         if here in _TEXT:
@@ -74,7 +74,7 @@ def _end(types: Types, begin: str | None, path: FieldPath) -> str | None:
 
 
 def _check_end(types: Types, end: str, path: FieldPath) -> None:
-    """Raise UsageError if values of this type cannot be what the path is for."""
+    """Raise UsageError if values of this type cannot serve the purpose of the path."""
     key = path.text.partition("=")[0]
     names = set(types.get(end, ()))
     serves = {

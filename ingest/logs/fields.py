@@ -38,13 +38,13 @@ from .schema import object_decoder
 _KEYS = ("center", "branches", "each", "stamp", "frame", "unit")
 
 _WHOLE_TURN = 2 * np.pi * (1 + 1e-6)
-"""Headings in radians that were rounded stay below; in degrees few junctions do."""
+"""Limit of headings in radians; in degrees few junctions stay below."""
 
 
 class FieldPath(NamedTuple):
-    """A path into a message, as typed ("center=pose.position").
+    """A path into a message, as given ("center=pose.position").
 
-    steps: names of members from outside in, each with whether it is a list to go through.
+    steps: names of members from outside in, each with whether it is a list to iterate.
     """
 
     text: str
@@ -53,9 +53,9 @@ class FieldPath(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class JunctionFields:
-    """Where in a message a junction is; see the module's text.
+    """Where in a message a junction is; see the module's docstring.
 
-    unit: of angles; None are radians that nobody has vouched for: none can be beyond a whole turn.
+    unit: of angles; None: taken for radians, and then refused beyond a whole turn.
     """
 
     center: FieldPath
@@ -67,7 +67,7 @@ class JunctionFields:
 
     @classmethod
     def parse(cls, mapping: str) -> JunctionFields:
-        """Read a mapping as typed by a user; raises UsageError."""
+        """Parse a mapping given by a user; raises UsageError."""
         found: dict[str, Any] = {}
         for part in mapping.split(","):
             key, equals, value = (piece.strip() for piece in part.partition("="))
@@ -132,7 +132,7 @@ class JunctionFields:
         return _about_z(self._angle(value))
 
     def _check_degrees(self, ways: list[Any]) -> None:
-        """Raise UsageError if three branches or more would lie within some degrees."""
+        """Raise UsageError if three branches or more lie within some degrees."""
         numbers = [way for way in ways if isinstance(way, int | float)]
         if self.unit == "deg" and len(numbers) > 2 and max(map(abs, numbers)) <= _WHOLE_TURN:
             raise UsageError(
@@ -141,7 +141,7 @@ class JunctionFields:
             )
 
     def _angle(self, value: Any) -> float:
-        """An angle [rad]; raises DamageError, UsageError if it can hardly be one."""
+        """An angle [rad]; raises DamageError, UsageError if it is implausible."""
         angle = real(value)
         if self.unit == "deg":
             return float(np.deg2rad(angle))
@@ -194,7 +194,7 @@ def _path(key: str, value: str) -> FieldPath:
 
 @contextmanager
 def _naming(path: FieldPath) -> Iterator[None]:
-    """Say of damage which path it was met at."""
+    """Add the path to DamageErrors."""
     try:
         yield
     except DamageError as error:

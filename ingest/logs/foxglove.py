@@ -16,7 +16,7 @@ from .one_by_one import OneByOne
 from .poses import Frames, Poses, Row, join, no_poses
 
 POSES = 1 << 16
-"""Most poses of one message that are decoded one by one."""
+"""Largest number of poses of one message decoded one by one."""
 
 
 class RowDecoder(OneByOne[list[Row]]):
@@ -27,7 +27,7 @@ class RowDecoder(OneByOne[list[Row]]):
         super().__init__(lambda raw: parse(raw, self.frames))
 
     def heads(self, data: Bytes, start: IntArray, size: IntArray) -> None:
-        """Nothing: no two messages need be alike."""
+        """None: messages may all have different shapes."""
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of a batch of messages."""
@@ -107,9 +107,9 @@ def protobuf_pose(raw: bytes) -> tuple[float, ...]:
 
 
 def unit_quaternion(turn: tuple[float, ...]) -> tuple[float, ...]:
-    """x, y, z, w of a pose at unit length; zeros, as protobuf leaves them out, are no turn.
+    """x, y, z, w of a pose at unit length; zeros, protobuf's default, are the identity.
 
-    Raises DamageError where they are no recorded orientation: a million times off unit length.
+    Raises DamageError if they are a million times off unit length.
     """
     if not any(turn):
         return 0.0, 0.0, 0.0, 1.0
@@ -174,7 +174,7 @@ def _bounded(ns: int) -> int:
 
 
 def load_json(raw: bytes | str) -> Any:
-    """A JSON document; raises DamageError, also for nesting that no message has."""
+    """A parsed JSON document; raises DamageError, also for implausible nesting."""
     try:
         return json.loads(raw)
     except (ValueError, RecursionError) as error:
@@ -224,7 +224,7 @@ def _transform_row(item: Any, frames: Frames) -> Row:
 
 
 def get(message: Any, name: str) -> Any:
-    """A member of a decoded message, None if it has none of that name."""
+    """A member of a decoded message, None if it is missing."""
     if isinstance(message, dict):
         return message.get(name)
     return None if name.startswith("_") else getattr(message, name, None)

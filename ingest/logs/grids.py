@@ -22,7 +22,7 @@ FREE = 20
 
 
 def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
-    """The last grid of a topic that can be read, and how many messages could not.
+    """The last readable grid of a topic, and the number of unreadable ones after it.
 
     Raises LogError if there is none. Memory follows the largest message.
     """
@@ -52,7 +52,7 @@ def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
 
 
 def grid_of_message(channel: Channel, payload: bytes) -> Grid:
-    """The grid of one message; raises DamageError or ValueError where it makes none."""
+    """The grid of one message; raises DamageError or ValueError if it is invalid."""
     if channel.encoding == "cdr" and payload[:4] == ZSTD_MAGIC:
         payload = inflate_message(payload)
     if channel.encoding == "json":

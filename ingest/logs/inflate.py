@@ -1,4 +1,4 @@
-"""Decompression that believes no declared size: bounded, checked, and able to save a part."""
+"""Decompression without trust in declared sizes: bounded, checked, and able to recover a part."""
 
 from __future__ import annotations
 
@@ -13,48 +13,49 @@ import numpy as np
 from .messages import MESSAGE_BYTES, DamageError
 
 WHOLE_BYTES = 1 << 24
-"""A chunk is inflated at once up to this size, a larger one in pieces. Writers use 1 to 16 MiB."""
+"""Chunks up to this size are decompressed at once, larger ones in pieces. Writers use 1 to 16
+MiB."""
 
 PIECE_BYTES = 1 << 20
 INPUT_BYTES = 1 << 16
-"""Bytes that are inflated, and read to be inflated, at once."""
+"""Bytes decompressed, and read to be decompressed, at once."""
 
 WINDOW_BYTES = 1 << 26
-"""Largest zstd window that is allocated when a stream is read piece by piece (zstd -19 uses 8 MiB,
-its longest mode 128 MiB)."""
+"""Largest zstd window allocated when a stream is read piece by piece (zstd -19 uses 8 MiB, its
+longest mode 128 MiB)."""
 
 INFLATED_BYTES = 1 << 28
-"""What the chunks of one file may inflate to beyond any plausible ratio, all together: a second of
-zstd."""
+"""Limit of what the chunks of one file may together decompress to beyond plausible ratios: a second
+of zstd."""
 
 DEARER = {"bz2": 2}
-"""A byte of these counts for so many."""
+"""Factor of the cost of a byte."""
 
 RATIOS = {"zstd": 1000, "bz2": 100}
-"""Plausible ratios, in which chunks may inflate without end: empty cost maps reach 500. lz4 cannot
-do more than 255."""
+"""Plausible ratios, up to which decompression is unlimited: empty cost maps reach 500. lz4 cannot
+exceed 255."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 SLOW = frozenset({"zstd", "bz2"})
-"""Compressions worth another thread: lz4 inflates faster than a chunk goes from core to core."""
+"""Compressions worth another thread: lz4 decompresses faster than a chunk moves between cores."""
 
 _local = threading.local()
 
 
 @functools.cache
 def keep_freed_memory() -> None:
-    """Let the C library keep the memory of one chunk for the next.
+    """Make the C library reuse the memory of one chunk for the next.
 
     glibc maps every block above a threshold anew, and the page faults cost more than lz4 itself.
-    Freeing one large block, here an untouched one, raises that threshold to its size; with another
-    C library this does nothing. Once per process is enough.
+    Freeing one large, untouched block raises that threshold to its size; other C libraries are not
+    affected. Once per process is enough.
     """
     np.empty(8 << 20, np.uint8)
 
 
 class WrongSizeError(DamageError):
-    """Data inflate to another size than they are said to."""
+    """Data decompress to another size than declared."""
 
     def __init__(self) -> None:
         super().__init__("a chunk does not decompress to its declared size")
@@ -64,30 +65,30 @@ TOO_MUCH = "a chunk inflates to far more than its bytes can hold"
 
 
 class Allowance:
-    """How much the chunks of one file may inflate to beyond plausible ratios."""
+    """The remaining allowance of a file's chunks beyond plausible ratios."""
 
     def __init__(self) -> None:
         self._left = INFLATED_BYTES
 
     def take(self, compression: str, packed: int, size: int) -> None:
-        """Count a chunk that inflates from `packed` to `size` bytes; raises DamageError."""
+        """Count a chunk that decompresses from `packed` to `size` bytes; raises DamageError."""
         excess = max(size - RATIOS.get(compression, 1000) * packed, 0) * DEARER.get(compression, 1)
         if excess > self._left:
             raise WrongSizeError
         self._left -= excess
 
     def limit(self, compression: str, packed: int) -> int:
-        """What `packed` bytes may inflate to at most."""
+        """The largest size that `packed` bytes may decompress to."""
         return RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
 
     def again(self, compression: str, packed: int, size: int) -> None:
-        """Count a chunk once more that was inflated to be checked; raises DamageError."""
+        """Count a chunk a second time that was decompressed for checking; raises DamageError."""
         if size > self.limit(compression, packed):
             raise DamageError(TOO_MUCH)
         self.take(compression, packed, size)
 
     def counted(self, compression: str, packed: int, stream: Iterator[bytes]) -> Iterator[bytes]:
-        """The pieces that `packed` bytes inflate to; raises DamageError where they are too many."""
+        """The decompressed pieces of `packed` bytes; raises DamageError if they are too many."""
         most, found = self.limit(compression, packed), 0
         try:
             for piece in stream:
@@ -100,7 +101,7 @@ class Allowance:
 
 
 def inflate(compression: str, data: Any, size: int) -> bytes:
-    """Exactly `size` bytes out of `data`, or DamageError. Nothing above `size` is ever allocated.
+    """Exactly `size` bytes out of `data`, or DamageError. Never allocates more than `size`.
 
     compression: "zstd", "lz4" or "bz2"; data: a buffer; size: at most WHOLE_BYTES.
     """
@@ -113,7 +114,7 @@ def inflate(compression: str, data: Any, size: int) -> bytes:
 
 
 def inflate_anyhow(compression: str, data: Any, allowance: Allowance) -> bytes:
-    """All that `data` inflates to, whatever is declared; DamageError above WHOLE_BYTES."""
+    """All decompressed data, regardless of the declared size; DamageError above WHOLE_BYTES."""
     out, done = [], 0
     for piece in allowance.counted(compression, len(data), pieces(compression, _reader_of(data))):
         out.append(piece)
@@ -124,7 +125,8 @@ def inflate_anyhow(compression: str, data: Any, allowance: Allowance) -> bytes:
 
 
 def inflate_part(compression: str, data: Any, limit: int = WHOLE_BYTES) -> bytes:
-    """As many bytes as a cut or damaged stream still gives, at most `limit`; never fails."""
+    """As much as can be recovered of a truncated or damaged stream, at most `limit`; never
+    fails."""
     out, done = [], 0
     try:
         # Small bites: what was decoded before the broken place is kept.
@@ -139,7 +141,7 @@ def inflate_part(compression: str, data: Any, limit: int = WHOLE_BYTES) -> bytes
 
 
 Read = Callable[[int], bytes]
-"""Gives the next bytes of a source, at most so many; none at its end."""
+"""Reads the next bytes of a source, at most so many; none at its end."""
 
 
 def _reader_of(data: Any) -> Read:
@@ -154,9 +156,9 @@ def _reader_of(data: Any) -> Read:
 
 
 def pieces(compression: str, read: Read, bite: int = INPUT_BYTES) -> Iterator[bytes]:
-    """What a stream inflates to, in pieces of at most PIECE_BYTES, to its end or its data's.
+    """A decompressed stream in pieces of at most PIECE_BYTES, up to its end or its data's.
 
-    Raises DamageError at a broken place, after everything in front of it.
+    Raises DamageError at a broken place, after everything before it.
     """
     if compression == "":
         while piece := read(PIECE_BYTES):
@@ -199,7 +201,7 @@ def _bz2_pieces(read: Read, bite: int) -> Iterator[bytes]:
 
 
 def _fed(decompressor: Any, read: Read, bite: int) -> Iterator[bytes]:
-    """What a decompressor gives that takes its input in bites."""
+    """The output of a decompressor that takes its input in parts."""
     while not decompressor.eof:
         data = read(bite) if decompressor.needs_input else b""
         if decompressor.needs_input and not data:

@@ -1,4 +1,4 @@
-"""Takes blocks in and keeps, per channel, the poses of its messages as columns."""
+"""Decodes blocks and keeps, per channel, the poses of its messages as columns."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
 from .wire import WireDecoder
 
 DENSE = 64
-"""From so many messages in a block on, they are decoded in place; fewer are gathered first. With 8
+"""From so many messages in a block on, they are decoded in place; fewer are collected first. With 8
 in place of 64, reading takes up to 1.3 times as long (benchmarks/reading_numbers.py)."""
 
 PENDING_BYTES = 1 << 20
-"""Small messages are gathered up to this size before they are decoded."""
+"""Small messages are collected up to this size before they are decoded."""
 
 HEADS = 4096
-"""So many regular messages are decoded together: enough that numpy's cost per call is nothing."""
+"""Regular messages decoded together, to make numpy's overhead negligible."""
 
 FARTHEST = 1e9
-"""No robot's odometry goes farther [m]; what does is taken for a broken number."""
+"""Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
 PROTOBUF = {
     "foxglove.PoseInFrame": protobuf_rows,
@@ -79,9 +79,9 @@ def decoder_for(channel: Channel) -> PoseDecoder:
 class PoseColumns:
     """Poses of one channel: one row per pose, in the order of the log.
 
-    message: number of the message; part: of the junction in it; log_ns, stamp_ns: its times;
-    frame: number of the frames; pose: x, y [m], theta [rad]; or, of a sink that keeps poses whole,
-    x, y, z [m], qx, qy, qz, qw.
+    message: index of the message; part: index of the junction in it; log_ns, stamp_ns: its times;
+    frame: number of the frames; pose: x, y [m], theta [rad] or, if poses are kept whole, x, y, z
+    [m], qx, qy, qz, qw.
     """
 
     message: IntArray
@@ -93,7 +93,7 @@ class PoseColumns:
 
 
 def usable_poses(value: FloatArray) -> BoolArray:
-    """(k,) which poses (k, 7) have finite, believable numbers and an orientation."""
+    """(k,) which poses (k, 7) have finite, plausible numbers and an orientation."""
     inside = np.asarray(_inside(value).all(axis=1))
     # What is not inside may overflow.
     return np.asarray(inside & _turned(np.where(inside[:, None], value, 0.0)))
@@ -132,16 +132,16 @@ def no_columns() -> PoseColumns:
 
 
 def _empty_columns(whole: bool) -> tuple[Growing, ...]:
-    """Room for the fields of `PoseColumns`, in their order."""
+    """Empty columns for the fields of `PoseColumns`, in their order."""
     kinds = ("i4", "u2", "i8", "i8", "i2")
     return (*(Growing(kind) for kind in kinds), Growing("f8", 7 if whole else 3))
 
 
 @dataclass(slots=True)
 class Sink:
-    """Everything read from one channel.
+    """The poses of one channel.
 
-    whole: whether poses are kept in space, or as what they are in the plane; messages: taken in;
+    whole: whether poses are kept in space, instead of the plane; messages: number processed;
     failed: messages that do not decode; not_finite, zero_quaternion: poses left out; empty:
     messages without any pose.
     """
@@ -168,10 +168,10 @@ class Sink:
         return self.undecoded + self.decoder.failed
 
     def add(self, block: Block) -> None:
-        """Take in the messages of a block.
+        """Process the messages of a block.
 
-        Of regular ones the first bytes are kept until there are many; others are decoded where
-        they lie, or kept whole if they are few. Whatever was kept comes first: order matters.
+        Of regular messages the first bytes are collected; others are decoded in place, or collected
+        whole if they are few. Collected ones are flushed first, to keep the order.
         """
         data, _, log_ns, start, size = block
         heads = self.decoder.heads(data, start, size)
@@ -211,7 +211,7 @@ class Sink:
         )
 
     def _packed(self, data: Bytes, start: IntArray, size: IntArray) -> BoolArray:
-        """Which payloads are zstd streams: ROS 2 compresses messages one by one if asked to."""
+        """Which payloads are zstd streams: ROS 2 can compress single messages."""
         packed = size >= 9
         if packed.all():
             return np.asarray(words(data, "<u4", start) == _MAGIC)
@@ -237,7 +237,7 @@ class Sink:
         self._pending_bytes += len(payload)
 
     def flush(self) -> None:
-        """Decode what was only gathered so far."""
+        """Decode what was collected."""
         self._flush_heads()
         self._flush_pending()
 
@@ -264,7 +264,7 @@ class Sink:
         self._take(decoded, log_ns, self.decoder.failed - failed)
 
     def _take(self, decoded: Poses, log_ns: IntArray, failed: int) -> None:
-        """Keep the poses of further messages as columns; log_ns: one time per message."""
+        """Append the poses of further messages; log_ns: one time per message."""
         log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
         # Messages are numbered in their order, so that each change of the number is a message.
         changes = np.count_nonzero(decoded.message[1:] != decoded.message[:-1])
@@ -331,7 +331,7 @@ class Intake:
         return number
 
     def take(self, block: Block) -> None:
-        """Take in the messages of a block."""
+        """Process the messages of a block."""
         self.sinks[block.sink].add(block)
 
     def of_topic(self, topic: str) -> list[Sink]:

@@ -1,9 +1,8 @@
 """Columnar decoding of sensor_msgs/LaserScan and MultiEchoLaserScan, in CDR and ROS 1's encoding.
 
-A LaserScan's places depend on its frame's name and on the number of its beams alone: one message
-is parsed, and all messages of the same size that carry the same bytes there are decoded at once.
-Echoes have places of their own in every message: they are walked beam by beam, for all messages
-together.
+The layout of a LaserScan depends only on its frame's name and its number of beams: one message is
+parsed, and all messages of the same size with the same bytes there are decoded at once. Echoes have
+a different layout in every message: they are scanned beam by beam, for all messages together.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ ABOUT_BYTES = 4 * (len(ABOUT) + 2)
 
 
 class _Template(NamedTuple):
-    """Where everything is in messages of one shape; see `wire.Template`.
+    """The layout of messages of one shape; see `wire.Template`.
 
     echoes: whether ranges are lists, the first of which begins at ranges_at.
     """
@@ -121,7 +120,7 @@ class LaserDecoder:
     def _fitting(
         self, data: Bytes, start: IntArray, size: int, message: IntArray, template: _Template
     ) -> tuple[IntArray, IntArray, list[RawScans]]:
-        """The messages that have not the template's shape, and the scans of those that have."""
+        """The messages of another shape than the template's, and the scans of the others."""
         if len(start) == 0:
             return start, message, []
         rows = gather(data, start, size if template.echoes else template.size)
@@ -160,7 +159,7 @@ def _numbers(rows: Bytes, at: int, count: int, kind: str) -> Float32Array:
 
 
 def _alike(about: Float32Array) -> list[tuple[IntArray, list[float]]]:
-    """Rows that are equal bit by bit, with what they hold: in nearly every log all of them."""
+    """Rows grouped by equal values, with these: in nearly every log all of them."""
     bits = np.ascontiguousarray(about).view(np.uint32)
     if (bits == bits[:1]).all():
         return [(np.arange(len(about)), about[0].tolist())] if len(about) else []
@@ -181,11 +180,11 @@ def _geometry(frame: str, about: list[float]) -> Geometry:
 def _first_or_strongest(
     rows: Bytes, size: int, t: _Template
 ) -> tuple[Float32Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """(n, beams) one range per beam, NaN where there is no echo; (n,) which messages are whole.
+    """(n, beams) one range per beam, NaN without echo; (n,) which messages are intact.
 
-    The strongest echo where intensities are recorded (dust, rain and glass return little), else the
+    The strongest echo if intensities are recorded (dust, rain and glass return little), else the
     first. Strategy: everything from the first echo on is 4 bytes wide, so a message is a row of
-    words; a pointer per message goes from list to list, beam by beam.
+    words; a pointer per message advances from list to list, beam by beam.
     """
     count = (size - t.ranges_at) // 4
     words = _numbers(rows, t.ranges_at, count, f"{t.order}u4").astype(np.int64)
@@ -208,7 +207,7 @@ def _first_or_strongest(
 
 
 MOST_ECHOES = 16
-"""Most echoes of one beam that are believed; scanners tell three at most."""
+"""Largest number of echoes of one beam; scanners report at most three."""
 
 
 def _lists(

@@ -1,4 +1,4 @@
-"""What was found in damaged data, whatever the container."""
+"""The records recovered from damaged data, for any container."""
 
 from __future__ import annotations
 
@@ -9,11 +9,10 @@ from .messages import Bytes
 
 
 class Mended(NamedTuple):
-    """Records found in damaged data.
+    """Records recovered from damaged data.
 
-    data: with their heads set right; where: places of the records; lost: channels of messages that
-    are not among them, as far as that can be told; unreadable: bytes left out; repaired: how many
-    heads were set right.
+    data: with repaired heads; where: positions of the records; lost: channels of messages that are
+    not among them, as far as known; unreadable: bytes left out; repaired: number of repaired heads.
     """
 
     data: Bytes

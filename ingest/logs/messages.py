@@ -1,4 +1,4 @@
-"""What passes between containers and decoders: channels, blocks of messages, findings."""
+"""The interface between containers and decoders: channels, blocks of messages, findings."""
 
 from __future__ import annotations
 
@@ -19,30 +19,29 @@ from .checksum import crc32
 Bytes = NDArray[np.uint8]
 
 UNWANTED = -1
-"""Sink number of a channel whose messages nobody asked for."""
+"""Sink number of a channel whose messages are not wanted."""
 
 LATEST_NS = 1 << 62
-"""No time is later (the year 2116): differences of times must not leave 64 bits."""
+"""Latest time accepted (the year 2116): differences of times must fit 64 bits."""
 
 NAME_BYTES = 4096
-"""Longest topic or type name that is believed; DDS allows 255."""
+"""Longest topic or type name accepted; DDS allows 255."""
 
 SCHEMA_BYTES = 1 << 20
-"""Longest message definition that is believed: twenty times the largest in use, of a thousand
-lines."""
+"""Longest message definition accepted: twenty times the largest in use, of a thousand lines."""
 
 
 MESSAGE_BYTES = 1 << 24
 """Longest message that is decoded, 16 MiB: an odometry message has 700 bytes, an array of a
-thousand poses 56,000. What is longer is passed over without being read."""
+thousand poses 56,000. Longer ones are skipped without being read."""
 
 
 class Channel(NamedTuple):
-    """One stream of messages as its container describes it.
+    """One stream of messages as described by its container.
 
     encoding: of the messages ("cdr", "ros1", "protobuf", "json"); schema and schema_encoding: the
-    embedded definition ("ros2msg", "ros2idl", "ros1msg", "protobuf", "jsonschema"), both empty
-    where the container holds none.
+    embedded definition ("ros2msg", "ros2idl", "ros1msg", "protobuf", "jsonschema"), both empty if
+    there is none.
     """
 
     topic: str
@@ -64,7 +63,7 @@ def normal_topic(name: str) -> str:
 
 
 def text(raw: bytes) -> str:
-    """Bytes of a name as text on one line; what cannot be shown is replaced, never an error."""
+    """Bytes of a name as text on one line; invalid characters are replaced, never an error."""
     return printable(raw[:NAME_BYTES].decode("utf-8", "replace"))
 
 
@@ -74,10 +73,10 @@ def printable(name: str) -> str:
 
 
 class Block(NamedTuple):
-    """Messages for one sink in one buffer, which is valid until the next block is asked for.
+    """Messages for one sink in one buffer, which is valid until the next block is requested.
 
-    data: (b,) uint8; sink: number given out by the `Want` callback; log_time_ns: (m,), m ≥ 1;
-    start, size: (m,) place of each payload in `data`, always inside it.
+    data: (b,) uint8; sink: number returned by the `Want` callback; log_time_ns: (m,), m ≥ 1; start,
+    size: (m,) position of each payload in `data`, always inside it.
     """
 
     data: Bytes
@@ -88,26 +87,26 @@ class Block(NamedTuple):
 
 
 def first_messages(block: Block, count: int) -> Block:
-    """A block without what follows its first messages."""
+    """A block reduced to its first messages."""
     log_time_ns, start, size = (a[:count] for a in (block.log_time_ns, block.start, block.size))
     return block._replace(log_time_ns=log_time_ns, start=start, size=size)
 
 
 Want = Callable[[Channel], int]
-"""Gives a channel its sink number, or UNWANTED."""
+"""Returns the sink number of a channel, or UNWANTED."""
 
 Progress = Callable[[int], None]
-"""Is told how many further bytes of the log have been dealt with."""
+"""Called with the number of further bytes of the log that were processed."""
 
 
 Walking = Generator[Block, None, int]
-"""Yields blocks, and returns the place at which reading goes on."""
+"""Yields blocks, and returns the position at which reading goes on."""
 
 
 class Survey(NamedTuple):
-    """What a container's own index says: messages per channel, first and last log time.
+    """A container's own index: messages per channel, first and last log time.
 
-    sure: whether a checksum vouches for it, or it is the data themselves.
+    sure: whether it is confirmed by a checksum, or counted from the data themselves.
     """
 
     counts: dict[Channel, int]
@@ -117,18 +116,18 @@ class Survey(NamedTuple):
 
 
 def one_line(error: object) -> str:
-    """The text of an error from elsewhere, short and on one line."""
+    """The text of a foreign error, short and on one line."""
     return printable(" ".join(str(error).split()))[:200]
 
 
 @dataclass(slots=True)
 class Findings:
-    """What was met on the way through a log: counts, and everything that is wrong with it.
+    """What was found in a scan of a log: counts, and all faults.
 
     counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
-    damaged places; lost_at_least: there may be more; unknown: messages whose channel is described
-    nowhere; repaired: record heads of which one bit was wrong; too_large: records left out as too
-    large; misdescribed: channels that the index describes otherwise than the data.
+    damaged places; lost_at_least: there may be more; unknown: messages of undescribed channels;
+    repaired: record heads with one wrong bit; too_large: records left out as too large;
+    misdescribed: channels that the index describes differently from the data.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
@@ -153,7 +152,7 @@ class Findings:
             self.counts[channel] += count
 
     def span(self, first_ns: int, last_ns: int) -> None:
-        """Widen the span of log times met."""
+        """Extend the span of log times."""
         self.first_ns = first_ns if self.first_ns is None else min(self.first_ns, first_ns)
         self.last_ns = last_ns if self.last_ns is None else max(self.last_ns, last_ns)
 
@@ -164,7 +163,7 @@ class Findings:
 
     @property
     def whole(self) -> bool:
-        """Whether no place was met that could not be read as it is."""
+        """Whether everything could be read without repair."""
         broken = (self.unreadable_bytes, self.repaired, self.too_large, self.truncated)
         return not any(broken) and not self.damaged_chunks
 
@@ -211,10 +210,10 @@ class Findings:
 
 
 class Container(Protocol):
-    """One log file, whatever its format."""
+    """One log file of any format."""
 
     def survey(self, exact: bool = False) -> Survey | None:
-        """What the index says, or None where there is none that can be believed.
+        """The index, or None if there is none that can be trusted.
 
         exact: the counts must be right; without it a count above 0 may stand for any other.
         """
@@ -222,7 +221,7 @@ class Container(Protocol):
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
-        """Walk the file once; a channel is offered to `want` when it is met."""
+        """Scan the file once; a channel is offered to `want` when it is met."""
 
 
 class DamageError(Exception):

@@ -12,8 +12,8 @@ T = TypeVar("T")
 
 
 class OneByOne(Generic[T]):
-    """What `parse` makes of each message; failed: messages that it raised DamageError on, or that
-    were too long; reason: why the first of them failed."""
+    """Applies `parse` to each message; failed: messages with a DamageError, or too long; reason: of
+    the first of them."""
 
     def __init__(self, parse: Callable[[bytes], T]) -> None:
         self._parse = parse

@@ -16,15 +16,15 @@ Row = tuple[int, int, list[tuple[float, ...]]]
 """Stamp [ns], number of the frames and poses of one junction, decoded one by one."""
 
 FRAMES = 1024
-"""Most pairs of frames in one topic that are kept apart."""
+"""Largest number of pairs of frames in one topic."""
 
 
 class Poses(NamedTuple):
-    """Poses out of a batch of messages, in the order of the messages.
+    """Poses of a batch of messages, in the order of the messages.
 
-    message: (k,) number of the message within the batch; part: (k,) number of the junction within
-    the message, where one message may tell of several; stamp_ns: (k,) header time; frame: (k,)
-    number in the decoder's frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded.
+    message: (k,) index of the message in the batch; part: (k,) index of the junction in the
+    message, if it has several; stamp_ns: (k,) header time; frame: (k,) number in the decoder's
+    frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded.
     """
 
     message: IntArray
@@ -46,7 +46,7 @@ class Poses(NamedTuple):
 
 @dataclass(slots=True)
 class Frames:
-    """Pairs (frame_id, child_frame_id) met in a topic, numbered; a leading slash is dropped."""
+    """Pairs (frame_id, child_frame_id) of a topic, numbered; a leading slash is dropped."""
 
     pairs: list[tuple[str, str]] = field(default_factory=list)
     _number: dict[tuple[str, str], int] = field(default_factory=dict)
@@ -74,7 +74,7 @@ class Heads(NamedTuple):
 
 
 class PoseDecoder(Protocol):
-    """Turns payloads into poses; what cannot be decoded is left out and counted in `failed`."""
+    """Decodes payloads to poses; what cannot be decoded is left out and counted in `failed`."""
 
     @property
     def frames(self) -> Frames:
@@ -89,7 +89,7 @@ class PoseDecoder(Protocol):
         """Why the first of them could not be."""
 
     def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
-        """What is needed of the messages, if all have one shape that was met before; else None."""
+        """The first bytes of the messages, if all have one known shape; else None."""
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of the messages at `start` with `size` in `data`."""

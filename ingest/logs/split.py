@@ -1,4 +1,4 @@
-"""Chunks too large for the memory, gone through in pieces that hold whole records."""
+"""Chunks too large for memory, processed in pieces of whole records."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .inflate import PIECE_BYTES
 from .messages import MESSAGE_BYTES, Bytes, DamageError
 
 RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
-"""A longer record holds a longer message than any that is decoded."""
+"""Longest record: a longer one holds a longer message than any that is decoded."""
 
 
 class Large(NamedTuple):

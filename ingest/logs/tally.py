@@ -1,4 +1,4 @@
-"""The channels of one file by their numbers: which are wanted, how many messages were met."""
+"""The channels of one file by number: which are wanted, and how many messages were met."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .spelling import one_bit_apart
 
 NUMBERS = 1 << 16
 UNKNOWN = -2
-"""Sink number of a channel that has not been described yet."""
+"""Sink number of a channel that is not described yet."""
 
 
 class Tally:
-    """Counts the messages met per channel number, 0 … NUMBERS - 1, and turns them into findings."""
+    """Counts the messages per channel number, 0 … NUMBERS - 1, and turns them into findings."""
 
     def __init__(self, want: Want, findings: Findings, channels: Mapping[int, Channel]) -> None:
         self._want = want
@@ -36,11 +36,11 @@ class Tally:
             self.describe(number, channel)
 
     def describe(self, number: int, channel: Channel, overrule: bool = False) -> None:
-        """Take in what a channel is; the last description counts.
+        """Register a channel; the last description counts.
 
-        A wanted one stays what it is: a number means one thing in a file, and an index describes it
-        first. What no number in use has is left out. overrule: the data say something else than the
-        index, by more than a wrong bit; they are believed.
+        A wanted one is not changed: a number means one thing in a file, and an index describes it
+        first. What no number in use has is left out. overrule: the data contradict the index by
+        more than a wrong bit, and win.
         """
         number, more = number % NUMBERS, number // NUMBERS
         if more.bit_count() > 1 or (more and self._sink[number] != UNKNOWN):
@@ -60,9 +60,9 @@ class Tally:
         return np.bincount(strange).nonzero()[0].tolist() if len(strange) else []
 
     def first(self, number: NDArray[Any], again: bool = False) -> list[int]:
-        """Where among these messages the first one of each channel is that had none yet.
+        """Rows of the first message of each channel without any so far.
 
-        again: also of those that had.
+        again: also of channels with messages so far.
         """
         fresh = np.bincount(number).nonzero()[0]
         if not again:
@@ -75,11 +75,12 @@ class Tally:
         return sorted(place[fresh].tolist())
 
     def adopt(self, number: NDArray[Any]) -> bool:
-        """Take numbers that are described nowhere for those that they can only have been.
+        """Map undescribed numbers to the channels that they can only have been; returns whether any
+        was.
 
-        number: of messages that were met together. Where a description names a wrong number, no
-        message has that one, and all of the channel's messages have one that is a bit away. A
-        single message may as well be that of another channel a bit away. Whether any was taken.
+        number: of messages that were met together. If a description has a wrong number, no message
+        has that one, and all of the channel's messages have one that differs in one bit. A single
+        message could also belong to another channel with a similar number.
         """
         taken = False
         for strange in self.unknown(number):
@@ -105,7 +106,7 @@ class Tally:
         return int(self._sink[number])
 
     def wanted(self) -> BoolArray:
-        """(NUMBERS,) whether messages are wanted, or may be, as nothing describes them."""
+        """(NUMBERS,) whether messages are wanted, or may be because they are undescribed."""
         return np.asarray(self._sink != UNWANTED)
 
     def known(self, number: int) -> bool:
@@ -113,9 +114,9 @@ class Tally:
         return number < NUMBERS and self.sink(number) != UNKNOWN
 
     def all_usual(self, counts: IntArray) -> bool:
-        """Whether every number that messages have is described and was met before.
+        """Whether every number of these messages is described and was met before.
 
-        counts: messages per number. Then there is no `first` one of a channel, and none to `adopt`.
+        counts: messages per number. There is then nothing new for `first`, and nothing for `adopt`.
         """
         return self._usual.issuperset(counts.nonzero()[0].tolist())
 
@@ -144,7 +145,7 @@ class Tally:
         ]
 
     def passed(self, number: int, count: int) -> None:
-        """Count messages of a channel that were not looked at, as nobody wants them."""
+        """Count messages of a channel that were skipped as unwanted."""
         if number < NUMBERS:
             self._met[number] += count
             self._end = max(self._end, number + 1)
@@ -158,7 +159,7 @@ class Tally:
         self._lost[number] = self._lost.get(number, 0) + count
 
     def _fold(self, declared: Mapping[int, int]) -> None:
-        """Count what was met of a channel under a wrong number for the number that is declared."""
+        """Add messages met under a wrong number to the number that is declared."""
         own = {self._channels[n]: n for n in declared if n in self._channels}
         for number in self._numbers() if own else ():
             channel = self._channels.get(number)
@@ -167,7 +168,7 @@ class Tally:
                 self.passed(own[channel], count)
 
     def moved(self, declared: Mapping[int, int]) -> bool:
-        """Whether as many messages were met as are declared, if of other channels."""
+        """Whether as many messages were met as are declared, but of other channels."""
         return int(self._met.sum()) == sum(declared.values())
 
     def lacks(self, declared: Mapping[int, int]) -> bool:
@@ -176,11 +177,10 @@ class Tally:
         return any(c > (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items())
 
     def finish(self, declared: Mapping[int, int]) -> None:
-        """Turn the counts into findings.
+        """Convert the counts to findings.
 
-        declared: messages per number by the file's own index; what is missing of them is lost, be
-        it that it was met under a wrong number. Empty where there is none: then the losses counted
-        on the way are reported.
+        declared: messages per number by the file's own index; missing ones are lost, unless they
+        were met under a wrong number. If empty, the losses counted on the way are reported.
         """
         strange = self._undelivered
         self._fold(declared)

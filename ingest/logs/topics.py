@@ -1,4 +1,4 @@
-"""Which topic is the odometry and which the junction detections, and why."""
+"""Choice of the topics of odometry, junction detections and sensors, with reasons."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
     "foxglove_msgs/msg/PoseInFrame": (3, "foxglove_pose"),
     "geometry_msgs/msg/PoseWithCovarianceStamped": (9, "pose"),
 }
-"""Types that can be odometry, and in which order they are preferred; 9: only when named."""
+"""Types that can be odometry, with their order of preference; 9: only when named."""
 
 ONLY_WHEN_NAMED = 9
 """The rank of such types."""
@@ -36,12 +36,12 @@ _KINDS: Mapping[str, Kind] = {n: kind for n, (_, kind) in ODOMETRY_KINDS.items()
 
 
 def decoded_alike(one: str, other: str) -> bool:
-    """Whether messages of two types are the same but for their names."""
+    """Whether messages of two types are decoded alike."""
     return one == other or (one in _KINDS and _KINDS[one] == _KINDS.get(other))
 
 
 PARTICLES = ("/particlecloud", "/particle_cloud")
-"""Names of topics that hold many poses of the robot, none of a junction."""
+"""Topics with many poses of the robot, not of a junction."""
 
 TRANSFORM_KINDS: Mapping[str, Kind | None] = {
     "tf2_msgs/msg/TFMessage": "transforms",
@@ -51,7 +51,7 @@ TRANSFORM_KINDS: Mapping[str, Kind | None] = {
     "foxglove_msgs/msg/FrameTransform": None,
     "foxglove_msgs/msg/FrameTransforms": None,
 }
-"""Types that tell how frames lie to each other; None: they are decoded message by message."""
+"""Types with transforms between frames; None: decoded message by message."""
 
 SCAN_KINDS: Mapping[str, LaserKind | None] = {
     "sensor_msgs/msg/LaserScan": "laser_scan",
@@ -59,7 +59,7 @@ SCAN_KINDS: Mapping[str, LaserKind | None] = {
     "foxglove.LaserScan": None,
     "foxglove_msgs/msg/LaserScan": None,
 }
-"""Types of planar scans; None: they are decoded message by message."""
+"""Types of planar scans; None: decoded message by message."""
 
 CLOUD_KINDS: Mapping[str, None] = {
     "sensor_msgs/msg/PointCloud2": None,
@@ -95,10 +95,10 @@ def listing(counts: Mapping[Channel, int]) -> str:
 
 
 def choose_odometry(counts: Mapping[Channel, int], named: str | None, log: str) -> list[Choice]:
-    """The odometry topic, most preferred type first.
+    """The candidate odometry topics, most preferred type first.
 
-    More than one choice is returned where only the content tells whether the first one serves
-    (tf). Raises LogError if nothing can be odometry, UsageError if two topics of one type could.
+    More than one is returned if only the content shows whether the first one is usable (tf). Raises
+    LogError if there is none, UsageError if two topics of one type are candidates.
     """
     if named is not None:
         return [
@@ -129,8 +129,8 @@ def choose_junctions(
 ) -> Choice:
     """The topic of junction detections.
 
-    any_type: the caller says which fields to use, so the type does not matter. Raises LogError if
-    there is none, UsageError if there are several to choose from.
+    any_type: the caller names the fields to use, so that any type is accepted. Raises LogError if
+    there is none, UsageError if there are several.
     """
     if named is not None:
         kinds = None if any_type else JUNCTION_KINDS
@@ -162,10 +162,10 @@ def choose_sensors(
     types: str,
     log: str,
 ) -> list[Choice]:
-    """The topics of scans, clouds or grids: the usual one first, then those of most messages.
+    """The topics of scans, clouds or grids: the usual one first, then those with most messages.
 
-    Raises LogError if there is none. Cost maps are what a planner makes of a map: taken only when
-    named.
+    Raises LogError if there is none. Cost maps, which a planner derives from a map, are used only
+    when named.
     """
     if named is not None:
         return [_named(counts, named, kinds=kinds, flag="--scan-topic", types=types, log=log)]
