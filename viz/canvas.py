@@ -1,6 +1,6 @@
-"""A drawing on paper: lines, dots and words in metres, a heading above, a scale and keys below.
+"""A matplotlib page with a drawing in metres, a heading above it, a scale bar and a key below it.
 
-matplotlib is loaded here, when a drawing is made. Sizes on paper are points (1/72 inch).
+matplotlib is imported by this module. Sizes on the page are in points (1/72 inch).
 """
 
 from __future__ import annotations
@@ -34,27 +34,27 @@ Format = Literal["svg", "png"]
 POINTS_PER_INCH = 72.0
 TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
 LINE_PT = 13.0
-"""Distance of two lines of text."""
+"""Line spacing of text."""
 
 EDGE_PT = 12.0
-"""Margin around everything."""
+"""Margin of the page."""
 
 HANDLE_PT, GAP_PT = 26.0, 14.0
-"""Room for the mark of a key, and between two columns of keys."""
+"""Width of the sample mark in a key entry, and the gap between two columns of entries."""
 
 LETTER = 0.62
-"""Width of a letter in sizes of its font; wide ones of other scripts take a whole."""
+"""Estimated width of a letter over the font size; East Asian wide letters count 1."""
 
 TALLEST = 1.6
-"""Height over width of the drawing, at most: a longer one is drawn narrower."""
+"""Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
 
 PNG_DPI = 150
-"""Pixels to the inch of a picture: small type stays sharp on dense screens."""
+"""Resolution of a PNG [pixels per inch]."""
 
 _STYLE: dict[Any, Any] = {
-    # The same drawing is the same bytes: ids of clips and markers come from this, not from chance.
+    # A fixed salt makes the ids of clip paths and markers, and so the file, deterministic.
     "svg.hashsalt": "topobatch",
-    # Words stay words: they can be found, copied and read aloud, and need no outlines.
+    # Text is written as text, not as outlines: it can be searched, copied and read aloud.
     "svg.fonttype": "none",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
     "path.simplify": False,
@@ -62,12 +62,13 @@ _STYLE: dict[Any, Any] = {
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
 _NUMBERS = ("d", "x", "y", "transform", "width", "height")
-"""Attributes of a drawing that hold coordinates."""
+"""SVG attributes whose numbers are rounded."""
 
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """What a mark stands for; a title stands above the keys that follow it."""
+    """One entry of the key: a sample of a mark and its label. A "title" heads the entries that
+    follow."""
 
     form: Form
     colour: str
@@ -76,7 +77,7 @@ class Key:
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """Keys in columns [points apart] of so many rows."""
+    """Entries laid out in columns, `step` points apart, of `rows` rows each."""
 
     keys: Sequence[Key]
     step: float
@@ -85,10 +86,10 @@ class _Block:
 
 @dataclass(slots=True)
 class Canvas:
-    """A drawing of what lies between two corners (2,) [m].
+    """A drawing of the rectangle between two corners, `low` and `high`, (2,) each [m].
 
-    width_pt: of the whole. Names may be anything: they are shown as they are, in one line, and
-    shortened where they do not fit.
+    width_pt: width of the whole page. Text may hold any characters: `legible` replaces unprintable
+    ones and `fitting` shortens what is too long.
     """
 
     low: FloatArray
@@ -108,7 +109,7 @@ class Canvas:
 
     @property
     def _size_pt(self) -> tuple[float, float]:
-        """Width and height of the part in metres."""
+        """Width and height of the drawing in metres, on the page [points]."""
         width, height = np.maximum(self.high - self.low, 1e-6).tolist()
         room = self.width_pt - 2 * EDGE_PT
         scale = min(room / width, TALLEST * room / height)
@@ -116,7 +117,7 @@ class Canvas:
 
     @property
     def points_per_m(self) -> float:
-        """How large a metre is drawn."""
+        """Scale of the drawing."""
         return float(self._size_pt[0] / max(float(self.high[0] - self.low[0]), 1e-6))
 
     def lines(
@@ -128,7 +129,7 @@ class Canvas:
         order: Order = Order.CORRIDOR,
         told: str = "",
     ) -> None:
-        """Polylines [m] in one colour; told: what hovering over them says, in an SVG."""
+        """Draw polylines, (k, 2) each [m], in one colour. told: their tooltip in an SVG."""
         if not paths:
             return
         codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
@@ -153,7 +154,7 @@ class Canvas:
         told: str = "",
         ring: bool = False,
     ) -> None:
-        """Dots at (n, 2) [m], or rings."""
+        """Draw filled dots, or rings, at xy (n, 2) [m]. told: their tooltip in an SVG."""
         if len(xy) == 0:
             return
         line = self._markers(xy, colour, size_pt, ring=ring)
@@ -180,7 +181,7 @@ class Canvas:
         size_pt: float = TEXT_PT,
         room_m: float | None = None,
     ) -> None:
-        """A text at a point [m]; one that has less room than it takes is shortened."""
+        """Write a text centred at a point [m], shortened to `room_m` if given."""
         text = legible(text)
         if room_m is not None:
             text = fitting(text, room_m * self.points_per_m, size_pt)
@@ -195,8 +196,8 @@ class Canvas:
         self._axes.add_artist(artist)
 
     def finish(self, heading: Sequence[str], keys: Sequence[Sequence[Key]]) -> None:
-        """Lay out the page: heading lines above (empty ones take no room), the first one larger; a
-        scale bar and the keys below, every group of them in rows of its own."""
+        """Lay out the page: heading lines above (empty ones are skipped; the first one is larger),
+        a scale bar and the groups of keys below."""
         wide, high = self._size_pt
         room = self.width_pt - 2 * EDGE_PT
         lines = [fitting(text, room, HEADING_PT) for text in heading[:1]]
@@ -223,7 +224,7 @@ class Canvas:
         self._keys(page, blocks, EDGE_PT + bottom - 26.0)
 
     def _scale_bar(self, page: Any, y: float) -> None:
-        """A bar of 1, 2 or 5 times a power of ten metres, a fifth of the drawing at most."""
+        """Draw a scale bar of at most a fifth of the drawing's width, see `round_length`."""
         length = round_length(0.2 * float(self.high[0] - self.low[0]))
         end = EDGE_PT + length * self.points_per_m
         ticks = [((x, x), (y - 2.5, y + 2.5)) for x in (EDGE_PT, end)]
@@ -266,7 +267,7 @@ class Canvas:
             fontweight="bold" if bold else "normal",
             color=self.theme["ink"],
             zorder=Order.WORDS,
-            parse_math=False,  # a name with two dollar signs is no formula
+            parse_math=False,  # run names may hold dollar signs
             fontfamily="sans-serif",
         )
 
@@ -283,12 +284,12 @@ class Canvas:
         page.add_artist(mark)
 
     def as_bytes(self, form: Format) -> bytes:
-        """The finished drawing as a file: the same for the same drawing."""
+        """The finished drawing as a file; deterministic."""
         out = io.BytesIO()
         with rc_context(), warnings.catch_warnings():
-            rcdefaults()  # whatever else the process or its user has set
+            rcdefaults()  # independent of the user's and the process's settings
             rcParams.update(_STYLE)
-            # Letters that the font of a .png lacks are shown as boxes; browsers have others.
+            # Glyphs that the font of a PNG lacks are drawn as boxes.
             warnings.filterwarnings("ignore", message="Glyph .* missing from")
             if form == "png":
                 self.figure.set_dpi(PNG_DPI)
@@ -300,7 +301,7 @@ class Canvas:
         return self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
-        """The drawing with what its parts say when pointed at, and no more digits than show."""
+        """The SVG with tooltips, numbers rounded to two decimals, and colours as CSS variables."""
         ET.register_namespace("", _SVG)
         ET.register_namespace("xlink", _XLINK)
         root = ET.fromstring(svg)
@@ -329,17 +330,17 @@ def _two_decimals(found: re.Match[str]) -> str:
 
 
 def legible(text: str) -> str:
-    """A text on one line, without what neither XML nor a font can show."""
+    """The text with unprintable characters, line breaks among them, replaced."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def width_of(text: str, size_pt: float) -> float:
-    """About how wide a text is [points]."""
+    """Estimated width of a text [points]."""
     return size_pt * sum(1.0 if unicodedata.east_asian_width(c) in "WF" else LETTER for c in text)
 
 
 def fitting(text: str, room_pt: float, size_pt: float) -> str:
-    """The text, shortened in the middle to the room that there is; "" where there is none."""
+    """The text, shortened in the middle to at most `room_pt`; "" if not even that fits."""
     text = legible(text)
     if width_of(text, size_pt) <= room_pt:
         return text
@@ -354,7 +355,7 @@ def fitting(text: str, room_pt: float, size_pt: float) -> str:
 
 
 def folded(text: str, room_pt: float, size_pt: float) -> list[str]:
-    """A text in lines that fit."""
+    """The text wrapped into lines of at most `room_pt`."""
     lines: list[str] = []
     line = ""
     for word in legible(text).split():
@@ -367,7 +368,7 @@ def folded(text: str, room_pt: float, size_pt: float) -> list[str]:
 
 
 def round_length(most_m: float) -> float:
-    """The longest of 1, 2 and 5 times a power of ten metres that is no longer."""
+    """The largest of 1, 2 and 5 times a power of ten that is at most `most_m` [m]."""
     unit = 10.0 ** floor(log10(max(most_m, 1e-3)))
     return unit * max(
         step for step in (1.0, 2.0, 5.0) if step * unit <= most_m * (1 + 1e-9) or step == 1
@@ -375,7 +376,8 @@ def round_length(most_m: float) -> float:
 
 
 def _columns(keys: Sequence[Key], room_pt: float) -> _Block:
-    """As many columns as the longest label lets fit; one of them takes half of the page at most."""
+    """The layout with as many columns as the longest label allows; a column takes at most half of
+    the page."""
     longest = max(width_of(legible(key.label), TEXT_PT) for key in keys)
     step = min(longest + HANDLE_PT + GAP_PT, room_pt / 2)
     columns = max(1, floor(room_pt / step))

@@ -1,4 +1,4 @@
-"""Raw detections on the map: where each message put its junction, and what it saw leaving."""
+"""A detector's raw messages on the map: junction positions and branch directions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .recording import PathParts, Recording
 from .robot_track import RobotTrack
 
 MOST_DETECTIONS = 20_000
-"""More are thinned evenly."""
+"""More detections are thinned evenly to this count."""
 
 BRANCH_M = 0.8
 """Length of a drawn branch."""
@@ -21,8 +21,8 @@ BRANCH_M = 0.8
 def write_detections(
     recording: Recording, root: PathParts, detections: Detections, track: RobotTrack
 ) -> None:
-    """Every detection as a dot, and those around the cursor as stars, as the corrected odometry
-    places them. Detections outside of the track are left out."""
+    """Write every detection as a dot, and over time its branches as a star, at the poses of the
+    corrected track. Detections outside of the track's time range are left out."""
     time_ns = detections.time_ns
     rows = np.flatnonzero((time_ns >= track.time_ns[0]) & (time_ns <= track.time_ns[-1]))
     if len(rows) == 0:

@@ -1,4 +1,4 @@
-"""Maps on paper: one run's map, a merge, the decision on a pair. No viewer is needed."""
+"""Static drawings (SVG, PNG): one run's map, a merge, the decision on a pair."""
 
 from __future__ import annotations
 
@@ -38,21 +38,23 @@ from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_r
 from .theme import Theme
 
 MOST_TOLD = 3000
-"""Above this many corridors or junctions they are drawn together, and do not tell their numbers."""
+"""Above this many corridors or junctions they are drawn in groups, without tooltips."""
 
 NARROW_PT, WIDTH_PT, WIDEST_PT = 420.0, 720.0, 1440.0
 COMPONENT_PT = 110.0
-"""Maps of a merge are given about this much width each, between the two widths above."""
+"""A merge's drawing is about this wide for each component across, within WIDTH_PT and WIDEST_PT."""
 
 LINE_PT, THINNEST_PT = 2.2, 0.7
 LINE_SHARE = 0.12
-"""A corridor's line in a merge takes this share of the usual corridor, between these widths."""
+"""Width of a corridor's line in a merge over the median corridor length, within THINNEST_PT and
+LINE_PT."""
 
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
 
 
 def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
-    """One run's map: corridors, junctions by their branches, branches that were never driven."""
+    """Draw one run's map: corridors, junctions coloured by their number of branches, and branches
+    that were never driven."""
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
     low, high = bounds([apply(turn, extent(whole))])
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
@@ -69,7 +71,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
 
 
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
-    """Corridors, the wider the more often they were driven; each says what it is."""
+    """Draw the corridors, wider the more often they were driven, with tooltips."""
     colour = canvas.theme["corridor"]
     if len(m.source) > MOST_TOLD:
         for times in (1, 2, 3, 4):
@@ -131,7 +133,7 @@ TURNED = {TURNING_POINT: "robot turned round", TRACK_END: "log begins or ends"}
 
 
 def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
-    """Where the robot turned round, and where its log begins and ends between junctions."""
+    """Draw where the robot turned round and where the log begins or ends between junctions."""
     points, colour = m.turning_points, canvas.theme["degree 1"]
     xy = apply(T, points.xy)
     for k, kind in enumerate(points.kind):
@@ -141,7 +143,8 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
 
 
 def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatArray:
-    """(n, 2) where the numbers of junctions stand: in the widest gap between their branches."""
+    """(n, 2) positions of the junctions' numbers: `away_m` along the middle of the widest gap
+    between the junction's branches."""
     out = np.array(xy)
     for i in range(len(m)):
         heading = np.sort(np.mod(m.branches[i] + T[2], 2 * np.pi))
@@ -155,8 +158,11 @@ def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatAr
 
 
 def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Canvas:
-    """The fused map of every component: each corridor a ribbon with a strand for each run that
-    drove it, junctions seen by several runs large; headed: with what it holds above it."""
+    """Draw the fused map of every component: each corridor as parallel strands, one for each run
+    that drove it; junctions seen by several runs are larger.
+
+    headed: with a title and the counts above.
+    """
     parts = lay_out(result, for_paper=True)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
@@ -179,7 +185,7 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
 
 
 def _title(canvas: Canvas, part: Part) -> str:
-    """The longest title that there is room for."""
+    """The longest of the component's titles that fits its cell."""
     room = (part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
     fitting = (title for title in part.titles if width_of(title, TEXT_PT) < room)
     return next(fitting, part.titles[-1])
@@ -188,7 +194,7 @@ def _title(canvas: Canvas, part: Part) -> str:
 def _merged_keys(
     result: MergeResult, parts: list[Part], rank: Mapping[str, int], theme: Theme
 ) -> list[list[Key]]:
-    """Marks first, then the runs of every component that has several."""
+    """The entries for marks, then those for the runs of every component of several runs."""
     several = [part for part in parts if len(part.component.poses) > 1]
     fused = result.fused
     places = fused.members[: fused.junctions]
@@ -216,7 +222,7 @@ def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> C
 
 
 def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
-    """A thin frame round every cell, where there are several, and its title in it."""
+    """With more than one cell, draw each one's frame and title."""
     if len(cells) < 2:
         return
     for cell, title in zip(cells, titles, strict=True):
@@ -253,8 +259,8 @@ def _fused(
 
 
 def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
-    """Why two runs were merged or not: the placements, with matched junctions tied, the links that
-    speak for them and what speaks against them."""
+    """Draw why two runs were merged or not: the placements of b over a, with lines between matched
+    junctions, the links that speak for a placement and what speaks against it."""
     a, b = with_turning_points(a), with_turning_points(b)
     drawn = placements(a, b, decision)
     heading = [headline(decision), because(decision), missing(decision)]
@@ -303,7 +309,7 @@ def _over(
     *,
     width_pt: float = WIDTH_PT,
 ) -> tuple[Canvas, list[Cell]]:
-    """Map b over map a, once for each title and T_a_b."""
+    """Draw map b over map a once for each (title, T_a_b)."""
     points = [np.concatenate([extent(a), apply(T, extent(b))]) for _, T in laid]
     cells = arrange(points, [upright_rad(a.paths)] * len(laid), sheet_margin_m(points))
     canvas = _sheet(cells, theme, width_pt, name)
@@ -334,7 +340,8 @@ def _side_by_side(
 
 
 def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray]) -> bool:
-    """Matched junctions ringed, and a line from each to its partner."""
+    """Draw rings round matched junctions and a line between each two; returns whether there are
+    any."""
     pairs = alignment.matched
     if len(pairs) == 0:
         return False
@@ -352,7 +359,8 @@ def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray
 def _links(
     canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray], *, both: bool
 ) -> bool:
-    """Every link between two junctions of a; `both`: also between those of b."""
+    """Draw every link between two junctions of a, and if `both` also between those of b; returns
+    whether any was drawn."""
     drawn = False
     for side in (0, 1) if both else (0,):
         for t in placement.of(*LINKS):
@@ -367,7 +375,8 @@ def _links(
 
 
 def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray]) -> bool:
-    """Junctions that the other run drove past unseen, and corridors that cross."""
+    """Mark junctions that the other run drove past without seeing them, and corridors that cross;
+    returns whether there are any."""
     found = list(against(placement, *xy))
     for term, at in found:
         told = f"{term.bits:+.1f} bits: {term.told}"
@@ -380,7 +389,7 @@ def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatAr
 
 
 def _ring(canvas: Canvas, xy: FloatArray, told: str) -> None:
-    """A ring round a place that speaks against a placement."""
+    """Draw a ring in the colour of contradictions."""
     colour, order = canvas.theme["against"], Order.CONTRADICTION
     canvas.dots(xy[None], colour, 9.0, order=order, ring=True, told=told)
 
@@ -388,7 +397,7 @@ def _ring(canvas: Canvas, xy: FloatArray, told: str) -> None:
 def draw_placements(
     a: TopoMap, b: TopoMap, pair: PairVerdict, theme: Theme, *, name: str = "pair"
 ) -> Canvas:
-    """Where a verdict would lay b over a: its alignment and the next best one, side by side."""
+    """Draw b over a by a verdict's best alignment and by the next best one, side by side."""
     a, b = with_turning_points(a), with_turning_points(b)
     laid = [
         (title, alignment)

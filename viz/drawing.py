@@ -1,4 +1,5 @@
-"""Maps as lines and arrows: what a picture shows of a graph, without the viewer's types."""
+"""The geometry of pictures of a map: ribbons, branch arrows, thinned tracks, bounds. Independent of
+the viewer."""
 
 from __future__ import annotations
 
@@ -15,36 +16,38 @@ from ..topology.se2 import wrap
 from ..topology.topomap import Graph
 
 SAME_BRANCH_RAD = 0.7
-"""A corridor that does not say which branch it takes takes the nearest one within this angle."""
+"""A corridor's end that names no branch is assigned the nearest one within this angle."""
 
 LEAVING_M = 1.5
-"""A corridor's direction at its end is taken over this way."""
+"""The direction of a corridor at its end is taken over this distance."""
 
 MOST_NUMBERED = 150
-"""Above this many junctions their numbers hide more than they tell: pointing at them shows them."""
+"""Up to this many junctions their numbers are always shown; above, only for the one pointed at."""
 
 WIDEST_RIBBON = 4
-"""A ribbon is at most this many pens wide; with more runs its strands get thinner."""
+"""Largest width of a ribbon, in pens; with more runs its strands get thinner."""
 
 MARGIN, SHEET_MARGIN = 0.05, 0.02
-"""Room around a map, and around a sheet of maps, which have room of their own: shares of it."""
+"""Margin around a map and around a sheet of maps, as shares of the extent."""
 
 
 def pen_m(graphs: Sequence[Graph]) -> float:
-    """The width of a corridor's line [m]: a share of the usual corridor, the same on one sheet."""
+    """Width of a corridor's line [m]: a share of the median corridor length over all maps of a
+    sheet."""
     lengths = np.concatenate([*(g.length for g in graphs), np.zeros(0)])
     return float(np.clip(0.035 * np.median(lengths), 0.02, 2.0)) if len(lengths) else 0.2
 
 
 def extent(graph: Graph) -> FloatArray:
-    """(k, 2) the points that a picture of the map has to hold: its vertices and corridors."""
+    """(k, 2) the map's vertices and corridor points: what a picture has to hold [m]."""
     return np.concatenate([graph.xy, *graph.paths])
 
 
 def driven_branches(graph: Graph) -> BoolArray:
     """(total branches,) whether a corridor of the map leaves by the branch.
 
-    Ends that name no branch count for the nearest one in direction. O(branches + edges).
+    A corridor's end that names no branch takes the one nearest in direction, within
+    SAME_BRANCH_RAD. O(branches + edges).
     """
     driven = np.zeros(len(graph.branches.values), bool)
     offsets = graph.branches.offsets
@@ -71,17 +74,19 @@ def _leaving(path: FloatArray) -> float:
 
 
 def branch_arrows(graph: Graph, length_m: float) -> tuple[FloatArray, FloatArray]:
-    """Origins and vectors, (total branches, 2) each, of arrows along every branch."""
+    """Origins and vectors, (total branches, 2) each [m], of arrows of `length_m` along the
+    branches."""
     heading = graph.branches.values
     vectors = length_m * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return graph.xy[graph.branches.owner], vectors
 
 
 def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArray]:
-    """Polylines beside others, each its `offset_m` to the left; corners are mitred.
+    """Polylines parallel to the given ones, (k, 2) each, offset to the left by `offset_m` (n,),
+    with mitred corners.
 
-    Points that repeat are dropped; a path that has no extent, or no offset, comes back as it is.
-    All are laid end to end: most have a few points.
+    Repeated points are dropped. A path without extent, or with offset 0, is returned as it is. All
+    paths are computed at once, concatenated.
     """
     owner = np.arange(len(paths)).repeat([len(path) for path in paths])
     points = np.concatenate([np.zeros((0, 2)), *paths])
@@ -93,7 +98,7 @@ def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArra
     normal = np.stack([-y, x], axis=-1) / np.hypot(x, y)[:, None]
     before, after = np.zeros_like(points), np.zeros_like(points)
     before[1:][within], after[:-1][within] = normal, normal
-    # A corner moves along the bisector; sharp ones are held so that they throw no spikes.
+    # A corner moves along its bisector, by at most twice the offset: no spikes at sharp turns.
     mean = before + after
     mean /= np.maximum(np.hypot(*mean.T), 1e-9)[:, None]
     cosine = np.ones(len(points))
@@ -111,7 +116,7 @@ def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArra
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strand:
-    """What one run drove of one fused corridor. share: its width over a pen's."""
+    """One run's line of a fused corridor. share: its width, in pens."""
 
     edge: int
     run: str
@@ -120,8 +125,8 @@ class Strand:
 
 
 def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
-    """Corridors as ribbons: a strand beside the other for each run that drove them, `pen` wide or,
-    of many runs, thinner."""
+    """The given fused corridors as parallel lines, one for each run that drove them, one `pen` wide
+    or thinner where there are more than WIDEST_RIBBON runs."""
     rows = edges.tolist()
     runs = [sorted({run for run, _ in fused.edge_members[edge]}) for edge in rows]
     count = np.array([len(own) for own in runs], np.int64)
@@ -139,8 +144,8 @@ def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
 
 
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
-    """Rows of a track to draw: those that enter a new multiple of `spacing_m` of way, the first
-    and the last; all for a spacing of 0."""
+    """Indices of the track's points to draw, about `spacing_m` of path apart, with the first and
+    the last one; all for a spacing of 0."""
     if len(xy) < 3 or spacing_m == 0:
         return np.arange(len(xy))
     step = np.floor(way_of(xy) / spacing_m)
@@ -150,7 +155,8 @@ def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
 
 
 def bounds(points: Sequence[FloatArray], margin: float = MARGIN) -> tuple[FloatArray, FloatArray]:
-    """Low and high corner (2,) around all points, with a margin given as a share of the extent."""
+    """Low and high corner (2,) around all points, with a margin as a share of the extent, which
+    counts at least 4 m."""
     joined = np.concatenate([*points, np.zeros((0, 2))])
     if len(joined) == 0:
         joined = np.zeros((1, 2))

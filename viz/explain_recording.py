@@ -1,4 +1,4 @@
-"""The recording of what matching found between two maps: its hypotheses and their clusters."""
+"""Recording of a structural match between two maps: its hypotheses and their clusters."""
 
 from __future__ import annotations
 
@@ -29,28 +29,28 @@ if TYPE_CHECKING:
 TABLE, SPACE, PLACEMENTS = "table", "transforms", "placements"
 
 TOLD_APART = 9
-"""Clusters with a colour of their own; the others share one."""
+"""Number of clusters with a colour of their own."""
 
 OTHER, DROPPED = TOLD_APART + 1, TOLD_APART + 2
 """Classes of the table after those of the clusters."""
 
 MOST_PLACEMENTS = 9
 MOST_ROWS = 40
-"""What is drawn at most: three by three placements, as many rows as a screen has."""
+"""Limits: placements drawn, and rows of the tables of clusters and hypotheses."""
 
 NUMBER_GAP = 0.035
-"""Distance of the numbers from the table, in tables."""
+"""Distance of the vertices' numbers from the table, over the table's size."""
 
 MOST_NUMBERED = 45
-"""Up to this many vertices the table is numbered."""
+"""Up to this many vertices the table's rows and columns are numbered."""
 
 HEIGHT = 0.6
-"""A full turn in transform space is this share of the extent of x and y high."""
+"""Height of a full turn in the plot of transforms, over the extent of x and y."""
 
 
 def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, e: Explanation) -> None:
-    """Write what structural matching found between two maps, atomically: the table of vertex
-    pairs, the clusters in transform space, and where the best clusters place b over a.
+    """Write a structural match's recording, atomically: the table of vertex pairs, the clusters in
+    the space of transforms, and b over a as the best clusters place it.
 
     Raises OSError if the file cannot be written.
     """
@@ -77,14 +77,14 @@ def _title(e: Explanation, k: int) -> str:
 
 
 def pair_classes(shape: tuple[int, int], e: Explanation) -> NDArray[np.uint8]:
-    """(n_a, n_b) for each pair of vertices: 0 incompatible, 1 … TOLD_APART the best cluster that
-    holds it, OTHER another cluster or none, DROPPED compatible but in no hypothesis."""
+    """(n_a, n_b) class of each vertex pair: 0 incompatible; 1 … TOLD_APART the best cluster that
+    holds it; OTHER another cluster or none; DROPPED compatible but in no hypothesis."""
     h = e.hypotheses
     cells = np.zeros(shape, np.uint8)
     cells[e.candidate_a, e.candidate_b] = DROPPED
     cluster = e.clusters.of[h.of]
     rank = np.where((cluster >= 0) & (cluster < TOLD_APART), cluster, TOLD_APART)
-    # Written from the worst to the best, so that the best cluster of a pair stays.
+    # Written from the worst cluster to the best: a pair keeps its best.
     order = np.argsort(-rank, kind="stable")
     cells[h.vertex_a[order], h.vertex_b[order]] = rank[order] + 1
     return cells
@@ -98,7 +98,7 @@ def _table(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> None
     classes.append((OTHER, "another cluster", palette.DIM))
     classes.append((DROPPED, "compatible, no hypothesis survived", palette.UNRELATED))
     recording.static((TABLE,), rr.AnnotationContext(classes))
-    # By number of branches: only vertices of the same number are compatible.
+    # Sorted by number of branches: only vertices with the same number are compatible.
     rows = np.argsort(e.degree_a, kind="stable")
     columns = np.argsort(e.degree_b, kind="stable")
     cells = pair_classes((len(a), len(b)), e)[np.ix_(rows, columns)]
@@ -108,7 +108,7 @@ def _table(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> None
 
 
 def _numbers(recording: Recording, rows: IntArray, columns: IntArray) -> None:
-    """The vertices' numbers at the left and above the table, in cells."""
+    """Write the vertices' numbers left of and above the table, in cells."""
     count = max(len(rows), len(columns))
     gap = NUMBER_GAP * count
     rise = count / 128  # the viewer writes below a point
@@ -125,14 +125,15 @@ def _numbers(recording: Recording, rows: IntArray, columns: IntArray) -> None:
 
 
 def _space(e: Explanation) -> tuple[FloatArray, FloatArray, float]:
-    """Low and high corner (2,) of all shifts [m], and how high a turn is drawn [m/rad]."""
+    """Low and high corner (2,) of all translations [m], and the height of a radian in the plot
+    [m/rad]."""
     shift = e.hypotheses.transform[:, :2]
     low, high = shift.min(axis=0), shift.max(axis=0)
     return low, high, HEIGHT * max(float((high - low).max()), 1.0) / (2 * np.pi)
 
 
 def _transform_space(recording: Recording, e: Explanation) -> None:
-    """Hypotheses and clusters as points (x, y, turn); the turn is drawn upwards."""
+    """Write hypotheses and clusters as points (x, y, rotation), with the rotation upwards."""
     h, c = e.hypotheses, e.clusters
     if len(h.size) == 0:
         return
@@ -170,7 +171,7 @@ def _transform_space(recording: Recording, e: Explanation) -> None:
 
 
 def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: float) -> None:
-    """A frame for every quarter turn, so that heights can be read as angles."""
+    """Write a frame at every quarter turn as the scale of the rotation axis."""
     spare = 0.05 * max(float((high - low).max()), 1.0)
     corners = outline(low - spare, high + spare)
     quarters = np.arange(-2, 3)
@@ -188,7 +189,7 @@ def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: 
 
 
 def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> list[Cell]:
-    """Map b over map a as each of the best clusters places it."""
+    """Write b over a as each of the best clusters places it."""
     h, c = e.hypotheses, e.clusters
     shown = min(len(c.vertices), MOST_PLACEMENTS)
     points = [np.concatenate([extent(a), apply(c.transform[k], extent(b))]) for k in range(shown)]
@@ -243,7 +244,7 @@ def _pose(pose: FloatArray) -> str:
 
 
 def _space_view(e: Explanation) -> rrb.View:
-    """Transform space, seen from above one side so that all of it is in the picture."""
+    """The view of the transforms, with the camera placed so that all of them are visible."""
     low, high, _ = _space(e)
     middle, extent = (low + high) / 2, max(float((high - low).max()), 1.0)
     return rrb.Spatial3DView(

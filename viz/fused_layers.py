@@ -1,4 +1,4 @@
-"""The fused maps of a merge, as layers of a recording."""
+"""A merge's fused maps as layers of a recording."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from .steps import Step, first_steps
 from .story import shared_from
 
 FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
-"""Roots of the three pictures of the components, and of the names of the runs."""
+"""Entity roots of the three views of the components, and of the key to the runs' colours."""
 
 LEGEND_ROWS, LEGEND_COLUMN = 34, 8.0
-"""Rows of the legend, and the distance of its columns in rows."""
+"""Rows of a column of the key, and the distance of columns in rows."""
 
 LEGEND_LINE = 0.2
-"""Half the length of a legend's lines over its width."""
+"""Half the length of a key entry's line, over the key's width."""
 
 
 def write_fused_layers(
@@ -43,8 +43,8 @@ def write_fused_layers(
     colours: Mapping[str, palette.Colour],
     steps: Sequence[Step],
 ) -> None:
-    """The fused map by run, as it came together step by step; the agreement of the runs; and each
-    run's own map."""
+    """Write the fused map in the runs' colours as it grew by the steps of merging, the number of
+    runs that share each part of it, and each run's own map in its place."""
     for root in (FUSED, AGREEMENT, RUNS):
         recording.static((root,), UP)
         _cards(recording, root, parts, colours)
@@ -77,7 +77,7 @@ def write_fused_layers(
 def write_fused_contradictions(
     recording: Recording, result: MergeResult, maps: Mapping[str, TopoMap], parts: list[Part]
 ) -> bool:
-    """Red dots where joined runs contradict each other; False where nothing does."""
+    """Write red dots where merged runs contradict each other; returns whether there are any."""
     pen = pen_m([result.fused])
     found: dict[int, list[Spot]] = {}
     home = {run: part for part in parts for run in part.component.poses}
@@ -96,9 +96,10 @@ def write_fused_contradictions(
 def write_legend(
     recording: Recording, parts: list[Part], colours: Mapping[str, palette.Colour]
 ) -> list[Cell]:
-    """The names of all merged runs in their colours, in columns, each component below its title.
+    """Write the names of all merged runs in their colours, in columns, each component under its
+    title.
 
-    Nothing, and no cells, where every component has its legend beside it.
+    Writes and returns nothing where every component has its own key beside it.
     """
     several = [part for part in parts if len(part.component.poses) > 1]
     if all(part.legend_m > 0 for part in several):
@@ -130,7 +131,7 @@ def _cards(
     parts: list[Part],
     colours: Mapping[str, palette.Colour],
 ) -> None:
-    """The frame, title and legend of every component."""
+    """Write the frame, title and key of every component."""
     titles = [part.titles for part in parts]
     cells = [part.cell for part in parts]
     write_cards(recording, root, cells, titles if len(parts) > 1 else [])
@@ -144,7 +145,7 @@ def _cards(
 
 
 def _count_colours(part: Part) -> dict[str, palette.Colour]:
-    """What the colours of the agreement stand for."""
+    """Labels and colours of the number of runs that share a part of the map."""
     most = len(palette.COUNTS)
     counts = range(1, min(len(part.component.poses), most) + 1)
     names = [f"{n} or more runs" if n == most else counted(n, "run") for n in counts]
@@ -158,8 +159,8 @@ def _legend(
     entries: Mapping[str, palette.Colour],
     step_m: float,
 ) -> None:
-    """A short line for each entry with its name below, at the right of the map; step_m: their
-    distance."""
+    """Write the component's key at the right of its map: a line in each colour with the name below,
+    `step_m` apart."""
     low, high = part.cell.low, part.cell.high
     rows = (len(entries) - 1) / 2 - np.arange(len(entries))
     middle = np.array([high[0] - part.legend_m / 2, (low + high)[1] / 2])
@@ -186,8 +187,8 @@ def _ribbons(
     pen: float,
     first: Mapping[str, int],
 ) -> None:
-    """Corridors with one strand beside the other for each run that drove them, dim until the run
-    is joined with another; first: at which step that is."""
+    """Write each corridor as parallel lines of the runs that drove it, dim until the run is joined
+    with another; first: at which step that happens."""
     of_run: dict[PathParts, list[Strand]] = {}
     home = {run: part.name for part in parts for run in part.component.poses}
     edges = np.concatenate([np.zeros(0, np.int64), *(part.edges for part in parts)])
@@ -242,7 +243,8 @@ def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
 
 
 def _junctions(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    """The junctions of the map, which get their colours step by step, and of the agreement."""
+    """Write the junctions of the fused map, whose colours `_junctions_in_time` adds, and of the
+    view of agreement."""
     rows = np.concatenate([np.zeros(0, np.int64), *(part.vertices for part in parts)])
     if len(rows) == 0:
         return
@@ -275,8 +277,8 @@ def _junctions_in_time(
     steps: Sequence[tuple[int, Step]],
     first: Mapping[str, int],
 ) -> None:
-    """Junctions are dim until a run that has them is joined, grey until two of their runs are
-    together, then white."""
+    """Write the junctions' colours by step: dim until a run that saw it is joined, grey until two
+    such runs are joined with each other, then white."""
     if len(part.vertices) == 0:
         return
     path = (FUSED, part.name, "junctions")
@@ -307,7 +309,7 @@ def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
 
 
 def _unexplored(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    """The branches that nobody drove."""
+    """Write the branches that no run drove."""
     free = np.flatnonzero(~driven_branches(fused))
     owner = fused.component[fused.branches.owner[free]]
     own = [free[rows] for rows in rows_of(owner, [part.component.id for part in parts])]

@@ -1,7 +1,6 @@
-"""The occupancy grid that a map was made from, under the map.
+"""The occupancy grid that a map was made from, below the map.
 
-As a picture that is turned and scaled: rerun's `GridMap` is drawn in views of space, not in those
-of the plane.
+Written as an image with a transform: rerun's `GridMap` is not drawn in 2D views.
 """
 
 from __future__ import annotations
@@ -17,17 +16,17 @@ from . import palette
 from .recording import PathParts, Recording
 
 MOST_PIXELS = 8192
-"""Side of the largest picture that every graphics card takes; larger grids lose cells between."""
+"""Largest image side that every graphics card takes; larger grids are reduced."""
 
 
 def write_grid(recording: Recording, root: PathParts, grid: Grid) -> None:
-    """Write the grid below `root`: walls over free space over what is not known."""
+    """Write the grid below the entity `root` as occupied, free and unknown cells."""
     shade = np.full(grid.free.shape, 2, np.uint8)
     shade[grid.unknown] = 0
     shade[grid.free] = 1
     step = -(-max(shade.shape) // MOST_PIXELS)
     for axis in (0, 1):
-        # Of cells drawn as one the wall is kept.
+        # A reduced cell is occupied if any of its cells is.
         starts = np.arange(0, shade.shape[axis], step)
         shade = np.maximum.reduceat(shade, starts, axis=axis)
     picture = Image.fromarray(shade)

@@ -1,4 +1,4 @@
-"""Things that light up one by one as time goes on, and stay selectable all along."""
+"""Entities whose elements change colour as time goes on."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from .palette import Colour, Colours
 from .recording import PathParts, Recording
 
 MOST_CELLS = 400_000
-"""Colours logged for one entity at most, of 4 bytes each: where a thing for every time would take
-more, several light up together."""
+"""Limit on logged colours (4 bytes each) of one entity; above it, changes are grouped in time."""
 
 
 def light_up(
@@ -27,10 +26,11 @@ def light_up(
     begin_ns: int | None,
     dim: Colour = palette.UNLIT,
 ) -> None:
-    """Log the colours of an entity of n things over time: dim before when_ns (n,), from then on
-    each in its own of `colours`, or all in one; begin_ns: when the first row stands, if earlier.
+    """Log the colours of an entity of n elements over time: `dim` before when_ns (n,), from then on
+    `colours`, one each or one for all; begin_ns: time of the first row, if earlier.
 
-    One entity and one row for each change: what is pointed at is always the same thing.
+    All elements are in one entity with one row for each change, so that an element's index is the
+    same at any time.
     """
     times = _rows(when_ns, begin_ns)
     recording.over_time(path, times, colour_columns(archetype, _lit(times, when_ns, colours, dim)))
@@ -46,8 +46,8 @@ def light_up_by_step(
     now: Colour | None = None,
     dim: Colour = palette.UNLIT,
 ) -> None:
-    """The same on the timeline JOIN, from step 0 on: things that are never dim have when = 0.
-    now: colour of what lights up at the cursor."""
+    """`light_up` on the timeline JOIN, from step 0 on; when (n,): step of each element, 0 for never
+    dim. now: colour of the elements whose step is the current one."""
     more = [when + 1] if now is not None else []
     numbers = np.unique(np.concatenate([[0], when, *more]))
     rows = _lit(numbers, when, colours, dim)
@@ -62,19 +62,20 @@ def _lit(
     colours: Colours | Colour,
     dim: Colour,
 ) -> NDArray[np.uint8]:
-    """(times, things, 3) colours."""
+    """(times, elements, 3) colours."""
     lit = (when[None, :] <= times[:, None])[:, :, None]
     return np.where(lit, np.asarray(colours, np.uint8), np.asarray(dim, np.uint8))
 
 
 def colour_columns(archetype: Any, rows: NDArray[np.uint8]) -> Any:
-    """(times, things, 3) colours as columns to log."""
+    """Colours (times, elements, 3) as rerun columns."""
     times, things = rows.shape[:2]
     return archetype.columns(colors=rows.reshape(-1, 3)).partition([things] * times)
 
 
 def _rows(when_ns: IntArray, begin_ns: int | None) -> IntArray:
-    """The times at which something changes, thinned to what may be logged; the last one stays."""
+    """The times at which a colour changes, thinned to the limit MOST_CELLS; the last one is
+    kept."""
     times = np.unique(when_ns)
     most = max(MOST_CELLS // max(len(when_ns), 1), 2)
     if len(times) > most:

@@ -1,4 +1,4 @@
-"""When a robot came to know its map: what a recording lights up as time goes on."""
+"""When each part of a map was first seen, for recordings over time."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from ..topology.topomap import Closure, TopoMap
 
 @dataclass(frozen=True, slots=True, eq=False)
 class History:
-    """vertex_ns: (n,) and corridor_ns: (m,) when each was first passed or driven; visit: (k,)
-    number of each observation among those of its vertex, from 1 on."""
+    """vertex_ns (n,), corridor_ns (m,): when each was first passed or driven. visit (k,): number of
+    each observation among those of its vertex, from 1 on."""
 
     vertex_ns: IntArray
     corridor_ns: IntArray
@@ -21,10 +21,10 @@ class History:
 
 
 def history(topomap: TopoMap) -> History:
-    """When vertices and corridors of a map were first met. O(observations + drives).
+    """When vertices and corridors of a map were first seen. O(observations + drives).
 
-    A corridor counts from when it was first driven to its end; where that is not known, from when
-    both its ends were.
+    A corridor's time is the end of its first drive or, where drives are not known, when both its
+    ends had been seen.
     """
     times, at = topomap.observation_time_ns, topomap.observation_vertex
     last = int(times.max()) if len(times) else 0
@@ -35,7 +35,7 @@ def history(topomap: TopoMap) -> History:
         if len(driven):
             corridor_ns[edge] = driven.max(axis=1).min()
     corridor_ns = np.minimum(corridor_ns, last)
-    # Junctions that were driven by unseen are known as soon as a corridor leads there.
+    # A junction without an observation of its own is known once a corridor to it is.
     for ends in (topomap.source, topomap.target):
         np.minimum.at(vertex_ns, ends, corridor_ns)
     return History(np.minimum(vertex_ns, last), corridor_ns, _visits(at, len(topomap)))
@@ -52,8 +52,8 @@ def _visits(at: IntArray, n: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True)
 class Question:
-    """A closure by the numbers of its junctions: rows of the two observations, or None where a pass
-    ended in no junction."""
+    """A closure and the rows of its two observations (None: that pass belongs to no vertex), with
+    its text."""
 
     closure: Closure
     rows: tuple[int | None, int | None]
@@ -61,7 +61,7 @@ class Question:
 
 
 def questions(topomap: TopoMap, visit: IntArray) -> list[Question]:
-    """Every closure that was not replaced by a later round, in words that name junctions."""
+    """Every closure that no later round revised, with its text."""
     row = {t: k for k, t in enumerate(topomap.observation_time_ns.tolist())}
     out = []
     for closure in topomap.closures:

@@ -1,4 +1,4 @@
-"""How the viewer shows the recording of one run's map: its views and how they are arranged."""
+"""Blueprints: which views the viewer shows for the recording of one run's map."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ from .scan_layers import overrides_of_scans
 MAP: PathParts = ("map",)
 
 MOST_NODES = 300
-"""Above this many vertices there is no room for a graph of boxes."""
+"""Above this many vertices the graph view is left out."""
 
 GRAPH_CORRIDOR = 90.0
-"""The usual corridor's length in the graph, in units of which a node takes about twenty."""
+"""Length of the median corridor in the graph view, where a node is about 20 units wide."""
 
 TRAIL_S, DETECTION_S = 60.0, 0.3
-"""So long behind the cursor the robot's trail and its detections are shown."""
+"""How long before the cursor the robot's trail and its detections are shown."""
 
 WIDEST = 1.4
-"""The view holds the recorded odometry unless that makes the map smaller than by this."""
+"""The view includes the recorded odometry unless it is larger than the map's by more than this
+factor."""
 
 WHOLE_RUN = rrb.TimeAxis(
     view_range=rr.TimeRange(
@@ -41,7 +42,8 @@ WHOLE_RUN = rrb.TimeAxis(
 def map_blueprint(
     topomap: TopoMap, track: RobotTrack | None, *, health: bool, scans: bool
 ) -> rrb.Blueprint:
-    """The map, and beside it its summary, the drift and the health of the odometry."""
+    """Blueprint of a map's recording: the map, and beside it its summary, the drift and the health
+    of the odometry."""
     side: list[rrb.View | rrb.Container] = [
         rrb.Tabs(*_pages(topomap), active_tab=0, name="Details")
     ]
@@ -61,7 +63,8 @@ def map_blueprint(
 
 
 def log_blueprint(topomap: TopoMap, views: Sequence[rrb.View]) -> rrb.Blueprint:
-    """The map as in its own recording, and beside it views of the raw log at the same time."""
+    """Blueprint of a map with its log: the map, and beside it views of the raw log at the same
+    time."""
     pages = _pages(topomap)
     if len(topomap.observation_time_ns):
         pages += [_drift_view(), _health_view()]
@@ -80,9 +83,9 @@ def log_blueprint(topomap: TopoMap, views: Sequence[rrb.View]) -> rrb.Blueprint:
 
 
 def _blueprint(root: rrb.Container, *, in_time: bool) -> rrb.Blueprint:
-    """in_time: something happens, so that there is a time line to drag."""
+    """in_time: the recording has a time axis, so the time panel is shown."""
     state: Literal["collapsed", "hidden"] = "collapsed" if in_time else "hidden"
-    # Following shows the end, where the whole map is known, until somebody moves the cursor.
+    # "following" starts with the cursor at the end, where the whole map is shown.
     end = rrb.TimePanel(state=state, timeline=CLOCKS[0], play_state="following")
     return blueprint(root, end)
 
@@ -99,7 +102,7 @@ def _maps(
 
 
 def on_graph(topomap: TopoMap) -> FloatArray:
-    """(n, 2) where the vertices lie in the graph; y points down."""
+    """(n, 2) positions of the vertices in the graph view; y points down."""
     usual = float(np.median(topomap.length)) if len(topomap.length) else 1.0
     return GRAPH_CORRIDOR / usual * topomap.xy * [1.0, -1.0]
 
@@ -112,7 +115,7 @@ def _pages(topomap: TopoMap) -> list[rrb.View]:
 
 
 def _drift_view(most_m: float | None = None) -> rrb.TimeSeriesView:
-    """How far the recorded odometry is from the map, over the whole run; most_m: of the axis."""
+    """Distance of recorded odometry and map over the whole run; most_m: upper end of the axis."""
     return rrb.TimeSeriesView(
         origin="/drift",
         name="Drift [m]",
@@ -139,7 +142,7 @@ def _event_columns() -> rrb.TextLogColumns:
 def _map_view(
     topomap: TopoMap, track: RobotTrack | None, *, moving: bool, scans: bool
 ) -> rrb.Spatial2DView:
-    """moving: what the robot does at the cursor is shown for a while."""
+    """moving: show what happened shortly before the cursor."""
     shown: list[FloatArray] = [topomap.xy, *topomap.paths]
     low, high = bounds(shown)
     if track is not None:

@@ -59,10 +59,10 @@ def write_map_recording(
 ) -> None:
     """Write the recording of one run's map, `maps/<run>.rrd`, atomically.
 
-    odometry, detections, scanned: the run's own, as recorded; with them the recording shows what
-    closing the loops changed, where the robot is on the map at any time, and what its detector or
-    its laser saw there. grid: that the map was made from, in place of a run. Raises OSError if the
-    file cannot be written.
+    odometry, detections, scanned: as recorded by the run; with odometry the recording shows what
+    closing loops changed and where the robot is at any time, with the others what its detector or
+    laser saw there. grid: the occupancy grid that the map was made from instead of a run. Raises
+    OSError if the file cannot be written.
     """
     track = robot_track(topomap, odometry) if odometry is not None else None
     known = history(topomap)
@@ -182,12 +182,12 @@ def _junctions(
 
 
 def _dot(topomap: TopoMap) -> FloatArray:
-    """(n,) radii of the dots of vertices, in pens."""
+    """(n,) radii of the vertices' dots, in pens."""
     return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
 
 def _graph(recording: Recording, topomap: TopoMap) -> None:
-    """The map as boxes and straight lines: its topology without its shape."""
+    """Write the map as a node-link graph: topology without geometry."""
     if not 0 < len(topomap) <= MOST_NODES:
         return
     ids = [str(i) for i in range(len(topomap))]
@@ -205,14 +205,14 @@ def _graph(recording: Recording, topomap: TopoMap) -> None:
 def _closures(
     recording: Recording, topomap: TopoMap, asked: Sequence[Question], begin_ns: int | None
 ) -> None:
-    """Every identification as a line of its own: one that was accepted as a ring round its
-    junction, the first the innermost; one that was refused between the two junctions."""
+    """Write every closure as a line of its own: an accepted one as a ring round its junction, the
+    first one innermost; a refused one between the two junctions."""
     groups: dict[str, list[tuple[Question, FloatArray]]] = {"accepted": [], "refused": []}
     rings: Counter[int] = Counter()
     pen = pen_m([topomap])
     for question in asked:
         a, b = question.rows
-        if a is None or b is None:  # a pass that ended in no vertex has no place to draw from
+        if a is None or b is None:  # a pass that belongs to no vertex has no position
             continue
         u, v = topomap.observation_vertex[[a, b]].tolist()
         if question.closure.accepted and u == v:
@@ -256,7 +256,7 @@ def _closure_lines(
 def _visits(
     recording: Recording, topomap: TopoMap, known: History, asked: Sequence[Question]
 ) -> None:
-    """The junction passed last, and a log of passes and closures."""
+    """Write over time the junction passed last, and a log of passes and closures."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex
     if len(time_ns) == 0:
         return
@@ -293,7 +293,8 @@ def _lane(recording: Recording, lane: Lane) -> None:
 
 
 def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
-    """How far the recorded odometry is from the map, with what is known of the map's own error."""
+    """Write the distance of the recorded odometry from the map, plus and minus the map's own
+    uncertainty [m]."""
     times = topomap.observation_time_ns
     sigma = np.full(len(times), topomap.measured.centre_m)
     if topomap.position_sigma is not None:

@@ -1,4 +1,4 @@
-"""Maps on a sheet of cells: frames and titles, a run's own map, one map laid over another."""
+"""Maps on a sheet of cells: frames, titles, a run's own map, one map over another."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ from .recording import HAIR, PathParts, Recording, map_view, placed, strips
 from .sheet import ASPECT, Cell, corners_of, outline
 
 TITLE_LETTERS, SHORTEST_TITLE = 150, 5
-"""Letters across a view of usual width; titles with room for fewer than this are left out."""
+"""Letters across a view of typical width; titles with room for fewer than SHORTEST_TITLE are left
+out."""
 
 
 def sheet_view(root: str, name: str, cells: Sequence[Cell]) -> rrb.Spatial2DView:
-    """A view of everything below `/root`, which lies in these cells."""
+    """A view of everything below `/root`, which is laid out in these cells."""
     return map_view(root, name, *bounds([corners_of(cells)], margin=SHEET_MARGIN))
 
 
@@ -36,7 +37,7 @@ def write_words(
     colours: Any = palette.TITLE,
     order: palette.Order = palette.Order.WORDS,
 ) -> None:
-    """A word below each of the places (n, 2)."""
+    """Write a label below each of the places (n, 2)."""
     shown = rr.Points2D(
         places, radii=0.0, colors=colours, labels=words, show_labels=True, draw_order=order
     )
@@ -50,7 +51,7 @@ def write_rings(
     radius_m: float,
     order: palette.Order = palette.Order.EVIDENCE,
 ) -> None:
-    """White dots round junctions at xy (n, 2)."""
+    """Write white dots behind the junctions at xy (n, 2), which show as rings."""
     if len(xy):
         dots = rr.Points2D(xy, radii=radius_m, colors=palette.WHITE, draw_order=order)
         recording.static(path, dots)
@@ -59,7 +60,7 @@ def write_rings(
 def write_contradictions(
     recording: Recording, path: PathParts, spots: Sequence[Spot], pen: float
 ) -> None:
-    """A red dot for each; selecting it tells what is wrong there."""
+    """Write a red dot for each contradiction; its text is shown on selection."""
     if spots:
         dots = rr.Points2D(
             [spot.xy for spot in spots],
@@ -74,8 +75,8 @@ def write_contradictions(
 def write_cards(
     recording: Recording, root: str, cells: list[Cell], titles: Sequence[Sequence[str]]
 ) -> None:
-    """A thin frame round every cell and a title in it: of several, from the longest to the
-    shortest, the first that its cell has room for. `titles` may be empty."""
+    """Write a frame for each of several cells, and its title: the first that fits of the given
+    forms, longest first. `titles` may be empty."""
     if len(cells) > 1:
         frames = rr.LineStrips2D(
             [outline(cell.low, cell.high) for cell in cells],
@@ -94,8 +95,8 @@ def write_cards(
 
 
 def _fitting(titles: Sequence[str], cell: Cell, seen_m: float) -> str:
-    """The first title that its cell has room for, in a view of usual width in which the sheet
-    takes `seen_m`, or the last one, cut; "" where there is no room for that."""
+    """The first title that fits the cell, where the sheet is `seen_m` wide in a view of typical
+    width; else the last one, cut, or "" if the room is less than SHORTEST_TITLE."""
     share = (cell.high[0] - cell.low[0]) / seen_m
     room = int(share * TITLE_LETTERS)
     fitting = next((title for title in titles if len(title) <= room), None)
@@ -105,7 +106,7 @@ def _fitting(titles: Sequence[str], cell: Cell, seen_m: float) -> str:
 
 
 def corridors_told(*maps: TopoMap) -> rr.AnyValues:
-    """What is known of each corridor of some maps."""
+    """The attributes of the corridors of several maps, concatenated."""
     ends = [pair for m in maps for pair in zip(m.source.tolist(), m.target.tolist(), strict=True)]
     return rr.AnyValues(
         corridor=np.concatenate([np.arange(len(m.source)) for m in maps]),
@@ -123,7 +124,7 @@ def write_own_maps(
     colours: Sequence[palette.Colour],
     pen: float,
 ) -> None:
-    """The own map of each of some runs below its path, in its own frame and one colour."""
+    """Write each run's own map below its entity path, in its own frame and in one colour."""
     corridors, junctions = [len(m.source) for m in maps], [len(m) for m in maps]
     tint = np.array(colours, np.uint8).reshape(-1, 3)
     if any(corridors):
@@ -171,7 +172,7 @@ def write_laid_over(
     *,
     pen: float,
 ) -> None:
-    """Map b laid over map a in a cell, each in a colour of its own."""
+    """Write map b over map a in a cell, in two colours."""
     a, b = maps
     recording.static(here, placed(cell.T_sheet_map))
     recording.static((*here, "b"), placed(T_a_b))

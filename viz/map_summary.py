@@ -1,4 +1,4 @@
-"""What a map's recording says in words."""
+"""The summary page of a map's recording, in Markdown."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from .drawing import driven_branches
 from .history import Question
 
 MOST_LINES = 40
-"""Longer lists are cut: the document has them all."""
+"""Longer lists are cut; the JSON document has all entries."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapLayers:
-    """What a recording holds besides the map: nothing else is spoken of."""
+    """Which optional layers a recording holds: the legend describes only these."""
 
     odometry: bool = False
     detections: bool = False
@@ -32,7 +32,7 @@ class MapLayers:
 
 
 def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: MapLayers) -> str:
-    """A page of markdown about one map: counts, loops, noise, warnings, how to read the picture."""
+    """A Markdown page about one map: counts, closures, noise, warnings, and a legend."""
     parts = [
         f"# {plain(topomap.run)}",
         _counts(topomap),
@@ -46,25 +46,25 @@ def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: MapLayers) -
 
 
 def plain(text: object) -> str:
-    """Text that markdown shows as it is, on one line, also in a table."""
+    """The text on one line, with Markdown's special characters escaped, also for tables."""
     line = " ".join(str(text).split())
     return "".join("\\" + c if c in "\\`*_{}[]<>#|~" else c for c in line)
 
 
 def several(count: int, one: str, many: str = "") -> str:
-    """A number and its noun, the number in bold: "**1** run", "**2** runs"."""
+    """A count with its noun, the number in bold: "**1** run", "**2** runs"."""
     number, _, noun = counted(count, one, many).partition(" ")
     return f"**{number}** {noun}"
 
 
 def minutes(span_ns: int) -> str:
-    """A duration, as one says it."""
+    """A duration as text: in seconds below two minutes, else in minutes."""
     seconds = span_ns / 1e9
     return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
 
 
 def bulleted(lines: Iterable[str], most: int = MOST_LINES) -> str:
-    """A list of markdown, cut after `most` lines with a note of how many are left out."""
+    """A Markdown list, cut after `most` lines with a note of how many are left out."""
     every = list(lines)
     shown = [f"- {line}" for line in every[:most]]
     if len(every) > most:
@@ -159,7 +159,7 @@ def _legend(topomap: TopoMap, shown: MapLayers) -> str:
 def _closures(asked: Sequence[Question]) -> str:
     if not asked:
         return ""
-    # What was only put off, and answered later, is told by its last answer.
+    # Questions that were revised in a later round are not in `asked`.
     refused = [q for q in asked if not q.closure.accepted]
     accepted = len(asked) - len(refused)
     head = f"## Loops\n\n{several(accepted, 'visit')} recognised"
@@ -180,7 +180,7 @@ def _warnings(topomap: TopoMap) -> str:
 
 
 def _source(topomap: TopoMap) -> str:
-    """What the map was made from, as far as its document says it."""
+    """What the map was made from, by its document."""
     source = topomap.info.get("source")
     if not isinstance(source, Mapping):
         return ""

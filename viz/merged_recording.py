@@ -50,8 +50,8 @@ RECORDING_ID = "merged"
 def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoMap]) -> None:
     """Write the recording of a merge, `merged.rrd`, atomically.
 
-    maps: the map of every run that the result speaks of, in any order. Raises ValueError if one
-    is missing or two share a name, OSError if the file cannot be written.
+    maps: of every run in the result, in any order. Raises ValueError if one is missing or two share
+    a name, OSError if the file cannot be written.
     """
     by_name = _by_name(result, maps)
     runs = runs_in_order(result)
@@ -135,6 +135,6 @@ def _blueprint(
             column_shares=[5, 2],
             name="Merged map",
         ),
-        # Following shows the last step, the whole map, until somebody moves the cursor.
+        # "following" starts with the cursor at the last step, where the whole map is shown.
         rrb.TimePanel(state="collapsed", timeline=JOIN, play_state="following", fps=1.0),
     )

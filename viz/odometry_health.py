@@ -1,4 +1,4 @@
-"""How a run's odometry fared, as states over time."""
+"""The quality of a run's odometry as states over time."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 
 GAP_STEPS, GAP_S = 5.0, 0.5
-"""No pose for longer than so many usual steps, and this long, is a gap."""
+"""A gap is a step longer than GAP_STEPS median steps and than GAP_S."""
 
 STANDING_M_PER_S, STANDING_S = 0.02, 5.0
-"""Slower than this for so long is standing."""
+"""The robot stands if its mean speed over STANDING_S is below STANDING_M_PER_S."""
 
 SHOWN_SHARE = 1 / 200
-"""What happens in a moment is shown for this share of the run, so that it can be seen."""
+"""A momentary state is shown for at least this share of the run, so that it is visible."""
 
 STEADY, GAP, JUMP, BROKEN = "steady", "gap", "jump", "broken"
 DRIVING, STANDING = "driving", "standing"
@@ -26,7 +26,7 @@ NEW, KNOWN = "new ground", "known ground"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lane:
-    """A state that holds from each time until the next: time_ns: (k,), ascending."""
+    """A state that holds from each time until the next. time_ns: (k,), ascending."""
 
     name: str
     time_ns: IntArray
@@ -34,14 +34,14 @@ class Lane:
 
 
 def lanes(odometry: Odometry, topomap: TopoMap) -> list[Lane]:
-    """Continuity of the odometry, motion, and whether the robot was on ground that it knew."""
+    """The odometry's continuity, the robot's motion, and whether it was on new or known ground."""
     if len(odometry) < 2:
         return []
     return [_continuity(odometry), _motion(odometry), *_ground(topomap)]
 
 
 def _lane(name: str, first: tuple[int, str], changes: list[tuple[int, str]]) -> Lane:
-    """A lane from changes in any order; of several at one time the last holds."""
+    """A lane from changes in any order; of several at one time the last is used."""
     at: dict[int, str] = dict([first, *sorted(changes, key=lambda change: change[0])])
     times = sorted(at)
     kept = [t for k, t in enumerate(times) if k == 0 or at[t] != at[times[k - 1]]]
@@ -70,13 +70,14 @@ def _continuity(odometry: Odometry) -> Lane:
 
 
 def _motion(odometry: Odometry) -> Lane:
-    """Standing where the way of the next STANDING_S is too short; O(n)."""
+    """Standing or driving: a row stands if it lies in a window of STANDING_S whose path is too
+    short. O(n)."""
     times = odometry.time_ns
     way = np.cumsum(odometry.step_m)
     end = times + round(STANDING_S * 1e9)
     ahead = np.searchsorted(times, end).clip(max=len(times) - 1)
     stands = (way[ahead] - way < STANDING_M_PER_S * STANDING_S) & (end <= times[-1])
-    # A row stands if one of the windows that hold it does.
+    # Mark all rows of the standing windows by differences at their ends.
     rises = np.zeros(len(times) + 1, np.int64)
     np.add.at(rises, np.flatnonzero(stands), 1)
     np.add.at(rises, ahead[stands], -1)

@@ -1,4 +1,5 @@
-"""What a merge says of pairs of runs, as layers of a recording: matrix, placements."""
+"""Pairs of runs as layers of a merge's recording: the matrix of verdicts, placements of undecided
+pairs."""
 
 from __future__ import annotations
 
@@ -26,28 +27,29 @@ from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
 from .verdicts import CLASS, DIAGONAL, verdict_matrix
 
 MATRIX, UNDECIDED = "verdicts", "undecided"
-"""Roots of the pictures of the pairs."""
+"""Entity roots of the two views."""
 
 MOST_NAMES = 16
-"""Above this many runs the matrix is drawn without their names."""
+"""Above this many runs the matrix has no names of runs."""
 
 MOST_NUMBERS = 8
-"""Above this many runs the evidence is not written into the matrix, only shown by dots."""
+"""Up to this many runs the evidence is written into the matrix, above only shown by dots."""
 
 NAMES_ABOVE = 34
-"""Names stand above the columns if all columns as wide as the longest take fewer letters."""
+"""The columns have names if the columns times the longest name are at most this many letters."""
 
 LEAST_BLOCK = 0.05
-"""Components named beside a matrix of many runs have this share of the runs: a name's height."""
+"""A component is named beside a large matrix if it has at least this share of the runs (the height
+of a name)."""
 
 MOST_DOTS = 300
-"""Above this many runs the matrix is drawn without dots."""
+"""Above this many runs the matrix has no dots."""
 
 LABEL_RISE = 0.12
-"""The viewer writes below a point: cells are labelled this much above their middle."""
+"""Offset of cell labels upwards, since the viewer writes them below their point."""
 
 FULL_DOT_BITS = 100.0
-"""Evidence of this many bits gives the largest dot."""
+"""Evidence of the largest dot [bits]."""
 
 _CLASSES = (
     (DIAGONAL, "same run", palette.DIAGONAL),
@@ -65,8 +67,9 @@ def write_matrix(
     runs: list[str],
     colours: Mapping[str, palette.Colour],
 ) -> None:
-    """The verdict of every pair as an image and its evidence as a dot; names at the left, of every
-    run or, where they are too many, of the components, and of each run where one points."""
+    """Write the verdicts of all pairs as an image and their evidence as dots, with the runs' names
+    at the left; above MOST_NAMES runs only the components' names, and those of the runs on
+    hovering."""
     if not runs:
         return
     recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
@@ -82,7 +85,7 @@ def write_matrix(
 
 
 def matrix_bounds(result: MergeResult, runs: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Low and high corner of the matrix and its names; a cell is one unit, y points down."""
+    """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
     high = np.array([1.01 * len(runs) + 0.2, 1.01 * len(runs) + 0.2])
     if len(runs) > MOST_NAMES:
         names = [name for name, _, _ in _blocks(result, runs)]
@@ -91,8 +94,8 @@ def matrix_bounds(result: MergeResult, runs: list[str]) -> tuple[FloatArray, Flo
 
 
 def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
-    """What stands together in the matrix: name, first row, number of rows. The largest components
-    and, as one, the runs that are alone."""
+    """(name, first row, rows) of the largest components and, as one block, of the runs that merged
+    with none."""
     row = {run: i for i, run in enumerate(runs)}
     several = [c for c in result.components if len(c.poses) > 1]
     largest = sorted(several, key=lambda c: (-len(c.poses), c.id))
@@ -117,14 +120,14 @@ def _block_names(recording: Recording, result: MergeResult, runs: list[str]) -> 
         rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING),
     )
     width = _names_width([name for name, _, _ in blocks], len(runs))
-    # The viewer writes below a point, whose place is in cells: the larger the matrix, the more.
+    # LABEL_RISE in cells, which are the smaller the larger the matrix.
     rise = LABEL_RISE * len(runs) / MOST_NUMBERS
     places = np.array([(-0.55 * width, k + n / 2 - rise) for _, k, n in blocks])
     _labels(recording, "rows", places, [name for name, _, _ in blocks])
 
 
 def _rows(recording: Recording, runs: list[str], colours: Mapping[str, palette.Colour]) -> None:
-    """A mark in its colour beside the row of each run, which tells its name when pointed at."""
+    """Write a mark in the run's colour beside its row, with its name on hovering."""
     at = np.arange(len(runs)) + 0.5
     marks = rr.Points2D(
         np.stack([np.full(len(runs), -0.012 * len(runs)), at], axis=-1),
@@ -138,14 +141,14 @@ def _rows(recording: Recording, runs: list[str], colours: Mapping[str, palette.C
 
 
 def _names_width(names: list[str], cells: int) -> float:
-    """Room for the names at the left, in cells: they take this share of a view of usual width."""
+    """Width of the names at the left [cells], from their share of a view of typical width."""
     share = min(0.06 + 0.024 * max(map(len, names), default=0), 0.6)
     return cells * share / (1 - share)
 
 
 def _names(recording: Recording, runs: list[str]) -> None:
-    """Names at the left of the rows; above the columns names where they are short, else the
-    numbers that stand before the names."""
+    """Write the names of the rows, and above the columns the names if they are short, else row
+    numbers."""
     short = len(runs) * max(map(len, runs)) <= NAMES_ABOVE
     middle = np.arange(len(runs)) + 0.5
     left, above = (
@@ -159,7 +162,8 @@ def _names(recording: Recording, runs: list[str]) -> None:
 
 
 def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
-    """Numbers above the diagonal, dots with all that is known of a pair below it."""
+    """Write the evidence as numbers above the diagonal, and dots with the pair's attributes below
+    it."""
     row = {run: i for i, run in enumerate(runs)}
     pairs = [p for p in result.verdicts if p.a in row and p.b in row]
     if not pairs:
@@ -192,9 +196,10 @@ def _labels(recording: Recording, name: str, places: FloatArray, labels: list[st
 def write_undecided(
     recording: Recording, pairs: list[PairVerdict], maps: Mapping[str, TopoMap]
 ) -> list[Cell]:
-    """Both placements of every given pair, side by side: map a stays, map b is laid over it.
+    """Write the best and the next best placement of every given pair side by side, map b over map
+    a.
 
-    Returns the cells, two for each pair that has a runner-up.
+    Returns the cells, one for each placement.
     """
     laid = [
         (pair, name, alignment)

@@ -1,4 +1,4 @@
-"""Colours, chosen for the viewer's dark background, and what lies over what."""
+"""Colours for the viewer's dark background, and the drawing order."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..topology.arrays import IntArray
 
 Colour = tuple[int, int, int]
 Colours = NDArray[np.uint8]
-"""(n, 3) red, green, blue."""
+"""(n, 3) RGB."""
 
 
 class Order(IntEnum):
-    """What lies over what, from below."""
+    """Drawing order, lowest first."""
 
     CARD = auto()
     GRID = auto()
@@ -41,7 +41,7 @@ class Order(IntEnum):
     WORDS = auto()
 
 
-# Red, green, blue, picked by eye on the dark ground of the viewer.
+# RGB, chosen by eye on the viewer's dark background.
 BACKGROUND = (15, 17, 21)
 CARD = (44, 49, 58)
 TITLE = (214, 219, 226)
@@ -96,13 +96,13 @@ _RUNS = (
     (170, 215, 70),
     (214, 178, 140),
 )
-"""Of runs, as different as ten colours can be."""
+"""Colours of runs: ten that are easy to tell apart."""
 
 GAMMA = 2.2
 LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
 READABLE = 0.21
-"""Of linear red, green and blue what makes a colour light (Rec. 709), and how light names must be:
-4.5 times the background, both with 0.05 more, as WCAG 2.1 asks (1.4.3), rounded up."""
+"""Rec. 709 weights of linear RGB, and the luminance that text needs: a contrast of 4.5 to the
+background by WCAG 2.1 (1.4.3), rounded up."""
 
 COUNTS = np.array(
     [(84, 98, 122), (64, 158, 205), (70, 205, 145), (240, 220, 90), (250, 250, 235)], np.uint8
@@ -110,27 +110,25 @@ COUNTS = np.array(
 
 
 def by_degree(degree: IntArray) -> Colours:
-    """A colour for each number of branches."""
+    """Colours (n, 3) by the number of branches."""
     return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
 
 
 def by_count(count: IntArray) -> Colours:
-    """A colour for each number of runs: dull for one, the brighter the more."""
+    """Colours (n, 3) by the number of runs, brighter with more runs."""
     return COUNTS[np.clip(count, 1, len(COUNTS)) - 1]
 
 
 def of_rank(rank: int) -> Colour:
-    """The colour of the first, second, … of a ranking, from 0.
-
-    The first ten are picked by hand; later ones step round the hues by the golden angle.
-    """
+    """The colour of a rank, from 0: the first ten chosen by hand, later ones by steps of the golden
+    angle in hue."""
     if rank < len(_RUNS):
         return _RUNS[rank]
     return readable(stepped(rank - len(_RUNS), 0.45, 0.95))
 
 
 def readable(colour: Colour) -> Colour:
-    """A colour with as much white as names in it need to be read on the background."""
+    """The colour, mixed with white until text in it is readable on the background."""
     linear = (np.array(colour) / 255) ** GAMMA
     luminance = float(linear @ LUMINANCE)
     white = max(0.0, (READABLE - luminance) / (1.0 - luminance))
@@ -139,8 +137,8 @@ def readable(colour: Colour) -> Colour:
 
 
 def stepped(step: int, saturation: float, value: float) -> Colour:
-    """The colour after so many golden angles round the hues; every third is as saturated as said,
-    those between more."""
+    """The colour after `step` golden-angle steps in hue; saturation is raised by 0, 0.15 and 0.3 in
+    turn."""
     hue = (0.31 + 0.61803398875 * step) % 1.0
     red, green, blue = colorsys.hsv_to_rgb(hue, saturation + 0.15 * (step % 3), value)
     return round(255 * red), round(255 * green), round(255 * blue)

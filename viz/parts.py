@@ -1,4 +1,4 @@
-"""The components of a merge, each with its place on one sheet."""
+"""The layout of a merge's components on a sheet."""
 
 from __future__ import annotations
 
@@ -12,29 +12,30 @@ from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
 MOST_LEGENDS = 6
-"""Up to this many components of several runs get a legend beside them."""
+"""Up to this many components of several runs have a key beside them."""
 
 MOST_NAMES = 24
-"""Longest legend."""
+"""Most entries of a key."""
 
 LEGEND_LINES = 26
-"""A sheet as high as its view has room for this many lines of text."""
+"""Lines of text over the height of a sheet that fills its view."""
 
 FEW, FLEET_MARGIN = 12, 0.22
-"""Up to so many maps have margins by the largest of them, more by the usual one."""
+"""Up to FEW maps the margin is a share of the largest one, above it FLEET_MARGIN of the median
+one."""
 
 TITLE_SHARE = 0.02
 """Height of a title over the width of a view."""
 
 PAPER_MARGIN, ALONE_MARGIN = 0.18, 0.04
-"""Margin of a cell on paper, in extents of the usual map: a title has room in it; of a map that is
-the only one, which has none."""
+"""Margin of a cell in a static drawing over the median map's extent: with room for a title, and for
+a single map, which has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Part:
-    """One component and its place on the sheet; vertices, edges: its rows of the fused map;
-    junctions: how many of its vertices are no turning points of runs."""
+    """A component and its place on the sheet. vertices, edges: its rows in the fused map;
+    junctions: count of its vertices without turning points."""
 
     component: Component
     cell: Cell
@@ -45,12 +46,12 @@ class Part:
 
     @property
     def name(self) -> str:
-        """Its entity's name."""
+        """Name of its entity."""
         return f"component_{self.component.id}"
 
     @property
     def titles(self) -> tuple[str, ...]:
-        """What stands above it, from the longest to the shortest."""
+        """Forms of its title, longest first."""
         runs = list(self.component.poses)
         if len(runs) == 1:
             return (runs[0],)
@@ -60,9 +61,9 @@ class Part:
 
 
 def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
-    """All components on one sheet, those of many runs first.
+    """All components on one sheet, those of most runs first.
 
-    for_paper: without room for legends, and with margins that go by the usual map, not the largest.
+    for_paper: without room for keys, and with margins by the median map.
     """
     fused = result.fused
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
@@ -92,21 +93,21 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
 
 
 def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
-    """The rows of each of the wanted owners, ascending. O(rows log rows)."""
+    """For each wanted owner the rows that it owns, ascending. O(rows log rows)."""
     order = np.argsort(owner, kind="stable")
     begin, end = (np.searchsorted(owner[order], wanted, side) for side in ("left", "right"))
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
 
 
 def _fleet_margin_m(points: list[FloatArray]) -> float:
-    """By the usual map, and so that a title has room above a map where the sheet fills a view."""
+    """A margin by the median map, at least a title's height on a sheet that fills its view."""
     usual_m = FLEET_MARGIN * _usual_extent(points)
     area = sum(float(np.prod(np.ptp(p, axis=0) + 2 * usual_m)) for p in points if len(p))
     return max(usual_m, TITLE_SHARE * float(np.sqrt(ASPECT * area)))
 
 
 def _legends_fit(order: list[Component], cells: list[Cell], room: list[float]) -> bool:
-    """Is every legend as high as its cell at most?"""
+    """Whether every key is at most as high as its cell."""
     if not any(room):
         return True
     step_m = legend_step_m(cells)
@@ -118,7 +119,7 @@ def _legends_fit(order: list[Component], cells: list[Cell], room: list[float]) -
 
 
 def legend_step_m(cells: list[Cell]) -> float:
-    """The distance of two lines of a legend, on a sheet that fills its view [m]."""
+    """Line spacing of a key on a sheet that fills its view [m]."""
     width, height = np.ptp(corners_of(cells), axis=0)
     return float(max(width / ASPECT, height)) / LEGEND_LINES
 
@@ -129,7 +130,7 @@ def _usual_extent(points: list[FloatArray]) -> float:
 
 
 def _legends(order: list[Component], points: list[FloatArray]) -> list[float]:
-    """Room for each component's legend [m]; none where there are too many."""
+    """Width of each component's key [m]; 0 where there are too many."""
     several = [2 <= len(c.poses) <= MOST_NAMES for c in order]
     if sum(several) > MOST_LEGENDS:
         return [0.0] * len(order)
@@ -142,17 +143,17 @@ def _legends(order: list[Component], points: list[FloatArray]) -> list[float]:
 
 
 def _legend_share(component: Component) -> float:
-    """A legend's width over the sheet's: about as much as the longest name takes in a view."""
+    """Width of a key over the sheet's width, for the longest name."""
     return 0.04 + 0.008 * min(max(map(len, component.poses)), 40)
 
 
 def ranks(result: MergeResult) -> dict[str, int]:
-    """The rank of each run among those of its component; colours go by it."""
+    """Rank of each run in its component by name, which selects its colour."""
     return {run: k for c in result.components for k, run in enumerate(sorted(c.poses))}
 
 
 def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
-    """The viewer's colour of each run; runs that were merged with none are grey."""
+    """The viewer's colour of each run; runs that merged with none are grey."""
     rank = ranks(result)
     return {
         run: palette.of_rank(rank[run]) if len(c.poses) > 1 else palette.SINGLE

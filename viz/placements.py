@@ -1,4 +1,4 @@
-"""Ways to lay one map over another: what a picture of a decision shows side by side."""
+"""The placements of one map on another that a picture of a decision shows side by side."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from ..topology.topomap import TopoMap
 from .sheet import upright_rad
 
 APART, ASIDE = 0.15, 0.2
-"""The gap between two tied maps, and how far the lower one is moved aside, so that ties do not lie
-on the corridors of a grid; in extents of both together."""
+"""The vertical gap between two maps drawn apart, and their horizontal offset, so that connecting
+lines do not follow the corridors of a grid; over the extent of both."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """One drawing of map b beside or over map a: T_a_b is how it is drawn."""
+    """One picture of map b with map a. T_a_b: b's pose in it; tied: drawn apart, with lines between
+    matched junctions."""
 
     name: str
     title: str
@@ -32,9 +33,9 @@ class Picture:
 
 
 def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
-    """The verdict's placement, the same with the maps drawn apart so that ties can be followed, and
-    the next best placement; of an undecided pair only the two placements, side by side. Before
-    these, of runs that only others join, how these place them."""
+    """The pictures of a decision: the verdict's placement, the same with the maps drawn apart, and
+    the next best placement. An undecided pair has no picture with the maps apart; a pair joined
+    through other runs starts with the placement that follows from those."""
     out: list[Picture] = []
     if decision.by_others is not None:
         title = f"joined through {listed(decision.said.through, 2)}"
@@ -55,7 +56,7 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
 
 
 def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
-    """T_a_b moved so that b lies below a, where a is drawn upright."""
+    """T_a_b translated so that b lies below a where a is drawn upright."""
     turn = upright_rad(a.paths)
     upright = np.array([0.0, 0.0, turn])
     of_a, of_b = apply(upright, a.xy), apply(compose(upright, T_a_b), b.xy)
@@ -68,9 +69,9 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
 def against(
     placement: Placement, of_a: FloatArray, of_b: FloatArray
 ) -> Iterator[tuple[Term, FloatArray]]:
-    """What speaks against a placement, by the given positions of both maps' junctions: terms with
-    where they lie, (1, 2) a junction that the other run drove past unseen, or (2, 2) a corridor
-    that crosses another."""
+    """The terms against a placement, each with where it lies, from the positions of both maps'
+    junctions, (n, 2) each in one frame: (1, 2) a junction that the other run passed without seeing
+    it, or (2, 2) a corridor that crosses another."""
     for term in placement.of(*AGAINST):
         for of, ends in ((of_a, term.a), (of_b, term.b)):
             if len(ends) == 1 or (len(ends) == 2 and term.kind != "unseen"):
@@ -79,16 +80,16 @@ def against(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spot:
-    """A contradiction: where it lies (2,) and what it says."""
+    """A contradiction: its position (2,) and text."""
 
     xy: FloatArray
     told: str
 
 
 def contradiction_spots(alignment: Alignment, of_a: FloatArray, of_b: FloatArray) -> list[Spot]:
-    """Every contradiction of an alignment whose junctions are known, in the frame of the given
-    positions of both maps' junctions, (n, 2) each: at the junction that the other run did not see,
-    or amid corridors that cross."""
+    """The contradictions of an alignment whose junctions are known, in the frame of the given
+    positions, (n, 2) each: at a junction that the other run did not see, or amid two corridors that
+    cross."""
     spots = []
     for told, (a, b) in zip(alignment.contradictions, alignment.contradicting, strict=False):
         alone = [of[list(ends)] for of, ends in ((of_a, a), (of_b, b)) if len(ends) == 1]

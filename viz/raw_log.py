@@ -1,7 +1,7 @@
-"""The recording of a run's map with its raw log below, and views of both.
+"""Recording of a run's map together with its raw log, and the blueprint of both.
 
-The viewer decodes messages of ROS 2, but draws neither odometry nor laser scans: speeds and points
-are drawn here. Of the other messages it draws what it knows, and shows the rest as tables.
+The viewer decodes ROS 2 messages but draws neither odometry nor laser scans, so that speeds and
+echoes are added here. Other messages are drawn by the viewer where it can, or listed as tables.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ from .recording import (
 )
 
 LOG = "/log"
-"""Topics lie below this: a topic /map is not the map of ours."""
+"""Root of the topics, so that a topic /map does not collide with the map."""
 
 TOPICS: PathParts = ("topics",)
 
 MAGIC = b"\x89MCAP0\r\n"
 
 IN_SPACE = ("Points3D", "LineStrips3D", "Boxes3D", "Mesh3D", "GridMap", "Arrows3D")
-"""What the viewer draws in space of messages that it knows, by rerun's names."""
+"""Archetypes of decoded messages that the viewer draws in 3D."""
 IMAGES = ("Image", "EncodedImage", "DepthImage", "EncodedDepthImage", "VideoStream")
 
 Messages = Any
-"""Arrow's array of the messages of a topic, structs of their fields."""
+"""Arrow struct array of a topic's messages."""
 
 Drawn = dict[str, tuple[Any, Any]]
-"""What changes, a row for each message (or nothing), and what does not, by the name of the entity
-below the topic's."""
+"""For each entity below the topic's: columns with a row for each message (or none), and static
+columns."""
 
 
 def write_raw_log(path: Path, views: Path, log: Path, recording: Path, topomap: TopoMap) -> None:
-    """Write the recording of a run's map together with its raw log, an MCAP file or a folder of
-    them: topics lie below /log, and share the map's time.
+    """Write the recording of a run's map with its raw log, an MCAP file or a folder of them: topics
+    lie below /log on the map's timelines.
 
-    recording: of the map; views: a recording to open before `path`, which says how to show both.
-    Raises LogError if the viewer cannot read the log, OSError if a file cannot be written.
+    recording: of the map; views: file for a blueprint to open before `path`. Raises LogError if the
+    viewer cannot read the log, OSError if a file cannot be written.
     """
     files = sorted(log.glob("*.mcap")) if log.is_dir() else [log]
     if not files or not all(map(_is_mcap, files)):
@@ -71,7 +71,7 @@ def write_raw_log(path: Path, views: Path, log: Path, recording: Path, topomap: 
             streams = [
                 McapReader(file).stream().flat_map(lambda c: _with_drawn(c, held)) for file in files
             ]
-            # Without the views of the map alone: of two that it opens, the viewer takes any.
+            # Without the blueprint of the map alone: of two, the viewer may take either.
             both = LazyChunkStream.merge(RrdReader(recording).stream(), *streams)
             both.write_rrd(temporary, application_id=APPLICATION_ID, recording_id=topomap.run)
         except ValueError as error:
@@ -89,7 +89,8 @@ def _is_mcap(file: Path) -> bool:
 
 
 def _with_drawn(chunk: Chunk, held: dict[str, set[str]]) -> Iterator[Chunk]:
-    """A chunk below LOG, and what is drawn of its messages; notes in `held` what topics hold."""
+    """The chunk moved below LOG, and the chunks drawn from its messages; adds its components to
+    `held`."""
     topic = chunk.entity_path
     yield chunk.with_entity_path(f"{LOG}{topic}")
     if chunk.is_static:
@@ -116,14 +117,14 @@ def _with_drawn(chunk: Chunk, held: dict[str, set[str]]) -> Iterator[Chunk]:
 
 
 def _at(message: Messages, *names: str) -> NDArray[Any]:
-    """The numbers of a field of all messages."""
+    """A nested numeric field of all messages, (n,)."""
     for name in names:
         message = message.field(name)
     return np.asarray(message.to_numpy(zero_copy_only=False))
 
 
 def _speeds(message: Messages) -> Drawn:
-    """Speeds as the odometry says them, forward [m/s] and turning [rad/s]."""
+    """Forward [m/s] and angular [rad/s] speeds of the odometry."""
     out: Drawn = {}
     for name, field, colour in (
         ("forward", ("linear", "x"), palette.TRAIL),
@@ -135,7 +136,7 @@ def _speeds(message: Messages) -> Drawn:
 
 
 def _laser(message: Messages) -> Drawn:
-    """Echoes in the laser's frame, ahead up in the view (whose y points down)."""
+    """Echoes in the laser's frame, with its x axis upwards (the view's y points down)."""
     ranges = message.field("ranges")
     count = np.diff(ranges.offsets.to_numpy(zero_copy_only=False))
     reach = ranges.flatten().to_numpy(zero_copy_only=False).astype(np.float64)
@@ -157,11 +158,11 @@ DRAWN: dict[str, Callable[[Messages], Drawn]] = {
     "nav_msgs.msg.Odometry:message": _speeds,
     "sensor_msgs.msg.LaserScan:message": _laser,
 }
-"""What is drawn of messages that the viewer decodes and does not draw."""
+"""Drawing functions for messages that the viewer decodes but does not draw."""
 
 
 def _shown(page: Recording, topomap: TopoMap, held: dict[str, set[str]]) -> rrb.Blueprint:
-    """The views, and a page that lists what the log holds."""
+    """The blueprint, and a page that lists the topics of the log."""
     lines = [
         f"- {plain(topic)}: {plain(', '.join(sorted(n.split(':')[0] for n in held[topic])))}"
         for topic in sorted(held)
@@ -173,8 +174,7 @@ def _shown(page: Recording, topomap: TopoMap, held: dict[str, set[str]]) -> rrb.
 
 
 def _views(held: dict[str, set[str]]) -> list[rrb.View]:
-    """A view for every topic that has something to show, those that are drawn first; a topic of
-    transforms alone has none."""
+    """A view for every topic, drawn ones first; topics with transforms only have none."""
     drawn: list[rrb.View] = []
     tables: list[rrb.View] = []
     for topic in sorted(held):
@@ -214,6 +214,6 @@ def _speed_view(place: str, topic: str) -> rrb.View:
 
 
 def _table(place: str, topic: str) -> rrb.View:
-    """The messages of a topic, a row each, following the cursor."""
+    """A table of the topic's messages that follows the cursor."""
     query = rrb.archetypes.DataframeQuery(timeline=CLOCKS[0], auto_scroll=True)
     return rrb.DataframeView(origin=place, contents=place, name=topic, query=query)

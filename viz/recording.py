@@ -1,4 +1,4 @@
-"""The one place that opens and closes rerun recordings."""
+"""Opening, filling and closing rerun recordings."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from .palette import BACKGROUND
 APPLICATION_ID = "topobatch"
 
 CLOCKS = ("message_log_time", "ros2_timestamp")
-"""The timelines of a raw log that rerun reads: ours share its cursor when both are open."""
+"""Timelines of a raw log as rerun names them: the map uses the same, to share the cursor."""
 
 JOIN = "join"
-"""The timeline of a merge: one step for each run that comes to a component."""
+"""Timeline of a merge: one step for each join of two groups of runs."""
 
 UP = rr.Transform3D(mat3x3=[[1, 0, 0], [0, -1, 0], [0, 0, 1]])
-"""Mirrors a map so that y points up: in the viewer's 2-D space y points down."""
+"""Mirrors y: it points down in the viewer's 2D views."""
 
 HAIR = rr.Radius.ui_points(0.75)
-"""The thinnest line that shows on every screen, in its points."""
+"""The thinnest line that is visible on every screen [points]."""
 
 PathParts = tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Slice:
-    """What is logged of one entity, out of an array of many."""
+    """Rows of an Arrow array, to be logged to one entity."""
 
     array: pa.Array
 
@@ -52,18 +52,19 @@ def _arrays(*parts: rr.AsComponents) -> list[tuple[rr.ComponentDescriptor, pa.Ar
 
 
 class Recording:
-    """A recording being written: paths are given in parts, so that any run name may stand in one.
+    """A recording being written. Entity paths are given as parts, so that a part may hold any
+    characters.
 
-    Nothing is stamped with the time of writing, and chunks end only where the recording does: the
-    same results give the same content, by `rerun rrd compare --unordered`. The bytes differ: rerun
-    gives rows, chunks and blueprints ids of its own, and orders the chunks of large recordings.
+    No wall-clock time is logged and chunks are not split by time, so that the same results give the
+    same content by `rerun rrd compare --unordered`. The bytes differ: rerun assigns random ids to
+    rows, chunks and blueprints.
     """
 
     def __init__(self, stream: rr.RecordingStream) -> None:
         self._stream = stream
 
     def static(self, path: PathParts, *parts: rr.AsComponents) -> None:
-        """Log what holds at all times."""
+        """Log components without a time."""
         first, *more = parts
         self._stream.log(entity(path), first, *more, static=True)
 
@@ -74,11 +75,11 @@ class Recording:
         *parts: rr.AsComponents,
         once: rr.AsComponents | None = None,
     ) -> None:
-        """Log what holds at all times of several entities, nothing of those without things.
+        """Log components without a time to several entities; those with a count of 0 are skipped.
 
-        `parts` hold the things of all end to end, of each entity as many as counts says: made
-        together they take half the time. What a part says once holds for all; `once` says
-        something once for each entity.
+        `parts` hold the elements of all entities concatenated, counts[k] of them for paths[k]:
+        building them at once takes half the time. Components of one element hold for every entity;
+        `once` has one element for each entity.
         """
         things, single = _arrays(*parts), _arrays(*([] if once is None else [once]))
         stops = np.cumsum([0, *counts]).tolist()
@@ -94,12 +95,12 @@ class Recording:
                 self._stream.log(entity(path), batches, static=True)
 
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
-        """Log one row per time, on the clocks that the raw log uses."""
+        """Log one row for each time, on the timelines CLOCKS."""
         stamps = np.asarray(time_ns, np.int64).astype("datetime64[ns]")
         self._send(path, [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS], columns)
 
     def over_steps(self, path: PathParts, steps: IntArray, columns: Iterable[Any]) -> None:
-        """Log one row per step of a merge."""
+        """Log one row for each step of a merge, on the timeline JOIN."""
         self._send(path, [rr.TimeColumn(JOIN, sequence=steps)], columns)
 
     def _send(self, path: PathParts, times: list[rr.TimeColumn], columns: Iterable[Any]) -> None:
@@ -107,17 +108,17 @@ class Recording:
 
 
 def entity(path: PathParts) -> str:
-    """The entity path of the given parts, escaped. An empty name cannot stand in a path."""
+    """The entity path of the parts, escaped; an empty part becomes "(no name)"."""
     return rr.new_entity_path([part or "(no name)" for part in path])
 
 
 def write_recording(
     path: Path, recording_id: str, fill: Callable[[Recording], rrb.Blueprint]
 ) -> None:
-    """Write a recording atomically; rerun's complaints are errors.
+    """Write a recording atomically; rerun's warnings are raised as errors.
 
-    `fill` logs what it holds and returns how to show it. The recording is made in memory: rerun's
-    own writer waits for ever where the disk is full.
+    `fill` logs its contents and returns the blueprint. The recording is built in memory, since
+    rerun's file writer hangs when the disk is full.
     """
 
     def save(temporary: Path) -> None:
@@ -139,15 +140,14 @@ def write_recording(
         try:
             write_atomically(path, save)
         finally:
-            # rerun disconnects a stream that is gone; its threads and buffers stay until asked for.
+            # Frees the threads and buffers of disconnected streams, which rerun keeps.
             rerun_bindings.flush_and_cleanup_orphaned_recordings()
 
 
 def _send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> None:
     """Make `blueprint` the recording's default.
 
-    As `stream.send_blueprint` does, but that leaves behind a stream that its own memory holds, with
-    two threads, for every call.
+    Replaces `stream.send_blueprint`, which leaks a stream with two threads for every call.
     """
     native = rerun_bindings.new_blueprint(APPLICATION_ID, False, False, True)
     described = rr.RecordingStream._from_native(native)
@@ -169,14 +169,14 @@ def _strict() -> Iterator[None]:
 
 
 def placed(T_parent_child: FloatArray) -> rr.Transform3D:
-    """A motion of the plane, for everything below an entity."""
+    """A planar transform for everything below an entity."""
     x, y, theta = T_parent_child
     turn = rr.RotationAxisAngle([0, 0, 1], radians=float(theta))
     return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
 
 
 def strips(lines: Sequence[FloatArray]) -> Any:
-    """Polylines of (k, 2) points for rerun, as Arrow has them: it takes others one by one."""
+    """Polylines, (k, 2) each, as one Arrow array: rerun would convert them one by one."""
     points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2)), *lines]))
     stops = pa.array(np.cumsum([0, *map(len, lines)]), pa.int32())
     kind = rr.components.LineStrip2DBatch([]).as_arrow_array().type
@@ -184,14 +184,15 @@ def strips(lines: Sequence[FloatArray]) -> Any:
 
 
 def markdown(text: str) -> rr.TextDocument:
-    """A page of text."""
+    """A Markdown page."""
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
 def map_view(
     root: str, name: str, low: FloatArray, high: FloatArray, overrides: Any = None
 ) -> rrb.Spatial2DView:
-    """A view of everything below `/root`, which is mirrored by UP; low, high: what it spans [m]."""
+    """A 2D view of everything below `/root`, which is mirrored by UP. low, high: corners of its
+    bounds [m]."""
     return rrb.Spatial2DView(
         origin="/",
         contents=f"/{root}/**",
@@ -204,7 +205,7 @@ def map_view(
 
 
 def blueprint(root: rrb.Container, time: rrb.TimePanel) -> rrb.Blueprint:
-    """An arrangement of views, with the viewer's own panels closed at first."""
+    """A blueprint with the viewer's own panels closed."""
     return rrb.Blueprint(
         root,
         rrb.BlueprintPanel(state="collapsed"),

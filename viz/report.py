@@ -1,4 +1,4 @@
-"""A merge on one page of HTML that needs nothing else: no network, no viewer, no other file."""
+"""A merge as a single self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from .theme import SWITCHABLE
 from .verdicts import MOST_PLACEMENTS, runs_in_order, undecided
 
 MOST_MAPS = 24
-"""Up to this many runs every run's own map is drawn."""
+"""Up to this many runs, each run's own map is drawn."""
 
 LARGE_PT = 900.0
-"""Wider drawings may take more than the width of the text."""
+"""Wider drawings may exceed the width of the text."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """What a report tells.
+    """The contents of a report.
 
-    maps: of every run that can be read, by name; result: the last merge, None before the first;
-    warnings: what cannot be read, or has changed since the merge; locks: what a person decided, in
-    words; versions: of the program and what it stands on.
+    maps: of every readable run, by name; result: the last merge or None; warnings: runs that cannot
+    be read or have changed since the merge; locks: decisions by a person, as text; versions: of the
+    program and its libraries.
     """
 
     maps: Mapping[str, TopoMap]
@@ -45,7 +45,7 @@ class Report:
 
 
 def report_page(report: Report) -> str:
-    """The page. Whatever names and reasons hold, they are shown as text."""
+    """The HTML page. Names and reasons are escaped."""
     result = report.result
     runs = runs_in_order(result) if result is not None else []
     runs += sorted(set(report.maps) - set(runs))
@@ -123,7 +123,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
 
 
 def _figure(canvas: Canvas, about: str) -> str:
-    """A drawing in the page; about: what a reader who cannot see it is told."""
+    """A drawing inline; about: its accessible label."""
     svg = canvas.as_bytes("svg").decode()
     large = ' class="large"' if canvas.width_pt > LARGE_PT else ""
     drawn = svg[svg.index("<svg") :].strip()
@@ -161,7 +161,7 @@ def _pictures(report: Report) -> str:
 
 
 def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
-    """Are the maps there, and as they were when the pair was decided?"""
+    """Whether both maps are there and hold the vertices that the verdict names."""
     if pair.a not in maps or pair.b not in maps:
         return False
     sizes = np.array([len(maps[pair.a]), len(maps[pair.b])])
@@ -171,7 +171,7 @@ def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
 
 
 def _health(report: Report, runs: Sequence[str]) -> str:
-    """A row for each run: what it holds, how well it was measured, what was found wrong."""
+    """A table with a row for each run: its contents, its noise and its warnings."""
     home: dict[str, int] = {}
     if report.result is not None:
         home = {run: c.id for c in report.result.components for run in c.poses}

@@ -1,4 +1,4 @@
-"""How a report looks and answers: its style sheet and its script, which lie in the page itself."""
+"""The style sheet and the script of a report, which are part of the page."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ VERDICT_COLOURS = {
     "kept out": ("#c97b74", "#bc5c54"),
     "unrelated": ("#e9ecef", "#2a2f38"),
 }
-"""Light and dark colour of every standing of a pair."""
+"""Light and dark theme's colour of each standing of a pair."""
 
 DARK_UNDER_LIGHT_WORDS = ("joined through others", "unrelated")
-"""Standings on whose colour, in the dark, words are light; on all others they are dark."""
+"""Standings whose colour in the dark theme needs light text."""
 
 _CSS = """
 *{box-sizing:border-box}
@@ -120,7 +120,7 @@ for(const box of document.querySelectorAll("details[data-standing]")){
 
 
 def style_sheet(runs: int) -> str:
-    """The style sheet, with the colours of so many runs, for light and for dark."""
+    """The style sheet with the colours of up to `runs` runs, for the light and the dark theme."""
 
     def themed(k: int) -> str:
         inks = css_variables((LIGHT, DARK)[k], runs)
@@ -140,10 +140,10 @@ def style_sheet(runs: int) -> str:
 
 
 def script() -> str:
-    """The script: the theme, what the matrix says when pointed at, the long lists of pairs."""
+    """The script: theme switch, details of the matrix's cells, long lists of pairs."""
     return _SCRIPT
 
 
 def text(value: object) -> str:
-    """Anything as text of the page: on one line, and never markup."""
+    """Any value as escaped HTML text on one line."""
     return escape(legible(" ".join(str(value).split())), quote=True)

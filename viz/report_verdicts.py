@@ -1,4 +1,4 @@
-"""The verdicts of a merge on a page: a matrix of squares, every pair with its reason."""
+"""The verdicts of a merge in a report: a matrix, and every pair with its reason."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from .verdicts import strongest
 
 STANDINGS = tuple(map(str, Standing))
 TOLD_FIRST = (Standing.AMBIGUOUS, Standing.KEPT_OUT, Standing.MERGED)
-"""Pairs that have something to say; the others are told when asked for."""
+"""Standings that are listed first and in full; the others are listed by the script."""
 
 MOST_WRITTEN = 400
-"""Pairs of a kind written out in the page; the script shows all of them on demand."""
+"""Longer lists are not written into the page but listed by the script when opened."""
 
 MOST_NAMES = 60
-"""Up to this many runs their names stand beside the matrix."""
+"""Up to this many runs the matrix has their names."""
 
 SQUARE_REM = 5.0
-"""Side of a square of the matrix, as long as all find room."""
+"""Side of a cell of the matrix, if all have room [rem]."""
 
 MOST_NUMBERS = 14
-"""Up to this many runs the evidence stands in the matrix."""
+"""Up to this many runs the evidence is written into the matrix."""
 
 
 def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
-    """The verdict of every pair as a square in its colour; runs of one component together."""
+    """The verdicts of all pairs as coloured cells, runs of a component next to each other."""
     if result is None or len(runs) < 2:
         return ""
     n, row = len(runs), {run: i for i, run in enumerate(runs)}
@@ -40,7 +40,7 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
         drawn += [
             _label(-0.2, i + 0.5 + 0.35 * size, run, "end", size=size) for i, run in enumerate(runs)
         ]
-    if n <= MOST_NUMBERS:  # last, so that nothing covers them
+    if n <= MOST_NUMBERS:  # last: drawn on top
         drawn += _numbers(result, row)
     count = result.standings()
     legend = "".join(
@@ -61,7 +61,7 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
 
 
 def _squares(result: MergeResult, row: Mapping[str, int]) -> list[str]:
-    """The matrix without words: a square for every pair, a frame for every component."""
+    """The matrix without text: cells of pairs, frames of components."""
     n = len(row)
     cells: dict[Standing, list[str]] = {standing: [] for standing in Standing}
     for pair in result.verdicts:
@@ -69,7 +69,9 @@ def _squares(result: MergeResult, row: Mapping[str, int]) -> list[str]:
         if pair.standing is not Standing.UNRELATED:
             cells[pair.standing] += [f"M{x} {y}h1v1h-1z" for y, x in ((i, j), (j, i))]
     drawn = [f'<rect width="{n}" height="{n}" fill="var(--v{STANDINGS.index("unrelated")})"/>']
-    if result.unlisted is not None:  # what is not listed is joined, or unrelated
+    if (
+        result.unlisted is not None
+    ):  # pairs that are not listed: joined within a component, else unrelated
         blocks = [f"M{k} {k}h{s}v{s}h-{s}z" for k, s in _blocks(result, row)]
         drawn.append(_filled(blocks, f"v{STANDINGS.index('joined through others')}"))
     drawn += [_filled(of, f"v{STANDINGS.index(str(kind))}") for kind, of in cells.items() if of]
@@ -111,7 +113,7 @@ def _label(x: float, y: float, words: str, anchor: str, *, size: float, look: st
 
 
 def pair_lists(result: MergeResult | None) -> str:
-    """Every pair with its reason; those with something to say first, and written out."""
+    """Every pair with its reason, by standing: TOLD_FIRST in full, the others by the script."""
     if result is None or not result.verdicts:
         return ""
     by: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
@@ -150,7 +152,7 @@ def _swatch(standing: Standing) -> str:
 
 
 def pair_told(pair: PairVerdict) -> str:
-    """Why a pair was decided so: a paragraph for each thing there is to say."""
+    """Why the pair was decided so, as HTML paragraphs."""
     lines = [text(pair.reason)]
     for alignment in (pair.best, pair.runner_up):
         if alignment is not None:
@@ -163,7 +165,7 @@ def pair_told(pair: PairVerdict) -> str:
 
 
 def page_data(result: MergeResult | None, runs: Sequence[str]) -> str:
-    """What the script shows, as JSON in which nothing ends or opens a tag."""
+    """The script's data as JSON without characters that HTML could take as markup."""
     row = {run: i for i, run in enumerate(runs)}
     reasons: dict[str, int] = {}
     pairs = []

@@ -1,4 +1,5 @@
-"""Where the robot was on its map: raw odometry laid beside the map, and bent onto it."""
+"""The robot's track on its map: odometry placed rigidly, and corrected to pass through the map's
+vertices."""
 
 from __future__ import annotations
 
@@ -15,24 +16,24 @@ from ..topology.track import stretch_of
 from .drawing import thinned
 
 MOST_POINTS = 20_000
-"""A drawn track has no more points than about this, however long the log is."""
+"""About the most points of a drawn track."""
 
 FINEST_M = 0.05
-"""Nor are its points closer than this, which no picture of a whole run shows."""
+"""Least distance of a drawn track's points."""
 
 SHORT_CHORD_M = 0.5
-"""Two passes closer than this say nothing about the direction between them."""
+"""Two passes closer than this give no direction between them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotTrack:
-    """A run's track in the frame of its map, thinned for drawing.
+    """A run's track in its map's frame, thinned for drawing; all poses (x, y, theta).
 
-    raw: (n, 3) odometry, every stretch moved rigidly to where it fits the map's vertices best;
-    bent: (n, 3) the same rows, with every pass on its vertex; time_ns: (n,); starts: rows at which
-    a new stretch begins because the odometry was broken or jumped there (never 0).
-    passed: (k, 2) where the raw track was at each observation of the map, NaN where that is not
-    known; drift_m: (k,) how far that is from the observation's vertex.
+    time_ns: (n,); raw: (n, 3) odometry, each unbroken stretch moved rigidly to the least-squares
+    fit of its passes to the map's vertices; bent: (n, 3) the same rows, corrected so that every
+    pass lies on its vertex; starts: rows at which a stretch begins (never 0). passed: (k, 2) the
+    raw position at each observation of the map, NaN if not known; drift_m: (k,) its distance from
+    the observation's vertex.
     """
 
     time_ns: IntArray
@@ -44,12 +45,12 @@ class RobotTrack:
 
     @property
     def stretches(self) -> list[FloatArray]:
-        """The raw track as polylines of two points or more."""
+        """The raw track as polylines of at least two points."""
         return self._polylines(self.raw)
 
     @property
     def bent_stretches(self) -> list[FloatArray]:
-        """The bent track as polylines of two points or more."""
+        """The corrected track as polylines of at least two points."""
         return self._polylines(self.bent)
 
     def _polylines(self, pose: FloatArray) -> list[FloatArray]:
@@ -57,7 +58,7 @@ class RobotTrack:
         return [part for part in parts if len(part) > 1]
 
     def at(self, time_ns: IntArray) -> FloatArray:
-        """(m, 3) bent poses at any times, linear between the rows that are drawn."""
+        """(m, 3) corrected poses at any times, interpolated linearly between the rows kept."""
         start = self.time_ns[0]
         t, q = (self.time_ns - start).astype(np.float64), (time_ns - start).astype(np.float64)
         theta = np.unwrap(self.bent[:, 2])
@@ -67,11 +68,10 @@ class RobotTrack:
 def robot_track(
     topomap: TopoMap, odometry: Odometry, *, every_row: bool = False
 ) -> RobotTrack | None:
-    """The track of a run on its map; None without odometry or observations to place it by.
+    """The track of a run on its map; None without odometry or without observations to place it by.
 
-    every_row: with all rows of the odometry, not thinned for drawing.
-    Every unbroken stretch is placed by itself; one without observations is left out.
-    O(n log k) for n poses and k observations.
+    every_row: keep all rows of the odometry. Every unbroken stretch is placed on its own; one
+    without observations is left out. O(n log k) for n poses and k observations.
     """
     if len(odometry) == 0:
         return None
@@ -108,7 +108,7 @@ def robot_track(
 
 
 def _placed(topomap: TopoMap, seen: IntArray, stretch: Odometry, spacing: float) -> RobotTrack:
-    """The track of one unbroken stretch, placed by the observations `seen`, and their drift."""
+    """The track of one unbroken stretch, placed by the observations `seen`."""
     times, vertices = topomap.observation_time_ns[seen], topomap.observation_vertex[seen]
     time_ns, first = np.unique(times, return_index=True)
     seen_at = topomap.xy[vertices[first]]
@@ -130,9 +130,11 @@ def _bent(
     passed: FloatArray,
     seen_at: FloatArray,
 ) -> FloatArray:
-    """Each stretch between two passes turned by the angle between its chords, then sheared so
-    that both ends meet their vertices. Vectorised over all poses: every pose looks up the pass
-    before and after it.
+    """Corrected poses (n, 3): between two passes the raw track is rotated by the angle between the
+    raw chord and the map's, and the remaining offset at its end is distributed linearly in time.
+
+    time_ns (n,), raw (n, 3): the track; pass_ns (k,), passed (k, 3): the raw poses at passes;
+    seen_at (k, 2): their vertices.
     """
     turn = _chord_turns(passed[:, :2], seen_at)
     after = np.clip(np.searchsorted(pass_ns, time_ns, side="right"), 1, max(len(pass_ns) - 1, 1))
@@ -150,8 +152,8 @@ def _bent(
 
 
 def _chord_turns(passed: FloatArray, seen_at: FloatArray) -> FloatArray:
-    """(k,) turn from the raw chord to the map's chord after each pass [rad]; the last known one
-    where either chord is short."""
+    """(k,) angle from the raw chord to the map's chord after each pass [rad]; where either is
+    shorter than SHORT_CHORD_M, the last one before (0 if none)."""
     raw, own = np.diff(passed, axis=0), np.diff(seen_at, axis=0)
     long = np.minimum(np.hypot(*raw.T), np.hypot(*own.T)) >= SHORT_CHORD_M
     turn = np.angle((own[:, 0] + 1j * own[:, 1]) * (raw[:, 0] - 1j * raw[:, 1]))

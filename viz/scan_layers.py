@@ -1,4 +1,4 @@
-"""What a laser saw, under the map that was made from it: walls, skeleton, junctions, windows."""
+"""A laser's view as layers below the map: walls, skeleton, junctions, windows."""
 
 from __future__ import annotations
 
@@ -18,20 +18,24 @@ from .recording import CLOCKS, HAIR, PathParts, Recording, entity
 from .robot_track import RobotTrack
 
 CELL_M = 0.1
-"""Walls are drawn by cells of this size, as the detector's grid has them."""
+"""Cell size of drawn walls, as in the detector's grid."""
 MOST_CELLS = 150_000
-"""Of 8 bytes each; where there are more, cells are larger."""
+"""Limit on cells (8 bytes each), above which they are made larger."""
 MOST_STEPS = 400
-"""Walls appear in so many steps over the whole run."""
+"""Walls are logged in at most this many steps over the run."""
 SURE = 5.5 / 7
-"""Junctions on which six of the detector's seven variants agree."""
+"""Confidence above which a junction is drawn as sure: six of the detector's seven variants
+agree."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanLayers:
-    """In the map's frame. walls: (n, 2) cells, by the time_ns (n,) at which each was seen first;
-    skeleton: (m, 2); passes, and their centres (p, 2); windows: (p, 5, 2) closed outlines;
-    surest: (n,) of every vertex of the map, the pass that shows it best, -1 where there is none."""
+    """The layers in the map's frame.
+
+    walls: (n, 2) cell centres, in the order of time_ns (n,), when each was seen first; skeleton:
+    (m, 2); passes, their centres (p, 2) and closed window outlines (p, 5, 2); surest: for each
+    vertex of the map its pass of highest confidence, -1 for none.
+    """
 
     walls: FloatArray
     time_ns: IntArray
@@ -46,15 +50,15 @@ class ScanLayers:
 def scan_layers(
     scanned: Scanned, topomap: TopoMap, odometry: Odometry, track: RobotTrack
 ) -> ScanLayers | None:
-    """What scans showed, placed by the track on the map; None if nothing was kept. What was seen
-    outside of the track's time is left out."""
+    """The layers, placed on the map by the track; None if the scans kept no picture. Points outside
+    of the track's time range are left out."""
     if scanned.picture is None:
         return None
     picture, passes = scanned.picture, scanned.passes
     walls, seen_ns = _placed(picture.walls, track)
     walls, seen_ns, cell_m = _cells(walls, seen_ns)
     pose = track.at(passes.time_ns)
-    # Windows lie along the axes of the odometry's frame.
+    # Windows are aligned with the axes of the odometry's frame.
     turn = pose[:, 2] - odometry.at(passes.time_ns)[:, 2]
     corners = picture.window_m * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]])
     square = np.column_stack([pose[:, :2], turn])
@@ -71,7 +75,7 @@ def scan_layers(
 
 
 def _surest(passes: ScanPasses, topomap: TopoMap) -> IntArray:
-    """(n,) the pass by each vertex with the highest confidence, the first of several."""
+    """(n,) the pass of highest confidence at each vertex, the first of equal ones; -1 for none."""
     row = {t: k for k, t in enumerate(passes.time_ns.tolist())}
     of = np.array([row.get(t, -1) for t in topomap.observation_time_ns.tolist()], np.int64)
     seen = np.flatnonzero(of >= 0)
@@ -84,7 +88,7 @@ def _surest(passes: ScanPasses, topomap: TopoMap) -> IntArray:
 
 
 def _placed(points: Anchored, track: RobotTrack) -> tuple[FloatArray, IntArray]:
-    """(n, 2) points on the map, and the times (n,) on which they hang."""
+    """(n, 2) points in the map's frame, and the times (n,) of their anchors."""
     when = points.anchor_ns[points.anchor]
     rows = np.flatnonzero((when >= track.time_ns[0]) & (when <= track.time_ns[-1]))
     pose = track.at(points.anchor_ns)[points.anchor[rows]]
@@ -92,7 +96,8 @@ def _placed(points: Anchored, track: RobotTrack) -> tuple[FloatArray, IntArray]:
 
 
 def _cells(xy: FloatArray, time_ns: IntArray) -> tuple[FloatArray, IntArray, float]:
-    """Middles of the cells that points lie in, by the time of the first in each; side of a cell."""
+    """Centres of the cells that hold points, in the order of the first point's time; those times;
+    and the cell size [m], doubled until there are at most MOST_CELLS."""
     order = np.argsort(time_ns, kind="stable")
     xy, time_ns, cell_m = xy[order], time_ns[order], CELL_M
     while True:
@@ -147,8 +152,8 @@ def write_scans(recording: Recording, root: PathParts, layers: ScanLayers) -> No
 
 
 def _on_selection(recording: Recording, path: PathParts, layers: ScanLayers) -> None:
-    """The window that shows a junction best, unseen until the junction is selected: the viewer then
-    outlines all that the entity has of its number."""
+    """Write the window that shows a junction best, invisible: the viewer outlines it when the
+    junction is selected, since both have the same index in one entity."""
     none = np.zeros((0, 2))
     strips = [layers.windows[k] if k >= 0 else none for k in layers.surest.tolist()]
     look = rr.LineStrips2D(
@@ -158,13 +163,13 @@ def _on_selection(recording: Recording, path: PathParts, layers: ScanLayers) -> 
 
 
 def _walls(recording: Recording, path: PathParts, layers: ScanLayers) -> None:
-    """Cells in the order in which they were seen, step by step."""
+    """Write the walls over time, in steps."""
     n = len(layers.walls)
     if n == 0:
         return
     steps = np.unique(np.linspace(0, n, min(MOST_STEPS, n) + 1).astype(np.int64))
     columns = rr.Points2D.columns(positions=layers.walls.astype(np.float32))
-    # Every step at the time of its last cell: nothing shows before it was seen.
+    # A step has the time of its last cell: nothing is shown before it was seen.
     recording.over_time(path, layers.time_ns[steps[1:] - 1], columns.partition(np.diff(steps)))
     look = rr.Points2D.from_fields(
         radii=layers.cell_m / 2, colors=palette.WALL, draw_order=palette.Order.WALL
@@ -175,7 +180,8 @@ def _walls(recording: Recording, path: PathParts, layers: ScanLayers) -> None:
 def overrides_of_scans(
     root: PathParts,
 ) -> dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges]:
-    """How a view shows them: all walls seen up to the cursor; all windows at once only if asked."""
+    """A view's overrides: walls are shown up to the cursor, the windows of all passes are hidden at
+    first."""
     so_far = [
         rrb.VisibleTimeRange(
             clock,

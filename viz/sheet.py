@@ -1,4 +1,4 @@
-"""Many maps on one sheet: each turned to stand straight, none over another."""
+"""Layout of many maps on one sheet without overlap, each rotated upright."""
 
 from __future__ import annotations
 
@@ -12,23 +12,25 @@ from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, rotation
 
 ASPECT = 1.3
-"""Width over height that a sheet aims at: that of a view in the viewer."""
+"""Target ratio of width to height of a sheet, that of the viewer's view."""
 
 MIN_SIDE_M = 4.0
-"""No cell is narrower: a map of one vertex has no extent of its own."""
+"""Smallest side of a cell."""
 
 WIDTHS_TRIED = 24
-"""Widths of the sheet that are tried: 2 % apart where there are many maps."""
+"""Number of sheet widths that are compared."""
 
 STRAIGHT = 0.35
-"""Corridors count as rectilinear when their directions agree this well, 0 to 1."""
+"""Corridors count as rectilinear if the mean resultant length of their directions mod 90° is at
+least this."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cell:
     """A map's place on a sheet.
 
-    T_sheet_map: (3,) its frame; low, high: (2,) corners of the cell [m], margin included.
+    T_sheet_map: (3,) pose of the map's frame; low, high: (2,) corners of the cell [m], with its
+    margin.
     """
 
     T_sheet_map: FloatArray
@@ -48,9 +50,10 @@ def outline(low: ArrayLike, high: ArrayLike) -> FloatArray:
 
 
 def upright_rad(polylines: Sequence[FloatArray]) -> float:
-    """The turn that makes a map stand straight: corridors along the axes, wider than high.
+    """The rotation that draws a map upright: corridors along the axes, wider than high [rad].
 
-    Where the corridors have no common direction (mod 90°), the longest extent becomes the width.
+    Where the corridors have no common direction mod 90°, the first principal axis becomes
+    horizontal.
     """
     points = np.concatenate([np.zeros((0, 2)), *polylines])
     owner = np.arange(len(polylines)).repeat([len(p) for p in polylines])
@@ -78,12 +81,11 @@ def arrange(
     *,
     groups: Sequence[int] | None = None,
 ) -> list[Cell]:
-    """A cell for each map, given its points (n, 2) and its turn; the order of reading is kept.
+    """A cell for each map from its points (n, 2) and rotation, in the given order.
 
-    legends_m: room to leave at the right of each map; groups: a number for each map, the same for
-    neighbours that are to stay in one row. Cells fill rows from the left to the right,
-    the top row first (y points up); rows are as long as lets a sheet of ASPECT show
-    them largest. O(points).
+    legends_m: width to leave at the right of each map; groups: a number for each map, equal for
+    neighbours that belong in one row. Cells are laid in rows, left to right, the top row first (y
+    points up); the row width is chosen so that a sheet of ASPECT shows them largest. O(points).
     """
     lows, sizes = [], []
     legends = [0.0] * len(point_sets) if legends_m is None else legends_m
@@ -104,10 +106,8 @@ def arrange(
 
 
 def _shelves(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[FloatArray]:
-    """The low corner of every box, laid in rows; a row's boxes hang from its top.
-
-    Of several widths for the rows, the one that lets the whole be drawn largest is taken.
-    """
+    """The low corner of each box, laid in top-aligned rows, for the row width that gives the
+    largest scale."""
     if not sizes:
         return []
     ahead = _group_widths(sizes, groups)
@@ -122,7 +122,7 @@ def _shelves(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[FloatAr
 
 
 def _group_widths(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[float]:
-    """For the first box of every group the width of all of it, for the others 0."""
+    """The width of its whole group for the first box of each, 0 for the others."""
     starts = np.flatnonzero(np.diff(groups, prepend=-1))
     totals = np.add.reduceat([float(w) for w, _ in sizes], starts)
     ahead = np.zeros(len(sizes))
@@ -133,9 +133,9 @@ def _group_widths(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[fl
 def _rows(
     sizes: Sequence[FloatArray], ahead: Sequence[float], width: float
 ) -> tuple[list[FloatArray], float, float]:
-    """Low corners of the boxes in rows of at most the given width, and the sheet's size.
+    """Low corners of the boxes in rows of at most `width`, and the sheet's width and height.
 
-    ahead: room that a box needs so that it starts in a row, 0 for those that follow another one.
+    ahead: width that must be free for a box to start in a row, see `_group_widths`.
     """
     corners = []
     x = top = row = used = 0.0
@@ -149,6 +149,6 @@ def _rows(
 
 
 def sheet_margin_m(point_sets: Sequence[FloatArray]) -> float:
-    """The margin of the cells [m]: a share of the extent of the largest map."""
+    """The cells' margin [m]: a share of the largest map's extent."""
     extents = [float(np.ptp(points, axis=0).max()) for points in point_sets if len(points)]
     return 0.08 * max([*extents, 2 * MIN_SIDE_M])

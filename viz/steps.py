@@ -1,4 +1,4 @@
-"""In which order the runs were joined: the story that a merge tells."""
+"""The order in which a merge joined the runs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ Group = tuple[str, ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
-    """Two groups of runs become one, for the sake of a pair. joins, into: their runs, sorted, the
-    smaller group first; component: the one that they end up in."""
+    """Two groups of runs are joined because of a pair. joins, into: their runs, sorted, the smaller
+    group first; component: id of the one that holds them in the end."""
 
     component: int
     joins: Group
@@ -22,10 +22,10 @@ class Step:
 
 
 def joining_steps(result: MergeResult) -> list[Step]:
-    """Every step of a merge in the order in which it was done: pairs that a person locked, then
-    pairs by their evidence, then groups by that of their merged maps, strongest first.
+    """The steps of a merge in order: pairs locked by a person, then pairs by their evidence, then
+    groups by the evidence of their merged maps; strongest first.
 
-    Pairs that confirm what is joined already give no step. O(pairs · log pairs).
+    Pairs within one group give no step. O(pairs · log pairs).
     """
     home = {run: component.id for component in result.components for run in component.poses}
     groups = _Groups(home)
@@ -48,24 +48,24 @@ def _strength(pair: PairVerdict) -> tuple[bool, float, str, str]:
 
 
 class _Groups:
-    """Runs that are together so far."""
+    """The groups of runs joined so far."""
 
     def __init__(self, home: dict[str, int]) -> None:
         self._home = home
         self._of: dict[str, Group] = {run: (run,) for run in home}
 
     def are_sides(self, pair: PairVerdict) -> bool:
-        """Are the two components that a pair speaks for groups of their own now?"""
+        """Whether both components that the pair's evidence is from are groups now."""
         sides = pair.together or ()
         return all(self._of.get(side[0]) == tuple(sorted(side)) for side in sides if side)
 
     def joined(self, pair: PairVerdict) -> Iterable[Step]:
-        """The step that brings a pair together, if it is not yet."""
+        """The step that joins the pair's groups; none if they are one already."""
         one, two = self._of[pair.a], self._of[pair.b]
         if one == two:
             return
         joins, into = sorted((one, two), key=lambda group: (len(group), group))
-        if len(one) == len(two):  # a pair reads in the order of its names
+        if len(one) == len(two):  # equal sizes: in the pair's order
             joins, into = one, two
         both = tuple(sorted((*one, *two)))
         self._of |= dict.fromkeys(both, both)

@@ -1,4 +1,5 @@
-"""A merge in time: what lights up at each step on the timeline JOIN, and the pages that tell it."""
+"""A merge step by step: what is highlighted on the timeline JOIN, and a page of text for each
+step."""
 
 from __future__ import annotations
 
@@ -19,14 +20,15 @@ from .steps import Step
 from .verdicts import joining_told
 
 STORY = "story"
-"""Root of the pages."""
+"""Entity of the pages."""
 
 
 def shared_from(part: Part, steps: Iterable[tuple[int, Step]], runs_at: BoolArray) -> IntArray:
-    """(n,) number of the step at which a junction of a component is first shared by two of its runs
-    that are together; 0 for those that never are. steps: those of the component, with their
-    numbers; runs_at: (n, r) whether each of its runs, in their order, has the junction.
-    O(steps · n · r)."""
+    """(n,) the step at which two runs that share a junction are joined first, 0 for never.
+
+    steps: of this component, with their numbers; runs_at: (n, r) whether each of its runs, sorted
+    by name, has the junction. O(steps · n · r).
+    """
     column = {run: k for k, run in enumerate(sorted(part.component.poses))}
     shared = np.zeros(len(runs_at), np.int64)
     for number, step in steps:
@@ -43,8 +45,8 @@ def write_story(
     parts: Sequence[Part],
     maps: Mapping[str, TopoMap],
 ) -> None:
-    """A line between the middles of the two runs that each step rests on, white while the cursor is
-    on that step, gone before and thin after; and a page for every step."""
+    """Write for each step a line between the centres of its two runs, white at that step, hidden
+    before and thin after it; and a page of text for each step."""
     parted = {run: part for part in parts for run in part.component.poses}
 
     def middle(run: str) -> FloatArray:

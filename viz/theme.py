@@ -1,4 +1,4 @@
-"""Colours of drawings: for light paper, for a dark screen, or for whatever a page turns to."""
+"""Colours of static drawings: light, dark, or as CSS variables for a page that switches."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _INKS = {
     "degree 4": ("#1f9d55", palette.DEGREES[4]),
     "degree 5": ("#8e44cf", palette.DEGREES[5]),
 }
-"""What a theme has a colour for, besides runs; the colour on light paper and on a dark screen."""
+"""Named colours besides those of runs: in the light and in the dark theme."""
 
 _LIGHT_RUNS = (
     "#1f77d0",
@@ -48,7 +48,7 @@ def _hex(colour: Iterable[int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """A colour, as #rrggbb, for each of _INKS and for the first, second, … run of a map."""
+    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run."""
 
     inks: Mapping[str, str]
     run: Callable[[int], str]
@@ -59,7 +59,7 @@ class Theme:
 
 
 def _light_run(rank: int) -> str:
-    """The first ten are picked by hand; later ones step round the hues by the golden angle."""
+    """The first ten chosen by hand, later ones by steps of the golden angle in hue."""
     if rank < len(_LIGHT_RUNS):
         return _LIGHT_RUNS[rank]
     return _hex(palette.stepped(rank - len(_LIGHT_RUNS), 0.65, 0.72))
@@ -78,15 +78,16 @@ SWITCHABLE = Theme(
     {name: _stand_in(k) for k, name in enumerate(_INKS)},
     lambda rank: _stand_in(len(_INKS) + rank),
 )
-"""Stand-ins that `as_variables` turns into CSS variables, so that a page chooses the theme."""
+"""Placeholder colours that `as_variables` replaces by CSS variables, so that the page sets the
+theme."""
 
 
 def as_variables(style: str) -> str:
-    """A style with its stand-ins as CSS variables --c0, --c1, …"""
+    """The style with its placeholder colours replaced by CSS variables --c0, --c1, …"""
     return re.sub("#fd([0-9a-f]{4})", lambda found: f"var(--c{int(found[1], 16)})", style)
 
 
 def css_variables(theme: Theme, runs: int) -> str:
-    """What the variables are in a theme, for pictures of up to so many runs together."""
+    """The CSS variables' values in a theme, for up to `runs` runs in one component."""
     values = [*theme.inks.values(), *map(theme.run, range(runs))]
     return ";".join(f"--c{k}:{value}" for k, value in enumerate(values))

@@ -1,4 +1,4 @@
-"""What a merge says of every pair of runs: as a matrix, and in words."""
+"""A merge's verdicts on all pairs of runs: as a matrix, and as text."""
 
 from __future__ import annotations
 
@@ -17,21 +17,20 @@ from .steps import Step
 
 DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
-"""Classes of the verdict matrix."""
+"""Class of each standing in the verdict matrix."""
 
 MOST_PAIRS = 60
-"""Pairs told in full in the recording; `merged.json` has them all."""
+"""Pairs of a kind with full text in the recording; `merged.json` has all."""
 
 MOST_PLACEMENTS = 12
-"""Undecided pairs that are drawn, those of the strongest evidence: above two placements of so many
-there is room for their names."""
+"""Undecided pairs that are drawn, strongest evidence first: with more, their names have no room."""
 
 STORY_BEFORE, STORY_AFTER = 8, 12
-"""Steps that a page of the story shows around its own."""
+"""Steps listed before and after a step on its page."""
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
-    """All runs: those of one component together, large components first."""
+    """All runs by component, components of most runs first."""
     components = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
     return [run for component in components for run in sorted(component.poses)]
 
@@ -41,7 +40,7 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
     row = {run: i for i, run in enumerate(runs)}
     matrix = np.full((len(runs), len(runs)), CLASS[Standing.UNRELATED], np.uint8)
     if result.unlisted is not None:
-        for component in result.components:  # what is not listed is joined, or unrelated
+        for component in result.components:  # pairs that are not listed
             rows = [row[run] for run in component.poses if run in row]
             matrix[np.ix_(rows, rows)] = CLASS[Standing.JOINED]
     np.fill_diagonal(matrix, DIAGONAL)
@@ -54,7 +53,7 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
 
 @dataclass(frozen=True, slots=True)
 class MergeLayers:
-    """What a recording of a merge holds besides the map: nothing else is spoken of."""
+    """Which optional parts a merge's recording holds: the legend describes only these."""
 
     story: bool = False
     undecided: bool = False
@@ -66,7 +65,7 @@ class MergeLayers:
 
 
 def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
-    """A page of markdown: counts, how to read the picture, components, warnings."""
+    """A Markdown page: counts, legend, components, warnings."""
     count = result.standings()
     fused = result.fused
     shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
@@ -138,7 +137,7 @@ def _legend(result: MergeResult, shown: MergeLayers) -> list[str]:
 
 
 def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
-    """What the matrix shows, and nothing that it does not."""
+    """The legend of the matrix."""
     if not result.verdicts:
         return ""
     count = result.standings()
@@ -179,7 +178,7 @@ def _notes(result: MergeResult) -> str:
 
 
 def pairs_told(result: MergeResult) -> str:
-    """Markdown with every pair's verdict, reason and evidence; the strongest of each kind first."""
+    """Markdown with every pair's verdict, reason and evidence, the strongest of each kind first."""
     parts = ["# Pairs of runs"]
     of_kind: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
     for pair in result.verdicts:

@@ -1,6 +1,6 @@
-"""Maps in the formats of others: text from a map, nothing read and nothing written.
+"""Maps in other programs' formats, as text: nothing is read or written here.
 
-What each format keeps and loses is in docs/exports.md.
+docs/exports.md says what each format keeps and loses.
 """
 
 from __future__ import annotations
@@ -44,5 +44,5 @@ MAP_FORMATS: Mapping[str, Mapping[str, MapFormat]] = MappingProxyType(
         },
     }
 )
-"""Formats that a map alone is enough for: the end of each file's name, and what writes its text,
-given the map and how far [m] a path may lie from its straight pieces."""
+"""Formats that need a map only: for each file's suffix the function that returns its text, given
+the map and the largest distance [m] of a path from its straight pieces."""

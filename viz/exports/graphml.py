@@ -1,6 +1,6 @@
-"""GraphML, by networkx: for Gephi, yEd, Cytoscape, and every library of graphs.
+"""GraphML, written by networkx: for Gephi, yEd, Cytoscape and graph libraries.
 
-Values must be scalars, so headings, paths and members go as JSON texts.
+GraphML values are scalars, so headings, paths and members are written as JSON strings.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from .route_graph import driving_seconds, seconds_sigma
 
 
 def graphml(topomap: TopoMap) -> str:
-    """The undirected multigraph of a map: ids, attributes and keys as in its document."""
+    """The undirected multigraph of a map, with ids, attributes and keys as in its document."""
     import networkx as nx
 
     scale = significant(topomap.measured.scale)
@@ -41,7 +41,7 @@ def graphml(topomap: TopoMap) -> str:
 
 
 def _scalars(values: dict[str, Any], leave: set[str]) -> dict[str, Any]:
-    """Lists and mappings as JSON; what is not known is left out."""
+    """The values with lists and mappings as JSON strings, without None."""
     return {
         name: json.dumps(value) if isinstance(value, (list, dict)) else value
         for name, value in values.items()

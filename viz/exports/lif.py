@@ -1,7 +1,7 @@
 """VDMA LIF 1.0 (Layout Interchange Format), which VDA 5050 names for exchanging layouts.
 
-Junctions are nodes, corridors are edges, one each way; a curved corridor has its polyline as a
-trajectory: a NURBS of degree 1, whose control points are the points of the line.
+Junctions are nodes; each corridor is two edges, one each way. A curved corridor has a trajectory: a
+NURBS of degree 1, whose control points are the points of its polyline.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ VEHICLE_TYPE = "any"
 
 
 def lif_json(topomap: TopoMap, max_error_m: float) -> str:
-    """The layout of a map. Speeds, where they are known, are those that robots drove.
+    """The layout of a map. Speeds, where known, are those at which robots drove.
 
-    Its time stamp is that of the map's newest observation: the same map gives the same file.
+    Its time stamp is the map's newest observation, so that the same map gives the same file.
     """
     speed = driving_speed(topomap).tolist()
     xy = rounded(topomap.xy, METRES)

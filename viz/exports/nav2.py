@@ -1,10 +1,10 @@
 """GeoJSON for the Nav2 route server (nav2_route, `GeoJsonGraphFileLoader`).
 
-The loader asks for unsigned ids that are unique over nodes and edges, for one of each at least, and
-takes edges as directed; it ignores the geometry of edges, which is there for people who open the
-file in a GIS, so a curved corridor gets nodes on its way. Numbers in metadata that are read as
-floats (`abs_time_taken`, seconds, by its TimeScorer) must not be written as integers. Of the
-collection it reads the features alone: `length_scale_sigma` is for people.
+The loader needs unsigned ids that are unique over nodes and edges, at least one of each, and
+directed edges. It ignores the geometry of edges (for GIS programs), so a curved corridor has nodes
+along it. Metadata that is read as float (`abs_time_taken`, in seconds, by its TimeScorer) must not
+be written as an integer. Of the collection it reads only the features: `length_scale_sigma` is
+informative.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from ...topology.topomap import TopoMap
 from .route_graph import VIA, RouteGraph, route_graph
 
 SECONDS = 2
-"""Decimals of times: passes are stamped to some 0.1 s."""
+"""Decimals of times: passes are stamped to about 0.1 s."""
 
 
 def nav2_geojson(topomap: TopoMap, max_error_m: float) -> str:
     """The route graph of a map, every corridor both ways.
 
-    Raises DataError on a map without corridors, which the loader refuses.
+    Raises DataError for a map without corridors, which the loader rejects.
     """
     graph = route_graph(topomap, max_error_m)
     if len(graph.source) == 0:
@@ -53,7 +53,7 @@ def _nodes(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
 
 
 def _edges(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
-    """Ids go on where those of the nodes end; the way back follows the way there."""
+    """Two features for each piece, there and back; ids continue after those of the nodes."""
     xy, number = rounded(graph.xy, METRES), len(graph.xy)
     lengths, seconds = rounded(graph.length, METRES), graph.seconds.tolist()
     sigmas, spread = rounded(graph.length_sigma, METRES), graph.seconds_sigma.tolist()

@@ -1,7 +1,6 @@
-"""Pose graphs in g2o's format, for GTSAM, SE-Sync, g2o and whatever else solves them.
+"""Pose graphs in the g2o format, which GTSAM, SE-Sync and g2o read.
 
-    VERTEX_SE2 id x y theta
-    EDGE_SE2 id_from id_to dx dy dtheta I11 I12 I13 I22 I23 I33
+        VERTEX_SE2 id x y theta EDGE_SE2 id_from id_to dx dy dtheta I11 I12 I13 I22 I23 I33
 
 (Kümmerle, Grisetti, Strasdat, Konolige, Burgard: g2o, ICRA 2011; its wiki, "File format".)
 """
@@ -15,10 +14,10 @@ from ...topology.posegraph.graph import PoseGraph
 
 
 def pose_graph_g2o(graph: PoseGraph) -> str:
-    """The poses of a graph, numbered from 0 on, and its edges; priors and kernels are left out.
+    """The poses of a graph, numbered from 0, and its edges; priors and robust kernels are left out.
 
-    Numbers are rounded as in documents, so that they are the same on every processor. There are no
-    comments: GTSAM (4.3) reads no edges from a file with any.
+    Numbers are rounded as in documents, so that they are the same on every processor. No comments
+    are written: GTSAM 4.3 reads no edges from a file that has any.
     """
     poses = (np.round(graph.pose, TURN) + 0.0).tolist()
     measured = (np.round(graph.measurement, TURN) + 0.0).tolist()
@@ -33,5 +32,5 @@ def pose_graph_g2o(graph: PoseGraph) -> str:
 
 
 def _line(tag: str, *values: float) -> str:
-    """Numbers in the shortest form that reads back to the same bits."""
+    """A line of numbers, each in the shortest form that reads back as the same float."""
     return " ".join([tag, *map(repr, values)]) + "\n"

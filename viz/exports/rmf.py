@@ -1,7 +1,7 @@
 """Open-RMF's navigation graph (rmf_fleet_adapter, `parse_graph`).
 
-One level; lanes are directed and straight between their waypoints, so curved corridors get
-waypoints on the way. Only junctions have names: names must differ, points on the way have none.
+One level; lanes are directed and straight, so curved corridors have waypoints along them. Names
+must be unique: only junctions have one.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ LEVEL = "L1"
 def rmf_yaml(topomap: TopoMap, max_error_m: float) -> str:
     """The navigation graph of a map, every corridor both ways.
 
-    A lane's `speed_limit` [m/s], where it is known, is the speed that robots drove there: plans
-    then take the time that the drives took.
+    A lane's `speed_limit` [m/s], where known, is the speed at which robots drove it, so that
+    planned times match the drives.
     """
     graph = route_graph(topomap, max_error_m)
     vertices: list[Any] = []

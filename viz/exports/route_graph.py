@@ -1,4 +1,4 @@
-"""A map as a route planner wants it: straight pieces between points, speeds and times."""
+"""A map as a graph of straight pieces with lengths and driving times, for route planners."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from ...topology.polyline import simplify, way_of
 from ...topology.topomap import TopoMap
 
 MAX_ERROR_M = 0.05
-"""How far a corridor's path may lie from the straight pieces it is given as: a third of what the
-centres of junctions are known to (they are seen with some 0.1 m), and less than robots wander."""
+"""Largest distance of a corridor's path from its straight pieces: about as far as robots wander."""
 
 VIA = -1
-"""Stands for the vertex of a point between two junctions."""
+"""`RouteGraph.vertex` of a point that is no vertex of the map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RouteGraph:
-    """Points joined by straight pieces; every piece lies on one corridor and leads both ways.
+    """Points joined by straight pieces; every piece belongs to one corridor and is driven both
+    ways.
 
-    xy: (p, 2) [m], the map's n vertices first, then points on the way; vertex: (p,) their vertex,
-    or VIA. source, target: (s,) points of each piece, along the direction of its edge; edge: (s,)
-    of the map; length, length_sigma: (s,) [m], its share of the corridor's; seconds, seconds_sigma:
-    (s,) that driving it takes, NaN where that is not known.
+    xy: (p, 2) [m], first the map's n vertices, then points along corridors; vertex: (p,) the map's
+    vertex or VIA. source, target: (s,) points of each piece, in its edge's direction; edge: (s,) of
+    the map; length, length_sigma: (s,) [m]; seconds, seconds_sigma: (s,) driving time, NaN if
+    unknown.
     """
 
     xy: FloatArray
@@ -40,11 +40,12 @@ class RouteGraph:
 
 
 def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGraph:
-    """The straight pieces of all corridors. A piece takes its share of its corridor's length and
-    time, and of their variances: errors along a route add up by their squares. What the odometry's
-    scale is off by, which is part of `length_sigma`, is the same share of every length, so that
-    pieces add up to their corridor as corridors do to a route (docs/exports.md). The pieces
-    themselves cut a bend short, by up to 0.5 %; the length was measured before it was cut.
+    """The straight pieces of all corridors.
+
+    A piece has a share of its corridor's length and time by its own length, and of their variances,
+    so that independent errors along a route add up in squares. The odometry's scale error, a part
+    of `length_sigma`, is common to all pieces and adds up linearly (docs/exports.md). The pieces'
+    geometry is up to 0.5 % shorter than the measured length, since it cuts bends.
 
     Raises ValueError unless max_error_m is positive. O(points of all paths).
     """
@@ -85,28 +86,28 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
 
 
 def corridor_line(topomap: TopoMap, edge: int, max_error_m: float) -> FloatArray:
-    """(k, 2) the path of a corridor from its source to its target, in straight pieces."""
+    """(k, 2) a corridor's path from source to target, simplified to within max_error_m."""
     ends = topomap.xy[[topomap.source[edge], topomap.target[edge]]]
     return simplify(np.concatenate([ends[:1], topomap.paths[edge][1:-1], ends[1:]]), max_error_m)
 
 
 def driving_seconds(topomap: TopoMap) -> FloatArray:
-    """(m,) median time [s] of all drives through each corridor, both ways; NaN where unknown."""
+    """(m,) median time of all drives through each corridor, both directions [s]; NaN if unknown."""
     out = np.full(len(topomap.source), np.nan)
     for e, times in enumerate(topomap.traversal_ns or ()):
         if len(times):
-            # A drive through a whole corridor takes some time; a document could claim anything.
+            # At least a millisecond: documents may hold any times.
             took = max(float(np.median(np.abs(times[:, 1] - times[:, 0]))) * 1e-9, 1e-3)
             out[e] = took
     return out
 
 
 def seconds_sigma(topomap: TopoMap) -> FloatArray:
-    """(m,) 1 sigma [s] of `driving_seconds`; NaN where that, or how far drives differ, is unknown.
+    """(m,) standard deviation of `driving_seconds` [s]; NaN where that, or the spread of drives, is
+    unknown.
 
-    Two or three drives do not show how far they differ: all corridors of the map that were driven
-    more than once tell together, as the share of their times, and of n drives the mean of that is
-    known to one part in the root of n.
+    The relative spread of driving times is pooled over all corridors with several drives, since
+    single corridors have too few; the mean of n drives has this over √n.
     """
     seconds = driving_seconds(topomap)
     times = topomap.traversal_ns or ()
@@ -121,11 +122,11 @@ def seconds_sigma(topomap: TopoMap) -> FloatArray:
 
 
 def driving_speed(topomap: TopoMap) -> FloatArray:
-    """(m,) typical speed [m/s] in each corridor: its length over its median time; NaN: unknown."""
+    """(m,) length over median driving time of each corridor [m/s]; NaN if unknown."""
     return np.asarray(topomap.length / driving_seconds(topomap))
 
 
 def last_pass_ns(topomap: TopoMap) -> int:
-    """When the newest of the map's observations was made; 0 without any. Exports that need a date
-    take it, so that the same map gives the same file at any time."""
+    """Time of the map's newest observation, 0 without any: the date of exports that need one, so
+    that the same map gives the same file."""
     return int(topomap.observation_time_ns.max(initial=0))

@@ -1,4 +1,4 @@
-"""Two tables, as CSV: the junctions and the corridors of a map."""
+"""The junctions and the corridors of a map as two CSV tables."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from .route_graph import driving_seconds, driving_speed, seconds_sigma
 
 
 def junctions_csv(topomap: TopoMap) -> str:
-    """One row per vertex: metres, radians, seconds since 1970; lists by blanks."""
+    """A row for each vertex, in metres, radians and seconds since 1970; lists are separated by
+    blanks."""
     document, rows = map_to_document(topomap), []
     for node in document["nodes"]:
         seen = [o["time_ns"] for o in node["observations"]]
@@ -38,8 +39,8 @@ def junctions_csv(topomap: TopoMap) -> str:
 
 
 def corridors_csv(topomap: TopoMap) -> str:
-    """One row per edge; `path` is a JSON list of points. `length_scale_sigma` is of all lengths
-    together, the same in every row."""
+    """A row for each edge; `path` is a JSON list of points. `length_scale_sigma` is common to all
+    lengths and the same in every row."""
     seconds, speed = driving_seconds(topomap), driving_speed(topomap)
     spread, scale = seconds_sigma(topomap), significant(topomap.measured.scale)
     rows = [
@@ -72,7 +73,7 @@ def _seconds(time_ns: int) -> str:
 
 
 def _table(rows: list[dict[str, Any]], topomap: TopoMap, part: str) -> str:
-    """The rows, with the members of a merged map's parts as JSON."""
+    """The rows as CSV, with the members of a merged map's parts as JSON."""
     members = topomap.info.get("members", {}).get(part)
     if members:
         rows = [{**row, "members": json.dumps(of)} for row, of in zip(rows, members, strict=True)]

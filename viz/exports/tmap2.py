@@ -1,12 +1,12 @@
-"""The topological maps of LCAS/topological_navigation, second format (`tmap-schema.yaml`).
+"""Topological maps of LCAS/topological_navigation, format 2 (`tmap-schema.yaml`).
 
-Nodes with their outgoing edges; every node has a zone of influence around it (`verts`). Edges are
-driven by a navigation action, freely between two nodes, so curved corridors get nodes on the way.
+Nodes hold their outgoing edges and a zone of influence (`verts`). An edge is driven by a navigation
+action along any path, so curved corridors have nodes along them.
 
-Versions of the package differ in what they read beyond the schema, and a file has it all. Until
-2025 an edge holds its goal, and the frame is `transformation.child`. Since 2026 the localiser takes
+Versions of the package read different fields beyond the schema; the file has all of them. Until
+2025 an edge holds its goal, and the frame is `transformation.child`. Since 2026 the localiser reads
 the frame from `transformation.topo_frame_id`, the navigator its action servers from `actions`, and
-routes are the lightest by `properties.weight`: metres here, as its A* guesses the rest in metres.
+routes minimise `properties.weight`: in metres, as the heuristic of its A*.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ ACTIONS = {
         },
     }
 }
-"""How the navigator drives an edge, node by node; `${…}` is filled in from the node it leads to."""
+"""How the navigator drives an edge; `${…}` is replaced by values of the edge's target node."""
 ZONE_M = 0.5
-"""Half of the side of a zone; smaller where another node is near, so that zones do not overlap."""
+"""Half the side of a zone, at most: zones do not overlap."""
 GOAL_TOLERANCE_M = 0.3
 ANY_YAW_RAD = 6.283
-"""A node is reached whatever way the robot looks."""
+"""Tolerance that accepts any heading at a node."""
 
 
 def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
     """The topological map of a map, every corridor both ways.
 
-    Its date is that of the map's newest observation: the same map gives the same file. The frame
-    is called after the map: the map manager publishes where it lies in `map`, which it must not do
-    for a frame of that robot's odometry.
+    Its date is the map's newest observation, so that the same map gives the same file. The frame
+    has the map's name: the map manager publishes its transform from `map`, which would be wrong for
+    the robot's odometry frame.
     """
     graph, name = route_graph(topomap, max_error_m), topomap.run
     names = _names(graph)
@@ -96,7 +96,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
 
 
 _SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
-"""Corners of a node's area, in half sides."""
+"""Corners of a node's zone, in half sides."""
 
 
 def _names(graph: RouteGraph) -> list[str]:
@@ -106,7 +106,7 @@ def _names(graph: RouteGraph) -> list[str]:
 
 
 def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
-    """The edges that leave each node. Those between the same two nodes are told apart by number."""
+    """The edges that leave each node; parallel ones are numbered."""
     out: list[list[dict[str, Any]]] = [[] for _ in names]
     used: dict[str, int] = {}
     for k in range(len(graph.source)):
@@ -150,12 +150,13 @@ def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
 
 
 def _zones(xy: np.ndarray[Any, np.dtype[np.float64]]) -> list[float]:
-    """Half the side of each node's square: half of the way to the nearest other node, at most."""
+    """Half the side of each node's zone [m], so small that the nearest node's zone is not
+    touched."""
     from scipy.spatial import cKDTree
 
     if len(xy) < 2:
         return [ZONE_M] * len(xy)
     nearest = np.asarray(cKDTree(xy).query(xy, k=2)[0])[:, 1]
-    # A square reaches farther along its diagonals.
+    # A square extends √2 times half its side along its diagonals.
     half = np.clip(nearest / 2 / np.sqrt(2), 10.0**-METRES, ZONE_M)
     return [float(h) for h in rounded(half, METRES)]

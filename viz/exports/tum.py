@@ -1,4 +1,4 @@
-"""Trajectories as lines `time x y z qx qy qz qw`: the TUM benchmark's format, which evo reads."""
+"""Trajectories in the TUM benchmark's format, `time x y z qx qy qz qw`, which evo reads."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from ..robot_track import robot_track
 
 
 def recorded_tum(odometry: Odometry) -> str:
-    """The odometry of a run as it was recorded, in its own frame."""
+    """A run's odometry as recorded, in its own frame."""
     return _lines(odometry.time_ns, odometry.pose)
 
 
 def corrected_tum(
     topomap: TopoMap, odometry: Odometry, T_out_map: FloatArray | None = None
 ) -> str | None:
-    """The odometry bent onto the run's map, in the map's frame or, with T_out_map, another.
+    """A run's odometry corrected to its map (`robot_track`), in the map's frame, or with T_out_map
+    in another.
 
-    Every pass lies on its junction, what is between is turned and stretched to fit. Stretches of a
-    broken odometry in which no junction was passed are left out. None without any pass.
+    Unbroken stretches of the odometry in which no junction was passed are left out. None without
+    any pass.
     """
     track = robot_track(topomap, odometry, every_row=True)
     if track is None:
@@ -32,7 +33,8 @@ def corrected_tum(
 
 
 def _lines(time_ns: IntArray, pose: FloatArray) -> str:
-    """Seconds with nine decimals: a float would round them to some 200 ns."""
+    """Times are written in seconds with nine decimals, not as floats, which would round to about
+    200 ns."""
     half = pose[:, 2] / 2
     columns = zip(
         time_ns.tolist(),

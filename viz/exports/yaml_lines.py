@@ -1,7 +1,6 @@
-"""YAML for loaders of others, by hand: mappings and lists in blocks, what is within in one line.
+"""YAML for other programs: the outer levels in block style, each inner value on one line as JSON.
 
-Values are written as JSON, which is YAML: texts are quoted, so that no reader takes a run called
-`no` or `1e3` for something else.
+JSON is valid YAML, and its strings are quoted, so that a run named `no` or `1e3` stays a string.
 """
 
 from __future__ import annotations
@@ -12,7 +11,8 @@ from typing import Any
 
 
 def yaml_text(document: Mapping[str, Any], depth: int) -> str:
-    """A document with its first `depth` levels in blocks, one line for everything below them."""
+    """A document with its first `depth` levels in block style and everything below them on one
+    line."""
     return "".join(f"{line}\n" for line in _block(document, depth, ""))
 
 
@@ -27,7 +27,7 @@ def _block(value: Any, depth: int, indent: str) -> Iterator[str]:
 
 
 def _key(name: str) -> str:
-    """A key, quoted where YAML 1.1 could take it for something else: `y` and `no` are booleans."""
+    """A key, quoted where YAML 1.1 might not read a string: `y` and `no` are booleans."""
     plain = len(name) > 3 and name.isidentifier() and name.casefold() not in ("true", "false")
     return name if plain else json.dumps(name, ensure_ascii=False)
 
