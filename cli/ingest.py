@@ -281,7 +281,9 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
-        screen.line(f"{counted(good, 'map')} in {place.maps}{same}; next: topobatch merge --all")
+        logs = counted(len(outcomes) - len(failed), "log")
+        told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
+        screen.line(f"{told}; next: topobatch merge --all")
     if failed and len(outcomes) > 1:
         screen.complain(
             f"{len(failed)} of {counted(len(outcomes), 'log')} failed: {listed(failed)}"

@@ -135,10 +135,7 @@ def _cell(e: Explanation, u: int, v: int) -> str:
 def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
     c = e.clusters
     yield ""
-    yield (
-        "cluster  junctions  hypotheses  largest  rms m        x        y  turn°    bits"
-        f"   of {len(c)}"
-    )
+    yield "cluster  junctions  hypotheses  largest  rms m        x        y  turn°    bits"
     for k in range(min(len(c), most)):
         rms = np.sqrt(c.squared_error[k] / c.vertices[k])
         x, y, turn = c.transform[k].tolist()
@@ -147,7 +144,7 @@ def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
             f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {e.bits[k]:>6.1f}"
         )
     if len(c) > most:
-        yield f"… and {len(c) - most} more clusters"
+        yield f"… and {counted(len(c) - most, 'more cluster')}"
 
 
 def to_document(e: Explanation) -> dict[str, Any]:
