@@ -1,8 +1,8 @@
-"""Random numbers that are the same on every machine and under every version of numpy.
+"""Random numbers that are the same on every machine and with every version of numpy.
 
-numpy guarantees the raw bits of its bit generators, not what its distributions make of them, and
-the last digit of a logarithm depends on the processor. So the distributions here are built on raw
-bits, and what passes through a transcendental function is rounded far above its last digit.
+numpy guarantees the raw output of its bit generators but not that of its distributions, and the
+last digits of transcendental functions depend on the processor. The distributions here are computed
+from raw bits, and results of transcendental functions are rounded well above their last digit.
 """
 
 from __future__ import annotations
@@ -15,15 +15,16 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 
 
 def quantised(values: FloatArray | float, bits: int) -> FloatArray:
-    """Values rounded to multiples of 2^-bits: sums of them are exact, whatever the order."""
+    """Values rounded to multiples of 2^-bits, so that sums are exact and independent of their
+    order."""
     grid = float(2**bits)
     return np.round(np.asarray(values, np.float64) * grid) / grid + 0.0
 
 
 class Chance:
-    """A stream of random numbers named by a key of integers and words.
+    """A random stream with a key of integers and strings.
 
-    Streams of different keys are independent, so one more draw in one place changes nothing
+    Streams of different keys are independent, so that a further draw in one place changes nothing
     elsewhere.
     """
 
@@ -32,20 +33,20 @@ class Chance:
         self._bits = np.random.PCG64(np.random.SeedSequence(words))
 
     def uniform(self, low: float, high: float, size: int) -> FloatArray:
-        """(size,) evenly spread in [low, high)."""
+        """(size,) uniform in [low, high)."""
         raw = self._bits.random_raw(size)
         unit = (raw >> np.uint64(11)).astype(np.float64) * 2.0**-53
         return low + (high - low) * unit
 
     def normal(self, sigma: float, size: int) -> FloatArray:
-        """(size,) normal with mean 0, by the inverse of the distribution function."""
+        """(size,) normal with mean 0, by inverse transform sampling."""
         from scipy.special import ndtri
 
         u = self.uniform(2.0**-54, 1.0, size)
         return sigma * quantised(ndtri(u), 32)
 
     def happens(self, probability: float, size: int) -> BoolArray:
-        """(size,) True with the given probability each."""
+        """(size,) True with the given probability, independently."""
         return self.uniform(0.0, 1.0, size) < probability
 
     def one_uniform(self, low: float = 0.0, high: float = 1.0) -> float:
@@ -61,15 +62,15 @@ class Chance:
         return self.one_uniform() < probability
 
     def index(self, count: int) -> int:
-        """One of 0 … count - 1."""
+        """Uniform in 0 … count - 1."""
         return min(int(self.one_uniform() * count), count - 1)
 
     def weighted_index(self, weights: FloatArray) -> int:
-        """An index drawn in proportion to its weight; the weights are not negative."""
+        """An index drawn with probability proportional to its non-negative weight."""
         total = np.cumsum(weights)
         at = self.one_uniform() * total[-1]
         return min(int(np.searchsorted(total, at, side="right")), len(total) - 1)
 
     def order(self, count: int) -> IntArray:
-        """(count,) the numbers 0 … count - 1 in random order."""
+        """(count,) a random permutation of 0 … count - 1."""
         return np.argsort(self.uniform(0.0, 1.0, count), kind="stable")

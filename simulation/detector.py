@@ -1,4 +1,4 @@
-"""The junction detector: what the robot reports while it drives by a junction."""
+"""The simulated junction detector: the messages sent while the robot passes a junction."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .motion import Drive
 from .world import World
 
 REACH_M = 1.0
-"""A junction is seen from this way before it to this way after it."""
+"""A junction is detected from this distance before to this distance after it, along the path."""
 
 NO_VERTEX = -1
-"""Stands for the vertex of a phantom, and for no vertex at all."""
+"""Vertex of a phantom, or of no pass."""
 
 LEAST_GAP_RAD = 0.7
-"""Invented branches keep this distance from the others."""
+"""Least angle between an invented branch and the others."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sightings:
     """Messages and passes; times in seconds of the detector's clock (true time + lag).
 
-    Messages: time_s: (k,); centre: (k, 2) and branches: k rows, in the robot's frame. Passes by
-    time: start_s, end_s: (p,); vertex: (p,), NO_VERTEX for phantoms; messages: (p,) how many were
-    sent; fault: p words: "" where nothing was wrong, "missed", "wrong pass", "wrong vertex",
-    "phantom". A pass of no messages was missed.
+    Messages: time_s (k,); centre (k, 2) [m] and branches, k rows [rad], in the robot's frame.
+    Passes by time: start_s, end_s (p,); vertex (p,), NO_VERTEX for phantoms; messages (p,): their
+    number, 0 for a missed pass; fault (p,): "", "missed", "wrong pass", "wrong vertex" or
+    "phantom".
     """
 
     time_s: FloatArray
@@ -46,7 +46,7 @@ class Sightings:
 
 @dataclass(frozen=True, slots=True)
 class _Pass:
-    """One pass before the detector's noise: what there is to see, and when."""
+    """One pass without message noise, in the world's frame."""
 
     start_s: float
     end_s: float
@@ -65,7 +65,7 @@ def sightings(
     rate_hz: float,
     chance: Chance,
 ) -> Sightings:
-    """Everything that the detector reports during a drive, and the truth about it."""
+    """The detector's messages during a drive, and the truth about its passes."""
     passes = _visits(world, drive, closed, faults, chance) + _phantoms(drive, faults, chance)
     passes.sort(key=lambda p: p.start_s)
     time, owner = _message_times(passes, float(drive.time_s[-1]), rate_hz, faults, chance)
@@ -89,7 +89,7 @@ def sightings(
 def _visits(
     world: World, drive: Drive, closed: set[int], faults: Faults, chance: Chance
 ) -> list[_Pass]:
-    """A pass for every visit of a vertex; half-way to the next visit belongs to each."""
+    """A pass for every visit of a vertex; it ends before half-way to the next visit."""
     way = drive.visit_way_m
     gap = np.concatenate([[np.inf], np.diff(way), [np.inf]])
     start = drive.first_at(way - np.minimum(REACH_M, 0.45 * gap[:-1]))
@@ -112,7 +112,7 @@ def _visits(
 def _branches_of_run(
     world: World, vertices: set[int], closed: set[int], faults: Faults, chance: Chance
 ) -> dict[int, tuple[tuple[float, ...], str]]:
-    """What there is to see at each vertex during this run, and what is wrong with it."""
+    """For each vertex the branches that can be seen in this run, and their fault."""
     out = {}
     for v in sorted(vertices):
         branches = tuple(h for e, _, h in world.ends(v) if e not in closed)
@@ -122,7 +122,7 @@ def _branches_of_run(
 
 
 def _altered(branches: tuple[float, ...], chance: Chance) -> tuple[float, ...]:
-    """One branch less (six times in ten) or more; a lone branch can only gain one."""
+    """The branches with one less (probability 0.6) or one more; a single branch only gains one."""
     ordered = np.sort(np.array(branches))
     gaps = np.diff(np.append(ordered, ordered[:1] + 2 * np.pi))
     room: FloatArray = np.maximum(gaps - 2 * LEAST_GAP_RAD, 0.0)
@@ -137,7 +137,8 @@ def _altered(branches: tuple[float, ...], chance: Chance) -> tuple[float, ...]:
 
 
 def _phantoms(drive: Drive, faults: Faults, chance: Chance) -> list[_Pass]:
-    """Invented junctions in corridors: the corridor's two branches and up to two more."""
+    """Invented junctions in corridors, with the corridor's two directions and up to two more
+    branches."""
     length = drive.leg_to_m - drive.leg_from_m
     hit = chance.happens(faults.phantom_rate, len(length)) & (length > 4.5)
     passes = []
@@ -171,10 +172,10 @@ def _message_times(
 def _branch_rows(
     passes: list[_Pass], owner: IntArray, theta: FloatArray, faults: Faults, chance: Chance
 ) -> Ragged:
-    """The branches of every message in the robot's frame, in random order.
+    """Each message's branches in the robot's frame, with noise, in random order.
 
-    Rows are laid out flat: the pass's branches repeated for each of its messages; only the few
-    wrong messages are made one by one.
+    All rows are computed at once; only messages with a wrong number of branches are made one by
+    one.
     """
     half = np.radians(np.sqrt(0.5) * faults.branch_deg)
     by_pass = Ragged.from_rows([p.branches for p in passes])

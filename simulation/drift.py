@@ -1,4 +1,4 @@
-"""Odometry: the true motion, measured badly."""
+"""Simulated odometry: the true motion with errors."""
 
 from __future__ import annotations
 
@@ -17,35 +17,35 @@ from .motion import Drive
 
 @dataclass(frozen=True, slots=True)
 class Drift:
-    """What is wrong with the odometry. Names that end in `_sigma` are drawn once per run."""
+    """The odometry's errors. Those named `_sigma` are drawn once per run."""
 
     along_m_per_sqrt_m: float = 0.0
-    """Random walk of the position along the way; across it half as much."""
+    """Random walk of the position along the path; half as much across it."""
     heading_deg_per_sqrt_m: float = 0.0
-    """Random walk of the heading with the way."""
+    """Random walk of the heading with distance."""
     heading_deg_per_sqrt_rad: float = 0.0
     """Random walk of the heading with the angle turned."""
     scale_sigma: float = 0.0
-    """Relative error of all lengths."""
+    """Relative error of lengths."""
     turn_scale_sigma: float = 0.0
-    """Relative error of all turns."""
+    """Relative error of turns."""
     gyro_bias_deg_per_s_sigma: float = 0.0
-    """Steady turning with time."""
+    """Constant rate error of the heading."""
     heading_bias_deg_per_m: float = 0.0
-    """Steady turning with the way, for every run: 3 means 3° too little per metre."""
+    """Systematic heading error with distance, in every run: 3 means 3° too little per metre."""
     sideways_slip_m_per_rad: float = 0.0
-    """Unseen sliding outwards in turns while driving."""
+    """Unmeasured sideways motion, outwards in turns while driving."""
     heading_jumps_per_100_m: float = 0.0
-    """Knocks that turn the heading at once, and go unseen."""
+    """Rate of sudden heading errors that the odometry does not report."""
     heading_jump_deg: float = 20.0
-    """1 sigma of such a knock."""
+    """Standard deviation of such an error."""
     resets_per_100_m: float = 0.0
-    """The odometry starts again from zero: the track is broken there."""
+    """Rate of resets to zero, which break the track."""
     jumps: int = 0
-    """So often, spread over the way, the odometry's frame jumps while the robot drives on."""
+    """Number of jumps of the odometry's frame, spread evenly over the path."""
     jump_m: float = 0.5
     jump_deg: float = 30.0
-    """Size of every such jump; whither is random."""
+    """Size of every such jump, in a random direction."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -94,15 +94,15 @@ DRIFTS: Mapping[str, Drift] = MappingProxyType(
         ),
     }
 )
-"""Levels by name; "real" stands for the odometry of the robots in public data sets."""
+"""Levels by name; "real" resembles the robots of public data sets."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredTrack:
-    """Odometry rows: time_s: (n,); pose: (n, 3) T_odom_base; breaks: (k,) rows where a reset is.
+    """Odometry rows: time_s (n,); pose (n, 3) T_odom_base; breaks (k,): rows of resets.
 
-    jumps: (j,) rows into which a jump or an unseen knock of the heading falls; true_pose: (n, 3) in
-    the world; twist: (n, 2) forward speed [m/s] and turning speed [rad/s].
+    jumps: (j,) rows of jumps and sudden heading errors; true_pose: (n, 3) in the world; twist: (n,
+    2) forward [m/s] and angular [rad/s] speed.
     """
 
     time_s: FloatArray
@@ -114,7 +114,7 @@ class MeasuredTrack:
 
 
 def measured(drive: Drive, drift: Drift, rate_hz: float, chance: Chance) -> MeasuredTrack:
-    """What the robot's odometry says of a drive, in a frame of its own. O(n), vectorised."""
+    """The odometry of a drive, in its own frame. O(n), vectorised."""
     time = _stamps(float(drive.time_s[-1]), rate_hz, chance)
     period = np.diff(time)
     true = drive.at(time)
@@ -137,7 +137,7 @@ def measured(drive: Drive, drift: Drift, rate_hz: float, chance: Chance) -> Meas
 
 
 def _stamps(end_s: float, rate_hz: float, chance: Chance) -> FloatArray:
-    """(n,) times of the odometry's messages: even but for some jitter."""
+    """(n,) times of the odometry's messages: periodic with jitter."""
     count = int(end_s * rate_hz) + 1
     time = np.arange(count) / rate_hz
     time[1:-1] += np.clip(chance.normal(0.05, count - 2), -0.3, 0.3) / rate_hz
@@ -147,7 +147,7 @@ def _stamps(end_s: float, rate_hz: float, chance: Chance) -> FloatArray:
 def _moves(
     step: FloatArray, turn: FloatArray, drift: Drift, chance: Chance
 ) -> tuple[FloatArray, FloatArray]:
-    """Way forward and to the left in every step, as measured."""
+    """Measured motion forward and to the left in every step [m]."""
     way = np.hypot(step[:, 0], step[:, 1])
     noise = drift.along_m_per_sqrt_m * np.sqrt(way)
     scale = 1 + chance.one_normal(drift.scale_sigma)
@@ -160,7 +160,7 @@ def _moves(
 def _turns(
     way: FloatArray, turn: FloatArray, period: FloatArray, drift: Drift, chance: Chance
 ) -> FloatArray:
-    """Turn in every step [rad], as measured."""
+    """Measured rotation in every step [rad]."""
     scaled = turn * (1 + chance.one_normal(drift.turn_scale_sigma))
     walk = drift.heading_deg_per_sqrt_m * np.sqrt(way) * chance.normal(1.0, len(way))
     per_turn = drift.heading_deg_per_sqrt_rad * np.sqrt(np.abs(turn))
@@ -170,17 +170,19 @@ def _turns(
 
 
 def _struck(way: FloatArray, per_100_m: float, chance: Chance) -> IntArray:
-    """Steps in which something befalls the robot, at an even rate along the way; not the ends."""
+    """Indices of steps with an event, of constant rate along the path, without the first and last
+    two."""
     hit = chance.uniform(0.0, 1.0, len(way)) < per_100_m * way / 100
     hit[:2] = hit[-2:] = False
     return np.flatnonzero(hit)
 
 
 def _leaps(way: FloatArray, drift: Drift, chance: Chance) -> tuple[IntArray, FloatArray]:
-    """Steps in which the odometry's frame jumps; (3, j) forward, to the left [m] and turn [rad]."""
+    """Steps in which the odometry's frame jumps; (3, j) the jump forward, to the left [m] and in
+    heading [rad]."""
     if drift.jumps == 0:
         return np.zeros(0, np.int64), np.zeros((3, 0))
-    # One in the middle half of each of as many equal parts of the way.
+    # One jump in the middle half of each of `jumps` equal parts of the path.
     share = (np.arange(drift.jumps) + chance.uniform(0.25, 0.75, drift.jumps)) / drift.jumps
     row = np.unique(np.searchsorted(np.cumsum(way), share * way.sum()))
     whither = chance.uniform(-np.pi, np.pi, len(row))
@@ -190,7 +192,7 @@ def _leaps(way: FloatArray, drift: Drift, chance: Chance) -> tuple[IntArray, Flo
 
 
 def _origin(chance: Chance) -> FloatArray:
-    """The first pose: zero for half of the robots, anything for the others."""
+    """The first pose: zero for half of the runs, random for the others."""
     if chance.one_happens(0.5):
         return np.zeros(3)
     xy = chance.uniform(-30.0, 30.0, 2)
@@ -204,10 +206,10 @@ def _integrated(
     origin: FloatArray,
     breaks: IntArray,
 ) -> FloatArray:
-    """(n + 1, 3) poses; at a break the track starts again from zero.
+    """(n + 1, 3) poses from steps; each break restarts at zero.
 
-    Increments are rounded to a micrometre before they are summed: then the sums are exact, and
-    the same on every machine.
+    Increments are rounded to a micrometre before summing, so that sums are exact and the same on
+    every machine.
     """
     n = len(forward)
     segment = np.searchsorted(breaks, np.arange(n + 1), side="right")

@@ -1,4 +1,5 @@
-"""What goes wrong besides the odometry: noise and mistakes of the detector, doors, detours."""
+"""Simulated errors other than the odometry's: detector noise and faults, closed doors, turning
+back."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from ..topology.errors import UsageError
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Noise (1 sigma) and rates (0 to 1) of everything but the odometry."""
+    """Noise (standard deviations) and rates (0 to 1) of everything but the odometry."""
 
     centre_m: float = 0.05
     """Junction centre, per axis; half of the variance is common to all messages of a pass."""
@@ -21,21 +22,21 @@ class Faults:
     """Branch heading; half of the variance is common to all messages of a pass."""
     lost_message_rate: float = 0.04
     missed_pass_rate: float = 0.0
-    """Passes of a junction without any message."""
+    """Passes without any message."""
     wrong_message_rate: float = 0.0
-    """Single messages with a branch too many or too few."""
+    """Messages with one branch too many or too few."""
     wrong_pass_rate: float = 0.0
-    """Passes with a branch too many or too few in all their messages."""
+    """Passes with one branch too many or too few in all messages."""
     wrong_vertex_rate: float = 0.0
-    """Junctions with a branch too many or too few during the whole run."""
+    """Junctions with one branch too many or too few in the whole run."""
     phantom_rate: float = 0.0
     """Invented junctions per corridor driven (corridors above 4.5 m)."""
     turn_back_rate: float = 0.0
-    """Corridors in which the robot turns back halfway (corridors above 5 m)."""
+    """Corridors in which the robot turns round on the way (above 5 m)."""
     closed_share: float = 0.0
-    """Corridors closed during the run (doors): their branches are not seen, nobody drives there."""
+    """Corridors closed in the run (doors): their branches are not seen and not driven."""
     lag_s: float = 0.0
-    """How much later than the odometry the detections are stamped."""
+    """Delay of the detector's stamps against the odometry's."""
 
     def __post_init__(self) -> None:
         for field in fields(self):

@@ -1,4 +1,4 @@
-"""The laser: scans of a world from where the robot truly is."""
+"""The simulated laser: scans of a world from the robot's true pose."""
 
 from __future__ import annotations
 
@@ -21,48 +21,48 @@ from .walls import Segments, doorways, walls_of
 from .world import World
 
 SCANS_AT_ONCE = 8
-"""So many scans look for walls together: more meet more walls that only one of them sees."""
+"""Scans cast together; with more, the set of walls in reach of any of them grows."""
 
 PANEL_M = 2.0
-"""Walls are of one material for so long."""
+"""Length of wall panels of one material."""
 
 GLASS_SEEN = 0.97
-"""Cosine to the normal from which on glass throws a beam back."""
+"""Glass reflects a beam if the cosine of its angle to the normal is at least this."""
 
 PERSON_M = 0.2
 """Radius of a person at the laser's height."""
 
 GRID_BITS = 8
-"""Ranges are multiples of 2^-8 m, 4 mm, as lasers give them: logs compress better."""
+"""Ranges are multiples of 2^-8 m (4 mm), a lidar's typical resolution: logs compress better."""
 
 
 @dataclass(frozen=True, slots=True)
 class LaserSettings:
-    """The laser, what it is mounted on, and what stands and walks about."""
+    """The laser, its mount, and doors, glass and people around it."""
 
     beams: int = 180
     view_deg: float = 270.0
-    """Angle between the first and the last beam, half of it to each side."""
+    """Angle between the first and the last beam, symmetric about the x axis."""
     rate_hz: float = 5.0
     sweep_s: float = 0.1
-    """Time between the first and the last beam of a scan: the robot drives on meanwhile."""
+    """Time between the first and the last beam of a scan, in which the robot moves on."""
     range_min_m: float = 0.1
     range_max_m: float = 12.0
     noise_m: float = 0.015
-    """Range, 1 sigma."""
+    """Standard deviation of ranges."""
     lost_rate: float = 0.002
-    """Beams that come back from nowhere."""
+    """Share of beams without an echo."""
     mount: tuple[float, float, float] = (0.15, 0.0, 0.0)
-    """Place of the laser on the robot: x, y [m], yaw [rad]."""
+    """Pose of the laser on the robot: x, y [m], yaw [rad]."""
     upside_down: bool = False
     corridor_m: float = 1.4
     """Width of all corridors."""
     door_share: float = 0.06
-    """Ends of corridors with a door that opens and closes."""
+    """Share of corridor ends with a door that opens and closes."""
     glass_share: float = 0.02
-    """Walls of glass: beams come back only where they meet it squarely."""
+    """Share of walls of glass, which reflect only near the normal."""
     people_per_100_m: float = 0.7
-    """People walking, by the length of all corridors."""
+    """Number of people walking, by the total corridor length."""
 
     def __post_init__(self) -> None:
         if not 2 <= self.beams <= 100_000:
@@ -91,15 +91,15 @@ LASERS: Mapping[str, LaserSettings] = MappingProxyType(
         ),
     }
 )
-"""What surrounds the laser, by the levels of faults."""
+"""Levels by name, as those of faults."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scans:
-    """Scans as recorded: time_s: (n,) of the first beam; ranges_m: (n, m) float32, inf where
-    nothing came back; angles_rad: (m,) ascending, in the laser's frame.
+    """Scans as recorded: time_s (n,) of the first beam; ranges_m (n, m) float32, inf without an
+    echo; angles_rad (m,) ascending, in the laser's frame.
 
-    doors: those of the world and when they were shut, by true time.
+    doors: the world's doors and when they were shut, in true time.
     """
 
     time_s: FloatArray
@@ -120,7 +120,7 @@ class Scans:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Scene:
-    """All that beams can meet, and which wall is glass: panels of wall s begin at panel_at[s]."""
+    """Everything that beams can hit; panel_at: (s,) index of each wall's first panel in `glass`."""
 
     walls: Segments
     glass: BoolArray
@@ -132,7 +132,7 @@ class _Scene:
 def scans(
     world: World, drive: Drive, closed: set[int], settings: LaserSettings, chance: Chance
 ) -> Scans:
-    """What the laser sees during a drive. O(scans × beams × walls in reach), vectorised."""
+    """The laser's scans during a drive. O(scans × beams × walls in reach), vectorised."""
     scene = _scene(world, drive, closed, settings, chance)
     half = np.radians(0.5 * settings.view_deg)
     angles: FloatArray = np.linspace(-half, half, settings.beams).round(9)
@@ -155,7 +155,7 @@ def scans(
     seen[chance.happens(settings.lost_rate, ranges.size).reshape(ranges.shape)] = np.inf
     finite = np.isfinite(seen)
     seen[finite] = quantised(np.maximum(seen[finite], settings.range_min_m), GRID_BITS)
-    # From range_max on, readers take a range for no echo.
+    # Readers treat ranges of range_max and more as no echo.
     seen[seen >= settings.range_max_m] = np.inf
     return Scans(start, seen.astype(np.float32), angles, settings, scene.doors)
 
@@ -185,7 +185,7 @@ def _cast(
     settings: LaserSettings,
     scene: _Scene,
 ) -> FloatArray:
-    """(n, m) true ranges of a few scans that follow on one another, inf where nothing is met."""
+    """(n, m) true ranges of a few consecutive scans, inf without a hit."""
     time_s = (start_s[:, None] + beam_s).ravel()
     robot = drive.at(time_s)
     laser = compose(robot, np.array(settings.mount))
@@ -202,13 +202,13 @@ def _cast(
     to_door, _, _ = cast_at_segments(origin, direction, take(scene.doors.walls, doors), shut)
     people = np.repeat(_people_seen(scene.people, start_s, drive), len(beam_s), axis=0)
     moving = np.minimum(to_door, cast_at_circles(origin, direction, people, PERSON_M))
-    # Who stands behind a wall of glass stands behind other walls as well.
+    # A beam lost in glass hits nothing behind it: people there are hidden by other walls as well.
     lost = (way <= moving) & _lost_in_glass(direction, wall, at, walls, scene)
     return np.where(lost, np.inf, np.minimum(way, moving)).reshape(len(start_s), -1)
 
 
 def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
-    """Numbers of the segments that may reach into a box."""
+    """Indices of the segments whose bounding box meets the given box."""
     least, most = np.minimum(segments.a, segments.b), np.maximum(segments.a, segments.b)
     return np.flatnonzero(((least <= high) & (most >= low)).all(axis=1)).astype(np.int64)
 
@@ -216,7 +216,8 @@ def _reached(segments: Segments, low: FloatArray, high: FloatArray) -> IntArray:
 def _lost_in_glass(
     direction: FloatArray, wall: IntArray, at: FloatArray, numbers: IntArray, scene: _Scene
 ) -> BoolArray:
-    """(r,) which beams meet glass and do not come back; wall, at: as met, among `numbers`."""
+    """(r,) which beams hit glass and give no echo. wall, at: as returned by the cast, among
+    `numbers`."""
     met = wall != NOTHING
     lost = np.zeros(len(wall), np.bool_)
     number = numbers[wall[met]]
@@ -228,7 +229,7 @@ def _lost_in_glass(
 
 
 def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray:
-    """(n, p, 2) where people are; who is in the robot's way is put where no beam goes."""
+    """(n, p, 2) positions of people; those in the robot's way are moved out of reach."""
     xy = people.at(time_s)
     near = np.hypot(*np.moveaxis(xy - drive.at(time_s)[:, None, :2], -1, 0)) < STEPS_ASIDE_M
     xy[near] = 1e9

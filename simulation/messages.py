@@ -1,8 +1,8 @@
 """Runs as ROS messages: nav_msgs/Odometry on /odom, geometry_msgs/PoseArray on /junctions.
 
-A detection is one PoseArray in the robot's frame: a pose per branch, each at the junction's centre
-and looking along its branch. A laser's scans are sensor_msgs/LaserScan on /scan, stamped with the
-time of their first beam, its place on the robot one message on /tf_static.
+A detection is one PoseArray in the robot's frame, with a pose for each branch: the junction's
+centre and the branch's heading. Scans are sensor_msgs/LaserScan on /scan, stamped with the time of
+their first beam; the laser's mount is one message on /tf_static.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ COVARIANCE = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
 
 @cache
 def typestore(ros: str) -> Typestore:
-    """What rosbags knows of the message types; ros: "ros1", "ros2"."""
+    """rosbags' store of message types; ros: "ros1" or "ros2"."""
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros == "ros1" else Stores.ROS2_JAZZY)
@@ -57,9 +57,9 @@ class Topic:
 
 
 def topics_of(simulated: SimulatedRun, ros: str) -> tuple[Topic, ...]:
-    """The topics of a run, serialized for ROS 1 or as the CDR of ROS 2. O(n).
+    """The topics of a run, serialized for ROS 1 or as CDR for ROS 2. O(n).
 
-    Messages reach the log some milliseconds after their stamp, like those of a real recorder.
+    Messages are logged some milliseconds after their stamp, as by a real recorder.
     """
     run = simulated.run
     chance = Chance("latency", len(run.odometry), len(run.detections))
@@ -90,7 +90,7 @@ def in_log_order(topics: tuple[Topic, ...]) -> list[tuple[int, int, int, bytes]]
 
 
 def _quaternion(yaw: FloatArray) -> FloatArray:
-    """(n, 4) x, y, z, w; rounded, so that processors agree and logs compress."""
+    """(n, 4) x, y, z, w, rounded: the same on every processor, and logs compress better."""
     zero = np.zeros_like(yaw)
     return np.column_stack(
         [zero, zero, quantised(np.sin(yaw / 2), 22), quantised(np.cos(yaw / 2), 22)]
@@ -99,7 +99,7 @@ def _quaternion(yaw: FloatArray) -> FloatArray:
 
 @cache
 def _named(ros: str) -> Any:
-    """The classes of the messages, by their names without the packages."""
+    """The message classes by their names without packages."""
     packages = ("geometry_msgs/", "nav_msgs/", "sensor_msgs/", "tf2_msgs/", "builtin_interfaces/")
     known = typestore(ros).types
     kinds = {n.rpartition("/")[2]: kind for n, kind in known.items() if n.startswith(packages)}
@@ -154,7 +154,7 @@ def _detections(simulated: SimulatedRun, ros: str) -> list[bytes]:
 
 
 def _laser(simulated: SimulatedRun, scans: Scans, ros: str) -> tuple[Topic, Topic]:
-    """The scans, each in the log when its sweep is done, and where the laser is mounted."""
+    """The scans, each logged when its sweep is complete, and the laser's mount."""
     first_ns = simulated.run.odometry.time_ns[:1]
     stamp_ns = simulated.scans_ns
     chance = Chance("laser latency", len(scans))
@@ -188,7 +188,7 @@ def _mount(simulated: SimulatedRun, scans: Scans, time_ns: int, ros: str) -> byt
     (x, y, yaw), m = scans.settings.mount, _named(ros)
     turn = _quaternion(np.array([yaw]))[0].tolist()
     if scans.settings.upside_down:
-        # Half a turn about the x axis after the yaw: (z, w) becomes (y, x).
+        # Yaw, then half a turn about x: the quaternion (0, 0, z, w) becomes (w, z, 0, 0).
         turn = [turn[3], turn[2], 0.0, 0.0]
     header = _header(ros, time_ns, simulated.run.odometry.child_frame)
     place = m.Transform(m.Vector3(x, y, 0.2), m.Quaternion(*turn))

@@ -1,4 +1,4 @@
-"""How a robot moves along its legs: the true path and its clock."""
+"""The robot's motion along its legs: true path and time."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from .walk import Leg
 from .world import World, polyline_at, polyline_length
 
 STEP_M = 0.05
-"""A planned way has a point about this often."""
+"""Spacing of the planned path's points."""
 
 
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
-    """How fast and how tidily a robot drives."""
+    """The robot's speeds, and its deviation from the corridors' centre lines."""
 
     slowest_m_per_s: float = 0.6
     fastest_m_per_s: float = 1.0
-    """The cruising speed is drawn once per run between these two."""
+    """The cruising speed is drawn once per run between slowest and fastest."""
     turn_rate_rad_per_s: float = 1.0
     wobble_m: float = 0.05
-    """Sideways wandering in the corridor, 1 sigma per axis."""
+    """Deviation from the centre line, standard deviation per axis."""
     corner_m: float = 0.2
-    """How far corners are cut (sigma of the smoothing along the way)."""
+    """Corner cutting: standard deviation of the Gaussian smoothing along the path."""
     stop_rate: float = 0.03
-    """Chance of standing still for 2 to 8 s at a junction."""
+    """Probability of standing still for 2 to 8 s at a junction."""
 
     def __post_init__(self) -> None:
         if not 0 < self.slowest_m_per_s <= self.fastest_m_per_s:
@@ -42,11 +42,12 @@ class MotionSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drive:
-    """Where the robot truly was.
+    """The robot's true motion.
 
     time_s: (k,) ascending from 0; pose: (k, 3) x, y [m], theta [rad, unwrapped] in the world;
-    way_m: (k,) planned way. Visits of junctions by time: visit_vertex, visit_way_m: (v,).
-    leg_edge, leg_from_m, leg_to_m: (l,) corridors driven end to end and their planned way.
+    way_m: (k,) distance along the planned path. visit_vertex, visit_way_m: (v,) visits of junctions
+    by time. leg_edge, leg_from_m, leg_to_m: (l,) corridors driven from end to end, and their
+    interval of the planned path.
     """
 
     time_s: FloatArray
@@ -64,15 +65,16 @@ class Drive:
         return quantised(np.column_stack(columns), 26)
 
     def first_at(self, way_m: FloatArray) -> FloatArray:
-        """(m,) times at which the robot first was so far on its planned way."""
+        """(m,) times at which the robot first reached a distance along its planned path."""
         return self._when(way_m, np.searchsorted(self.way_m, way_m, side="left"))
 
     def last_at(self, way_m: FloatArray) -> FloatArray:
-        """(m,) times at which it last was so far: where it turns on the spot the way rests."""
+        """(m,) times at which it was last there: while it turns on the spot the distance does not
+        change."""
         return self._when(way_m, np.searchsorted(self.way_m, way_m, side="right"))
 
     def _when(self, way_m: FloatArray, after: IntArray) -> FloatArray:
-        """Linear between the samples `after` - 1 and `after`, held at the ends."""
+        """Linear interpolation between the samples `after` - 1 and `after`, clamped to the ends."""
         j = np.clip(after, 1, len(self.way_m) - 1)
         span = np.maximum(self.way_m[j] - self.way_m[j - 1], 1e-9)
         part = np.clip((way_m - self.way_m[j - 1]) / span, 0.0, 1.0)
@@ -82,7 +84,7 @@ class Drive:
 
 @dataclass(slots=True)
 class _Plan:
-    """Pieces of way between reversals, and what lies along them."""
+    """The planned path in pieces between reversals, with its visits and legs."""
 
     pieces: list[list[FloatArray]]
     visit_vertex: list[int]
@@ -92,7 +94,7 @@ class _Plan:
 
 
 def drive(world: World, legs: list[Leg], settings: MotionSettings, chance: Chance) -> Drive:
-    """Drive the legs, which must follow on one another. O(way / STEP_M), vectorised."""
+    """Drive consecutive legs. O(path length / STEP_M), vectorised."""
     plan = _planned(world, legs)
     ways, points = _sampled(plan)
     parts = [_smoothed(p, settings, chance) for p in points]
@@ -112,7 +114,7 @@ def drive(world: World, legs: list[Leg], settings: MotionSettings, chance: Chanc
 
 
 def _planned(world: World, legs: list[Leg]) -> _Plan:
-    """The corridor centre lines in order, a new piece wherever the robot turns round."""
+    """The corridors' centre lines in order, with a new piece wherever the robot turns round."""
     plan = _Plan([[]], [legs[0].source], [0.0], [])
     came_by: int | None = None
     for leg in legs:
@@ -146,7 +148,7 @@ def _cut(path: FloatArray, way_m: float) -> FloatArray:
 
 
 def _sampled(plan: _Plan) -> tuple[list[FloatArray], list[FloatArray]]:
-    """Planned way and points about every STEP_M, by piece."""
+    """For each piece the planned distance and points about every STEP_M."""
     ways, points, start = [], [], 0.0
     for piece in plan.pieces:
         path = np.concatenate([piece[0], *[part[1:] for part in piece[1:]]])
@@ -159,7 +161,7 @@ def _sampled(plan: _Plan) -> tuple[list[FloatArray], list[FloatArray]]:
 
 
 def _smooth(values: FloatArray, width: float) -> FloatArray:
-    """Gaussian smoothing along a column, the ends held."""
+    """Gaussian smoothing of a column with constant padding; width in samples."""
     reach = int(np.ceil(4 * width))
     kernel = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width) ** 2)
     padded = np.concatenate([np.repeat(values[:1], reach), values, np.repeat(values[-1:], reach)])
@@ -168,7 +170,7 @@ def _smooth(values: FloatArray, width: float) -> FloatArray:
 
 
 def _wander(count: int, sigma: float, width: float, chance: Chance) -> FloatArray:
-    """(count,) smooth noise of the given sigma, correlated over `width` samples."""
+    """(count,) Gaussian noise of standard deviation `sigma`, smoothed over `width` samples."""
     if sigma == 0:
         return np.zeros(count)
     noise = chance.normal(1.0, count)
@@ -177,7 +179,7 @@ def _wander(count: int, sigma: float, width: float, chance: Chance) -> FloatArra
 
 
 def _smoothed(xy: FloatArray, settings: MotionSettings, chance: Chance) -> FloatArray:
-    """Corners cut, with some wandering."""
+    """The path with corners smoothed and deviations added."""
     columns = [
         _smooth(column, settings.corner_m / STEP_M)
         + _wander(len(column), settings.wobble_m, 1.2 / STEP_M, chance)
@@ -189,10 +191,10 @@ def _smoothed(xy: FloatArray, settings: MotionSettings, chance: Chance) -> Float
 def _joined(
     ways: list[FloatArray], parts: list[FloatArray], chance: Chance
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The pieces one after another, with a turn on the spot between each two.
+    """The pieces one after another, with turns on the spot between them.
 
-    Within a piece the robot looks where it drives; between two it turns in steps of 0.1 rad while
-    it moves over to where the next piece begins.
+    Within a piece the heading is that of the path; between two it turns in steps of 0.1 rad while
+    the position moves to the next piece's start.
     """
     out_way, out_xy, out_theta = [], [], []
     theta_end: float | None = None
@@ -228,7 +230,7 @@ def _clock(
     settings: MotionSettings,
     chance: Chance,
 ) -> FloatArray:
-    """(k,) time of every sample [s]: cruising, slower in turns, now and then standing still."""
+    """(k,) time of every sample [s]: varying cruising speed, limited turn rate, and stops."""
     cruise = chance.one_uniform(settings.slowest_m_per_s, settings.fastest_m_per_s)
     pace = 1 + _wander(len(way) - 1, 0.12, 2.0 / STEP_M, chance)
     speed = np.clip(cruise * pace, 0.5 * cruise, 1.2 * cruise)

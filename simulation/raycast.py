@@ -1,4 +1,4 @@
-"""What a beam meets first: walls, doors, people."""
+"""Ray casting against wall segments and circles."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 from .walls import Segments
 
 NOTHING = -1
-"""Stands for the segment that a beam meets, where it meets none."""
+"""Segment of a beam that hits none."""
 
 
 def cast_at_segments(
@@ -17,11 +17,11 @@ def cast_at_segments(
     segments: Segments,
     present: BoolArray | None = None,
 ) -> tuple[FloatArray, IntArray, FloatArray]:
-    """How far each beam gets, which segment it meets, and where on it. O(r s), vectorised.
+    """The first hit of each beam on a set of segments. O(r s), vectorised.
 
-    origin, direction: (r, 2), directions of length 1; present: (r, s) which segments are there for
-    which beam. Returns way (r,) [m], inf where nothing is met; segment (r,), NOTHING there; at (r,)
-    way along the segment from its begin [m].
+    origin, direction: (r, 2), directions of unit length; present: (r, s) which segments exist for
+    which beam. Returns range (r,) [m], inf without a hit; segment (r,), else NOTHING; at (r,)
+    distance from the segment's start [m].
     """
     if len(segments) == 0:
         rays = len(origin)
@@ -49,9 +49,9 @@ def cast_at_segments(
 def cast_at_circles(
     origin: FloatArray, direction: FloatArray, centre: FloatArray, radius_m: float
 ) -> FloatArray:
-    """(r,) way of each beam to the nearest circle, inf where it meets none.
+    """(r,) range of each beam to the nearest circle, inf without a hit.
 
-    origin, direction: (r, 2); centre: (r, p, 2), where the circles are for each beam.
+    origin, direction: (r, 2); centre: (r, p, 2), the circles' positions for each beam.
     """
     if centre.shape[1] == 0:
         return np.full(len(origin), np.inf)

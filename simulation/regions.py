@@ -1,4 +1,4 @@
-"""Which part of a world each run explores, so that runs overlap as planned."""
+"""The part of a world that each run explores, for a given overlap of runs."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from .world import World
 def grown(
     world: World, inside: set[int], size: int, cost: FloatArray, banned: set[int]
 ) -> set[int]:
-    """A connected set made larger, up to `size`, always by its neighbour of least cost.
+    """A connected set of vertices grown to `size`, by the neighbour of least cost each time.
 
-    cost: (n,); vertices in `banned` are not taken. O(corridors log corridors).
+    cost: (n,); vertices in `banned` are not added. O(corridors log corridors).
     """
     region = set(inside)
     heap = [(float(cost[v]), v) for v in _beside(world, region) - banned]
@@ -38,11 +38,11 @@ def grown(
 def chain_of_regions(
     world: World, runs: int, size: int, overlap: float, chance: Chance
 ) -> list[set[int]]:
-    """Connected regions in a row: each shares about `overlap` of its vertices with the one before.
+    """Connected regions in a row, each sharing about `overlap` of its vertices with the one before.
 
-    The world is swept along several directions, and along the way from either end; the sweep whose
-    overlaps come nearest wins.
-    With `overlap` 0 the regions share nothing and leave a gap of one vertex.
+    Several sweeps over the world are tried, in directions of the plane and by distance from either
+    end; the one whose overlaps are nearest is taken. With `overlap` 0 regions are disjoint, with a
+    gap of one vertex.
     """
 
     def miss(regions: list[set[int]]) -> float:
@@ -57,9 +57,9 @@ def chain_of_regions(
 
 
 def _way_from(world: World, vertex: int) -> FloatArray:
-    """(n,) length of the shortest way from one vertex to each [m], rounded to a millimetre.
+    """(n,) shortest path length from a vertex to each [m], rounded to a millimetre.
 
-    Two corridors between the same vertices count as one of their joint length.
+    Parallel corridors count as one with the sum of their lengths.
     """
     ends = (world.source, world.target)
     lengths = coo_matrix((world.length, ends), shape=(len(world), len(world)))
@@ -69,7 +69,8 @@ def _way_from(world: World, vertex: int) -> FloatArray:
 
 
 def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray) -> list[set[int]]:
-    """Regions one after another along a coordinate of the vertices; fewer where room runs out."""
+    """Regions in order of a coordinate of the vertices; fewer than asked if the world is too
+    small."""
     regions = [grown(world, {int(np.argmin(sweep))}, size, sweep, set())]
     used = set(regions[0])
     common = round(overlap * size)
@@ -82,7 +83,7 @@ def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray
             if not fresh:
                 break
             start = min(sorted(fresh), key=lambda v: float(sweep[v]))
-            # The shared part first, backwards into the last region, then onwards from all of it.
+            # First the shared part, backwards into the last region, then the rest onwards from it.
             allowed = last - set.union(set(), *regions[:-1])
             allowed = allowed if len(allowed) >= common else last
             outside = set(range(len(world))) - allowed - {start}
@@ -96,7 +97,7 @@ def _sweep(world: World, runs: int, size: int, overlap: float, sweep: FloatArray
 
 
 def _apart(world: World, size: int, sweep: FloatArray, banned: set[int]) -> set[int]:
-    """The first region along the sweep, clear of what is banned, that has room for `size`."""
+    """The first region of `size` along the sweep without banned vertices; else the largest."""
     best: set[int] = set()
     tried: set[int] = set()
     for start in np.argsort(sweep, kind="stable").tolist():
@@ -111,12 +112,12 @@ def _apart(world: World, size: int, sweep: FloatArray, banned: set[int]) -> set[
 
 
 def _beside(world: World, region: set[int]) -> set[int]:
-    """The vertices one corridor away from a set."""
+    """The neighbours of a set of vertices."""
     return {other for v in region for _, other, _ in world.ends(v)} - region
 
 
 def scattered_regions(world: World, runs: int, size: int, chance: Chance) -> list[set[int]]:
-    """Discs of vertices around places that few runs have seen; overlap as it comes."""
+    """Discs of vertices, centred where few regions are yet; the overlap is not controlled."""
     load = np.zeros(len(world))
     regions = []
     for _ in range(runs):

@@ -1,7 +1,7 @@
 """Makes the sample logs: `python -m topobatch.simulation.samples sample_logs`.
 
-Three runs through one maze, each in another container, one through streets elsewhere, and one of a
-robot with a laser in an office. Running it again gives the same messages.
+Three runs in a maze, each in another container, one in streets elsewhere, and one of a robot with a
+laser in an office. Deterministic.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from .writing import write_scenario
 BRISK = MotionSettings(
     slowest_m_per_s=1.3, fastest_m_per_s=1.5, turn_rate_rad_per_s=2.0, stop_rate=0.01
 )
-"""Short runs make small files."""
+"""Fast driving gives short runs and small files."""
 
 CONTAINERS = {"maze-1": "mcap", "maze-2": "bag", "maze-3": "db3"}
-"""What is not named here is an MCAP file."""
+"""Container by run; the others are MCAP."""
 
 MAZE = ScenarioSettings(
     world="maze",
@@ -59,7 +59,7 @@ def sample_scenario() -> Scenario:
 
 
 def write_samples(folder: Path) -> list[Path]:
-    """Write the sample logs and their truth into a folder; the paths of the logs."""
+    """Write the sample logs and their truth into a folder; returns the paths of the logs."""
     scenario = sample_scenario()
     return write_scenario(
         scenario, folder, [CONTAINERS.get(name, "mcap") for name in scenario.runs]

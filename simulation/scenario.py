@@ -31,19 +31,19 @@ from .world import World
 from .worlds import WORLDS, make_world
 
 EPOCH_NS = 1_700_000_000 * 10**9
-"""When the first run begins: November 2023."""
+"""Start of the first run: November 2023."""
 BETWEEN_RUNS_NS = 7200 * 10**9
-"""From the begin of a run to that of the next: two hours."""
+"""Time from one run's start to the next one's: two hours."""
 Level = TypeVar("Level", Drift, Faults, LaserSettings)
 
 
 LEVELS: Mapping[str, Mapping[str, Any]] = {"drift": DRIFTS, "faults": FAULTS, "laser": LASERS}
-"""Settings that may be named."""
+"""Levels that settings may name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSettings:
-    """How a run is driven and recorded. Raises UsageError on what makes no sense."""
+    """How a run is driven and recorded. Raises UsageError on invalid values."""
 
     drift: str | Drift = "mid"
     """A level (none, low, mid, high, real) or a Drift."""
@@ -54,9 +54,9 @@ class RunSettings:
     odometry_hz: float = 20.0
     detector_hz: float = 7.0
     laser: str | LaserSettings | None = None
-    """A level (none, mild, harsh) or a LaserSettings; None: there is no laser."""
+    """A level (none, mild, harsh) or a LaserSettings; None for no laser."""
     tells_junctions: bool = True
-    """Whether the log holds what the detector reports."""
+    """Whether the log holds the detector's messages."""
 
     def __post_init__(self) -> None:
         for name, known in LEVELS.items():
@@ -69,8 +69,8 @@ class RunSettings:
 
 @dataclass(frozen=True, slots=True)
 class ScenarioSettings(RunSettings):
-    """What to simulate: worlds, and runs that are all driven and recorded the same way. Raises
-    UsageError on what makes no sense."""
+    """What to simulate: a world, and runs with common settings. Raises UsageError on invalid
+    values."""
 
     world: str = "maze"
     """Kind of world: maze, office, organic, city, rows or tiles."""
@@ -79,13 +79,13 @@ class ScenarioSettings(RunSettings):
     """Share of a run's junctions that the run before it also visits, 0 … 0.9."""
     junctions_per_run: int = 50
     unrelated_runs: int = 0
-    """Further runs, each in a world of its own of the same kind."""
+    """Further runs, each in a world of its own."""
     world_junctions: int | None = None
-    """Size of the world; by default the runs just fit."""
+    """Size of the world; by default as large as the runs need."""
     prefix: str = "run"
-    """Runs are named prefix + number."""
+    """Prefix of the runs' names, before a number."""
     seed: int = 0
-    """Another seed is another world, other ways and other errors."""
+    """Seed of the world, the paths and the errors."""
 
     def __post_init__(self) -> None:
         RunSettings.__post_init__(self)
@@ -114,10 +114,10 @@ def _one_of(name: str, value: str, known: Mapping[str, Any]) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SimulatedRun:
-    """A run as its log will hold it, the truth about it, and the measured speeds.
+    """A run as in its log, with its truth.
 
-    twist: (n, 2) forward [m/s] and turning speed [rad/s] of every odometry row; scans: what the
-    laser saw, None without one; scans_ns: (k,) their stamps; tells_junctions: whether the log holds
+    twist: (n, 2) measured forward [m/s] and angular [rad/s] speed of every odometry row; scans:
+    None without a laser; scans_ns: (k,) their stamps; tells_junctions: whether the log holds
     `run.detections`.
     """
 
@@ -159,10 +159,10 @@ def joined(*scenarios: Scenario) -> Scenario:
 
 
 def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
-    """The runs that the settings describe: same settings, same runs, on any machine.
+    """The runs that the settings describe; deterministic on any machine.
 
-    The names of the runs are dealt out at random, so they tell nothing about who overlaps with
-    whom. Raises UsageError if no world has room for what is asked.
+    The runs' names are in random order, so that they do not tell which runs overlap. Raises
+    UsageError if no world has room for them.
     """
     s = settings or ScenarioSettings()
     world, regions = _world_with_regions(s)
@@ -195,7 +195,7 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
 def _world_with_regions(
     s: ScenarioSettings, seed: int | None = None
 ) -> tuple[World, list[set[int]]]:
-    """A world with room for the runs, and the region of each run; larger worlds until they fit."""
+    """A world and the region of each run; larger worlds are tried until the regions fit."""
     world_seed = s.seed if seed is None else seed
     size, chance = s.junctions_per_run, Chance("regions", world_seed)
     wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
@@ -222,10 +222,10 @@ def simulate_run(
     world_name: str | None = None,
     start_ns: int = EPOCH_NS,
 ) -> SimulatedRun:
-    """One robot explores a connected region of a world (all of it by default) and records a run.
+    """One robot explores a connected region of a world (by default all of it) and records a run.
 
-    O(way driven), vectorised: about 50 ms for 100 junctions. Raises UsageError if the region has
-    no corridor to drive in.
+    O(path length), vectorised: about 50 ms for 100 junctions. Raises UsageError if the region has
+    no corridor.
     """
     s = settings or RunSettings()
     drift, faults = _level(DRIFTS, s.drift), _level(FAULTS, s.faults)
@@ -282,7 +282,7 @@ def _level(known: Mapping[str, Level], value: str | Level) -> Level:
 def _told(
     settings: RunSettings, drift: Drift, faults: Faults, laser: LaserSettings | None
 ) -> dict[str, Any]:
-    """The settings of a run for the truth, written out; without a laser nothing is said of one."""
+    """The run's settings for the truth, with levels replaced by their values."""
     by_name = {f.name: getattr(settings, f.name) for f in fields(RunSettings)}
     told = asdict(RunSettings(**by_name | {"drift": drift, "faults": faults, "laser": laser}))
     if laser is None:
@@ -291,7 +291,7 @@ def _told(
 
 
 def _shut(scans: Scans | None, stamps: Any) -> tuple[tuple[int, int, int, int], ...]:
-    """Corridor, vertex, from and to [ns] of every time that a door was shut."""
+    """Corridor, vertex, from and to [ns] of every interval in which a door was shut."""
     if scans is None:
         return ()
     doors = scans.doors

@@ -1,7 +1,7 @@
-"""Tunnels and halls laid out from a dozen standard tiles: worlds that repeat one another exactly.
+"""Worlds of a dozen standard tiles, which repeat one another exactly.
 
-Every seed draws from the same tiles, turned by quarter turns but never mirrored, so that different
-worlds share junctions, angles and lengths; what tells them apart is which tile stands by which.
+Every seed uses the same tiles, rotated by quarter turns but not mirrored, so that different worlds
+share junctions, angles and lengths and differ only in which tiles are neighbours.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from .world import Link, World, without_bends, world_of_links
 
 Point = tuple[int, int]
 Tile = tuple[tuple[Point, ...], ...]
-"""Corridors as polylines between points of a tile; those on its border lie halfway along a side."""
+"""Corridors as polylines between points of a tile; openings are the midpoints of its sides."""
 
 UNIT_M = 5.0
 SIDE = 4
@@ -41,7 +41,7 @@ TILES: tuple[Tile, ...] = (
 
 
 def tiles_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """About so many junctions of TILES put side by side, each joined to those before it."""
+    """About `junctions` junctions of adjacent TILES, each connected to those before it."""
     chance = Chance("tiles", seed)
     turned = [_turned(tile, quarter) for tile in TILES for quarter in range(4)]
     placed: dict[Point, Tile] = {(0, 0): TILES[0]}
@@ -59,7 +59,7 @@ def tiles_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
 
 
 _SIDES: tuple[Point, ...] = ((4, 2), (2, 4), (0, 2), (2, 0))
-"""Where a tile may open: right, top, left, bottom."""
+"""Openings of a tile: right, top, left, bottom."""
 
 
 def _turned(tile: Tile, quarters: int) -> Tile:
@@ -74,18 +74,18 @@ def _openings(tile: Tile) -> set[Point]:
 
 
 def _beyond(cell: Point, side: Point) -> Point:
-    """The cell on the other side of an opening."""
+    """The cell beyond an opening."""
     return cell[0] + side[0] // 2 - 1, cell[1] + side[1] // 2 - 1
 
 
 def _leads(placed: dict[Point, Tile], cell: Point, side: Point) -> bool:
-    """Whether the neighbour of a cell on that side opens to it."""
+    """Whether the cell's neighbour beyond `side` has an opening towards it."""
     beside = placed.get(_beyond(cell, side))
     return beside is not None and (SIDE - side[0], SIDE - side[1]) in _openings(beside)
 
 
 def _next_cell(placed: dict[Point, Tile], aspect: float, chance: Chance) -> Point:
-    """A free cell that some opening leads to: of three, the nearest to the first tile."""
+    """A free cell beyond an opening: of three random ones, the nearest to the first tile."""
     free = sorted(
         {
             cell
@@ -103,7 +103,7 @@ def _next_cell(placed: dict[Point, Tile], aspect: float, chance: Chance) -> Poin
 
 
 def _links(placed: dict[Point, Tile]) -> list[tuple[Point, ...]]:
-    """All corridors, in units."""
+    """All corridors, in units of UNIT_M."""
     return [
         tuple((SIDE * i + x, SIDE * j + y) for x, y in path)
         for (i, j), tile in sorted(placed.items())
@@ -112,7 +112,8 @@ def _links(placed: dict[Point, Tile]) -> list[tuple[Point, ...]]:
 
 
 def _vertices(links: list[tuple[Point, ...]]) -> int:
-    """Points joined to the middle of the first tile where other than two corridors end."""
+    """Number of points connected to the first tile's centre at which other than two corridors
+    end."""
     count: dict[Point, int] = defaultdict(int)
     joined = DisjointSet({p for path in links for p in (path[0], path[-1])})
     for path in links:
@@ -123,8 +124,7 @@ def _vertices(links: list[tuple[Point, ...]]) -> int:
 
 
 def _largest(name: str, paths: list[tuple[Point, ...]]) -> World:
-    """The world of the corridors that hang together; bends and openings that lead on are no
-    junctions."""
+    """The world of the largest connected part; bends and openings are no junctions."""
     points = sorted({p for path in paths for p in (path[0], path[-1])})
     number = {p: k for k, p in enumerate(points)}
     xy = UNIT_M * np.array(points, np.float64)

@@ -1,4 +1,4 @@
-"""What moves in a world while a robot drives: doors that open and close, people who walk."""
+"""Moving objects in a world: doors that open and close, people who walk."""
 
 from __future__ import annotations
 
@@ -13,33 +13,33 @@ from .walls import Segments
 from .world import World, polyline_at
 
 DOOR_STAYS_S = (20.0, 90.0)
-"""How long a door stays as it is."""
+"""Range of the time between changes of a door."""
 
 WAY_CLEAR_M = 1.2
-"""A door stands open while the robot is this near, and some seconds before and after."""
+"""A door is open while the robot is within this distance, and for WAY_CLEAR_S before and after."""
 
 WAY_CLEAR_S = 6.0
-"""The seconds before and after."""
+"""See WAY_CLEAR_M."""
 
 WALKING_M_PER_S = (0.8, 1.5)
-"""From a stroll to a brisk walk."""
+"""Range of walking speeds."""
 
 ASIDE_M = 0.3
-"""People keep to the right of a corridor's middle."""
+"""People walk this far to the right of the corridor's centre line."""
 
 STEPS_ASIDE_M = 0.6
-"""Who is nearer than this to the robot's middle has stepped out of its scan."""
+"""People within this distance of the robot's centre are removed from its scan."""
 
 TICK_S = 0.25
-"""How often people and doors are moved: at 1.5 m/s less than half a metre."""
+"""Time step of doors."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Doors:
     """Doors and when they are shut.
 
-    walls: (d,) segments; edge, vertex: (d,) the corridor and the end of it where each hangs;
-    door, from_s, to_s: (k,) spans of time in which door number `door` is shut, to the end.
+    walls: (d,) segments; edge, vertex: (d,) the corridor and the end of it at which each is; door,
+    from_s, to_s: (k,) half-open intervals in which door `door` is shut.
     """
 
     walls: Segments
@@ -64,10 +64,10 @@ def hang_doors(
     share: float,
     chance: Chance,
 ) -> Doors:
-    """Doors at a random share of the places where some can hang, and their times.
+    """Doors at a random share of the possible places, with the times when they are shut.
 
-    hinges: as `walls.doorways` gives them. Corridors that are `closed` for the run have a door at
-    each end that is always shut; others open and shut by chance, never in the robot's way.
+    hinges: as returned by `walls.doorways`. Corridors `closed` for the run have permanently shut
+    doors at both ends; others open and shut at random, never in the robot's way.
     """
     places, edge, vertex = hinges
     always = np.isin(edge, sorted(closed))
@@ -94,7 +94,7 @@ def hang_doors(
 
 
 def _shut_spans(passing: BoolArray, end_s: float, chance: Chance) -> list[tuple[float, float]]:
-    """Spans in which a door is shut; passing: at every tick, whether the robot is in its way."""
+    """Intervals in which a door is shut; passing: for every tick whether the robot is near."""
     stays = chance.uniform(*DOOR_STAYS_S, int(end_s / DOOR_STAYS_S[0]) + 2)
     turns = np.concatenate([[0.0], np.cumsum(stays)])
     ticks = TICK_S * np.arange(len(passing))
@@ -109,13 +109,14 @@ def _shut_spans(passing: BoolArray, end_s: float, chance: Chance) -> list[tuple[
 
 @dataclass(frozen=True, slots=True, eq=False)
 class People:
-    """Where people are: at: p rows of ascending times [s] with the points (k, 2) reached then."""
+    """Positions of people: for each of p people ascending times [s] and the points (k, 2) at
+    them."""
 
     time_s: tuple[FloatArray, ...]
     xy: tuple[FloatArray, ...]
 
     def at(self, time_s: FloatArray) -> FloatArray:
-        """(n, p, 2) where they are at each time."""
+        """(n, p, 2) positions at each time, interpolated linearly."""
         out = np.empty((len(time_s), len(self.xy), 2))
         for p, (times, points) in enumerate(zip(self.time_s, self.xy, strict=True)):
             for axis in (0, 1):
@@ -124,7 +125,7 @@ class People:
 
 
 def walk_about(world: World, closed: set[int], count: int, end_s: float, chance: Chance) -> People:
-    """So many people who wander from junction to junction, each at a pace of their own."""
+    """`count` people on random walks from junction to junction, each with a speed of its own."""
     ways = [_wander(world, closed, end_s, chance) for _ in range(count)]
     return People(tuple(time for time, _ in ways), tuple(xy for _, xy in ways))
 

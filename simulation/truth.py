@@ -1,4 +1,4 @@
-"""The truth about simulated runs, and `truth.json`: schema `topobatch.truth/1`.
+"""The ground truth of simulated runs, and `truth.json`: schema `topobatch.truth/1`.
 
     {"schema": "topobatch.truth/1",
      "worlds": {"maze": {"kind": "maze",
@@ -15,12 +15,12 @@
                        "settings": {…}}},
      "pairs": [{"a": "run1", "b": "run2", "common": [vertex, …], "transform": [x, y, theta]}]}
 
-Metres and radians in the frame of the world. A vertex or edge is named by its place in the list of
-its world. `vertex` is -1 for a phantom; a pass with 0 messages was not detected. Pass times are the
-detector's stamps, `path`, `drives` and `doors` are true times; `doors` tells when they were shut,
-and is left out of runs without a laser. `T_world_odom` places the odometry frame by the first pose;
-drift comes on top of it. `transform` is T_a_b, from the same placing; it and `common` (vertices
-that both runs detected) are there for every pair of runs of one world.
+Metres and radians in the world's frame. Vertices and edges are indices into their world's lists.
+`vertex` is -1 for a phantom; a pass with 0 messages was not detected. Times of passes are detector
+stamps, those of `path`, `drives` and `doors` true times; `doors` are the intervals in which they
+were shut, left out without a laser. `T_world_odom` is the odometry frame's pose by the run's first
+pose, without drift. `transform` is T_a_b by these poses; it and `common` (vertices that both runs
+detected) are given for every pair of runs of one world.
 """
 
 from __future__ import annotations
@@ -45,19 +45,19 @@ from .world import World
 TRUTH_SCHEMA = "topobatch.truth/1"
 
 MIXED = -2
-"""Stands for the vertex of a map's node that holds passes of several vertices."""
+"""Vertex of a map's node with passes of several vertices."""
 
 PASS_TOLERANCE_NS = 1_000_000_000
-"""An observation this near to a pass still belongs to it."""
+"""An observation within this time of a pass belongs to it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunTruth:
-    """What really happened in a run; the fields are those of `truth.json`, as arrays.
+    """The truth about a run, with the fields of `truth.json` as arrays.
 
-    start_ns, end_ns, vertex, messages: (p,) and fault: p words, the passes by time. drive_edge,
-    drive_start_ns, drive_end_ns: (l,) corridors driven end to end. path_ns: (k,), path: (k, 3).
-    doors: corridor, vertex at that end of it, from and to [ns] of each time that a door was shut.
+    start_ns, end_ns, vertex, messages (p,), fault (p,): passes by time. drive_edge, drive_start_ns,
+    drive_end_ns (l,): corridors driven from end to end. path_ns (k,), path (k, 3). doors: corridor,
+    vertex at that end of it, from and to [ns] of each interval in which a door was shut.
     """
 
     name: str
@@ -81,13 +81,13 @@ class RunTruth:
 
     @property
     def detected(self) -> set[int]:
-        """World vertices of which the run reported at least one pass."""
+        """World vertices with at least one detected pass."""
         return set(self.vertex[self.messages > 0].tolist()) - {NO_VERTEX}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """The worlds and the true runs of a scenario, by name."""
+    """The worlds and the truth of the runs of a scenario, by name."""
 
     worlds: Mapping[str, World]
     runs: Mapping[str, RunTruth]
@@ -99,10 +99,8 @@ class Truth:
         return sorted(self.runs[a].detected & self.runs[b].detected)
 
     def linked(self, least_common: int = 1) -> list[set[str]]:
-        """Groups of runs that a chain of pairs with so many common vertices links, by first name.
-
-        These are the components that a perfect merge finds.
-        """
+        """Connected groups of runs, where pairs with at least `least_common` common vertices are
+        connected: the components of a perfect merge."""
         joined = DisjointSet(self.runs)
         for a, b in combinations(self.runs, 2):
             if len(self.common(a, b)) >= least_common:
@@ -122,10 +120,10 @@ def truth_transform(truth: Truth, a: str, b: str) -> FloatArray:
 
 
 def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
-    """(k,) the world vertex that the run was passing at each time; NO_VERTEX where none.
+    """(k,) the world vertex that the run was passing at each time, NO_VERTEX for none.
 
-    A time belongs to the nearest detected pass, if that is within PASS_TOLERANCE_NS; the times
-    are those of observations or passes, by the detector's clock. O((k + p) log p).
+    A time belongs to the nearest detected pass within PASS_TOLERANCE_NS. Times are stamps by the
+    detector's clock. O((k + p) log p).
     """
     of_run = truth.runs[run]
     seen = np.flatnonzero(of_run.messages > 0)
@@ -147,10 +145,10 @@ def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
 
 
 def true_vertex_of_nodes(truth: Truth, topomap: TopoMap) -> IntArray:
-    """(n,) the world vertex that every vertex of a run's map stands for.
+    """(n,) the world vertex of every vertex of a run's map.
 
-    NO_VERTEX where all its observations are phantoms, MIXED where they belong to several places:
-    such a node is a false loop closure.
+    NO_VERTEX if all its observations are phantoms, MIXED if they are of several vertices, that is
+    after a false loop closure.
     """
     of_pass = true_vertex_of_passes(truth, topomap.run, topomap.observation_time_ns)
     out = np.full(len(topomap), NO_VERTEX, np.int64)
@@ -163,11 +161,8 @@ def true_vertex_of_nodes(truth: Truth, topomap: TopoMap) -> IntArray:
 
 
 def best_transform(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> FloatArray:
-    """(3,) T_a_b that lays the common vertices of two maps over one another best.
-
-    What a perfect merge of these two maps, drifted as they are, would answer. ValueError if they
-    have no common vertex.
-    """
+    """(3,) T_a_b, the least-squares fit of the common vertices of two maps: the result of a perfect
+    merge of these maps, with their drift. ValueError if they have no common vertex."""
     in_a, in_b = _common_nodes(truth, map_a, map_b)
     return fit_rigid(map_a.xy[in_a], map_b.xy[in_b])
 
@@ -175,10 +170,10 @@ def best_transform(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> FloatArray:
 def placement_error(
     truth: Truth, map_a: TopoMap, map_b: TopoMap, T_a_b: FloatArray
 ) -> tuple[float, float]:
-    """How far a transform is from the best one: (metres, radians).
+    """Distance of a transform from the best one: (metres, radians).
 
-    The metres are the mean distance by which it misplaces the common vertices of b, so they do not
-    depend on where b's frame has its origin. ValueError if the maps have no common vertex.
+    Metres are the mean distance over the common vertices of b, independent of the origin of b's
+    frame. ValueError if the maps have no common vertex.
     """
     _, in_b = _common_nodes(truth, map_a, map_b)
     best = best_transform(truth, map_a, map_b)
@@ -187,7 +182,7 @@ def placement_error(
 
 
 def _common_nodes(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> tuple[IntArray, IntArray]:
-    """Nodes of a and nodes of b, pair by pair the same place; ValueError if there are none."""
+    """Nodes of a and of b that are the same place, row by row; ValueError if there are none."""
     a, b = true_vertex_of_nodes(truth, map_a), true_vertex_of_nodes(truth, map_b)
     same_world = truth.runs[map_a.run].world == truth.runs[map_b.run].world
     in_a, in_b = np.nonzero((a[:, None] == b[None, :]) & (a[:, None] >= 0) & same_world)

@@ -1,4 +1,4 @@
-"""How a robot explores: which corridor it takes next."""
+"""A robot's exploration: which corridor it takes next."""
 
 from __future__ import annotations
 
@@ -20,11 +20,12 @@ class WalkSettings:
     """How thoroughly a robot explores its region."""
 
     coverage: float = 0.97
-    """Stop when this share of the region's corridors is driven."""
+    """Stop when this share of the region's corridors was driven."""
     revisit_share: float = 0.15
-    """Then drive to known places for this share of the way so far, which closes more loops."""
+    """After exploring, drive to known places for this share of the distance so far, which closes
+    more loops."""
     detour_rate: float = 0.03
-    """Before a step: chance of going to some known place instead of exploring on."""
+    """Probability before each step of going to a random known place."""
 
     def __post_init__(self) -> None:
         for name in ("coverage", "detour_rate"):
@@ -36,7 +37,8 @@ class WalkSettings:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """A corridor driven from `source` to `target`; or, with turn_back_m, so far in and back."""
+    """A corridor driven from `source` to `target`; with turn_back_m, driven this far and back to
+    `source`."""
 
     edge: int
     source: int
@@ -49,8 +51,8 @@ def explore(
 ) -> tuple[list[Leg], set[int]]:
     """The legs of one run inside a connected region, and the corridors closed during it.
 
-    The robot takes an untried corridor where it stands, rather ahead than aside, else it goes the
-    shortest known way to the nearest place that has one.
+    Where the robot is it takes an undriven corridor, preferably ahead; else it drives the shortest
+    known path to the nearest place that has one.
     """
     inside = [
         e
@@ -75,9 +77,9 @@ def explore(
 
 
 def _closed(world: World, inside: list[int], share: float, chance: Chance) -> set[int]:
-    """Corridors to close: a random share, but what a spanning forest of the rest needs stays.
+    """Corridors to close: a random share, without those that a spanning forest of the rest needs.
 
-    Dead ends may be shut away; the region's loops open, its parts stay together.
+    Dead ends may be closed as well: loops are opened, but the region stays connected.
     """
     if share == 0:
         return set()
@@ -99,7 +101,7 @@ def _some_known(walker: _Walker, chance: Chance) -> int:
 
 
 def _with_turns_back(world: World, legs: list[Leg], rate: float, chance: Chance) -> list[Leg]:
-    """The legs, some of them begun, broken off and begun again."""
+    """The legs, with some of them preceded by an aborted attempt."""
     out = []
     turns, parts = chance.happens(rate, len(legs)), chance.uniform(0.0, 1.0, len(legs))
     for leg, turn, part in zip(legs, turns.tolist(), parts.tolist(), strict=True):
@@ -112,7 +114,7 @@ def _with_turns_back(world: World, legs: list[Leg], rate: float, chance: Chance)
 
 
 class _Walker:
-    """A robot on its way: where it is, what it knows."""
+    """The state of an exploring robot: its position, legs, known vertices and driven corridors."""
 
     def __init__(self, world: World, edges: set[int], start: int) -> None:
         self.world, self.edges, self.here = world, edges, start
@@ -132,7 +134,7 @@ class _Walker:
         return [end for end in ends if end[0] in self.edges and end[0] not in self.driven]
 
     def try_here(self, chance: Chance) -> bool:
-        """Take an untried corridor here, if there is one."""
+        """Take an undriven corridor at the current vertex; False if there is none."""
         options = self.untried(self.here)
         if not options:
             return False
@@ -149,15 +151,16 @@ class _Walker:
         return next(h + np.pi for e, _, h in self.world.ends(self.here) if e == came_by)
 
     def go_to_nearest_untried(self) -> bool:
-        """Drive to the nearest known place with an untried corridor; False if there is none."""
+        """Drive to the nearest known vertex with an undriven corridor; False if there is none."""
         return self._drive({v for v in self.known if self.untried(v)})
 
     def go_to(self, vertex: int) -> None:
-        """Drive the shortest known way to a place."""
+        """Drive the shortest known path to a vertex."""
         self._drive({vertex})
 
     def _drive(self, goals: set[int]) -> bool:
-        """Dijkstra over the corridors driven so far."""
+        """Drive to the nearest goal by Dijkstra over the corridors driven so far; False if none is
+        reached."""
         reached, came = {self.here: 0.0}, dict[int, tuple[int, int]]()
         heap = [(0.0, self.here)]
         while heap:

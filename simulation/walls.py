@@ -1,4 +1,4 @@
-"""The walls of a world: corridors of one width, rooms at dead ends, doors in corridors' mouths."""
+"""The walls of a world: corridors of one width, rooms at dead ends, doorways."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from ..topology.se2 import wrap
 from .world import World, polyline_at
 
 ROUND = 12
-"""Corners of the polygon that stands for the round of a junction: none has more."""
+"""Most corners of a junction's polygon, and those of a round one."""
 
 BEND_M = 0.02
-"""A curved corridor is cut into straight pieces that stay this near to it."""
+"""Tolerance to which curved corridors are approximated by straight pieces."""
 
 LARGEST_ROOM_M = 1.5
-"""Half the side of a room at a dead end, where there is so much space."""
+"""Half the side of a room at a dead end, at most."""
 
 THINNEST_WALL_M = 0.15
-"""A wall of one brick."""
+"""Least thickness of a wall between rooms and corridors."""
 
 INSIDE_M = 1e-6
-"""What lies this deep within another part of the free space is no wall."""
+"""Depth within another part of the free space from which an edge is no wall."""
 
 SHORTEST_WALL_M = 1e-3
-"""Coordinates of worlds are rounded to this."""
+"""Shorter walls are dropped; coordinates of worlds are rounded to this."""
 
 DOORWAY_M = 0.25
-"""How far into its corridor a door hangs, from where the corridor leaves the junction's room."""
+"""Distance of a door into its corridor from the junction's polygon."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Segments:
-    """Straight walls from a: (s, 2) to b: (s, 2) [m]."""
+    """Straight walls from a (s, 2) to b (s, 2) [m]."""
 
     a: FloatArray
     b: FloatArray
@@ -53,11 +53,8 @@ class Segments:
 
 
 def walls_of(world: World, corridor_m: float) -> Segments:
-    """The outline of the free space of a world whose corridors are so wide. O(n log n).
-
-    What of the corridors' sides and of the junctions' edges lies inside of no part of the free
-    space is wall.
-    """
+    """The outline of a world's free space: the edges of its parts where they lie within no other
+    part. O(n log n)."""
     half = 0.5 * corridor_m
     parts = free_space(world, corridor_m)
     rooms = parts[: len(world)]
@@ -75,10 +72,11 @@ def walls_of(world: World, corridor_m: float) -> Segments:
 
 
 def free_space(world: World, corridor_m: float) -> list[FloatArray]:
-    """Convex polygons (k, 2), counter-clockwise, whose union is free: first one for every vertex.
+    """Convex polygons (k, 2), counter-clockwise, whose union is the free space; the first n belong
+    to the vertices.
 
-    About a junction it is a square where all corridors meet at right angles, about a dead end a
-    room as large as its neighbours leave it. The others are straight pieces of corridors.
+    The polygon of a vertex is a square where all corridors meet at right angles, a room as large as
+    its surroundings allow at a dead end, else round. The others are straight pieces of corridors.
     """
     half = 0.5 * corridor_m
     parts = [_junction(world, vertex, half) for vertex in range(len(world))]
@@ -91,9 +89,10 @@ def free_space(world: World, corridor_m: float) -> list[FloatArray]:
 
 
 def doorways(world: World, corridor_m: float) -> tuple[Segments, IntArray, IntArray]:
-    """Where doors may hang: one across each end of every corridor; its corridor, and its vertex.
+    """Possible doors: a segment across each end of every corridor, with its corridor and its
+    vertex.
 
-    A door hangs where the corridor has left its junction's room for good.
+    A door is placed where the corridor no longer overlaps its neighbours at the junction.
     """
     half = 0.5 * corridor_m
     a, b, edges, vertices = [], [], [], []
@@ -122,7 +121,7 @@ def _to_neighbour(world: World, edge: int, vertex: int) -> float:
 
 
 def _junction(world: World, vertex: int, half: float) -> FloatArray:
-    """(k, 2) convex polygon, counter-clockwise: the free space about a vertex."""
+    """(k, 2) convex polygon, counter-clockwise: the free space at a vertex."""
     headings, xy = world.branches[vertex], world.xy[vertex]
     if len(headings) == 1:
         room = max(half, _room_for(world, vertex, half))
@@ -133,7 +132,7 @@ def _junction(world: World, vertex: int, half: float) -> FloatArray:
 
 
 def _simplified(path: FloatArray) -> FloatArray:
-    """The points of a polyline that it needs to stay within BEND_M of itself (Douglas, Peucker)."""
+    """The polyline simplified to within BEND_M (Douglas-Peucker)."""
     if len(path) < 3:
         return path
     along = path[-1] - path[0]
@@ -145,7 +144,7 @@ def _simplified(path: FloatArray) -> FloatArray:
 
 
 def _offset(path: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
-    """The left and the right side of a corridor, mitred at its bends."""
+    """The left and right sides of a corridor, with mitred corners."""
     normals = np.array([_left_of(step) for step in np.diff(path, axis=0)])
     at_bends = normals[:-1] + normals[1:]
     mitre = 2 * at_bends / np.sum(at_bends**2, axis=1)[:, None]
@@ -158,12 +157,12 @@ def _ring(polygon: FloatArray) -> FloatArray:
 
 
 def _steps(line: FloatArray) -> list[FloatArray]:
-    """(2, 2) begin and end of every step of a polyline."""
+    """The segments of a polyline, (2, 2) each."""
     return [line[k : k + 2] for k in range(len(line) - 1)]
 
 
 def _left_of(step: FloatArray) -> FloatArray:
-    """(2,) unit vector to the left of a step."""
+    """(2,) unit normal to the left of a step."""
     return np.asarray(np.array([-step[1], step[0]]) / np.hypot(*step))
 
 
@@ -185,7 +184,7 @@ def _at_right_angles(headings: FloatArray) -> bool:
 
 
 def _room_for(world: World, vertex: int, half: float) -> float:
-    """Half the side of a room about a dead end that meets no other room and no corridor."""
+    """Half the side of a room at a dead end that meets no other room or corridor."""
     here = world.xy[vertex]
     others = [
         float(np.min(np.hypot(*(polyline_at(path, _spaced(path)) - here).T)))
@@ -197,7 +196,7 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     own = float(world.length[world.branch_edge[world.branches.offsets[vertex]]])
     to_corridor = min([*others, own]) - half - THINNEST_WALL_M
     to_room = 0.5 * (float(away.min(initial=np.inf)) - THINNEST_WALL_M)
-    # A corner is farther out than a wall.
+    # By its corners, which are √2 times as far out as its walls.
     return min(LARGEST_ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
 
 
@@ -208,9 +207,9 @@ def _spaced(path: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _HalfPlanes:
-    """Convex polygons as outward normals (p, ROUND, 2) and offsets (p, ROUND), and their boxes.
+    """Convex polygons as outward normals (p, ROUND, 2) and offsets (p, ROUND), with bounding boxes.
 
-    A point is inside where n·x ≤ c for all; missing sides are 0·x ≤ 1.
+    A point is inside if n·x ≤ c for all sides; missing sides are 0·x ≤ 1.
     """
 
     normal: FloatArray
@@ -231,7 +230,7 @@ class _HalfPlanes:
 
 
 def _outside(start: FloatArray, end: FloatArray, inside: _HalfPlanes) -> FloatArray:
-    """(k, 2, 2) the parts of a segment that lie inside of no polygon."""
+    """(k, 2, 2) the parts of a segment that lie in no polygon."""
     least, most = np.minimum(start, end), np.maximum(start, end)
     near = ((inside.low <= most) & (inside.high >= least)).all(axis=1)
     normal = inside.normal[near]
@@ -249,7 +248,7 @@ def _outside(start: FloatArray, end: FloatArray, inside: _HalfPlanes) -> FloatAr
 
 
 def _left_open(begins: list[float], ends: list[float]) -> list[tuple[float, float]]:
-    """What the given intervals leave of 0 … 1."""
+    """The parts of [0, 1] that the intervals do not cover."""
     at, left = 0.0, []
     for t0, t1 in sorted(zip(begins, ends, strict=True)):
         if t0 > at:

@@ -1,4 +1,4 @@
-"""Worlds: junctions in the plane, joined by corridors."""
+"""Worlds: junctions in the plane, connected by corridors."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
 
 BRANCH_REACH_M = 0.7
-"""A branch points to where its corridor is at this distance along the way."""
+"""A branch's heading points to its corridor at this distance."""
 
 COORDINATE_DECIMALS = 3
-"""Millimetres, so that processors agree on the world."""
+"""Millimetres, so that worlds are the same on every processor."""
 
 Link = tuple[int, int, FloatArray]
-"""Two vertices and the polyline (k, 2) between them; the form in which worlds are built."""
+"""Two vertices and the polyline (k, 2) between them, from which worlds are built."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class World:
-    """A connected multigraph of `n` junctions and `m` corridors, without loops to oneself.
+    """A connected multigraph of `n` junctions and `m` corridors without self-loops.
 
-    xy: (n, 2) [m]; source, target: (m,); paths: m polylines (k, 2) from source to target.
-    Derived: length: (m,) [m]; branches: n rows of headings [rad], ascending in [-pi, pi);
-    branch_edge, branch_other: for every value of `branches`, the corridor that leaves there and
-    the vertex at its far end. Raises ValueError where the parts do not fit.
+    xy: (n, 2) [m]; source, target: (m,); paths: m polylines (k, 2) from source to target. Derived:
+    length (m,) [m]; branches: n rows of headings [rad], ascending in [-pi, pi); branch_edge,
+    branch_other: for every value of `branches` its corridor and the vertex at the other end. Raises
+    ValueError on inconsistent parts.
     """
 
     name: str
@@ -81,30 +81,30 @@ class World:
         return len(self.xy)
 
     def ends(self, vertex: int) -> list[tuple[int, int, float]]:
-        """(corridor, vertex at its far end, heading [rad]) of each branch of a vertex."""
+        """(corridor, vertex at its other end, heading [rad]) of each branch of a vertex."""
         rows = slice(*self.branches.offsets[vertex : vertex + 2].tolist())
         edges, others = self.branch_edge[rows].tolist(), self.branch_other[rows].tolist()
         return list(zip(edges, others, self.branches[vertex].tolist(), strict=True))
 
     def path_from(self, edge: int, vertex: int) -> FloatArray:
-        """(k, 2) polyline of a corridor, beginning at the given one of its ends."""
+        """(k, 2) a corridor's polyline, starting at the given end."""
         path = self.paths[edge]
         return path if int(self.source[edge]) == vertex else path[::-1]
 
 
 def polyline_at(path: FloatArray, way_m: FloatArray) -> FloatArray:
-    """(k, 2) points at the given ways along a polyline, held at its ends."""
+    """(k, 2) points at distances along a polyline, clamped to its ends."""
     at = way_of(path)
     return np.column_stack([np.interp(way_m, at, path[:, 0]), np.interp(way_m, at, path[:, 1])])
 
 
 def polyline_length(path: FloatArray) -> float:
-    """Way along a polyline [m]."""
+    """Length of a polyline [m]."""
     return float(np.sum(np.hypot(*np.diff(path, axis=0).T)))
 
 
 def polyline_heading(path: FloatArray) -> float:
-    """Direction [rad] in which a polyline leaves its first point, measured over BRANCH_REACH_M."""
+    """Direction in which a polyline leaves its first point [rad], over BRANCH_REACH_M."""
     reach = min(BRANCH_REACH_M, 0.5 * polyline_length(path))
     dx, dy = polyline_at(path, np.array([reach]))[0] - path[0]
     return float(np.round(wrap(np.arctan2(dy, dx)), 9))
@@ -116,9 +116,9 @@ def straight(xy: FloatArray, u: int, v: int) -> Link:
 
 
 def without_bends(links: Sequence[Link], is_junction: BoolArray) -> list[Link]:
-    """The links with every vertex of two corridors that is no junction turned into a bend.
+    """The links with every vertex of degree 2 that is no junction replaced by a bend.
 
-    A vertex stays where joining its corridors would make a loop to oneself. O(links).
+    A vertex is kept where merging its corridors would make a self-loop. O(links).
     """
     joined: dict[int, Link] = dict(enumerate(links))
     at: list[set[int]] = [set() for _ in is_junction]
@@ -147,7 +147,7 @@ def _towards(link: Link, vertex: int) -> tuple[int, FloatArray]:
 
 
 def world_of_links(name: str, kind: str, xy: FloatArray, links: Sequence[Link]) -> World:
-    """The largest connected part of what is given, vertices renumbered in their order."""
+    """The largest connected part of the links, with vertices renumbered in order."""
     xy = np.round(xy, COORDINATE_DECIMALS) + 0.0
     ends = np.array([(u, v) for u, v, _ in links], np.int64).reshape(-1, 2)
     part = connected(ends[:, 0], ends[:, 1], len(xy))

@@ -1,7 +1,7 @@
-"""Kinds of world: rectilinear mazes, repetitive offices, organic ways, city blocks, equal rows.
+"""Kinds of world: rectilinear mazes, repetitive offices, organic streets, city blocks, equal rows.
 
-Corners count as junctions in mazes and offices; elsewhere a bend is no junction. `aspect` is
-length over width, so that a row of overlapping runs finds room.
+Corners count as junctions in mazes and offices only. `aspect` is length over width, for a row of
+overlapping runs.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from .tiles import tiles_world
 from .world import Link, World, polyline_heading, straight, without_bends, world_of_links
 
 STRAIGHT_RAD = 0.05
-"""Two corridors that go on this straight make no junction."""
+"""Largest deviation from straight at which a vertex of two corridors is no junction."""
 
 
 def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """A rectilinear maze: a random spanning tree of an uneven grid, with loops broken in.
+    """A rectilinear maze: a random spanning tree of an irregular grid, plus a quarter of the other
+    links.
 
-    Rows and columns lie 2.5 to 8 m apart. About `junctions` vertices of one to four branches.
+    Rows and columns are 2.5 to 8 m apart. About `junctions` vertices of one to four branches.
     """
     chance = Chance("maze", seed)
     x, y, walls = _lattice(junctions / 0.86, aspect, 2, (2.5, 8.0), chance)
@@ -37,8 +38,9 @@ def maze_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
 def _lattice(
     cells: float, aspect: float, least: int, apart_m: tuple[float, float], chance: Chance
 ) -> tuple[FloatArray, FloatArray, IntArray]:
-    """An uneven grid of about so many cells, numbered row by row, at least so many per row and
-    column: where its columns (c,) and rows (r,) are, and pairs (w, 2) of cells side by side."""
+    """An irregular grid of about `cells` cells, numbered row by row, with at least `least` rows and
+    columns: coordinates of its columns (c,) and rows (r,) [m], and pairs (w, 2) of neighbouring
+    cells."""
     columns = max(least, round(np.sqrt(cells * aspect)))
     rows = max(least, round(cells / columns))
     x, y = (
@@ -49,7 +51,8 @@ def _lattice(
 
 
 def _neighbours(columns: int, rows: int) -> tuple[IntArray, IntArray]:
-    """Pairs (w, 2) of cells, numbered row by row, that are side by side in a row; in a column."""
+    """Pairs (w, 2) of neighbouring cells in a row, and in a column; cells are numbered row by
+    row."""
     cell = np.arange(rows * columns).reshape(rows, columns)
     across = np.column_stack([cell[:, :-1].ravel(), cell[:, 1:].ravel()])
     along = np.column_stack([cell[:-1].ravel(), cell[1:].ravel()])
@@ -57,7 +60,7 @@ def _neighbours(columns: int, rows: int) -> tuple[IntArray, IntArray]:
 
 
 def _growing_tree(walls: IntArray, cells: int, chance: Chance) -> BoolArray:
-    """Which walls to open so that all cells hang together: mostly on from the newest cell."""
+    """Which walls to open for a spanning tree of the cells, grown mostly from the newest cell."""
     beside: list[list[tuple[int, int]]] = [[] for _ in range(cells)]
     for wall, (u, v) in enumerate(walls.tolist()):
         beside[u].append((wall, v))
@@ -81,14 +84,14 @@ def _growing_tree(walls: IntArray, cells: int, chance: Chance) -> BoolArray:
 def _straight_world(
     kind: str, junctions: int, seed: int, xy: FloatArray, pairs: Iterable[Sequence[int]]
 ) -> World:
-    """A world of straight corridors between pairs of points; of two in line one is made."""
+    """A world of straight corridors between pairs of points; two in line are joined into one."""
     links = [straight(xy, u, v) for u, v in pairs]
     links = without_bends(links, ~_goes_straight(len(xy), links))
     return world_of_links(f"{kind}-{junctions}-{seed}", kind, xy, links)
 
 
 def _goes_straight(count: int, links: list[Link]) -> BoolArray:
-    """(count,) vertices of just two corridors that leave in opposite directions."""
+    """(count,) vertices of exactly two corridors in opposite directions."""
     leaving: list[list[float]] = [[] for _ in range(count)]
     for u, v, path in links:
         leaving[u].append(polyline_heading(path))
@@ -99,11 +102,11 @@ def _goes_straight(count: int, links: list[Link]) -> BoolArray:
 
 
 def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """A building of wings that repeat one plan, along one main corridor.
+    """A building of wings with one floor plan, along a main corridor.
 
-    Every wing has two corridors with rooms at even spacing, joined halfway and at the far end;
-    wings lie on both sides of the main corridor. The copies differ by 2 % in lengths (1 sigma) and
-    by one door in sixteen. `aspect` has no effect: a building grows along its main corridor.
+    Every wing has two corridors with evenly spaced rooms, connected half-way and at the far end;
+    wings lie on both sides of the main corridor. Copies differ by 2 % in lengths (standard
+    deviation) and by one door in sixteen. `aspect` has no effect.
     """
     chance = Chance("office", seed)
     rooms = 7
@@ -151,9 +154,9 @@ def _add_wing(
     doors: BoolArray,
     chance: Chance,
 ) -> None:
-    """One wing: a corridor from each foot with rooms to the left and right, joined twice.
+    """Add a wing: a corridor from each foot with rooms on both sides, connected twice.
 
-    The wing opposite is this one turned by half a circle, so its corridors change places.
+    The wing on the other side is rotated by 180°, so that its corridors are swapped.
     """
     room = 3.0
     along = side * np.cumsum(4.2 * (1 + chance.normal(0.02, doors.shape[2] + 1)))
@@ -174,10 +177,10 @@ def _add_wing(
 
 
 def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """Streets: junctions at uneven distances, arbitrary angles, curved corridors.
+    """Streets with irregular distances, arbitrary angles and curved corridors.
 
-    A Gabriel graph of scattered points (two points are neighbours if the disc between them is
-    empty), thinned at random and where streets would leave too close together.
+    A Gabriel graph of random points (two points are neighbours if the disc on their segment is
+    empty), thinned at random and where streets would leave a junction too close together.
     """
     from scipy.spatial import Delaunay
 
@@ -195,11 +198,11 @@ def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
 
 
 def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """City blocks: streets that meet nearly at right angles, of a grid that turns on its way.
+    """City blocks: an irregular grid of streets, bent so that its direction changes over the city.
 
-    An uneven grid, its crossings moved by 6 % of their distances, one street in six not built,
-    bent by the conformal map w = z + a z² (right angles stay right, directions change by some 50°
-    from end to end, lengths by half). What is rectilinear at every crossing is not as a whole.
+    Crossings are displaced by 6 % of their distances, one street in six is left out, and the plane
+    is mapped by the conformal map w = z + a z², which keeps right angles but changes directions by
+    about 50° and lengths by half from end to end: crossings are rectilinear, the city is not.
     """
     chance = Chance("city", seed)
     x, y, streets = _lattice(junctions / 0.9, aspect, 3, (6.0, 12.0), chance)
@@ -222,10 +225,10 @@ def city_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
 
 
 def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """Rows of crops or racks: aisles 3 m apart, to 1 %, between two or three cross ways.
+    """Rows of crops or racks: aisles 3 m apart (±1 %) between two or three cross aisles.
 
-    One aisle in twenty-five is blocked. What tells one aisle from the next is little more than how
-    far the robot thinks it has come. `aspect` has no effect: a field grows along its cross ways.
+    One aisle in 25 is blocked. Aisles differ by little more than their position by odometry.
+    `aspect` has no effect.
     """
     chance = Chance("rows", seed)
     ways = 2 + int(chance.one_happens(0.5))
@@ -240,11 +243,11 @@ def rows_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
 
 
 def _scattered(count: int, aspect: float, chance: Chance) -> FloatArray:
-    """(count, 2) points in a rectangle, no two nearer than 4.8 m, about 7.5 m apart."""
+    """(count, 2) points in a rectangle, at least 4.8 m and about 7.5 m apart."""
     area = count * 7.5**2 * 0.9
     size = np.array([np.sqrt(area * aspect), np.sqrt(area / aspect)])
     chosen = np.zeros((0, 2))
-    # Dart throwing in batches: the batch against what stands, then the batch against itself.
+    # Dart throwing; the rectangle grows by 2 % where a whole batch of darts finds too little room.
     while len(chosen) < count:
         darts = chance.uniform(0.0, 1.0, 8 * count).reshape(-1, 2) * size
         for dart in darts:
@@ -269,10 +272,10 @@ def _gabriel(xy: FloatArray, pairs: IntArray) -> IntArray:
 
 
 def _thinned(xy: FloatArray, pairs: IntArray, chance: Chance) -> IntArray:
-    """A random spanning forest of the pairs, and of the others those that crowd nobody.
+    """A random spanning forest of the pairs, plus further pairs where there is room.
 
-    A street that closes a loop is built with probability 0.7, if it leaves both its junctions
-    at 50° or more from every street there and neither has five streets.
+    A street that closes a loop is built with probability 0.7 if it leaves both its junctions at 50°
+    or more from every street there and neither has five streets.
     """
     reached = DisjointSet(range(len(xy)))
     step = xy[pairs[:, 1]] - xy[pairs[:, 0]]
@@ -306,7 +309,7 @@ def _clear(heading: float, others: list[float], least_deg: float) -> bool:
 
 
 def _curved(xy: FloatArray, pairs: IntArray, chance: Chance) -> list[FloatArray]:
-    """A path for every pair: bowed sideways by up to 14 % of its length where there is room."""
+    """A path for every pair, bowed sideways by up to 14 % of its length where there is room."""
     from scipy.spatial import cKDTree
 
     t = np.linspace(0.0, 1.0, 13)

@@ -1,7 +1,7 @@
 """Scenarios as files: one log per run in any container, and `truth.json` beside them.
 
-The containers come from the writers of mcap and rosbags. The same run gives the same bytes with the
-same versions of these libraries (and of SQLite, LZ4 and Zstandard), the same messages with any.
+Logs are written by mcap and rosbags. The same run gives the same bytes with the same versions of
+these libraries (and of SQLite, LZ4 and Zstandard), and the same messages with any version.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .truth import write_truth
 TRUTH_FILE = "truth.json"
 
 METADATA_VERSION: Literal[9] = 9
-"""Version of metadata.yaml that ROS 2 Jazzy writes."""
+"""Version of metadata.yaml as in ROS 2 Jazzy."""
 
 
 def _write_mcap(path: Path, simulated: SimulatedRun) -> None:
@@ -78,14 +78,14 @@ FORMATS: Mapping[str, tuple[str, Callable[[Path, SimulatedRun], None]]] = Mappin
         "ros2-mcap": ("", partial(_write_ros2_folder, storage="MCAP")),
     }
 )
-"""Containers by name: the suffix of the log's path, and its writer. The last two are folders."""
+"""Containers by name: suffix of the log's path, and writer. "db3" and "ros2-mcap" are folders."""
 
 
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
-    """Write the log of one run into `folder`, named after the run; its path.
+    """Write the log of one run into `folder`, named after the run; returns its path.
 
-    An older log of that name is replaced. UsageError if there is no such container, OSError that
-    names the log if it cannot be written.
+    An existing log of that name is replaced. Raises UsageError for an unknown container, OSError
+    with the log's path if it cannot be written.
     """
     if container not in FORMATS:
         raise UsageError(f"no format {container!r}: choose one of {', '.join(FORMATS)}")
@@ -105,7 +105,7 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
 
 
 def _move(log: Path, path: Path) -> None:
-    """Put a log in its place, file by file: a folder may be there already."""
+    """Move a log into place, file by file, since a folder may exist already."""
     if log.is_dir():
         path.mkdir(exist_ok=True)
         for file in log.iterdir():
@@ -120,10 +120,10 @@ def write_scenario(
     formats: Sequence[str] = ("mcap",),
     progress: Callable[[Path], object] | None = None,
 ) -> list[Path]:
-    """Write every run's log and `truth.json` into the folder `out`; the paths of the logs.
+    """Write every run's log and `truth.json` into the folder `out`; returns the paths of the logs.
 
-    Several formats are dealt out to the runs in turn. `progress` is told each log that is done.
-    UsageError if no format is given, or one that does not exist.
+    Several formats are assigned to the runs in turn. `progress` is called with each finished log.
+    Raises UsageError if a format is missing or unknown.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
