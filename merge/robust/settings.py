@@ -38,17 +38,17 @@ class RobustSettings:
     (the scales are conservative); of the same with one map 3 % larger 58 to 78 % have more."""
     hypotheses: int = 3
     """Candidate alignments grown per pair that may be merged: the best, its rival, and one more in
-    case that one of them does not grow. With two a pair takes 8 % less time, and a few offices are
-    lost; with all that are beyond chance two runs of rows are merged wrongly."""
+    case that one of them does not grow. With two one of 104 pairs of tunnels is lost; with
+    all that are beyond chance two runs of rows are merged wrongly."""
     growth_rounds: int = 6
     """Upper bound of the rounds of predict, match, refit. Tried: with 4 and 9 the same pairs are
     merged."""
     copy_variation: float = 0.02
     """Relative 1 sigma of the difference in length between two copies of one design. Conservative:
-    with .03 one more of 100 pairs of tunnels is merged, with .013 six fewer."""
+    with .03 one more pair of tunnels and one of offices are merged, with .013 two fewer of each."""
     copy_change_rate: float = 0.09
     """Share of junctions that differ between two copies, detection faults aside. Conservative: with
-    .135 one more of 100 pairs of tunnels is merged, with .06 five fewer."""
+    .135 two more of 104 pairs of tunnels are merged, with .06 one and two of offices fewer."""
 
     def __post_init__(self) -> None:
         if not 0 < self.false_merge_rate < 1:
@@ -68,12 +68,13 @@ class MatchSettings:
     lead_bits: float = 4.0
     """Required lead of the best alignment over the next best one and over its mirror image: odds of
     16 to 1. Also the lead over chance at which an alignment is reported and checked for
-    contradictions. Tried: 2.7 and 6, no change."""
+    contradictions. Tried: 2.7, no change; with 6 a pair of offices is lost."""
     junction_bits: float = 2.5
     """Bound on the agreement per matched junction: the sum of few junctions overstates the
     evidence. Of 297,000 pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of
-    these reach 16, where 1 should. Tried: with 3.75 of 1,900 pairs 28 are merged wrongly, with 1.7
-    a seventh of the right ones is lost."""
+    these reach 16, where 1 should. Tried: with 3.75, 20 of 108 pairs of floors that differ by .3 m
+    are merged wrongly instead of none (`benchmarks/adversaries.py`), with 1.7 a fifth of the right
+    pairs is lost."""
     least_told: float = 0.25
     """Share of `junction_bits` up to which an alignment is taken for a copy; from twice as much on
     it is not. Of 179 right pairs of mazes and organic ways all have .58 or more; of 25 pairs of
@@ -110,7 +111,7 @@ class MatchSettings:
     drift_per_m: float = 0.06
     """Error of predictions and placements per metre of distance from their support: `length_sigmas`
     of the drift that loop closure leaves. Across it is twice as much, because drift bends maps.
-    Tried: .04 and .09, no change."""
+    Tried: .04, no change; with .09 one more pair of tunnels."""
     gate_m: float = LIKELIHOOD.gate_m
     reach_m: float = 7.5
     """Matches weigh exp(-d²/2 reach²) in predicting a junction at a distance of d [m]: drift bends
