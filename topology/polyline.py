@@ -53,10 +53,9 @@ def join_centres(
     """A corridor between the centres of two junctions, from the track driven between them.
 
     track: (k, 2); begin, end: (2,) centres [m]. Points within `junction_m` of a centre (cut
-    corners, turning round) are dropped, and the corridor is straight there. A track that passes a
-    centre farther off is shifted onto it where it is nearest, with the shift decreasing linearly to
-    zero at the other end. Returns (j, 2) from `begin` to `end`, straight if the track is a single
-    point.
+    corners, turning round) are dropped, and the corridor is straight there. A track that passes
+    aside of a centre is shifted onto it, with the shift decreasing linearly to zero at the other
+    end. Returns (j, 2) from `begin` to `end`, straight if the track is a single point.
     """
     if len(track) < 2:
         return np.stack([begin, end])
@@ -73,14 +72,25 @@ def join_centres(
 
 def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[int, FloatArray]:
     """Index of the first point of a track (k, 2) beyond `reach` [m] of the centre that it starts
-    at, or of the nearest point if none is within; and the offset (2,) [m] of that nearest point,
-    else 0."""
+    at, or of the nearest point if none is within; and by how much (2,) [m] it passes aside there.
+
+    Outside the reach this is the offset of the nearest point. Else it is the offset of the first
+    point, across the direction in which the track goes on, times the share of the reach that the
+    track kept off the centre: a track through the centre is not aside where its corridor bends.
+    """
     away = np.hypot(*(track - centre).T)
     inside = np.flatnonzero(away < reach)
-    if len(inside):
-        return int(inside[-1]) + 1, np.zeros(2)
     nearest = int(away.argmin())
-    return nearest, track[nearest] - centre
+    if len(inside) == 0:
+        return nearest, track[nearest] - centre
+    first = int(inside[-1]) + 1
+    beyond = track[first:]
+    if len(beyond) < 2:
+        return first, np.zeros(2)
+    onward = beyond[max(np.count_nonzero(way_of(beyond) < reach) - 1, 1)] - beyond[0]
+    onward = onward / max(float(np.hypot(*onward)), 1e-9)
+    offset = beyond[0] - centre
+    return first, (offset - (offset @ onward) * onward) * float(away[nearest]) / reach
 
 
 def loop_erased(path: FloatArray, near_m: float) -> FloatArray:
