@@ -192,7 +192,7 @@ def _measured(
     none."""
     passes, noise = fitted.passes, fitted.noise
     scale = refine_scale(odometry, run.detections, passes, noise, settings.noise)
-    noise = replace(noise, scale=scale)
+    noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):
         noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))

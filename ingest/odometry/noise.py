@@ -29,6 +29,9 @@ from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
 
+_ONE_SIGMA = 0.6827
+"""Share of normal errors within 1 sigma."""
+
 
 @dataclass(frozen=True, slots=True)
 class NoiseSettings:
@@ -44,8 +47,6 @@ class NoiseSettings:
     """Worth of the prior of a fault rate, in passes."""
     scale_prior: float = 0.01
     """1 sigma of the relative error of lengths in general, before closure tells of the odometry."""
-    contradicted_sigmas: float = 3.0
-    """What passes show of the scale counts beyond so many sigmas of what is expected."""
     match_rad: float = 0.35
     """Readings farther than this from a branch are of another."""
     least_messages: int = 6
@@ -218,8 +219,10 @@ def refine_scale(
     """1 sigma of the relative error of lengths, after loop closure told how the heading drifts.
 
     No loop tells of it: all close whatever the scale. An odometry is taken to be as much better or
-    worse at lengths than the prior's as it is at headings. What passes tell may be the detector's
-    error as well: it counts where the odometry alone hardly explains it.
+    worse at lengths than the prior's as it is at headings: a Student's t of two degrees of freedom
+    about 0, of which 68.3 % lie within what is expected so. Junctions that seem to move along with
+    the robot tell more. The detector may be their cause, so lengths are not corrected by them: the
+    sigma is what 68.3 % of the posterior keep to.
     """
     prior = settings.prior
     worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
@@ -227,9 +230,22 @@ def refine_scale(
     thirds = _WithinPasses.of(odometry, detections, passes, settings)
     if thirds is None:
         return expected
-    shown, sigma = _shown_scale(thirds, settings)
-    told = abs(shown) > settings.contradicted_sigmas * float(np.hypot(sigma, expected))
-    return abs(shown) if told else expected
+    shown, sigma = _shown_scale(thirds, noise.along_m_per_sqrt_m, settings)
+    return _posterior_radius(expected, shown, sigma)
+
+
+def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
+    """Bound on the size of x that holds 68.3 % of its posterior, where that is the probability of
+    `expected` under its prior (Student's t, two degrees of freedom) and x + N(0, sigma²) = shown.
+    """
+    if not np.isfinite(sigma) or expected <= 0:
+        return expected
+    ratio = np.geomspace(1e-3, 1e3, 4096)  # |x| over what is expected
+    off = (expected * ratio - np.array([[shown], [-shown]])) / sigma
+    likelihood = np.exp(-0.5 * (off**2 - (off**2).min())).sum(axis=0)
+    density = (1 + ratio**2 * _ONE_SIGMA**2 / (1 - _ONE_SIGMA**2)) ** -1.5
+    below = np.cumsum(likelihood * density * ratio)  # steps are as wide as the ratio is large
+    return expected * float(np.interp(_ONE_SIGMA * below[-1], below, ratio))
 
 
 def _turned(odometry: Odometry, noise: RunNoise) -> float:
@@ -367,11 +383,17 @@ def _along(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float
     return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
 
 
-def _shown_scale(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float]:
-    """Relative error of lengths by how junctions move along with the robot, and its 1 sigma."""
+def _shown_scale(
+    thirds: _WithinPasses, along: float, settings: NoiseSettings
+) -> tuple[float, float]:
+    """Relative error of lengths by how junctions move along with the robot, and its 1 sigma.
+
+    along: random walk of the odometry along the way [m/√m].
+    """
     straight = np.flatnonzero(thirds.walked[:, 1] <= settings.straight_rad)
     moved = np.maximum(thirds.moved[straight], 0.0)
-    weight = moved / thirds.shift_variance[straight]
+    walked = np.maximum(thirds.walked[straight, 0], 0.0)
+    weight = moved / (thirds.shift_variance[straight] + along**2 * walked)
     belief = float(weight @ moved)
     if belief <= 0:
         return 0.0, np.inf

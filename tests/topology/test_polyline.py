@@ -70,6 +70,22 @@ def test_who_passes_aside_of_a_centre_goes_as_far_as_who_passes_through_it(aside
     assert straight - 0.01 < way_of(past)[-1] < straight + 0.2 * (length < 2) + 0.03
 
 
+@pytest.mark.parametrize("aside", [0.3, -0.5, 0.65])
+def test_who_passes_aside_of_a_centre_within_reach_goes_little_farther(aside):
+    track = np.column_stack([np.linspace(0.0, 6.0, 61), np.zeros(61)])
+    past = join_centres(track, np.array([0.0, aside]), np.array([6.0, aside]), 0.7)
+    kinked = 2 * (0.7 - np.sqrt(0.49 - aside**2))  # the step from the centre to the track as it is
+    assert 6.0 <= way_of(past)[-1] < 6.0 + 0.4 * kinked
+
+
+@pytest.mark.parametrize("turned", [-1.0, 1.0])
+def test_a_corridor_that_bends_at_its_junction_keeps_its_length(turned):
+    # Through the centre, a corner 0.7 m behind it, and on.
+    line = walked((-2.0, 0.05), (0.7, 0.05), (0.7, 5.0 * turned))
+    path = join_centres(line[20:], np.zeros(2), np.array([0.7, 5.0 * turned]), 0.7)
+    assert way_of(path)[-1] == pytest.approx(5.7, abs=0.1)
+
+
 def walked(*corners: tuple[float, float], step_m: float = 0.1) -> np.ndarray:
     """A track through points, sampled."""
     line = np.array(corners)

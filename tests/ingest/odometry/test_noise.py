@@ -10,7 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
-from topobatch.ingest.odometry.noise import NoiseSettings, estimate_noise, refine_noise
+from topobatch.ingest.odometry.noise import (
+    NoiseSettings,
+    estimate_noise,
+    refine_noise,
+    refine_scale,
+)
 from topobatch.ingest.passes import fuse_passes, no_passes
 from topobatch.simulation import (
     DRIFTS,
@@ -110,6 +115,35 @@ def test_rates_do_not_see_the_direction_of_passes() -> None:
     there = refine_noise(turned, vertex, spin, RunNoise())
     assert there.branch_fault_rate == pytest.approx(here.branch_fault_rate)
     assert there.branch_rad == pytest.approx(here.branch_rad, rel=1e-6)
+
+
+def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
+    scenario = simulated("maze", "low", "none", 5)
+    run, noise = scenario.runs["run1"], estimated(scenario)
+    usual = NoiseSettings().prior
+
+    def stated(factor: float, detections: Detections = run.detections) -> float:
+        """1 sigma for an odometry whose lengths are too long by a factor."""
+        track = replace(run.odometry, pose=run.odometry.pose * [factor, factor, 1.0])
+        return refine_scale(track, detections, fuse_passes(track, detections), noise)
+
+    assert 0.03 < stated(1.05) < 0.07
+    assert 0.03 < stated(0.95) < 0.07
+    errors = [stated(1 + error) for error in (0.005, 0.01, 0.02, 0.03)]
+    assert errors == sorted(errors)
+    assert stated(1.0) < usual.scale
+    # Where passes show hardly anything it is what the headings let expect.
+    way, turned = run.odometry.step_m.sum(), np.abs(run.odometry.turn_rad).sum()
+    here, there = (
+        n.heading_rad_per_sqrt_m**2 * way + n.heading_rad_per_sqrt_rad**2 * turned
+        for n in (noise, usual)
+    )
+    expected = usual.scale * np.sqrt(here / there)
+    few = np.arange(30)
+    first = Detections(
+        run.detections.time_ns[few], run.detections.centre[few], run.detections.branches.take(few)
+    )
+    assert stated(1.0, first) == pytest.approx(expected, rel=0.2)
 
 
 def test_a_run_without_passes_has_the_usual_noise() -> None:
