@@ -87,7 +87,8 @@ def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[i
     beyond = track[first:]
     if len(beyond) < 2:
         return first, np.zeros(2)
-    onward = beyond[max(np.count_nonzero(way_of(beyond) < reach) - 1, 1)] - beyond[0]
+    ahead = max(int(np.count_nonzero(way_of(beyond) < reach)) - 1, 1)
+    onward = beyond[ahead] - beyond[0]
     onward = onward / max(float(np.hypot(*onward)), 1e-9)
     offset = beyond[0] - centre
     return first, (offset - (offset @ onward) * onward) * float(away[nearest]) / reach
