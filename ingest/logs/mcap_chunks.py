@@ -1,4 +1,4 @@
-"""The chunks of an MCAP file, and the index records behind them."""
+"""The chunks of an MCAP file and the message indexes behind them."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _NO_RECORD = frozenset({0})
 INDEX_HEAD = 6
 _INDEX = struct.Struct("<HI").unpack_from
 _INDEX_RECORD = struct.Struct("<BQHI").unpack_from
-"""Channel and bytes of a message index record; the same with the head in front of them."""
+"""Channel and size of a message index record, without and with its record head."""
 
 
 def _plain(head: ChunkHead, window: Window, crc: int) -> Bytes:
-    """The records of a chunk that is not compressed, in the window; raises DamageError."""
+    """The records of an uncompressed chunk, from the window; raises DamageError."""
     if head.crc and not agrees(crc, head.crc):
         raise WrongChecksumError
     return window.view(head.data_at, head.data_size)
@@ -62,7 +62,8 @@ class McapChunks(ChunkReader):
         self._index_serves = summary is not None and summary.checked and summary.describes_all
 
     def take(self, position: int, head: ChunkHead, end: int) -> Walking:
-        """Queue a chunk, or take many small ones at once; returns where to go on."""
+        """Queue a chunk, or read a run of small ones at once; returns the position to continue
+        at."""
         self._messages.packed |= head.compression != ""
         return (yield from self._taken(position, head, end))
 
@@ -111,7 +112,7 @@ class McapChunks(ChunkReader):
         return position + batch.stop
 
     def _count_lost(self, data: Bytes) -> None:
-        """Count the messages of damaged chunks without an index, as far as they can be seen."""
+        """Count the recognisable messages of damaged chunks without an index."""
         where, _ = mcap_records(data, NOT_IN_CHUNKS)
         self._findings.lost_at_least |= len(where) > 0
         where = where[data[where] == MESSAGE]
@@ -121,7 +122,8 @@ class McapChunks(ChunkReader):
                 self._tally.lost(number, int(counts[number]))
 
     def _needed(self, position: int) -> bool:
-        """Whether a chunk may hold wanted messages; only a checked index is trusted to deny it."""
+        """Whether a chunk may hold wanted messages; excluded only by an index with a valid
+        checksum."""
         if self._summary is None or not self._index_serves:
             return True
         numbers = self._summary.numbers(position)
@@ -130,13 +132,13 @@ class McapChunks(ChunkReader):
         return any(self._tally.sink(n) != UNWANTED for n in numbers.tolist())
 
     def told(self, position: int, counts: dict[int, int]) -> None:
-        """Remember how many messages a chunk holds, where the index behind it is not read."""
+        """Record the message counts of a chunk whose index is not read."""
         chunk = self._ahead.last
         if chunk is not None and chunk.position == position:
             chunk.counts.update(counts)
 
     def listed(self, source: Window | Bytes, position: int, size: int) -> None:
-        """Remember how many messages the index record behind a chunk lists, and where."""
+        """Record the count and the positions from a message index record behind a chunk."""
         chunk = self._ahead.last
         if chunk is None:
             return
@@ -156,12 +158,12 @@ class McapChunks(ChunkReader):
             chunk.offsets.append(places[1::2].astype(np.int64))
 
     def _directly(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of a chunk of no need, or too large for the memory."""
+        """The messages of a chunk that is not needed, or too large for memory."""
         if chunk.needed or not self._passed_over(chunk):
             yield from super()._directly(chunk)
 
     def _passed_over(self, chunk: Chunk) -> bool:
-        """Count the messages of a chunk of no need, if its index lists what the summary does."""
+        """Count the messages of an unneeded chunk, if its index agrees with the summary."""
         assert self._summary is not None
         numbers = self._summary.numbers(chunk.position)
         if numbers is None or set(numbers.tolist()) != chunk.counts.keys():
@@ -173,7 +175,7 @@ class McapChunks(ChunkReader):
         return True
 
     def _census(self, chunk: Chunk) -> dict[int, int]:
-        """Channels that are described nowhere else are taken from the chunk as well."""
+        """Message counts of a chunk; channels that are described only there are read from it."""
         head = chunk.head
         if head.data_size > WHOLE_BYTES:
             return {}
@@ -192,7 +194,7 @@ class McapChunks(ChunkReader):
         return {n: c for n, c in counts if not head.compression or self._tally.known(n)}
 
     def cut(self, head: ChunkHead) -> Iterator[Block]:
-        """What is left of the last chunk of a file that was cut."""
+        """The messages of the last chunk of a truncated file."""
         data = self._part(head)
         yield from self._messages.blocks(data[: self._front(data)])
 

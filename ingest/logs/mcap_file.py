@@ -1,6 +1,7 @@
-"""MCAP files: a walk over their records that needs no index, survives damage and checks CRCs.
+"""Reading MCAP files: a walk over their records that needs no index, survives damage and checks
+CRCs.
 
-What chunks hold is read by `mcap_chunks`, what messages and descriptions are by `mcap_messages`.
+`mcap_chunks` reads chunks, `mcap_messages` messages and descriptions.
 """
 
 from __future__ import annotations
@@ -58,15 +59,15 @@ from .windows import SLAB_BYTES, Window, window_on
 _HEAD = struct.Struct("<BQ").unpack_from
 
 LARGEST_MESSAGE = 1 << 32
-"""A message that claims more is taken for damage: lengths in ROS messages have 32 bits."""
+"""A larger message counts as damage: lengths in ROS messages have 32 bits."""
 
 
 class McapFile(ChunkedFile):
-    """One MCAP file, chunked or not, with or without summary, of any profile."""
+    """One MCAP file, chunked or not, with or without a summary, of any profile."""
 
     @cached_property
     def summary(self) -> McapSummary | None:
-        """The summary section if it is there, whole and its checksum is right."""
+        """The summary section, None unless it is complete with a valid checksum."""
         with window_on(self.path) as window:
             return read_summary(window)
 
@@ -80,7 +81,7 @@ class McapFile(ChunkedFile):
         return _Walk(window, Tally(want, findings, self._channels()), findings, self.summary)
 
     def survey(self, exact: bool = False) -> Survey | None:
-        """Counts from the statistics record of a sound summary."""
+        """Message counts from the statistics record of a valid summary."""
         return self.summary.survey() if self.summary is not None else None
 
 
@@ -100,9 +101,10 @@ class _Walk:
         self._chunks = McapChunks(window, self._messages, summary)
 
     def run(self, index: ChunkIndex | None = None) -> Iterator[Block]:
-        """All blocks from the first record to the footer, the end, or the last readable place.
+        """All blocks from the first record to the footer, the end of file, or the last readable
+        position.
 
-        index: only those of the chunks that hold what is wanted, and nothing else is read.
+        index: read only the chunks that hold wanted messages.
         """
         keep_freed_memory()
         with self._chunks:
@@ -112,7 +114,7 @@ class _Walk:
         self.tally.finish(self._summary.counts if self._summary is not None else {})
 
     def _chosen(self, index: ChunkIndex) -> Walking:
-        """Go through the chunks that hold anything wanted; of the others the index tells enough."""
+        """Read the chunks that hold wanted messages; of the others the index gives the counts."""
         needed = passed_over(index, self.tally, self._findings)
         for begin, stop, counts in index.places(needed):
             position = begin
@@ -128,7 +130,7 @@ class _Walk:
         return 1
 
     def _records(self) -> Walking:
-        """Go through the records outside chunks; returns 1 if the footer was reached."""
+        """Walk over the records outside chunks; returns 1 if the footer was reached."""
         window, position = self._window, len(MAGIC)
         if window.view(0, position).tobytes() != MAGIC:
             self._findings.note("the file does not begin with the MCAP magic")
@@ -151,7 +153,7 @@ class _Walk:
         return 0
 
     def _adopted(self, position: int, head: bytes) -> bool:
-        """Whether a message's channel is known after all, with a wrong bit in its number."""
+        """Whether a message's channel is known once a wrong bit in its number is corrected."""
         if head[0] != MESSAGE or len(head) < RECORD_HEAD + 2:
             return False
         behind = self._window.copy(position + RECORD_HEAD + _HEAD(head)[1], RECORD_HEAD + 2)
@@ -161,10 +163,10 @@ class _Walk:
         return whole and self.tally.adopt(np.frombuffer(number * (1 + alike), "<u2"))
 
     def _told_apart(self, position: int, head: bytes) -> bytes:
-        """The head of what looks like a message, and may be another record but for one bit.
+        """The head of an apparent message, corrected if it is another record but for one bit.
 
-        Any bytes are a message. But where there are chunks there are indexes, and in front is the
-        header.
+        Any bytes can be a message. But in a file with chunks, indexes follow them, and the header
+        is first.
         """
         ops = (MESSAGE_INDEX,) if self._chunks.met else ()
         if position == len(MAGIC):
@@ -177,7 +179,8 @@ class _Walk:
         return head
 
     def _record(self, position: int, head: bytes, end: int) -> Walking:
-        """Take in a sound record outside chunks, or several; returns where to go on."""
+        """Process a valid record outside chunks, or several; returns the position to continue
+        at."""
         op = head[0]
         if op == CHUNK:
             self._messages.ended = False
@@ -195,7 +198,7 @@ class _Walk:
         return end
 
     def _slab(self, position: int, end: int) -> Walking:
-        """Messages outside chunks, up to the next record of another kind; returns its place."""
+        """Messages outside chunks, up to the next record of another kind; returns its position."""
         if end - position > RECORD_BYTES:
             self._messages.too_large(self._window.view(position, HEAD_BYTES))
             return end
@@ -212,7 +215,7 @@ class _Walk:
         return int(position + stop)
 
     def _check_data(self, position: int) -> None:
-        """Compare the checksum of all data, where one is given."""
+        """Compare the checksum of the data section, if there is one."""
         expected = Cursor(self._window.view(position + RECORD_HEAD, 4)).u32()
         if not expected:
             return
@@ -224,9 +227,10 @@ class _Walk:
             self._findings.note("the checksum (CRC) of the data section is wrong")
 
     def _around_damage(self, position: int, end: int | None) -> Walking:
-        """Go on at a place where no sound record is: repair its head, or find the next one.
+        """Continue where there is no valid record: repair its head or find the next one; returns a
+        position.
 
-        end: where the record ends, if only the file's end is in front of it. Returns a place.
+        end: end of the record if only the file's end precedes it.
         """
         yield from self._chunks.caught_up(everything=True)
         window = self._window
@@ -265,7 +269,7 @@ class _Walk:
         return window.size
 
     def _repaired(self, position: int, head: bytes) -> Walking:
-        """Take in the one record whose head was set right; returns where it ends."""
+        """Process the one record whose head was repaired; returns its end."""
         end = self._heads.end(position, head)
         assert end is not None
         if head[0] not in IN_CHUNKS and head[0] != MESSAGE_INDEX:
@@ -282,7 +286,7 @@ class _Walk:
         return end
 
     def _next_record(self, position: int) -> int | None:
-        """Place of the next believable record at or after `position`, None if there is none."""
+        """Position of the next plausible record at or after `position`, None if there is none."""
         if self._summary is not None:
             starts, stop = self._summary.chunk_starts, self._summary.start
             listed = next_listed(starts, stop, position, lambda at: bool(self._heads.sound(at)))
@@ -292,7 +296,7 @@ class _Walk:
 
 
 def _plausible(op: int, length: int) -> bool:
-    """Whether a record head can be one: an opcode of the format or a private one, a sane length."""
+    """Whether a record head is possible: a known or private opcode and a possible length."""
     if op == MESSAGE:
         return MESSAGE_HEAD <= length < LARGEST_MESSAGE
     return (op in OUTSIDE or op >= PRIVATE) and length < 1 << 40

@@ -1,9 +1,9 @@
-"""Which bytes of an MCAP file are a record: by its own lengths, and by the record behind it.
+"""Validation of MCAP record heads by their redundant lengths and by the record that follows.
 
-The length of a record says again what the lengths inside it say, save for messages, and every
-record ends where another one begins. So a damaged length does not agree with what lies there: then
-the head is tried with each one of its bits changed, and if none makes it whole, the next place is
-looked for at which a record and another one behind it are.
+Except for messages, a record's length follows from the lengths inside it, and every record ends
+where another begins. If a length is inconsistent, the head is tried with each one of its bits
+flipped; if that does not help, the walk continues at the next position with two consecutive valid
+records.
 """
 
 from __future__ import annotations
@@ -40,17 +40,16 @@ _CHUNK = struct.Struct("<QQQII").unpack_from
 _U32, _U64 = (struct.Struct(f).unpack_from for f in ("<I", "<Q"))
 
 HEAD_BYTES = 64
-"""So much of a record is looked at first: of chunks and messages, all their lengths."""
+"""Bytes of a record read at first: they hold all lengths of chunks and messages."""
 
 CHUNK_FIXED = 32
-"""Bytes of a chunk record in front of the name of its compression."""
+"""Bytes of a chunk record before the name of its compression."""
 
 LARGEST_RECORD = 1 << 48
-"""Longest record that is believed, 256 TiB: no file is longer."""
+"""Upper limit of a record's length, 256 TiB."""
 
 REPAIRS = 64
-"""Heads of one file that are tried bit by bit, 0.2 ms each; a file with more wrong bits is read by
-its rest."""
+"""Limit on heads of one file that are repaired, 0.2 ms each; beyond it damage is skipped."""
 
 _LAYOUTS: dict[int, tuple[int | str, ...]] = {
     HEADER: ("s", "s"),
@@ -68,7 +67,8 @@ _LAYOUTS: dict[int, tuple[int | str, ...]] = {
     0x0E: (17,),
     DATA_END: (4,),
 }
-"""Bytes of every kind of record: so many, or what a length of 32 ("s") or 64 bits ("l") says."""
+"""Fields of every kind of record: a number of bytes, or a length of 32 ("s") or 64 bits ("l") with
+its content."""
 
 COMPRESSIONS = frozenset({b"", b"zstd", b"lz4"})
 
@@ -77,11 +77,11 @@ NOT_IN_CHUNKS = frozenset(range(256)) - IN_CHUNKS
 OUTSIDE = frozenset({*_LAYOUTS, MESSAGE})
 
 PRIVATE = 0x80
-"""From this kind on the format leaves records to applications (https://mcap.dev/spec)."""
+"""Opcodes from this one on are private to applications (https://mcap.dev/spec)."""
 
 
 def chunk_head(head: bytes, position: int) -> ChunkHead:
-    """The head of the sound chunk record at `position`, out of its first HEAD_BYTES."""
+    """The head of the valid chunk record at `position`, from its first HEAD_BYTES."""
     start, end, size, crc, named = _CHUNK(head, RECORD_HEAD)
     data_at = RECORD_HEAD + CHUNK_FIXED + named + 8
     name = head[RECORD_HEAD + CHUNK_FIXED : RECORD_HEAD + CHUNK_FIXED + named]
@@ -94,14 +94,14 @@ def chunk_head(head: bytes, position: int) -> ChunkHead:
 
 
 Read = Callable[[int, int], bytes]
-"""Gives the bytes of a place, fewer at the end of all."""
+"""Returns the bytes at (position, length), fewer at the end."""
 
 
 class Heads:
     """Records in a file, or in the data of one chunk.
 
-    read: of any place; size: of all; known: whether a channel of a number is described; file:
-    whether this is a file, which does not end with its last record but with a magic.
+    read: bytes of any position; size: total; known: whether a channel number is described; file:
+    whether this is a file, which ends with a magic rather than with its last record.
     """
 
     def __init__(
@@ -126,14 +126,13 @@ class Heads:
         return self._read(position, HEAD_BYTES)
 
     def known(self, numbers: NDArray[Any]) -> list[bool]:
-        """Whether the channels of messages are described."""
+        """For each channel number of messages whether it is described."""
         return [self._known(number) for number in numbers.tolist()]
 
     def end(self, position: int, head: bytes | None = None) -> int | None:
-        """Where the record at `position` ends by all its lengths, None if they do not agree.
+        """End of the record at `position` if all its lengths agree, else None.
 
-        This may be behind the end of all, where a log was cut. head: its first HEAD_BYTES, if they
-        are known better.
+        It may lie behind the end of a truncated log. head: the record's corrected first HEAD_BYTES.
         """
         if head is None:
             head = self._read(position, HEAD_BYTES)
@@ -154,7 +153,7 @@ class Heads:
     def _inside(
         self, position: int, head: bytes, layout: tuple[int | str, ...], total: int
     ) -> bool:
-        """Whether the lengths in a record add up to `total`; False as well if some are cut off."""
+        """Whether the lengths in a record add up to `total`; False if some are cut off."""
         at = RECORD_HEAD
         for part in layout:
             if isinstance(part, int):
@@ -171,14 +170,14 @@ class Heads:
         return at == total
 
     def sound(self, position: int, head: bytes | None = None) -> int | None:
-        """Where the record at `position` ends if all of it is there and another one behind it."""
+        """End of the record at `position` if it is complete and followed by another one."""
         if head is None:
             head = self._read(position, HEAD_BYTES)
         end = self.end(position, head)
         return end if end is not None and self._begins_behind(head, end) else None
 
     def _begins_behind(self, head: bytes, end: int) -> bool:
-        """Whether a record begins behind another, which may describe the channel of that one."""
+        """Whether a record begins at `end`; it may be the channel of the one before."""
         if self.begins(end):
             return True
         number = head[RECORD_HEAD : RECORD_HEAD + 2]
@@ -186,15 +185,17 @@ class Heads:
         return head[0] == CHANNEL and after[:1] == b"\x05" and after[RECORD_HEAD:] == number
 
     def begins(self, position: int) -> bool:
-        """Whether a record begins at `position`, or all ends there, be it within a record head."""
+        """Whether a record begins at `position`, or the data end there, possibly within a record
+        head."""
         if position + RECORD_HEAD > self._size:
             return position <= self._size
         return self.end(position) is not None
 
     def repaired(self, position: int) -> bytes | None:
-        """The head of the record at `position` with one change that makes it sound, or None.
+        """The head of the record at `position` with the one change that makes it valid, None if
+        none does.
 
-        Of several the one that ends first: it takes least for its own.
+        Of several changes, the one with the shortest record.
         """
         head = self._read(position, HEAD_BYTES)
         if self._repairs[0] <= 0 or len(head) < RECORD_HEAD:
@@ -216,9 +217,9 @@ class Heads:
         return best
 
     def following(self, position: int, packed: bool = False) -> int | None:
-        """Place of the next sound record at or behind `position`, None if there is none.
+        """Position of the next valid record at or after `position`, None if there is none.
 
-        packed: whether chunks are compressed; what looks like a message is then part of one.
+        packed: chunks are compressed, so that apparent messages are parts of chunks.
         """
         slab = 1 << 12
         while position < self._size:
@@ -233,7 +234,7 @@ class Heads:
         return None
 
     def _candidates(self, data: Bytes, position: int, packed: bool) -> Iterator[int]:
-        """Places in `data` at which records could begin, by kind and length alone."""
+        """Positions in `data` at which a record is possible by opcode and length."""
         if len(data) < RECORD_HEAD:
             return
         n = len(data) - RECORD_HEAD + 1
@@ -251,10 +252,10 @@ class Heads:
 
 
 def _changed(head: bytes) -> Iterator[bytes]:
-    """A head with what may have been damaged set right: any one bit, or the size of a chunk.
+    """A head with each single bit flipped, or with the size of its chunk corrected.
 
-    The number of a message's channel is left alone: several would do. What becomes a message by it
-    comes last, since any length is that of a message.
+    The channel of a message is not changed, since several would be possible. Changes that make a
+    message come last, since any length is possible for it.
     """
     messages = []
     for bit in range(8 * len(head)):
@@ -277,7 +278,7 @@ def _changed(head: bytes) -> Iterator[bytes]:
 
 
 def _data_size_at(head: bytes | bytearray) -> int:
-    """Where a chunk says how many bytes its data take, 0 if its compression is none that exists."""
+    """Offset of a chunk's data size, 0 if its compression is unknown."""
     name_at = RECORD_HEAD + CHUNK_FIXED
     if len(head) < name_at + 8:
         return 0

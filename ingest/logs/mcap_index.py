@@ -1,7 +1,7 @@
-"""Which chunks of an MCAP file hold how many messages of which channels, by its summary alone.
+"""Message counts by chunk and channel of an MCAP file, from its summary alone.
 
-A chunk index tells where the message indexes behind its chunk begin, one per channel. Each takes
-15 bytes and 16 per message, so their places tell how many messages there are.
+A chunk index holds the positions of the chunk's message indexes, one for each channel. These take
+15 bytes and 16 for each message, so that their distances give the counts.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from .mcap_summary import OFFSETS_AT, PLACE_AT, McapSummary
 from .mcap_wire import RECORD_HEAD
 
 _FIRST_AT, _LAST_AT, _LENGTH_AT = RECORD_HEAD, RECORD_HEAD + 8, RECORD_HEAD + 24
-"""In a chunk index: first and last log time of the chunk, and its length."""
+"""Offsets in a chunk index: first and last log time of the chunk, and its length."""
 
 INDEX_HEAD, INDEX_ENTRY = RECORD_HEAD + 6, 16
-"""Bytes of a message index: what is in front of its entries, and of an entry."""
+"""Bytes of a message index before its entries, and of an entry."""
 
 
 def chunk_index(summary: McapSummary | None) -> ChunkIndex | str:
-    """The chunks of a file and what they hold; or why that is not known.
+    """The chunks of a file with their message counts, or the reason why they are not known.
 
-    It is known if the message indexes fill the room between chunks, and together count as many
-    messages of every channel as the statistics do. So nothing lies outside the chunks, and a wrong
-    number that no checksum caught is noticed.
+    They are known if the message indexes fill the gaps between chunks and their counts add up to
+    the statistics for every channel: then nothing lies outside of chunks, and errors that no
+    checksum covers are noticed.
     """
     if summary is None:
         return "it has no index, or a damaged one"
@@ -58,7 +58,7 @@ def chunk_index(summary: McapSummary | None) -> ChunkIndex | str:
 
 
 def _counts(summary: McapSummary, end: IntArray, listed: IntArray, chunk: IntArray) -> IntArray:
-    """(k,) messages of a channel in a chunk; nonsense where the places make none."""
+    """(k,) messages of a channel in a chunk; meaningless where positions are inconsistent."""
     data, where = summary.listing
     within = np.arange(len(chunk)) - summary.chunk_first[chunk]
     at = words(data, "<i8", where[chunk] + OFFSETS_AT + 10 * within + 2)

@@ -1,8 +1,8 @@
-"""Records one behind the other of which some are damaged: the others are found again.
+"""Recovery of records from damaged data.
 
-Where the walk meets no record, either the head there is damaged, or the length of the record in
-front of it led astray. Both are tried with each one of their bits changed; if neither helps, the
-walk goes on at the next place at which records are.
+Where the walk meets no valid record, either the head there or the length of the record before is
+damaged. Both are tried with each one of their bits flipped; if neither helps, the walk continues at
+the next position with valid records.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from .walk import mcap_records
 
 
 def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, IntArray], list[int]]) -> Mended:
-    """All records of damaged data that can still be found. heads: of the data.
+    """All records of damaged data that can be recovered. heads: of the data.
 
-    define: is told of further records, so that the channels among them are known; gives the places
-    of those that are messages after all.
+    define: called with further records to make their channels known; returns the positions of those
+    that are messages after all.
     """
     data = data.copy()
     heads = heads.within(data)
@@ -68,7 +68,7 @@ def mended(data: Bytes, heads: Heads, define: Callable[[Bytes, IntArray], list[i
 
 
 def _private_end(data: Bytes, position: int) -> int:
-    """Where a record of a private kind ends, 0 if there is none, or if not in the data."""
+    """End of the record of a private kind, 0 if there is none or it is not in the data."""
     if position + RECORD_HEAD > len(data) or data[position] < PRIVATE:
         return 0
     end = position + RECORD_HEAD + int(words(data, "<u8", np.array([position + 1]))[0])
@@ -78,10 +78,10 @@ def _private_end(data: Bytes, position: int) -> int:
 def trusted(
     heads: Heads, data: Bytes, where: IntArray, stop: int, base: int
 ) -> tuple[IntArray, int]:
-    """The records in front of a place at which none begins, without those in doubt; where they end.
+    """The trustworthy records before a position at which none begins, and where they end.
 
-    The last length led there, unless only the head there is broken. base: place of `data` for
-    `heads`.
+    The last record's length is wrong, unless only the head at the position is. base: position of
+    `data` for `heads`.
     """
     if heads.repaired(base + stop) is not None:
         return where, stop

@@ -1,4 +1,5 @@
-"""The messages in runs of MCAP records, with the schemas and channels that stand among them."""
+"""Decoding runs of MCAP records into blocks of messages, with the schemas and channels among
+them."""
 
 from __future__ import annotations
 
@@ -20,14 +21,14 @@ from .walk import inside, mcap_listed, mcap_records, seamless
 _HEAD = struct.Struct("<BQ").unpack_from
 
 LOG_TIME_AT = 15
-"""Place of the log time in a message record; the channel's number stands behind the head."""
+"""Offset of the log time in a message record; the channel follows the record head."""
 
 
 class MessageReader:
     """Turns runs of records of one file into blocks of messages.
 
-    packed: whether the file has compressed chunks, of which damage may show records that were never
-    written; ended: whether the end of the data was met, behind which descriptions are repeated.
+    packed: the file has compressed chunks, whose damage may produce invented records; ended: the
+    end of the data section was reached, after which descriptions are repeated.
     """
 
     def __init__(
@@ -41,7 +42,7 @@ class MessageReader:
         self._definitions = definitions
 
     def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
-        """The wanted messages in a run of records; offsets: where an index says they are."""
+        """The wanted messages in a run of records; offsets: their positions by an index."""
         regular = self._regular(data, offsets) if offsets else None
         if regular is not None:
             positions, heads = regular
@@ -72,9 +73,10 @@ class MessageReader:
     def without_descriptions(
         self, data: Bytes, positions: IntArray, size: IntArray, asked: Sequence[int]
     ) -> BoolArray:
-        """Which messages are none that describe their channel but for one bit, which are taken in.
+        """(n,) which messages are messages; those that are a channel's description but for one bit
+        are processed as such.
 
-        asked: which may be; descriptions stand in front of the first message, and behind the data.
+        asked: the ones to check; descriptions precede the first message or follow the data section.
         """
         heads, kept = self.heads.within(data), np.ones(len(positions), bool)
         for k in asked:
@@ -88,10 +90,10 @@ class MessageReader:
         return kept
 
     def _regular(self, data: Bytes, offsets: Sequence[IntArray]) -> tuple[IntArray, Bytes] | None:
-        """Places and heads of the messages in data that hold nothing else, as an index says.
+        """Positions and heads of messages if the index describes all of `data`, else None.
 
-        None unless each ends where the next begins, from the first byte to the last: then a walk
-        would have met exactly these.
+        Each message must end where the next begins, from the first byte to the last: a walk would
+        find the same.
         """
         where = inside(np.concatenate(offsets), len(data) - (RECORD_HEAD + MESSAGE_HEAD))
         if where is None or where[0]:
@@ -103,9 +105,9 @@ class MessageReader:
         return (where, heads) if seamless(where, where + RECORD_HEAD + length, len(data)) else None
 
     def _walked(self, data: Bytes, offsets: Sequence[IntArray]) -> tuple[Bytes, IntArray, Bytes]:
-        """The places and kinds of the records in `data`, which is mended first where it is broken.
+        """Positions and kinds of the records in `data`, which is mended first if broken.
 
-        Schemas and channels met are taken in.
+        Schemas and channels are processed.
         """
         where = mcap_listed(data, np.concatenate(offsets)) if offsets else None
         stop = len(data)
@@ -130,10 +132,8 @@ class MessageReader:
         return found.data, found.where, found.data[found.where]
 
     def _heads(self, data: Bytes, where: IntArray, op: Bytes) -> tuple[IntArray, Bytes]:
-        """Places of the message records among others, and their heads as rows.
-
-        Records that call themselves messages but are shorter than a message's head are left out.
-        """
+        """Positions of the message records, and their heads as rows; those shorter than a message
+        head are left out."""
         is_message = op == MESSAGE
         if not is_message.all():
             where = where[is_message]
@@ -151,10 +151,10 @@ class MessageReader:
         return where[fits]
 
     def define(self, data: Bytes, where: IntArray, more: bool = False) -> list[int]:
-        """Take in the schemas and channels among records.
+        """Process the schemas and channels among records.
 
-        more: only channels that no sound bytes described so far.
-        Returns the places of those that are messages but for one bit.
+        more: only channels that no valid data has described yet. Returns the positions of those
+        that are messages but for one bit.
         """
         op = data[where]
         messages: list[int] = []
@@ -198,7 +198,7 @@ class MessageReader:
         return messages
 
     def too_large(self, head: Bytes) -> None:
-        """Count a record that is too large to be looked at, by its first bytes."""
+        """Count a record that is too large to be read, from its first bytes."""
         if head[0] == MESSAGE:
             number = int(head[RECORD_HEAD]) | int(head[RECORD_HEAD + 1]) << 8
             if self.tally.sink(number) == UNWANTED:

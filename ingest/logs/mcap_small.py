@@ -1,4 +1,4 @@
-"""Runs of small chunks taken together: some recorders close a chunk after every message."""
+"""Reading runs of small chunks together: some recorders close a chunk after every message."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _INDEX = struct.Struct("<HI").unpack_from
 
 
 class Failed(NamedTuple):
-    """A chunk that cannot be used: why, and how many messages its index counts per channel."""
+    """An unusable chunk: the reason, and the message counts of its index by channel."""
 
     reason: str
     counts: dict[int, int]
 
 
 class Batch(NamedTuple):
-    """Small chunks one behind the other.
+    """A run of small chunks.
 
-    stop: bytes of the file that they take; data: the records of each; failed: those that could not
-    be used, in order; open: whether the last one failed, so that further counts may follow;
-    unlisted: the records of those whose checksum is wrong, and whose messages no index counts;
-    repaired: how many declare another size than they have.
+    stop: its length in the file; data: the records of each; failed: the unusable ones, in order;
+    open: whether the last one failed, so that its counts may continue; unlisted: the records of
+    those with a wrong checksum whose messages no index counts; repaired: number with a corrected
+    size.
     """
 
     stop: int
@@ -46,9 +46,9 @@ class Batch(NamedTuple):
 
 
 def small_chunks(raw: Bytes, patient: bool) -> Batch:
-    """The small chunks at the front of `raw` and their indexes, up to anything else.
+    """The small chunks at the front of `raw` with their indexes, up to the first other record.
 
-    patient: stop in front of a chunk that cannot be used as it is.
+    patient: stop before a chunk that cannot be used as it is.
     """
     view, at, size = raw.data, 0, len(raw)
     data: list[bytes] = []
@@ -86,7 +86,7 @@ def small_chunks(raw: Bytes, patient: bool) -> Batch:
 
 
 class _Found(NamedTuple):
-    """What a chunk holds, and why it cannot be used, if so; or whether its size was set right."""
+    """The records of a chunk, why it is unusable (if it is), and whether its size was corrected."""
 
     records: bytes
     reason: str = ""
@@ -94,7 +94,7 @@ class _Found(NamedTuple):
 
 
 def _records(view: memoryview, at: int, end: int) -> _Found | None:
-    """The records of a chunk, or None if it is not small and simple."""
+    """The records of a chunk, None if it is not small and simple."""
     _, _, size, crc, named = _CHUNK(view, at + RECORD_HEAD)
     name_at = at + RECORD_HEAD + CHUNK_FIXED
     data_at = name_at + named + 8

@@ -1,4 +1,4 @@
-"""The summary section of an MCAP file, believed only where it is whole and consistent."""
+"""The summary section of an MCAP file, used only if it is complete and consistent."""
 
 from __future__ import annotations
 
@@ -29,22 +29,22 @@ from .windows import Window
 FOOTER_BYTES = RECORD_HEAD + 20 + len(MAGIC)
 
 SUMMARY_BYTES = 1 << 26
-"""Largest summary that is read: a chunk takes about 100 bytes in it."""
+"""Largest summary that is read; a chunk takes about 100 bytes in it."""
 
 _HEAD = struct.Struct("<BQ").unpack_from
 _NUMBERS = struct.Struct("<HH").unpack_from
-"""Numbers of a channel and of its schema, 0 for none, at the front of a channel record."""
+"""Channel and schema number (0 for none) at the front of a channel record."""
 
 
 class McapSummary(NamedTuple):
-    """What the end of a file says about it.
+    """The contents of a summary section.
 
-    start: where the summary begins; definitions: its schemas and channels; channels: those whose
-    schema it repeats as well, or that have none; chunk_starts: (c,) ascending places of the chunk
-    records; chunk_first, chunk_channels: (c + 1,), (k,) the numbers of the channels in chunk i are
-    chunk_channels[chunk_first[i]:chunk_first[i + 1]]; counts: messages per channel number, empty
-    where there are no statistics; checked: whether a checksum vouches for all this; listing: the
-    bytes of all this, and (c,) where the chunk indexes are in it, in the order of their chunks.
+    start: its position; definitions: its schemas and channels; channels: those whose schema it
+    repeats, or without one; chunk_starts: (c,) ascending positions of chunk records; chunk_first,
+    chunk_channels: (c + 1,), (k,) chunk i has the channels
+    chunk_channels[chunk_first[i]:chunk_first[i + 1]]; counts: messages by channel, empty without
+    statistics; checked: whether a checksum covers it; listing: its bytes, and (c,) the positions of
+    the chunk indexes in them.
     """
 
     start: int
@@ -60,19 +60,19 @@ class McapSummary(NamedTuple):
 
     @property
     def describes_all(self) -> bool:
-        """Whether every channel that any chunk or the statistics name is described."""
+        """Whether every channel of a chunk or of the statistics is described."""
         named = set(self.counts).union(np.bincount(self.chunk_channels).nonzero()[0].tolist())
         return self.channels.keys() >= named
 
     def numbers(self, chunk: int) -> IntArray | None:
-        """The channels in the chunk at that place in the file, None for one that is not listed."""
+        """The channels of the chunk at a position of the file, None if it is not listed."""
         k = int(self.chunk_starts.searchsorted(chunk))
         if k == len(self.chunk_starts) or self.chunk_starts[k] != chunk:
             return None
         return self.chunk_channels[self.chunk_first[k] : self.chunk_first[k + 1]]
 
     def survey(self) -> Survey | None:
-        """Counts per channel, None where statistics or the channels they count are missing."""
+        """Counts per channel, None without statistics or with undescribed channels."""
         if not self.counts or not self.counts.keys() <= self.channels.keys():
             return None
         counts: dict[Channel, int] = {}
@@ -82,7 +82,7 @@ class McapSummary(NamedTuple):
 
 
 def read_summary(window: Window) -> McapSummary | None:
-    """The summary of a file, None where there is none or something in it is wrong."""
+    """The summary of a file, None if there is none or it is inconsistent."""
     tail = window.view(window.size - FOOTER_BYTES, FOOTER_BYTES).tobytes()
     if window.size < FOOTER_BYTES + len(MAGIC) or not tail.endswith(MAGIC):
         return None
@@ -137,12 +137,13 @@ def _parse(data: Bytes, start: int, checked: bool) -> McapSummary:
 
 
 PLACE_AT, OFFSETS_AT = RECORD_HEAD + 16, RECORD_HEAD + 36
-"""In a chunk index: the place of the chunk, and the list of its channels, each with the place of
-its message index."""
+"""Offsets in a chunk index: the chunk's position, and its channels with the positions of their
+message indexes."""
 
 
 def _chunk_indexes(data: Bytes, where: IntArray) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-    """Places of the chunks in ascending order, the channels in them, and where that is told."""
+    """Ascending positions of the chunks, their channels as in McapSummary, and the positions of the
+    chunk indexes."""
     if len(where) == 0:
         return where, np.zeros(1, np.int64), where, where
     length = words(data, "<i8", where + 1)
@@ -162,7 +163,7 @@ def _chunk_indexes(data: Bytes, where: IntArray) -> tuple[IntArray, IntArray, In
 
 
 def _statistics(cursor: Cursor) -> tuple[dict[int, int], tuple[int, int]]:
-    """Messages per channel, none where they do not add up; first and last log time."""
+    """Messages per channel, empty if inconsistent; first and last log time [ns]."""
     total = cursor.u64()
     cursor.take(2 + 4 + 4 + 4 + 4)
     span = (cursor.u64(), cursor.u64())

@@ -1,4 +1,4 @@
-"""The records of an MCAP file that are parsed field by field: schemas, channels, small heads."""
+"""Parsing of MCAP records field by field: schemas, channels, small heads."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from .tally import NUMBERS
 MAGIC = b"\x89MCAP0\r\n"
 HEADER, FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x01, 0x02, 0x03, 0x04, 0x05, 0x06
 MESSAGE_INDEX, CHUNK_INDEX, ATTACHMENT, STATISTICS, DATA_END = 0x07, 0x08, 0x09, 0x0B, 0x0F
-"""Codes of the format (https://mcap.dev/spec)."""
+"""Opcodes (https://mcap.dev/spec)."""
 
 RECORD_HEAD = 9
-"""Bytes of opcode and length in front of every record."""
+"""Bytes of a record's opcode and length."""
 
 MESSAGE_HEAD = 22
-"""Bytes of a message record in front of its payload."""
+"""Bytes of a message record before its payload."""
 
 _U16, _U32, _U64 = (struct.Struct(f).unpack_from for f in ("<H", "<I", "<Q"))
 
 
 class Cursor:
-    """Reads fields one after the other and raises DamageError at the end of the bytes."""
+    """Reads consecutive fields; raises DamageError at the end of the bytes."""
 
     def __init__(self, data: Bytes) -> None:
         self._data = data.tobytes()
@@ -55,16 +55,16 @@ class Cursor:
         return int(_U64(self.take(8))[0])
 
     def string(self) -> str:
-        """A string with its length in front."""
+        """A length-prefixed string."""
         return text(self.take(self.u32()))
 
     def blob(self) -> bytes:
-        """Bytes with their length in front."""
+        """Length-prefixed bytes."""
         return self.take(self.u32())
 
 
 class Schema(NamedTuple):
-    """A message definition embedded in the file."""
+    """A message definition in the file."""
 
     name: str
     encoding: str
@@ -79,7 +79,7 @@ def schema_of(cursor: Cursor) -> tuple[int, Schema]:
 
 
 def channel_of(cursor: Cursor, schemas: Mapping[int, Schema]) -> tuple[int, Channel]:
-    """Number and content of a channel record; its schema must have come before it."""
+    """Number and content of a channel record, whose schema must be known."""
     number, schema_number = cursor.u16(), cursor.u16()
     topic, encoding = cursor.string(), cursor.string()
     # Of the two numbers, one may have a wrong bit; 0 stands for no schema.
@@ -93,7 +93,7 @@ def channel_of(cursor: Cursor, schemas: Mapping[int, Schema]) -> tuple[int, Chan
 
 
 class Definitions:
-    """The schemas and channels of one file, as they are met; writers repeat them in every chunk."""
+    """The schemas and channels of one file as they are read; writers repeat them in every chunk."""
 
     def __init__(self) -> None:
         self._schemas: dict[int, Schema] = {}
@@ -103,9 +103,9 @@ class Definitions:
         self._overruled: set[int] = set()
 
     def tell(self, op: int, body: bytes) -> tuple[int, Channel] | None:
-        """What `take` gives, of a summary.
+        """As `take`, for a record of the summary.
 
-        Raises DamageError if it says two things of a number, or more than any log has.
+        Raises DamageError for contradicting descriptions of a number, or for more than any log has.
         """
         if self._told.setdefault((op, _number(body)), body) != body:
             raise DamageError("the summary contradicts itself")
@@ -115,7 +115,7 @@ class Definitions:
         return found
 
     def overrule(self, op: int, body: bytes) -> bool:
-        """Whether a description in the data is another one than the summary gives."""
+        """Whether a description in the data differs from the summary's."""
         if op == CHANNEL and _number(body[2:]) in self._overruled:
             return True
         other = contradicts(body, self._told.get((op, _number(body))))
@@ -124,22 +124,22 @@ class Definitions:
         return other
 
     def met(self, op: int, body: bytes) -> bool:
-        """Whether the same record was taken in before."""
+        """Whether the same record was processed before."""
         if op == SCHEMA:
             return self._bodies.get(_number(body)) == body
         return body in self._described
 
     @property
     def left(self) -> int:
-        """How many more descriptions are looked at, whatever they describe."""
+        """Number of descriptions that are still accepted."""
         return self._described.left
 
     def worth(self, op: Bytes, number: IntArray) -> BoolArray:
-        """(n,) which schemas and channels of these numbers to look at."""
+        """(n,) which schemas and channels of these numbers to parse."""
         return self._described.worth(number + NUMBERS * (op == SCHEMA))
 
     def take(self, op: int, body: bytes) -> tuple[int, Channel] | None:
-        """Number and content of a channel that is new, None for a schema or for what was met.
+        """Number and content of a new channel; None for a schema or a known record.
 
         Raises DamageError.
         """
@@ -162,10 +162,10 @@ class Definitions:
         return None
 
     def has_schema(self, number: int) -> bool:
-        """Whether a schema was met; 0 stands for none."""
+        """Whether a schema is known; number 0 means none."""
         return number == 0 or number in self._schemas
 
 
 def _number(body: bytes) -> int:
-    """The number at the front of a description, 0 if it is cut."""
+    """The number at the front of a description, 0 if truncated."""
     return int(_U16(body)[0]) if len(body) >= 2 else 0

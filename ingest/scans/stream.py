@@ -1,4 +1,5 @@
-"""The scans of a log as a stream of batches: checked, mounted on the robot, in order of time."""
+"""The scans of a log as a stream of batches: validated, with the laser's pose on the robot, in
+order of time."""
 
 from __future__ import annotations
 
@@ -23,29 +24,29 @@ from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 Stamp = Literal["begin", "middle", "end"]
 
 MOST_FREE_M = 50.0
-"""As far as a beam without an echo is believed to be free."""
+"""Largest distance to which a beam without an echo counts as free space."""
 
 UNLIKELY_M = 100.0
-"""Where half of the echoes come from farther, nothing is near enough to show a junction; robots
-that measure in millimetres do so in every room."""
+"""A scan with more than half of its echoes beyond this is left out: it shows no junction, and
+ranges in millimetres look like this."""
 FAR = f"see most things beyond {UNLIKELY_M:g} m (ranges are metres; are these millimetres?)"
 
 LONGEST_SWEEP_S = 1.0
-"""Scanners turn at 5 Hz or faster; what claims a longer sweep does not know."""
+"""A longer sweep is not believed: scanners turn at 5 Hz or faster."""
 
 UNMOUNTED = np.array(NOWHERE_ELSE)
 
 LEVEL = 0.97
-"""Cosine of how far a laser may be tilted, 14 degrees: beyond, walls and floors look alike."""
+"""Cosine of the largest tilt of a laser (14°); beyond it walls and floor cannot be told apart."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mounting:
-    """Where the sensors are on the robot.
+    """Poses of the sensors on the robot.
 
-    known: (7,) T_body_sensor by frame; otherwise: for frames that are not in it, from their name;
-    None: scans in such frames are left out. overturned: all are the other way up than they say,
-    turned about where they look.
+    known: (7,) T_body_sensor by frame; otherwise: T_body_sensor from the name of any other frame,
+    None to leave such scans out. overturned: all sensors are rotated by 180° about their x axes
+    against `known`.
     """
 
     known: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -62,7 +63,8 @@ class Mounting:
 
 @dataclass(slots=True)
 class Tally:
-    """What a stream met: scans given out, and how many were left out or mended, by reason."""
+    """Statistics of a stream: scans returned, and how many were left out or corrected, by
+    reason."""
 
     messages: int = 0
     scans: int = 0
@@ -72,7 +74,7 @@ class Tally:
     mended: Counter[str] = field(default_factory=Counter)
 
     def warnings(self, topic: str) -> list[str]:
-        """One sentence per thing found wrong, with a count."""
+        """A sentence with a count for each kind of problem."""
         because = f" ({self.reason})" if self.reason else ""
         out = []
         if self.failed:
@@ -82,19 +84,19 @@ class Tally:
 
 
 MOST_REASONS = 20
-"""So many reasons are told apart; the names of frames are the log's, and may be any number."""
+"""Limit on distinct reasons, since they hold frame names of the log, of any number."""
 
 
 class _UnusableError(Exception):
-    """Scans of which nothing can be made; its text says why. Never leaves this module."""
+    """Scans that cannot be used, with the reason as text; caught in this module."""
 
 
 class ScanStream:
-    """The scans of one topic, read anew from the log by every iteration.
+    """The scans of one topic; every iteration reads the log anew.
 
-    topic: of scans or clouds; clock: header or log time; stamp: which beam a scan's time is of;
-    log time is always that of a finished sweep. `tally` tells of the last iteration. Memory follows
-    the largest chunk of the log, not its length.
+    topic: of scans or point clouds; clock: header or log time; stamp: the beam that a header stamp
+    refers to (log time is that of a finished sweep). `tally` is that of the last iteration. Memory
+    depends on the largest chunk of the log, not on its length.
     """
 
     def __init__(
@@ -124,7 +126,7 @@ class ScanStream:
                 yield batch
 
     def raw(self) -> Iterator[TimedScans]:
-        """The scans as decoded, unchecked."""
+        """The scans as decoded, not validated."""
         self.tally = Tally()
         yield from self._decoded()
 
@@ -155,7 +157,7 @@ class ScanStream:
         return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
 
     def _batch(self, timed: TimedScans, after_ns: int) -> ScanBatch | None:
-        """The scans that can be used, None if none can."""
+        """The usable scans of a batch, None if there are none."""
         raw, tally = timed.scans, self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
@@ -181,9 +183,10 @@ class ScanStream:
         )
 
     def _placed(self, raw: RawScans) -> tuple[FloatArray, FloatArray, bool]:
-        """T_body_laser, ascending beam directions (m,), and whether the beams are in reverse order.
+        """T_body_laser, ascending beam directions (m,) [rad], and whether the beams were in
+        descending order.
 
-        Raises _UnusableError where there is no such thing.
+        Raises _UnusableError if the pose or the directions are unknown or invalid.
         """
         geometry = raw.geometry
         mount = self._mounting.of(geometry.frame)
@@ -201,13 +204,13 @@ class ScanStream:
             raise _UnusableError("are of a laser that is tilted by more than 14 degrees")
         sign = 1.0 if upright > 0 else -1.0
         mounted = np.array([mount[0], mount[1], yaw_from_quaternion(*mount[3:])])
-        # Seen from above, everything in the frame of a laser upside down is a mirror image.
+        # The frame of a laser that is upside down is mirrored when seen from above.
         T_body_laser = compose(mounted, np.array(geometry.pose) * np.array([1.0, sign, sign]))
         seen = sign * angles
         return T_body_laser, *((seen[::-1], True) if seen[0] > seen[-1] else (seen, False))
 
     def _times(self, timed: TimedScans, sweep_s: float) -> IntArray:
-        """(n,) times [ns] of the middle beams."""
+        """(n,) times of the middle beams [ns]."""
         half = round(0.5e9 * sweep_s)
         if self._clock == "log":
             return timed.log_ns - half
@@ -216,7 +219,7 @@ class ScanStream:
 
 
 def _angles(raw: RawScans, tally: Tally) -> FloatArray:
-    """(m,) directions of the beams in the laser's frame; raises _UnusableError."""
+    """(m,) beam directions in the laser's frame [rad]; raises _UnusableError."""
     geometry, beams = raw.geometry, raw.ranges_m.shape[1]
     first, step = geometry.angle_min, geometry.angle_increment
     told = first, step, *geometry.pose
@@ -234,19 +237,19 @@ def _angles(raw: RawScans, tally: Tally) -> FloatArray:
 
 
 def _overturned(mount: FloatArray) -> FloatArray:
-    """(7,) T_body_sensor of a sensor turned by half a turn about its own x axis."""
+    """(7,) T_body_sensor rotated by 180° about the sensor's x axis."""
     x, y, z, w = mount[3:]
     return np.array([*mount[:3], w, z, -y, -x])
 
 
 def _upright(mount: FloatArray) -> float:
-    """Cosine between the z axes of a sensor and of the robot."""
+    """Cosine of the angle between the z axes of sensor and robot."""
     x, y = mount[3:5] / np.linalg.norm(mount[3:])
     return float(1 - 2 * (x * x + y * y))
 
 
 def _sweep_s(geometry: Geometry, beams: int) -> float:
-    """Time from the first to the last beam, 0 if it is not told."""
+    """Time from the first to the last beam [s], 0 if unknown."""
     sweep = geometry.time_increment * (beams - 1)
     return float(sweep) if 0 <= sweep <= LONGEST_SWEEP_S else 0.0
 
@@ -258,7 +261,7 @@ def _usable_times(
     clock: Literal["header", "log"],
     tally: Tally,
 ) -> BoolArray:
-    """(n,) which scans have a time that goes on from the last one."""
+    """(n,) which scans have times that increase from `after_ns` on."""
     good = np.ones(len(times_ns), bool)
     if clock == "header":
         good = (stamp_ns > 0) & (stamp_ns < LATEST_NS)
@@ -269,7 +272,7 @@ def _usable_times(
 
 
 def _far(raw: RawScans) -> BoolArray:
-    """(n,) which scans have most of their echoes from farther than any wall that would tell."""
+    """(n,) which scans have more than half of their echoes beyond UNLIKELY_M."""
     with np.errstate(invalid="ignore"):
         echo = (raw.ranges_m > 0) & (raw.ranges_m < np.inf)
     far = echo & (raw.ranges_m > UNLIKELY_M)
@@ -282,10 +285,11 @@ def _count(tally: Tally, which: BoolArray, why: str) -> None:
 
 
 def _measured(raw: RawScans, rows: IntArray, tally: Tally) -> tuple[Float32Array, FloatArray]:
-    """(n, m) ranges, NaN where nothing was returned; (n,) way that such a beam is free.
+    """(n, m) ranges [m], NaN without an echo; (n,) distance to which such a beam counts as free
+    [m].
 
-    At or beyond range_max, where a range is infinite, NaN, 0 or below range_min nothing came back:
-    many drivers write one of the latter where nothing is within reach.
+    There is no echo if a range is at or beyond range_max, infinite, NaN, 0 or below range_min: many
+    drivers write one of the latter if nothing is in reach.
     """
     ranges, g = raw.ranges_m[rows], raw.geometry
     limit = (
@@ -301,22 +305,20 @@ def _measured(raw: RawScans, rows: IntArray, tally: Tally) -> tuple[Float32Array
 
 
 class InterleavedScans:
-    """The scans of several lasers in the order of time.
-
-    Every laser's stream walks through the log by itself, so that none waits for another.
-    """
+    """The scans of several lasers in order of time; each laser's stream reads the log on its
+    own."""
 
     def __init__(self, streams: Sequence[ScanStream]) -> None:
         self._streams = tuple(streams)
 
     @property
     def warnings(self) -> list[str]:
-        """One sentence per thing found wrong by the last iteration, with a count."""
+        """A sentence with a count for each kind of problem in the last iteration."""
         return [line for stream in self._streams for line in stream.tally.warnings(stream.topic)]
 
     @property
     def messages(self) -> int:
-        """Messages of all lasers."""
+        """Number of messages of all lasers."""
         return sum(stream.tally.messages for stream in self._streams)
 
     def __iter__(self) -> Iterator[ScanBatch]:

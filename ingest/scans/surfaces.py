@@ -1,4 +1,4 @@
-"""Lines that the neighbouring beams of a scan make: what points of other scans are held against."""
+"""Line fits to neighbouring beams of a scan, for point-to-line scan matching."""
 
 from __future__ import annotations
 
@@ -12,25 +12,26 @@ from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True)
 class SurfaceSettings:
-    """Which neighbouring beams lie on one surface."""
+    """Which neighbouring beams belong to one surface."""
 
     reach_m: float = 0.35
-    """Half the length of wall that makes a line: long beside the noise of a range (1 to 3 cm),
-    short beside a door's frame."""
+    """Half the length of wall to fit: long against range noise (1 to 3 cm), short against a door
+    frame."""
     least_beams: int = 2
-    """On either side, however far apart they are."""
+    """Fewest beams on either side, whatever their distance."""
     most_beams: int = 10
     thickness_m: float = 0.06
-    """1 sigma across the line beyond which it is none: the noise of the coarsest lasers."""
+    """Largest standard deviation across the line, about the noise of the coarsest lasers."""
     farthest_m: float = 20.0
-    """Farther returns make none: their footprint is wider than a wall is straight."""
+    """Farther echoes have no line: the beam's footprint is larger than walls are straight."""
     grazing: float = 5.0
-    """Beams that graze a wall at more than 78 degrees (1 / cos = 5) leave gaps unbridged."""
+    """Neighbours are connected up to an incidence angle of 78° (1 / cos = 5)."""
     flatter: float = 0.25
-    """Of the variance across the line through both sides, what one side must come below to be a
-    wall of its own: of ten beams on one wall, one in twenty does so by chance (F test)."""
+    """A one-sided fit replaces the two-sided one if its variance is below this share of it: for ten
+    beams on one wall this happens by chance for one in twenty (F test)."""
     flat_m: float = 0.002
-    """1 sigma across a line that is no news: ranges come in steps of 1 to 10 mm."""
+    """Standard deviation below which fits are equal: ranges are quantised in steps of 1 to 10
+    mm."""
 
 
 SURFACES = SurfaceSettings()
@@ -38,8 +39,11 @@ SURFACES = SurfaceSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """Of scans (n, m): x, y of a point on the fitted line, nx, ny of its normal towards the laser;
-    where there is none, `valid` is False, the normal zero, and the point out of reach."""
+    """Line fits of scans, (n, m) each: a point x, y on the line and its normal nx, ny towards the
+    laser [m].
+
+    Where there is none `valid` is False, the normal zero and the point OUT_OF_REACH_M away.
+    """
 
     x: Float32Array
     y: Float32Array
@@ -49,17 +53,17 @@ class Surfaces:
 
 
 OUT_OF_REACH_M = 1e4
-"""No laser reaches so far: what is there is nobody's nearest."""
+"""Coordinate of missing points, far enough never to be a nearest neighbour."""
 LEAST_M2 = 1e-9
-"""Variance along a line that has no length."""
+"""Lower bound of the variance along a line."""
 
 
 def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
-    """Fit a line through the neighbours of every point of (n, m, 2) scans, NaN where no return:
-    on both sides, or on one, where that alone is flatter than chance.
+    """Fit a line to the neighbours of every point of scans (n, m, 2) [m], NaN without an echo: to
+    those on both sides, or on one side where that fit is significantly flatter.
 
-    increment_rad: (n,) angle between neighbouring beams. Total least squares over the beams within
-    `reach_m` that hang together; moments of all windows by prefix sums. O(n m).
+    increment_rad: (n,) angle between neighbouring beams. Total least squares over the connected
+    beams within `reach_m`; the moments of all windows are differences of prefix sums. O(n m).
     """
     distance = np.hypot(xy[..., 0], xy[..., 1]).astype(np.float64)
     with np.errstate(invalid="ignore"):
@@ -70,7 +74,7 @@ def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
     x, y = points[..., 0], points[..., 1]
     sums = _prefix_sums(np.stack([x, y, x * x, y * y, x * y]))
     here = SURFACES.flatter * _roughness(_line(sums, low, high))
-    # A line across a corner lies inside it, by how much depends on how far away it is seen from.
+    # A line fitted across a corner lies inside it, by an amount that depends on the distance.
     beam = np.arange(xy.shape[1])
     sides = (low, np.minimum(beam + 1, high)), (np.maximum(beam, low), high)
     for first, last in sides:
@@ -80,7 +84,7 @@ def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
         here = np.minimum(rough, here)
         low, high = low + better * (first - low), high + better * (last - high)
     size, mx, my, across, length, cos2, sin2 = _line(sums, low, high)
-    # Half the angle by roots: sines and arctangents differ between processors.
+    # Half-angle formulas with roots only: sines and arctangents differ between processors.
     twice = 2 * np.maximum(np.sqrt(cos2 * cos2 + sin2 * sin2), LEAST_M2)
     nx = -np.copysign(np.sqrt(np.maximum(0.5 - cos2 / twice, 0.0)), sin2)
     ny = np.sqrt(np.maximum(0.5 + cos2 / twice, 0.0))
@@ -103,8 +107,8 @@ def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
 
 
 class _Line(NamedTuple):
-    """Lines through beams (n, m): how many, their middle, variance across and along [m²]; cosine
-    and sine of twice the direction, times the difference of the two."""
+    """Line fits through beams (n, m): number of beams, centroid, variance across and along [m²];
+    cosine and sine of twice the direction, times the difference of both variances."""
 
     size: FloatArray
     x: FloatArray
@@ -116,28 +120,29 @@ class _Line(NamedTuple):
 
 
 def _prefix_sums(values: FloatArray) -> FloatArray:
-    """(c, n, m + 1) of (c, n, m): of all beams before each."""
+    """(c, n, m + 1) sums of (c, n, m) over all beams before each."""
     out = np.zeros((*values.shape[:-1], values.shape[-1] + 1))
     np.cumsum(values, axis=-1, out=out[..., 1:])
     return out
 
 
 def _line(sums: FloatArray, low: IntArray, high: IntArray) -> _Line:
-    """Through beams `low` to before `high` (n, m), by sums of x, y, x², y², x y before each."""
+    """Fit lines through the beams [low, high), (n, m) each, from prefix sums of x, y, x², y², x
+    y."""
     size = np.maximum(high - low, 1).astype(np.float64)
     begin = sums.shape[2] * np.arange(len(low))[:, None]
     low, high = begin + low, begin + high
     x, y, xx, yy, xy = ((total.take(high) - total.take(low)) / size for total in sums)
     xx, yy, xy = xx - x * x, yy - y * y, xy - x * y
     cos2, sin2 = xx - yy, 2 * xy
-    # The smaller eigenvalue by the determinant, else a root in single precision would not do.
+    # The smaller eigenvalue from the determinant, which avoids cancellation.
     length = 0.5 * (xx + yy + np.sqrt((cos2 * cos2 + sin2 * sin2).astype(np.float32)))
     across = np.maximum(xx * yy - xy * xy, 0.0) / np.maximum(length, LEAST_M2)
     return _Line(size, x, y, across, length, cos2, sin2)
 
 
 def _roughness(line: _Line) -> FloatArray:
-    """Variance across each line [m²], its two parameters allowed for."""
+    """Unbiased variance across each line [m²], for two fitted parameters."""
     freedom = np.maximum(line.size - 2, 0.5)
     return np.asarray((line.across + SURFACES.flat_m**2) * line.size / freedom)
 
@@ -145,7 +150,7 @@ def _roughness(line: _Line) -> FloatArray:
 def _windows(
     xy: Float32Array, distance: FloatArray, seen: BoolArray, increment_rad: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """First beam, and that after the last, of every point's window: unbroken, within reach."""
+    """First beam, and that after the last, of every point's window: connected and within reach."""
     n, m = distance.shape
     step = increment_rad[:, None]
     dx, dy = (xy[:, 1:, k] - xy[:, :-1, k] for k in (0, 1))
