@@ -164,9 +164,6 @@ def _common(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:
     partner[matched[:, 1]] = matched[:, 0]
     tail, head = partner[b.tail], partner[b.head]
     rows = np.flatnonzero((tail >= 0) & (head >= 0) & (np.arange(len(b.tail)) < b.reverse))
-    if not len(rows) or not len(a.pair_key):
-        return np.zeros((0, 2), np.int64)
     key = tail[rows] * len(a) + head[rows]
-    at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
-    same = a.pair_key[at] == key
-    return np.column_stack([a.pair_row[at[same]], rows[same]])
+    row_a, there = a.by_ends.find(key)
+    return np.column_stack([row_a[there], rows[there]])

@@ -6,7 +6,7 @@ concatenated, pairs are matched in half the time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
@@ -15,25 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from .prepare import Prepared
+from ...topology.columns import joined
+from .prepare import CorridorsByEnds, Prepared
 
-OF_VERTICES = (
-    "z",
-    "count",
-    "observations",
-    "fault_rate",
-    "descriptor",
-    "confidence",
-    "near_m",
-    "near_rarity",
-    "near_weight",
-    "crossing_unit",
-    "crossing_rarity",
-)
+OF_VERTICES = ("z", "count", "observations", "fault_rate", "descriptor", "confidence")
 OF_CORRIDORS = ("length", "sagitta", "variance", "traversals", "rarity")
-OF_ROADS = ("road", "road_dir", "road_share", "road_end")
-"""Arrays of `Prepared` that hold no row numbers: of vertices, of directed corridors, of points of
-corridors."""
+"""Arrays of `Prepared` that hold no row numbers: of vertices, and of directed corridors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,26 +29,26 @@ class Atlas:
     consecutively.
 
     whole: the concatenated arrays; its scalar fields are those of the first map. vertex, corridor,
-    road: (m + 1,) first row of each map.
+    point: (m + 1,) first row of each map.
     """
 
     maps: tuple[Prepared, ...]
     whole: Prepared
     vertex: IntArray
     corridor: IntArray
-    road: IntArray
+    point: IntArray
 
     @classmethod
     def of(cls, maps: Sequence[Prepared]) -> Atlas:
         """Concatenate maps. O(rows)."""
-        sizes = np.array([(0, 0, 0), *((len(m.z), len(m.tail), len(m.road)) for m in maps)])
-        vertex, corridor, road = sizes.cumsum(axis=0).T
+        sizes = np.array([(0, 0, 0), *((len(m.z), len(m.tail), len(m.points)) for m in maps)])
+        vertex, corridor, point = sizes.cumsum(axis=0).T
         return cls(
             maps=tuple(maps),
             whole=maps[0] if len(maps) == 1 else _whole(maps, vertex, corridor),
             vertex=vertex,
             corridor=corridor,
-            road=road,
+            point=point,
         )
 
     @cached_property
@@ -88,37 +75,43 @@ class Atlas:
 def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Prepared:
     """The concatenated arrays of all maps."""
 
-    def moved(name: str, first: IntArray) -> IntArray:
-        parts = zip(maps, first.tolist(), strict=False)
-        return np.concatenate([getattr(m, name) + start for m, start in parts])
+    def moved(columns: Iterable[IntArray], first: IntArray) -> IntArray:
+        parts = zip(columns, first.tolist(), strict=False)
+        return np.concatenate([rows + start for rows, start in parts])
 
-    joined: dict[str, Any] = {
+    whole: dict[str, Any] = {
         name: np.concatenate([getattr(m, name) for m in maps])
-        for name in (*OF_VERTICES, *OF_CORRIDORS, *OF_ROADS)
+        for name in (*OF_VERTICES, *OF_CORRIDORS)
     }
     by_branch = _wide(maps, "by_branch", -1)
     by_branch += np.where(by_branch < 0, 0, corridor[:-1].repeat(np.diff(vertex))[:, None])
-    tail, row = moved("tail", vertex), moved("pair_row", corridor)
-    head = moved("head", vertex)
-    joined |= {
+    tail, head = (moved((getattr(m, end) for m in maps), vertex) for end in ("tail", "head"))
+    row = moved((m.by_ends.row for m in maps), corridor)
+    points, halves = [m.points for m in maps], [m.halves for m in maps]
+    neighbours = [m.neighbours for m in maps]
+    whole |= {
         "branch_unit": _wide(maps, "branch_unit", 0.0),
         "turn_rarity": _wide(maps, "turn_rarity", 0.0),
         "by_branch": by_branch,
-        "neighbour": moved("neighbour", vertex),
-        "half": moved("half", vertex),
+        "neighbours": replace(
+            joined(neighbours), index=moved((own.index for own in neighbours), vertex)
+        ),
+        "halves": replace(joined(halves), half=moved((own.half for own in halves), vertex)),
         "tail": tail,
         "head": head,
-        "reverse": moved("reverse", corridor),
-        "pair_key": tail[row] * len(joined["z"]) + head[row],
-        "pair_row": row,
-        "road_edge": moved("road_edge", corridor),
-        "road_tail": moved("road_tail", vertex),
-        "road_head": moved("road_head", vertex),
+        "reverse": moved((m.reverse for m in maps), corridor),
+        "by_ends": CorridorsByEnds(tail[row] * len(whole["z"]) + head[row], row),
+        "points": replace(
+            joined(points),
+            edge=moved((own.edge for own in points), corridor),
+            tail=moved((own.tail for own in points), vertex),
+            head=moved((own.head for own in points), vertex),
+        ),
     }
     # Arrays that are not concatenated are left empty, so that they cannot be used by mistake.
     first = {f.name: getattr(maps[0], f.name) for f in fields(Prepared)}
     nothing = {name: rows[:0] for name, rows in first.items() if isinstance(rows, np.ndarray)}
-    return replace(maps[0], **(nothing | joined))
+    return replace(maps[0], **(nothing | whole))
 
 
 def _wide(maps: Sequence[Prepared], name: str, nothing: complex) -> NDArray[Any]:
@@ -189,10 +182,10 @@ class Lanes:
         lane: IntArray,
         within_m: float | FloatArray,
         *,
-        roads: bool = False,
+        corridors: bool = False,
     ) -> tuple[FloatArray, IntArray]:
         """(k,) each: distance [m] from points to the nearest vertex, or point of a corridor
-        (`roads`), of the first map of their lane, and its index in the atlas.
+        (`corridors`), of the first map of their lane, and its index in the atlas.
 
         where: (k,) x + iy in the first map; lane: (k,) ascending; within_m: one bound or one per
         lane; farther points are only known to be farther.
@@ -200,12 +193,12 @@ class Lanes:
         gap, found = np.empty(len(where)), np.empty(len(where), np.int64)
         stops = np.cumsum(np.bincount(lane, minlength=len(self))).tolist()
         bounds = np.broadcast_to(within_m, len(stops)).tolist()
-        base = (self.a.road if roads else self.a.vertex)[self.of_a].tolist()
+        base = (self.a.point if corridors else self.a.vertex)[self.of_a].tolist()
         start = 0
         for k, (stop, number) in enumerate(zip(stops, self.of_a.tolist(), strict=True)):
             if stop > start:
                 topomap = self.a.maps[number]
-                points = topomap.nearest_road if roads else topomap.nearest_junction
+                points = topomap.nearest_point if corridors else topomap.nearest_junction
                 gap[start:stop], index = points.nearest(where[start:stop], bounds[k])
                 np.add(index, base[k], out=found[start:stop])
             start = stop

@@ -25,7 +25,7 @@ def branch_bits(
     of_a, of_b = _Looks.of(a, va), _Looks.of(b, vb)
     told = _nats(of_a, of_b, turn)
     for m, v, crossing_of_a in ((a, va, True), (b, vb, False)):
-        rows = (m.half.take(v) != v).nonzero()[0]
+        rows = (m.halves.half.take(v) != v).nonzero()[0]
         if len(rows):
             whole = _Looks.of_crossings(m, v[rows])
             pair = (whole, take(of_b, rows)) if crossing_of_a else (take(of_a, rows), whole)
@@ -52,7 +52,8 @@ class _Looks:
     def of_crossings(cls, m: Prepared, v: IntArray) -> _Looks:
         descriptor = m.descriptor.take(v, axis=0)
         descriptor[:, 0] = 4
-        return cls(m.crossing_unit.take(v, axis=0), m.crossing_rarity.take(v, axis=0), descriptor)
+        whole = m.halves
+        return cls(whole.unit.take(v, axis=0), whole.rarity.take(v, axis=0), descriptor)
 
 
 def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:

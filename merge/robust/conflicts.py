@@ -158,10 +158,10 @@ def _elsewhere(
     partner[grown.row] = grown.a
     far_a, far_b = a.head[leave_a], b.head[leave_b]
     # Corridors to or from the other fork of a crossing belong to the crossing.
-    found = partner[far_b + lanes.shift[lane]], partner[b.half[far_b] + lanes.shift[lane]]
-    astray = (a.half[a.tail[leave_a]] != far_a) & (b.half[b.tail[leave_b]] != far_b)
+    found = partner[far_b + lanes.shift[lane]], partner[b.halves.half[far_b] + lanes.shift[lane]]
+    astray = (a.halves.half[a.tail[leave_a]] != far_a) & (b.halves.half[b.tail[leave_b]] != far_b)
     for there in found:
-        astray &= (there != far_a) & (there != a.half[far_a])
+        astray &= (there != far_a) & (there != a.halves.half[far_a])
     lane, leave_a, leave_b = lane[astray], leave_a[astray], leave_b[astray]
     far_a, far_b = far_a[astray], far_b[astray]
 
@@ -196,19 +196,19 @@ def _elsewhere_bits(grown: Grown) -> FloatArray:
     return np.minimum(np.maximum(bits, 0.0), MATCH.most_bits)
 
 
-def _placed_road(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
+def _placed_points(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
     """Points of b's corridors in the frame of a, interpolated between the predictions of both ends,
     and their uncertainty [m].
 
     rows: points of directed corridors of the first half, tail to head.
     """
     b, shift = grown.lanes.b.whole, grown.lanes.shift[lane]
-    tail, head, road = b.road_tail[rows], b.road_head[rows], b.road[rows]
+    tail, head, z = b.points.tail[rows], b.points.head[rows], b.points.z[rows]
     at_tail, at_head = tail + shift, head + shift
-    by_tail = grown.place[at_tail] + grown.turn[at_tail] * (road - b.z[tail])
-    by_head = grown.place[at_head] + grown.turn[at_head] * (road - b.z[head])
+    by_tail = grown.place[at_tail] + grown.turn[at_tail] * (z - b.z[tail])
+    by_head = grown.place[at_head] + grown.turn[at_head] * (z - b.z[head])
     vague = MATCH.drift_per_m * np.maximum(grown.support_m[at_tail], grown.support_m[at_head])
-    return by_tail + b.road_share[rows] * (by_head - by_tail), vague
+    return by_tail + b.points.share[rows] * (by_head - by_tail), vague
 
 
 def _weight(
@@ -243,19 +243,19 @@ def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
     lanes, a = grown.lanes, grown.lanes.a.whole
     alone = near.copy()
     alone[grown.row] = False
-    alone[lanes.b.whole.half[lanes.vertex[grown.row]] + lanes.shift[grown.lane]] = False
+    alone[lanes.b.whole.halves.half[lanes.vertex[grown.row]] + lanes.shift[grown.lane]] = False
     lone = alone.nonzero()[0]
     where, lane = grown.place[lone], lanes.lane[lone]
     off_end = MATCH.clear_m + MATCH.drift_per_m * grown.support_m[lone]
-    gap, road = lanes.nearest(where, lane, BESIDE_M, roads=True)
+    gap, point = lanes.nearest(where, lane, BESIDE_M, corridors=True)
     beside = (gap < BESIDE_M).nonzero()[0]
-    lone, lane, road = lone[beside], lane[beside], road[beside]
+    lone, lane, point = lone[beside], lane[beside], point[beside]
     where, off_end = where[beside], off_end[beside]
-    across = np.abs(((where - a.road[road]) * a.road_dir[road].conj()).imag)
+    across = np.abs(((where - a.points.z[point]) * a.points.direction[point].conj()).imag)
     farthest = np.zeros(len(lanes))
     np.maximum.at(farthest, lane, off_end)
     inside = (across < MATCH.gate_m) & (lanes.nearest(where, lane, farthest)[0] > off_end)
-    vertex, edge, lane = lanes.vertex[lone[inside]], a.road_edge[road[inside]], lane[inside]
+    vertex, edge, lane = lanes.vertex[lone[inside]], a.points.edge[point[inside]], lane[inside]
     bits = _weight((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
     return _Unseen(lane, vertex, edge, bits)
 
@@ -263,25 +263,25 @@ def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
 def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
     """Unmatched vertices of a beside points of b's corridors."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
-    lane, rows = lanes.rows_of(lanes.b.road)
+    lane, rows = lanes.rows_of(lanes.b.point)
     shift = lanes.shift[lane]
-    seen = (near[b.road_tail[rows] + shift] & near[b.road_head[rows] + shift]).nonzero()[0]
+    seen = (near[b.points.tail[rows] + shift] & near[b.points.head[rows] + shift]).nonzero()[0]
     lane, rows = lane[seen], rows[seen]
-    place, vague = _placed_road(grown, lane, rows)
-    inner = (b.road_end[rows] > MATCH.clear_m + vague).nonzero()[0]
+    place, vague = _placed_points(grown, lane, rows)
+    inner = (b.points.end_m[rows] > MATCH.clear_m + vague).nonzero()[0]
     lane, rows, place = lane[inner], rows[inner], place[inner]
     gap, vertex = lanes.nearest(place, lane, BESIDE_M)
     beside = (gap < BESIDE_M).nonzero()[0]
     slot = vertex[beside] + lanes.shift_a[lane[beside]]
     taken = np.zeros(int(lanes.first_a[-1]), np.bool_)
     taken[grown.a + lanes.shift_a[grown.lane]] = True
-    taken[a.half[grown.a] + lanes.shift_a[grown.lane]] = True
+    taken[a.halves.half[grown.a] + lanes.shift_a[grown.lane]] = True
     free = ~taken[slot]
     beside, slot = beside[free], slot[free]
     lane, rows, place, vertex = lane[beside], rows[beside], place[beside], vertex[beside]
-    turned = grown.turn[b.road_tail[rows] + lanes.shift[lane]] * b.road_dir[rows]
+    turned = grown.turn[b.points.tail[rows] + lanes.shift[lane]] * b.points.direction[rows]
     hit = np.abs(((a.z[vertex] - place) * turned.conj()).imag) < MATCH.gate_m
     first = np.unique(slot[hit], return_index=True)[1]
-    lane, extra, edge = lane[hit][first], vertex[hit][first], b.road_edge[rows[hit][first]]
+    lane, extra, edge = lane[hit][first], vertex[hit][first], b.points.edge[rows[hit][first]]
     bits = _weight((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), extra)
     return _Unseen(lane, extra, edge, bits)

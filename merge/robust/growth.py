@@ -159,21 +159,21 @@ def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
     turn = whole.take(lane)
     place, support = turn * z + shift.take(lane), np.abs(z - middle.take(lane))
     # The nearest match beside each vertex: neighbours are sorted by their distance.
-    beside = b.neighbour.take(lanes.vertex, axis=0)
+    beside = b.neighbours.index.take(lanes.vertex, axis=0)
     beside += lanes.shift.take(lane)[:, None]
     known = has.take(beside)
     nearest = known.argmax(axis=1)
     spot = known[np.arange(len(known)), nearest].nonzero()[0]
     vertex = lanes.vertex.take(spot)
     flat = rows.view(np.float64).take(beside.take(spot, axis=0), axis=0)
-    weights = b.near_weight.take(vertex, axis=0)[:, None, :]
+    weights = b.neighbours.weight.take(vertex, axis=0)[:, None, :]
     sums = np.matmul(weights, flat)[:, 0, :].view(np.complex128)
     weight = sums[:, 0].real
     lever = lever.take(lane.take(spot))
     local, ca, cb = rigid_from_sums(weight, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     place[spot] = ca + local * (z.take(spot) - cb)
     turn[spot] = local
-    support[spot] = b.near_m[vertex, nearest.take(spot)]
+    support[spot] = b.neighbours.distance_m[vertex, nearest.take(spot)]
     return place, turn, support
 
 
@@ -223,6 +223,6 @@ def _believed(lanes: Lanes, partner: IntArray, turn: ComplexArray, far: IntArray
     agree = branch_bits(lanes.a.whole, b, partner[far], vertex, turn[far]) > 0
     kept = partner >= 0
     kept[far] = agree
-    beside = b.neighbour[vertex, 1:] + lanes.shift[lanes.lane[far]][:, None]
-    near = b.near_m[vertex, 1:] < MATCH.sure_m
+    beside = b.neighbours.index[vertex, 1:] + lanes.shift[lanes.lane[far]][:, None]
+    near = b.neighbours.distance_m[vertex, 1:] < MATCH.sure_m
     return np.asarray(agree & (kept[beside] & near).any(axis=1))

@@ -18,8 +18,9 @@ from scipy.sparse.csgraph import connected_components
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import wrap
 from ..packs import arrays_from_bytes, arrays_to_bytes
+from .branch_patterns import LENGTH_SCALE
 from .links import KEY_STEP, windows
-from .prepare import LENGTH_SCALE, Extent, Prepared, length_bits
+from .prepare import Extent, Prepared, length_bits
 from .settings import MATCH
 
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.se2 import wrap
-from .prepare import LENGTH_SCALE, Prepared, length_bits
+from .branch_patterns import LENGTH_SCALE
+from .prepare import Prepared, length_bits
 from .settings import MATCH
 
 COS_TURN = float(np.cos(MATCH.turn_rad))

@@ -111,15 +111,11 @@ def _corridor_links(
     shift = lanes.shift[lane]
     i, j = order[b.tail[rows] + shift], order[b.head[rows] + shift]
     both = ((i >= 0) & (j >= 0)).nonzero()[0]
-    if len(a.pair_key) == 0:
-        both = both[:0]
     i, j, rows, lane = i[both], j[both], rows[both], lane[both]
-    key = grown.a[i] * len(a) + grown.a[j]
-    at = np.minimum(a.pair_key.searchsorted(key), len(a.pair_key) - 1)
-    row_a = a.pair_row[at]
-    bent_alike = np.abs(a.sagitta[row_a] - b.sagitta[rows]) < MATCH.gate_m
-    same = ((a.pair_key[at] == key) & bent_alike).nonzero()[0]
-    i, j, row_a, rows, lane = i[same], j[same], row_a[same], rows[same], lane[same]
+    row_a, there = a.by_ends.find(grown.a[i] * len(a) + grown.a[j])
+    i, j, row_a, rows, lane = (column[there] for column in (i, j, row_a, rows, lane))
+    same = (np.abs(a.sagitta[row_a] - b.sagitta[rows]) < MATCH.gate_m).nonzero()[0]
+    i, j, row_a, rows, lane = (column[same] for column in (i, j, row_a, rows, lane))
     d = a.length[row_a] - b.length[rows]
     bits = length_bits(d, a.variance[row_a] + b.variance[rows])
     bits = bits + np.minimum(a.rarity[row_a], b.rarity[rows])
@@ -137,9 +133,9 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
     """
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     matched = grown.b
-    beside = b.neighbour.take(matched, axis=0)[:, NEAREST]
+    beside = b.neighbours.index.take(matched, axis=0)[:, NEAREST]
     near = order.take(beside + lanes.shift[grown.lane][:, None])
-    known = (near >= 0) & np.isfinite(b.near_m.take(matched, axis=0)[:, NEAREST])
+    known = (near >= 0) & np.isfinite(b.neighbours.distance_m.take(matched, axis=0)[:, NEAREST])
     known &= np.cumsum(known, axis=1) <= 3
     p, column = known.nonzero()
     q = near[p, column]
@@ -155,7 +151,7 @@ def _near_links(grown: Grown, order: IntArray) -> tuple[IntArray, IntArray, Floa
     centres = seen[grown.lane[p]] + drift**2
     bits = length_bits(np.abs(offset_a) - d, centres)
     bits = bits - bend * bend / (2 * (centres + (2 * drift) ** 2)) / BIT
-    return p, q, bits + b.near_rarity[vertex, column + 1] - CHOICE_BITS
+    return p, q, bits + b.neighbours.rarity[vertex, column + 1] - CHOICE_BITS
 
 
 def _each_without_repeats(

@@ -10,15 +10,15 @@ from topobatch.merge.robust.atlas import Atlas, Lanes
 from topobatch.merge.robust.prepare import Prepared, prepare
 
 MOVED = {
-    "half": "vertex",
-    "neighbour": "vertex",
+    "halves.half": "vertex",
+    "neighbours.index": "vertex",
     "tail": "vertex",
     "head": "vertex",
-    "road_tail": "vertex",
-    "road_head": "vertex",
+    "points.tail": "vertex",
+    "points.head": "vertex",
     "reverse": "corridor",
-    "pair_row": "corridor",
-    "road_edge": "corridor",
+    "by_ends.row": "corridor",
+    "points.edge": "corridor",
 }
 """Arrays that number rows, and of what."""
 
@@ -33,28 +33,35 @@ def atlas(maps):
     return Atlas.of(maps)
 
 
-def parts(atlas, name):
+def arrays_of(m):
+    """The arrays of a prepared map, and of its tables, by name."""
+    own = {f.name: getattr(m, f.name) for f in fields(Prepared)}
+    for name in ("neighbours", "by_ends", "points", "halves"):
+        own |= {f"{name}.{f.name}": getattr(own[name], f.name) for f in fields(own[name])}
+    return {name: value for name, value in own.items() if isinstance(value, np.ndarray)}
+
+
+def parts(atlas, value):
     """The rows of each map."""
-    value = getattr(atlas.whole, name)
-    firsts = (atlas.vertex, atlas.corridor, atlas.road)
+    firsts = (atlas.vertex, atlas.corridor, atlas.point)
     (first,) = {tuple(first.tolist()) for first in firsts if first[-1] == len(value)}
     return [value[start:stop] for start, stop in pairwise(first)]
 
 
 def test_arrays_are_those_of_the_maps_or_empty(maps, atlas):
     joined = 0
-    for name in (f.name for f in fields(Prepared)):
-        value = getattr(atlas.whole, name)
-        if not isinstance(value, np.ndarray) or not len(value):
+    owned = [arrays_of(m) for m in maps]
+    for name, value in arrays_of(atlas.whole).items():
+        if not len(value):
             continue
         joined += 1
-        for k, (m, rows) in enumerate(zip(maps, parts(atlas, name), strict=True)):
-            own = getattr(m, name)
+        for k, (m, rows) in enumerate(zip(maps, parts(atlas, value), strict=True)):
+            own = owned[k][name]
             if name in MOVED:
                 own = own + getattr(atlas, MOVED[name])[k]
             elif name == "by_branch":
                 own = np.where(own < 0, -1, own + atlas.corridor[k])
-            elif name == "pair_key":
+            elif name == "by_ends.key":
                 tail, head = own // len(m), own % len(m)
                 own = (tail + atlas.vertex[k]) * len(atlas.whole) + head + atlas.vertex[k]
             wide = rows[:, own.shape[1] :] if own.ndim > 1 else rows[:0]
