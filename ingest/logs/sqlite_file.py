@@ -1,4 +1,5 @@
-"""ROS 2 bags in sqlite3: messages still in a write-ahead log are read, damage ends a read early."""
+"""Reading ROS 2 bags in SQLite, including messages in a write-ahead log; damage ends a read
+early."""
 
 from __future__ import annotations
 
@@ -42,36 +43,37 @@ from .sqlite_topics import topics_by_looks
 MAGIC = b"SQLite format 3\x00"
 ROWS = 2048
 _ERRORS = (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError)
-"""What the library raises on a damaged database: its own errors, and those of converting values."""
+"""Exceptions of the library on a damaged database: its own, and those of converting values."""
 
 MOST_PAGES = 1 << 31
-"""A header that declares more is itself damaged."""
+"""A larger page count in the header counts as damage."""
 
 _TOPICS = 1 << 15
 _UNKNOWN = -2
-"""Topics with smaller numbers are looked up in a table; what it holds where one is not known."""
+"""Topic ids below _TOPICS are looked up in a table; its value for unknown ones."""
 
 
 _Row = tuple[Any, Any, Any, Any, Any]
-"""Topic, time, payload where it is wanted, kind and length of the payload."""
+"""Topic, time, payload if wanted, type and length of the payload."""
 
 HELD_BYTES = 1 << 22
-"""Payloads that are taken out of the database at a time."""
+"""Limit on payloads fetched from the database at a time."""
 
 LEAST_STEPS = 1 << 25
 STEPS_PER_BYTE = 4
-"""What the library may do for one connection, in steps of its virtual machine: a row takes some
-ten and at least as many bytes. A second's worth is free."""
+"""Limit on the virtual machine's steps for one connection: LEAST_STEPS (about a second) plus
+STEPS_PER_BYTE of the file, since a row takes about ten steps and at least ten bytes."""
 
 MOST_PROBED = 100
-"""So many topics that do not show up at once are looked for one after the other."""
+"""Limit on topics that are searched for one by one if they are not among the first rows."""
 
 STEPS_AT_ONCE = 10_000
-"""Steps of the database between two looks at the clock."""
+"""Virtual machine steps between two checks of the limit."""
 
 
 def _columns_of(wanted: str) -> str:
-    """What is asked of a row; wanted: a condition for its payload. The length is in its head."""
+    """Columns of a query; wanted: SQL condition for reading the payload. Its length is in the row's
+    head."""
     fits = f"{_BLOB} AND length(data) <= {MESSAGE_BYTES}"
     data = f"CASE WHEN {wanted} AND {fits} THEN data END"
     return f"topic_id, timestamp, {data}, typeof(data), CASE WHEN {_BLOB} THEN length(data) END"
@@ -87,10 +89,10 @@ class SqliteFile:
         self.path = path
 
     def survey(self, exact: bool = False) -> Survey | None:
-        """Channels with their counts; None where the tables cannot be read.
+        """Channels with their counts; None if the tables cannot be read.
 
-        exact: count all rows. Else a channel that has any message counts as 1: counting reads
-        every row's page, which takes as long as reading the run.
+        exact: count all rows. Else a channel with any message counts as 1: counting reads every
+        row's page, which takes as long as reading the run.
         """
         try:
             with _connected(self.path) as base:
@@ -110,8 +112,8 @@ class SqliteFile:
     ) -> Iterator[Block]:
         """All messages in the order of their rows. O(bytes of the pages that hold any).
 
-        Goes through the pages where it can, through the library where some messages are still in
-        a write-ahead log, and over every page of a database that the library refuses.
+        Parses the pages where possible; reads through the library if some messages are in a
+        write-ahead log; scans every page of a database that the library refuses.
         """
         keep_freed_memory()
         with FileWindow(self.path, progress) as window:
@@ -132,7 +134,7 @@ class SqliteFile:
             window.passed(window.size)
 
     def _salvaged(self, window: FileWindow, want: Want, findings: Findings) -> Iterator[Block]:
-        """The rows on every page that is left, without the tree that orders them."""
+        """The rows on every readable page, without the B-tree that orders them."""
         try:
             pages = Pages(window, anyhow=True)
             declared = int.from_bytes(window.view(28, 4).tobytes(), "big")
@@ -143,7 +145,7 @@ class SqliteFile:
             findings.note(f"its rows cannot be read ({one_line(error)})")
 
     def _described(self, pages: Pages, findings: Findings) -> dict[int, Channel]:
-        """The topics by the library where it opens the file, else by what they look like."""
+        """The topics, by the library if it opens the file, else recognised on the pages."""
         try:
             with _connected(self.path) as base:
                 # Lets the library open a file that is shorter than its header says.
@@ -155,7 +157,7 @@ class SqliteFile:
 
 
 class _Reader:
-    """Gives the rows of one database as blocks, and counts them."""
+    """Returns the rows of one database as blocks, and counts them."""
 
     def __init__(
         self,
@@ -176,13 +178,13 @@ class _Reader:
         self._wanted = np.unique(self._sink[self._sink >= 0]).tolist()
 
     def by_library(self) -> Iterator[Block]:
-        """All rows as the library gives them; of unwanted ones only the heads are read."""
+        """All rows by the library; of unwanted ones only the heads are read."""
         wanted = ",".join(str(k) for k in np.flatnonzero(self._sink >= 0).tolist())
         query = f"SELECT {_columns_of(f'topic_id IN ({wanted})')} FROM messages"
         yield from self._asked(query)
 
     def _asked(self, query: str, values: Sequence[int] = ()) -> Iterator[Block]:
-        """The library's rows in blocks of as many as a bounded memory holds."""
+        """The rows of a query in blocks of bounded memory."""
         assert self._base is not None
         cursor = self._base.execute(query, values)
         rows: list[_Row] = []
@@ -197,7 +199,7 @@ class _Reader:
             yield from self._block(rows)
 
     def by_pages(self, pages: Pages, root: int) -> Iterator[Block]:
-        """All rows from the leaf pages of the table; large ones from the library."""
+        """All rows from the leaf pages of the table; large ones by the library."""
         gaps = missing = short = last = 0
         for data in pages.batches(pages.leaves(root)):
             rows = pages.rows(data)
@@ -220,7 +222,7 @@ class _Reader:
             self._findings.note(f"{short} pages of the database list fewer rows than they hold")
 
     def by_every_page(self, pages: Pages) -> Iterator[Block]:
-        """All rows of described topics on any page that looks like a leaf."""
+        """All rows of known topics on any page that looks like a leaf."""
         for data in pages.batches(np.arange(1, pages.count + 1)):
             rows = pages.rows(data)
             yield from self._columns(rows.only(self._sinks(rows.topic) != _UNKNOWN))
@@ -228,7 +230,7 @@ class _Reader:
             self._findings.broken_rows += int(wanted.sum())
 
     def _columns(self, rows: Rows) -> Iterator[Block]:
-        """The wanted ones of rows that lie in pages; all are counted."""
+        """The wanted rows of those that lie in pages; all are counted."""
         self._count(rows.topic, rows.time_ns)
         for sink, keep in self._by_sink(rows.topic):
             yield Block(rows.data, sink, rows.time_ns[keep], rows.start[keep], rows.size[keep])
@@ -242,7 +244,7 @@ class _Reader:
                 yield number, rows
 
     def _large(self, rows: Rows) -> Iterator[Block]:
-        """Rows that go on in other pages: the unwanted ones are counted, the others fetched."""
+        """Rows with overflow pages: unwanted ones are counted, the others fetched."""
         topic = rows.elsewhere_topic
         unwanted = (topic >= 0) & (self._sinks(topic) == UNWANTED)
         self._count(topic[unwanted], np.zeros(0, np.int64))
@@ -259,7 +261,7 @@ class _Reader:
             self._findings.broken_rows += len(some) - (self._handled - before)
 
     def _block(self, rows: list[_Row]) -> Iterator[Block]:
-        """The wanted ones of the library's rows as a block; sqlite keeps any type anywhere."""
+        """The wanted rows of a query as a block; columns may hold any type in SQLite."""
         self._handled += len(rows)
         good = [r for r in rows if type(r[0]) is type(r[1]) is int and r[3] == "blob"]
         self._findings.broken_rows += len(rows) - len(good)
@@ -299,11 +301,11 @@ class _Reader:
 
 @contextmanager
 def _connected(path: Path) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading, without leaving anything beside it.
+    """Open a database for reading, without leaving files beside it.
 
-    With nothing unmerged the file alone is opened (`immutable`); this would overlook what is still
-    in a write-ahead log, so that with one the library is given both. Where it may not write the
-    index that it needs then, it gets a copy.
+    Without unmerged changes only the file is opened (`immutable`); this would ignore a write-ahead
+    log, so that with one the library opens both. If it cannot write the index that it needs then, a
+    copy is opened.
     """
     name = quote(str(path.resolve()))
     if not _unmerged(path):
@@ -341,7 +343,8 @@ def _copied(path: Path) -> Iterator[sqlite3.Connection]:
 
 
 def _opened(uri: str, path: Path) -> sqlite3.Connection:
-    """A connection that obeys nothing in the file, and whose work the file's size bounds."""
+    """A read-only connection that runs no code of the file, with work limited by the file's
+    size."""
     try:
         base = sqlite3.connect(uri, uri=True)
     except sqlite3.Error as error:
@@ -361,13 +364,13 @@ def _opened(uri: str, path: Path) -> sqlite3.Connection:
 
 
 def _size(path: Path) -> int:
-    """Bytes of a database and of the log beside it."""
+    """Bytes of a database and its write-ahead log."""
     beside = (path.with_name(path.name + suffix) for suffix in ("", "-wal"))
     return sum(file.stat().st_size for file in beside if file.is_file())
 
 
 def _check_table(base: sqlite3.Connection, name: str) -> None:
-    """Raise DamageError unless this is a plain table: a view or a formula may ask for anything."""
+    """Raise DamageError unless this is a plain table, not a view or with generated columns."""
     found = base.execute(
         "SELECT type, substr(sql, 1, 100) FROM sqlite_master WHERE name = ? COLLATE NOCASE LIMIT 2",
         (name,),
@@ -381,7 +384,7 @@ def _check_table(base: sqlite3.Connection, name: str) -> None:
 
 
 def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
-    """The topics by their numbers; raises DamageError where the tables are not those of a bag."""
+    """The topics by id; raises DamageError if the tables are not those of a bag."""
     _check_table(base, "messages")
     _check_table(base, "topics")
     columns = {row[1] for row in base.execute("PRAGMA table_info(topics)")}
@@ -400,7 +403,7 @@ def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
 
 
 def _definitions(base: sqlite3.Connection) -> dict[str, tuple[str, bytes]]:
-    """The definitions of types, as far as a bounded memory holds them."""
+    """The definitions of types, up to a limit of memory."""
     there = "SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'"
     if not base.execute(there).fetchone():
         return {}
@@ -425,7 +428,7 @@ def _counts(base: sqlite3.Connection) -> dict[int, int]:
 
 
 def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
-    """Topics that have any message; most show up among the first rows."""
+    """Topics with any message; most are among the first rows."""
     early = base.execute("SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)")
     present = {key for (key,) in early}
     left, row = set(keys) - present, -(1 << 63)
@@ -447,7 +450,7 @@ def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
 
 
 def _span(base: sqlite3.Connection) -> tuple[int | None, int | None]:
-    """First and last log time, None without messages."""
+    """First and last log time [ns], None without messages."""
     query = "SELECT min(timestamp), max(timestamp) FROM messages"
     if base.execute("PRAGMA index_list(messages)").fetchone():
         # Asked for one by one, either is a look at one end of the recorder's index.
@@ -458,15 +461,15 @@ def _span(base: sqlite3.Connection) -> tuple[int | None, int | None]:
 
 
 def _unmerged(path: Path) -> bool:
-    """Whether a log beside the database holds changes that its pages lack."""
+    """Whether a write-ahead log holds changes that the database lacks."""
     beside = (path.with_name(path.name + suffix) for suffix in ("-wal", "-journal"))
     return any(log.is_file() and log.stat().st_size > 0 for log in beside)
 
 
 def _missing(number: IntArray, last: int) -> int:
-    """How many rows are left out between those of ascending numbers; `last`: the one before.
+    """Number of rows missing between ascending ids; `last`: the id before them.
 
-    A number that fits neither of its neighbours is wrong itself, and tells nothing.
+    An id that fits neither of its neighbours is wrong itself and is ignored.
     """
     before = np.concatenate([[last], number[:-1]])
     after = np.concatenate([number[1:], number[-1:] + 1])
@@ -476,11 +479,11 @@ def _missing(number: IntArray, last: int) -> int:
 
 
 MOST_MISSING = 1 << 20
-"""A larger step is a wrong number."""
+"""A larger step counts as a wrong id."""
 
 
 def _root(base: sqlite3.Connection) -> int | None:
-    """The first page of the messages, None if the table is not laid out as usual."""
+    """Root page of the messages table, None if the table is not laid out as usual."""
     columns = [row[1:3] for row in base.execute("PRAGMA table_info(messages)")]
     if [name for name, _ in columns] != ["id", "topic_id", "timestamp", "data"]:
         return None

@@ -1,9 +1,9 @@
-"""The pages of a sqlite3 database read as columns (https://www.sqlite.org/fileformat2.html).
+"""Columnar reading of SQLite pages (https://www.sqlite.org/fileformat2.html).
 
-The library hands out rows one by one, which takes three times as long as reading the file. A row of
-a bag's `messages` table lies whole inside one leaf page unless it is large, so that a batch of
-pages is parsed at once and the payloads are used where they lie. This also reads what the library
-refuses: pages of a file that was cut or damaged.
+The library returns rows one by one, in three times the time of reading the file. A row of a bag's
+`messages` table lies in one leaf page unless it is large, so that batches of pages are parsed at
+once and payloads are used in place. Pages of truncated or damaged files, which the library refuses,
+can be read as well.
 """
 
 from __future__ import annotations
@@ -19,31 +19,31 @@ from .messages import Bytes, DamageError, FileWindow
 
 LEAF, INTERIOR = 0x0D, 0x05
 BATCH = 512
-"""Pages that are parsed together."""
+"""Pages parsed at once."""
 
 PAGE_BYTES = 4096
-"""Size of a page unless another one is asked for."""
+"""Default page size."""
 
 NEAR = 8
-"""So many pages that are not needed are rather read along than skipped."""
+"""Gaps of up to this many unneeded pages are read along."""
 
 DEPTH = 16
-"""Deepest tree of pages that is followed; sqlite itself follows 20 (BTCURSOR_MAX_DEPTH)."""
+"""Limit on the depth of a B-tree; SQLite's own is 20 (BTCURSOR_MAX_DEPTH)."""
 
 _PAD = 32
-"""Zeros behind the pages, so that the head of a cell may be read whole at any place."""
+"""Zeros after the pages, so that a cell's head can be read at any offset."""
 
 _REAL = 8
-"""Bytes of a timestamp as sqlite keeps it (serial type 6)."""
+"""Bytes of a timestamp (serial type 6)."""
 
 
 class Rows(NamedTuple):
-    """Rows of the messages table out of one batch of pages.
+    """Rows of the messages table in one batch of pages.
 
-    data: the pages; topic, time_ns: (m,); start, size: (m,) place of the payload in `data`.
-    elsewhere: row ids that the library must be asked for, as they do not lie whole in a page;
-    elsewhere_topic: their topics, -1 where it is not known. number: ids of all rows in the order
-    of the pages. broken: pages that are no leaf; short: pages that list fewer rows than they hold.
+    data: the pages; topic, time_ns (m,); start, size (m,): the payload in `data`. elsewhere: ids of
+    rows that do not lie in one page and must be fetched by the library; elsewhere_topic: their
+    topics, -1 if unknown. number: ids of all rows in page order. broken: number of pages that are
+    no leaf; short: number of pages that list fewer rows than they hold.
     """
 
     data: Bytes
@@ -58,7 +58,7 @@ class Rows(NamedTuple):
     short: int
 
     def only(self, which: BoolArray) -> Rows:
-        """The marked ones of the rows that lie in pages."""
+        """The selected ones of the rows that lie in pages."""
         columns = (self.topic, self.time_ns, self.start, self.size)
         topic, time_ns, start, size = (column[which] for column in columns)
         return self._replace(topic=topic, time_ns=time_ns, start=start, size=size)
@@ -82,13 +82,13 @@ class Pages:
         self._window = window
 
     def page(self, number: int) -> Bytes:
-        """Page `number`, counted from 1; raises DamageError if it is not there."""
+        """Page `number`, from 1 on; raises DamageError if it does not exist."""
         if not 1 <= number <= self.count:
             raise DamageError("a page is missing")
         return self._window.view((number - 1) * self.size, self.size)
 
     def leaves(self, root: int) -> IntArray:
-        """The leaf pages of a table, in the order of its rows; raises DamageError."""
+        """The leaf pages of a table in row order; raises DamageError."""
         level = np.array([root], np.int64)
         for _ in range(DEPTH):
             kind = int(self.page(int(level[0]))[0])
@@ -114,9 +114,9 @@ class Pages:
         return np.concatenate([_big(page, at, 4), right])
 
     def batches(self, numbers: IntArray) -> Iterator[Bytes]:
-        """The given pages, BATCH at a time, one behind the other; until the next one is asked for.
+        """The given pages concatenated, BATCH at a time; each batch is valid until the next one.
 
-        Raises DamageError if one is not there.
+        Raises DamageError if a page does not exist.
         """
         if len(numbers) and not (numbers.min() >= 1 and numbers.max() <= self.count):
             raise DamageError("a page is missing")
@@ -128,7 +128,7 @@ class Pages:
             yield buffer[: len(batch) * self.size + _PAD]
 
     def _read(self, batch: IntArray, buffer: Bytes) -> None:
-        """Read runs of neighbouring pages, and with them the few that lie between."""
+        """Read runs of neighbouring pages, including small gaps between them."""
         cuts = np.flatnonzero((np.diff(batch) < 1) | (np.diff(batch) > NEAR)) + 1
         done = 0
         for run in np.split(batch, cuts):
@@ -143,9 +143,9 @@ class Pages:
             done += len(run) * self.size
 
     def rows(self, data: Bytes) -> Rows:
-        """The rows of a batch of leaf pages. O(rows), without a loop over them.
+        """The rows of a batch of leaf pages. O(rows), vectorised.
 
-        All cells of all pages become one column of places; varints are read byte by byte for the
+        All cells of all pages form one column of offsets; varints are read byte by byte for the
         whole column.
         """
         count = (len(data) - _PAD) // self.size
@@ -194,9 +194,10 @@ class Pages:
         )
 
     def _short(self, data: Bytes, base: IntArray, cells: IntArray, pointer: IntArray) -> int:
-        """How many pages list fewer rows than they hold.
+        """Number of pages that list fewer rows than they hold.
 
-        A page notes where its rows begin; unless rows were deleted, the first listed lies there.
+        A page stores where its cell content begins; unless rows were deleted, a listed row begins
+        there.
         """
         filled = np.flatnonzero(cells)
         if len(filled) == 0:
@@ -208,7 +209,7 @@ class Pages:
 
 
 def _big(data: Bytes, at: IntArray, width: int) -> IntArray:
-    """Big-endian unsigned numbers (signed for 8 bytes) at each place."""
+    """Big-endian unsigned numbers (signed for 8 bytes) at the offsets."""
     items = np.ndarray(
         (len(data) - width + 1,), f">{'i' if width == 8 else 'u'}{width}", data.data, strides=(1,)
     )
@@ -216,7 +217,7 @@ def _big(data: Bytes, at: IntArray, width: int) -> IntArray:
 
 
 def _varint(data: Bytes, at: IntArray) -> tuple[IntArray, IntArray]:
-    """sqlite's numbers of 1 to 9 bytes at each place, and the places behind them."""
+    """SQLite's varints of 1 to 9 bytes at the offsets, and the offsets after them."""
     value = np.zeros(len(at), np.int64)
     at = np.minimum(at, len(data) - _PAD // 2)
     going = np.ones(len(at), bool)
@@ -232,7 +233,7 @@ def _varint(data: Bytes, at: IntArray) -> tuple[IntArray, IntArray]:
 
 
 def _small_integer(data: Bytes, at: IntArray, kind: NDArray[np.uint8]) -> tuple[IntArray, IntArray]:
-    """Numbers of at most two bytes by their serial type, and their widths; -1 for other types."""
+    """Integers of at most two bytes by their serial type, and their widths; -1 for other types."""
     one = data[at].view(np.int8).astype(np.int64)
     two = one << 8 | data[at + 1]
     value = np.select([kind == 1, kind == 2, kind == 9], [one, two, np.ones_like(one)], 0)

@@ -1,4 +1,4 @@
-"""The topics of a bag whose database the library refuses, found by what their rows look like."""
+"""Recognising the topics of a bag whose database the library refuses."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from .sqlite_pages import LEAF, Pages
 
 _HINTS = tuple(name.encode() for name in sorted(TYPES))
 CELLS = 4096
-"""Most rows of one page that are looked at."""
+"""Limit on rows examined per page."""
 
 TEXT, BLOB = 13, 12
-"""Kinds of values with a length: odd ones from 13 on are text, even ones from 12 on are bytes."""
+"""Smallest serial types of text (odd) and of bytes (even), which encode the length."""
 
 
 def topics_by_looks(pages: Pages) -> dict[int, Channel]:
-    """Topics of the wanted types, by their numbers, on any page that looks like a leaf.
+    """Topics of the wanted types by id, on any page that looks like a leaf.
 
-    A row of `topics` holds a name, a type and a format as text one behind the other. O(bytes).
+    A row of `topics` holds name, type and format as consecutive text. O(bytes).
     """
     out: dict[int, Channel] = {}
     for data in pages.batches(np.arange(1, pages.count + 1)):
@@ -48,7 +48,7 @@ def _topics_of(page: bytes) -> dict[int, Channel]:
 
 
 def _row(page: bytes, at: int) -> tuple[int, list[bytes]]:
-    """Number and values of a row, those that are no text empty; raises DamageError."""
+    """Id and values of a row, empty for those that are no text; raises DamageError."""
     _, at = _varint(page, at)
     key, at = _varint(page, at)
     size, head = _varint(page, at)

@@ -1,6 +1,6 @@
-"""Finds the records in a buffer: one after the other where they differ, in strides where equal.
+"""Finding record boundaries in a buffer, with strides for runs of records of one size.
 
-Recorders write long runs of records of one size (odometry between two images). Such a run is
+Recorders write long runs of records of equal size (odometry between two images). Such a run is
 checked as one strided column instead of record by record.
 """
 
@@ -19,15 +19,15 @@ _U64 = struct.Struct("<Q").unpack_from
 _U32 = struct.Struct("<I").unpack_from
 
 LEAST_REACH = 64
-"""How many records are looked at together at least, once two equal ones were met. As with the other
-number here, 8 times as many or as few make no difference (benchmarks/reading_numbers.py)."""
+"""Records checked at once, at least, after two equal ones. The value and that of MOST_GAPS are not
+critical: a factor of 8 makes no difference (benchmarks/reading_numbers.py)."""
 
 
 def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[IntArray, int]:
-    """Places of the whole MCAP records at the front of `data`, and where they stop.
+    """Offsets of the complete MCAP records at the front of `data`, and where they end.
 
-    A record is an opcode byte and a 64-bit length. Stops in front of a record that reaches beyond
-    the data and, with `end_ops`, in front of the first record whose opcode is in it.
+    A record is an opcode byte and a 64-bit length. Ends before a record that exceeds the data and,
+    with `end_ops`, before the first record with such an opcode.
     """
     raw, size = data.data, len(data)
     firsts: list[int] = []
@@ -56,9 +56,9 @@ def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[In
 
 
 def bag_records(data: Bytes) -> tuple[IntArray, int]:
-    """Places of the whole ROS 1 records at the front of `data`, and where they stop.
+    """Offsets of the complete ROS 1 records at the front of `data`, and where they end.
 
-    A record is a header, never empty, and data, each with a 32-bit length in front.
+    A record is a non-empty header and data, each with a 32-bit length.
     """
     raw, size = data.data, len(data)
     firsts: list[int] = []
@@ -93,9 +93,10 @@ def bag_records(data: Bytes) -> tuple[IntArray, int]:
 
 
 def mcap_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
-    """What `mcap_records` finds, by places that an index lists: proven, or None.
+    """The result of `mcap_records` from the offsets of an index, if they are consistent with the
+    data, else None.
 
-    Faster where records of many sizes take turns.
+    Faster where records of many sizes alternate.
     """
     where = inside(offsets, len(data) - 9)
     if where is None:
@@ -105,7 +106,8 @@ def mcap_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
 
 
 def bag_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
-    """What `bag_records` finds, by places that an index lists: proven, or None."""
+    """The result of `bag_records` from the offsets of an index, if they are consistent with the
+    data, else None."""
     where = inside(offsets, len(data) - 8)
     if where is None:
         return None
@@ -117,11 +119,11 @@ def bag_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
 
 
 MOST_GAPS = 16
-"""So many places between the listed records may hold others."""
+"""Limit on gaps between the listed records that are searched for others."""
 
 
 def inside(places: IntArray, last: int) -> IntArray | None:
-    """The places in ascending order, None if there are none or one is outside of 0 … last."""
+    """The offsets in ascending order, None if there are none or one is outside [0, last]."""
     # Ascending per channel: a stable sort merges the runs.
     places = np.sort(places, kind="stable")
     if len(places) == 0 or places[0] < 0 or places[-1] > last:
@@ -130,9 +132,9 @@ def inside(places: IntArray, last: int) -> IntArray | None:
 
 
 def seamless(where: IntArray, ends: IntArray, size: int) -> bool:
-    """Whether records from `where` to `ends` fill so many bytes: each ends where the next begins.
+    """Whether records from `where` to `ends` fill `size` bytes: each ends where the next begins.
 
-    where: ascending; no record may be empty.
+    where: ascending; records are not empty.
     """
     return bool(where[0] == 0 and ends[-1] == size and (ends[:-1] == where[1:]).all())
 
@@ -140,10 +142,10 @@ def seamless(where: IntArray, ends: IntArray, size: int) -> bool:
 def _completed(
     data: Bytes, where: IntArray, ends: IntArray, walk: Callable[[Bytes], tuple[IntArray, int]]
 ) -> IntArray | None:
-    """The records at `where` and those between them; None unless they fill the data seamlessly.
+    """The records at `where` and those in the gaps; None unless they fill the data seamlessly.
 
-    Each record ends where the next begins, from the first byte to the last: so a walk would have
-    met exactly these.
+    Each record then ends where the next begins, from the first byte to the last, so that a walk
+    would find the same.
     """
     if (ends <= where).any():
         # A length that is negative or too large for a sum.
@@ -166,20 +168,20 @@ def _completed(
 
 
 def _leading(same: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:
-    """How many entries are true before the first false one."""
+    """Number of true entries before the first false one."""
     first = int(same.argmin())
     return len(same) if same[first] else first
 
 
 def _next_reach(reach: int, count: int, most: int) -> int:
-    """How far to look next time: runs between two other messages are much alike."""
+    """Number of records to check next time: consecutive runs have similar lengths."""
     if count == most:
         return 4 * reach
     return 2 * count if 2 * count > LEAST_REACH else LEAST_REACH
 
 
 def _unrolled(firsts: list[int], steps: list[int], counts: list[int]) -> IntArray:
-    """Every place of runs that begin at `firsts`: its number in the run, times the run's step."""
+    """All offsets of runs with the given first offsets, steps and counts."""
     first, step, count = (np.array(column, np.int64) for column in (firsts, steps, counts))
     within = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count)
     return np.asarray(np.repeat(first, count) + np.repeat(step, count) * within)

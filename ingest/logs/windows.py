@@ -1,4 +1,4 @@
-"""A look at the bytes of a log, wherever it lies: a file here, or an object elsewhere."""
+"""Access to the bytes of a log: a local file or a remote object."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .chunk_index import ChunkIndex, Wanted
 from .messages import Bytes, FileWindow, Passed, Progress
 
 SLAB_BYTES = 1 << 20
-"""How much is taken at a time of what is walked record by record."""
+"""Bytes read at a time in a walk record by record."""
 
 ALLOW_SCAN = "--allow-scan"
 
 
 class RemoteWindow(Passed):
-    """A `FileWindow` on an object elsewhere. LogError where the server fails."""
+    """A `FileWindow` on a remote object. Raises LogError on server errors."""
 
     def __init__(self, path: RemotePath, progress: Progress | None = None) -> None:
         super().__init__(progress)
@@ -38,10 +38,10 @@ class RemoteWindow(Passed):
 
     @contextmanager
     def reading(self, index: ChunkIndex | str, wanted: Wanted, margin: int = 0) -> Iterator[None]:
-        """While the body runs, the chunks that hold what is wanted are read ahead of it.
+        """Context in which the chunks with wanted messages are read ahead.
 
-        index: or why there is none; margin: how far behind a chunk is looked as well. LogError
-        where all must be read, and nobody allowed that.
+        index: or the reason why there is none; margin: bytes to include after each chunk. Raises
+        LogError if the whole object must be read and that was not allowed.
         """
         if isinstance(index, str) and not self.path.allow_scan:
             raise LogError(
@@ -53,7 +53,7 @@ class RemoteWindow(Passed):
         self._ahead = None
 
     def cost(self, index: ChunkIndex | str, wanted: Wanted, margin: int = 0) -> int:
-        """How many bytes `reading` would fetch."""
+        """Number of bytes that `reading` would fetch."""
         return self.path.file.cost(*self._ranges(index, wanted, margin))
 
     def _ranges(
@@ -69,12 +69,12 @@ class RemoteWindow(Passed):
         return np.frombuffer(self.copy(offset, length), np.uint8)
 
     def checked(self, offset: int, length: int) -> tuple[Bytes, int]:
-        """The same, and the checksum (CRC-32) of the bytes."""
+        """The bytes as by `view`, with their CRC-32."""
         data = self.view(offset, length)
         return data, crc32(data)
 
     def copy(self, offset: int, length: int) -> bytes:
-        """The same bytes. Other threads may call this."""
+        """The bytes as by `view`, copied; thread-safe."""
         length = max(0, min(length, self.size - offset))
         return self.path.file.read(offset, length, self._ahead) if length else b""
 
@@ -87,7 +87,7 @@ Window = FileWindow | RemoteWindow
 
 
 def window_on(path: LogPath, progress: Progress | None = None) -> Window:
-    """The bytes of the file or object at a path."""
+    """The window on the file or object at a path."""
     if isinstance(path, RemotePath):
         return RemoteWindow(path, progress)
     return FileWindow(path, progress)

@@ -1,8 +1,8 @@
-"""Columnar decoding of ROS messages that hold poses, in CDR (ROS 2) and in ROS 1's encoding.
+"""Columnar decoding of ROS messages with poses, in CDR (ROS 2) and ROS 1 serialization.
 
-The places of all fields in such a message depend on its strings and counts alone. So one message
-is parsed, its strings and counts become a template, and all messages of the same size that carry
-the same bytes there are decoded at once; the others yield further templates.
+The offsets of all fields in such a message depend on its strings and counts only. One message is
+parsed, its strings and counts become a template, and all messages of the same size with the same
+bytes there are decoded at once; the others yield further templates.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", 
 
 POSE_BYTES = 56
 TEMPLATES = 64
-"""Most templates that are kept per size, and tried as columns in one batch."""
+"""Limit on templates per message size, and on those tried per batch."""
 
 
 class _Run(NamedTuple):
-    """`length` poses one behind the other with one stamp and one pair of frames."""
+    """`length` consecutive poses with one stamp and one pair of frames."""
 
     stamp_at: int
     frame: int
@@ -34,9 +34,9 @@ class _Run(NamedTuple):
 
 
 class Template(NamedTuple):
-    """Where everything is in messages of one shape.
+    """Offsets of the fields in messages of one shape.
 
-    size: bytes from the message's begin to the end of what is needed; order: "<" or ">".
+    size: bytes from the message's begin to the end of the last needed field; order: "<" or ">".
     """
 
     size: int
@@ -46,7 +46,7 @@ class Template(NamedTuple):
     ros1: bool
 
     def poses(self, rows: Bytes, message: IntArray) -> Poses:
-        """The poses of rows of this shape."""
+        """The poses of messages (rows) of this shape."""
         parts = [self._run(rows, message, run) for run in self.runs]
         return join(parts)
 
@@ -63,7 +63,7 @@ class Template(NamedTuple):
 
 
 class WireParser:
-    """Goes through one message and notes what a template needs."""
+    """Parses one message and records the offsets that a template needs."""
 
     def __init__(self, raw: bytes, ros1: bool) -> None:
         self._raw = raw
@@ -83,13 +83,13 @@ class WireParser:
         self.fixed.append((0, 2))
 
     def align(self, width: int) -> None:
-        """Go on to where a number of this width may stand."""
+        """Advance to the alignment of a number of this width."""
         if not self.ros1:
             width = min(width, self._widest)
             self.position += -(self.position - self._base) % width
 
     def advance(self, length: int) -> int:
-        """Go over so many bytes; where they begin. Raises DamageError at the message's end."""
+        """Skip bytes and return their offset; raises DamageError at the message's end."""
         at = self.position
         if at + length > len(self._raw):
             raise DamageError("a message ends too early")
@@ -97,14 +97,14 @@ class WireParser:
         return at
 
     def count(self) -> int:
-        """A length that belongs to the shape."""
+        """A sequence length, which belongs to the shape."""
         self.align(4)
         at = self.advance(4)
         self.fixed.append((at, at + 4))
         return int(struct.unpack_from(f"{self.order}I", self._raw, at)[0])
 
     def string(self) -> str:
-        """A string that belongs to the shape."""
+        """A string, which belongs to the shape."""
         length = self.count()
         if length > NAME_BYTES:
             raise DamageError(f"a name of {length} bytes is implausible")
@@ -114,18 +114,18 @@ class WireParser:
         return text(self._raw[at : at + length].rstrip(b"\0"))
 
     def stamp(self) -> int:
-        """Place of a time."""
+        """Offset of a time."""
         self.align(4)
         return self.advance(8)
 
     def header(self) -> tuple[int, str]:
-        """Place of the stamp and the frame of a std_msgs/Header."""
+        """Offset of the stamp, and the frame, of a std_msgs/Header."""
         if self.ros1:
             self.advance(4)
         return self.stamp(), self.string()
 
     def poses(self, count: int) -> int:
-        """Place of `count` poses one behind the other."""
+        """Offset of `count` consecutive poses."""
         if count:
             self.align(8)
         return self.advance(POSE_BYTES * count)
@@ -153,7 +153,7 @@ def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
 
 
 class WireDecoder:
-    """Decodes messages of one kind in CDR or in ROS 1's encoding."""
+    """Decodes messages of one kind in CDR or ROS 1 serialization."""
 
     def __init__(self, kind: Kind, ros1: bool) -> None:
         self._kind: Kind = kind
@@ -164,7 +164,7 @@ class WireDecoder:
         self._templates: dict[int, list[Template]] = {}
 
     def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
-        """What is needed of the messages, if all have one shape that was met before; else None."""
+        """The needed fields of the messages, if all have one known shape, else None."""
         known = self._templates.get(int(size[0]))
         if not known or not (size == size[0]).all():
             return None
@@ -173,12 +173,12 @@ class WireDecoder:
         return Heads(rows, known[0].poses) if fits else None
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
-        """The poses of a batch of messages. O(bytes looked at) when shapes are few."""
+        """The poses of a batch of messages. O(bytes read) with few shapes."""
         message = np.arange(len(start))
         if len(start) and (size == size[0]).all():
             parts = self._same_size(data, start, int(size[0]), message)
         else:
-            # One group per size: sorted once, then cut where the size changes.
+            # One group per size: sort once, then split where the size changes.
             order = np.argsort(size, kind="stable")
             cuts = np.flatnonzero(np.diff(size[order])) + 1
             parts = []
@@ -218,7 +218,7 @@ class WireDecoder:
         return parts
 
     def _unlike(self, data: Bytes, start: IntArray, raw: bytes) -> IntArray:
-        """Which messages are not those bytes, and may be sound; the first one is."""
+        """Messages that differ from those bytes and may be valid; the first one is."""
         head = np.frombuffer(raw, np.uint8)
         other = Shape.of(head, ((0, len(head)),)).misfits(gather(data, start, len(head)))
         return np.zeros(0, np.int64) if other is None else other.nonzero()[0]
@@ -226,7 +226,7 @@ class WireDecoder:
     def _fitting(
         self, data: Bytes, start: IntArray, message: IntArray, template: Template
     ) -> tuple[IntArray, IntArray, Poses]:
-        """The messages that have not the template's shape, and the poses of those that have."""
+        """The messages that do not have the template's shape, and the poses of those that do."""
         rows = gather(data, start, template.size)
         other = template.shape.misfits(rows)
         if other is None:

@@ -1,7 +1,7 @@
-"""Addresses of logs in buckets and on web servers, with as much of a path's methods as is used.
+"""Addresses of logs in buckets and on web servers, with the pathlib methods that are needed.
 
-What is listed is listed once, whole, and kept as a tree; what is read once of an object's ends (its
-summary, for instance) is kept with it, and goes with it to other processes.
+A bucket's listing is read once and kept as a tree; what is read of an object's ends (its summary,
+for instance) is kept with it and pickled to other processes.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ _LOG = re.compile(r"\.(mcap|bag|db3|active|zstd|zst)$", re.IGNORECASE)
 _HEAD_FIRST = re.compile(r"\.(bag|active)$", re.IGNORECASE)
 
 HEAD_BYTES = 4352
-"""The front of a bag: its magic, and its first record, which says where the index is. Writers pad
-that to 4096 bytes."""
+"""Front of a bag that is read: magic and first record, which holds the index position. Writers pad
+it to 4096 bytes."""
 
 TAIL_BYTES = 1 << 13
 TAIL_SHARE = 2048
-"""How much of the end of an MCAP file is asked for at first, 8 KiB and a share: a summary has 1 to
-3 kB per topic and 200 bytes per chunk of 1 MB. What is missing is asked for then."""
+"""Bytes first read at the end of an MCAP file: 8 KiB plus a share of its size, since a summary has
+1 to 3 kB per topic and 200 bytes per chunk of 1 MB. The rest is read when needed."""
 
 SMALL_FILE_BYTES = 1 << 22
-"""Longest description (metadata.yaml) that is read."""
+"""Largest metadata.yaml that is read."""
 
 
 def is_remote(text: str) -> bool:
@@ -59,7 +59,7 @@ class _Status(NamedTuple):
 
 @dataclass(slots=True)
 class Known:
-    """What is known of an object: its state, and bytes of its ends by their places."""
+    """The known state of an object, and bytes of its ends by offset."""
 
     stat: Stat | None = None
     ends: dict[int, bytes] = field(default_factory=dict)
@@ -67,7 +67,7 @@ class Known:
 
 @dataclass(slots=True)
 class _Node:
-    """A place in a bucket: an object, a folder with what lies in it, both, or nothing.
+    """A node of a bucket's tree: an object, a folder with its entries, both, or nothing.
 
     broken: why a folder cannot be listed.
     """
@@ -77,14 +77,14 @@ class _Node:
     broken: LogError | None = None
 
     def at(self, key: str) -> _Node:
-        """The place below; made if it is not there."""
+        """The node below by its relative key, created if needed."""
         node = self
         for name in key.split("/") if key else ():
             node = node.children.setdefault(name, _Node())
         return node
 
     def kinds(self) -> list[_Node]:
-        """The object and the folder that have this name. An empty object only marks the folder."""
+        """The object and the folder of this name. An empty object only marks the folder."""
         if self.known is None or not self.children:
             return [self]
         folder = _Node(None, self.children)
@@ -92,12 +92,12 @@ class _Node:
         return [folder] if marks else [_Node(self.known), folder]
 
     def objects(self) -> list[Known]:
-        """What is known of the object, and of those in the folder itself."""
+        """The known object, and those directly in the folder."""
         nodes = [self, *self.children.values()]
         return [node.known for node in nodes if node.known is not None]
 
     def flat(self) -> _Node:
-        """With what lies in the folder itself."""
+        """A copy with the folder's direct entries only."""
         children = {name: _Node(node.known) for name, node in self.children.items()}
         return _Node(self.known, children, self.broken)
 
@@ -105,10 +105,9 @@ class _Node:
 class RemotePath:
     """A place in a bucket or on a web server.
 
-    root: what a store is opened for, `s3://bucket`; key: the place in it. allow_scan: whether
-    logs without an index may be read whole. Printed without what an address may hold of secrets.
-    Its methods are those of pathlib.Path; they raise LogError where a server must be asked and
-    cannot be.
+    root: address of the store, as `s3://bucket`; key: the place in it. allow_scan: whether logs
+    without an index may be read whole. Secrets of the address are not printed. Methods are those of
+    pathlib.Path; they raise LogError on server errors.
     """
 
     __slots__ = ("_file", "_found", "allow_scan", "key", "root")
@@ -121,7 +120,7 @@ class RemotePath:
 
     @classmethod
     def parse(cls, address: str, *, allow_scan: bool = False) -> RemotePath:
-        """The place that an address names; UsageError if it names none, or obstore is missing."""
+        """The place of an address; UsageError if it is invalid or obstore is missing."""
         scheme, host, path, query, _ = urlsplit(address)
         if scheme.lower() not in ("http", "https"):
             # A key may hold any character: nothing in it is a query.
@@ -145,7 +144,7 @@ class RemotePath:
 
     @property
     def name(self) -> str:
-        """The last part of the key; of a whole bucket, its name."""
+        """The last part of the key, or the bucket's name."""
         return self.key.rstrip("/").rpartition("/")[2] or self.root.rpartition("/")[2]
 
     def __str__(self) -> str:
@@ -177,20 +176,20 @@ class RemotePath:
         return f"{self.key.rstrip('/')}/{name}".lstrip("/")
 
     def resolve(self) -> RemotePath:
-        """Itself."""
+        """This path."""
         return self
 
     def is_file(self) -> bool:
-        """Whether an object is there."""
+        """Whether there is an object."""
         return self._node.known is not None
 
     def is_dir(self) -> bool:
-        """Whether there is no object, but some lie below."""
+        """Whether there is no object, but some below."""
         node = self._node
         return node.known is None and bool(node.children or node.broken)
 
     def is_symlink(self) -> bool:
-        """No."""
+        """False."""
         return False
 
     def exists(self) -> bool:
@@ -198,7 +197,7 @@ class RemotePath:
         return self.is_file() or self.is_dir()
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """What lies below it. An object may have the name of a folder; both are given."""
+        """The entries of a folder. An object and a folder of one name are both returned."""
         if self._node.broken is not None:
             raise self._node.broken
         for name, node in self._node.children.items():
@@ -210,18 +209,18 @@ class RemotePath:
         return _Status(self.state.size)
 
     def open(self, mode: str = "rb") -> io.BytesIO:
-        """All of a small file, to read."""
+        """A small file's content, for reading."""
         assert mode == "rb"
         if self.state.size > SMALL_FILE_BYTES:
             raise LogError(f"{self}: is implausibly long for what it is")
         return io.BytesIO(self.end(0, self.state.size))
 
     def read_text(self, encoding: str, errors: str) -> str:
-        """All of a small file, as text."""
+        """A small file's content as text."""
         return self.open().read().decode(encoding, errors)
 
     def read_all_named(self, name: str) -> None:
-        """Read all small files of a name below, many at a time; who opens them then has them."""
+        """Read all small files of a name below concurrently, so that opening them is immediate."""
         found, waiting = [], [self]
         while waiting:
             folder = waiting.pop()
@@ -236,7 +235,8 @@ class RemotePath:
 
     @property
     def state(self) -> Stat:
-        """Size, tag and time of the object; asked for with its more telling end."""
+        """Size, tag and time of the object, requested together with the end that holds its
+        index."""
         known = self._object
         if known.stat is None:
             self._first_look(known)
@@ -245,28 +245,29 @@ class RemotePath:
 
     @property
     def file(self) -> RemoteFile:
-        """The object to read from; what was read of it is kept as long as this path is."""
+        """The object for reading; bytes read are kept as long as this path."""
         if self._file is None:
             self._file = RemoteFile(self.state.size, self._object.ends, self._asked)
         return self._file
 
     def fresh(self) -> RemotePath:
-        """The same place, with none of its bytes but its ends."""
+        """The same place with no bytes but the object's ends."""
         return RemotePath(self.root, self.key, self._node, allow_scan=self.allow_scan)
 
     @property
     def kept_bytes(self) -> int:
-        """What `file` and `state` have left of this object, and of those in this folder."""
+        """Bytes kept by `file` and `state`, for this object and those directly in this folder."""
         known = self._found.objects() if self._found is not None else []
         return sum(len(data) for each in known for data in each.ends.values())
 
     def forget(self) -> None:
-        """Drop these bytes; they are asked for when they are wanted again."""
+        """Drop the kept bytes; they are requested again when needed."""
         for known in self._found.objects() if self._found is not None else ():
             known.ends.clear()
 
     def magic(self) -> bytes:
-        """The first bytes that tell its format, or the last: MCAP files end as they begin."""
+        """The first bytes, which tell the format, or the last: MCAP files end with the same
+        magic."""
         known = self._object
         if not known.ends:
             self._first_look(known)
@@ -277,7 +278,7 @@ class RemotePath:
         return self.end(0, min(size, 16))
 
     def end(self, start: int, stop: int) -> bytes:
-        """Bytes of one of its ends, to be kept with it."""
+        """Bytes of one of the object's ends, which are kept."""
         ends = self._object.ends
         for at, data in ends.items():
             if at <= start and stop <= at + len(data):
@@ -286,7 +287,8 @@ class RemotePath:
         return ends[start][: stop - start] if stop > start else b""
 
     def _first_look(self, known: Known) -> None:
-        """Ask for the end of the object that tells what it holds: a bag's first, others' last."""
+        """Request the end of the object that holds its index: the first of a bag, the last of
+        others."""
         size = known.stat.size if known.stat is not None else TAIL_SHARE * TAIL_BYTES
         if size == 0:
             known.ends[0] = b""
@@ -302,7 +304,7 @@ class RemotePath:
         known.ends[got.start] = got.data
 
     def _asked(self, wanted: tuple[int, int] | int) -> Future[Got]:
-        """A request for bytes of the object, as it is known."""
+        """A request for bytes of the object in its known state."""
         known = self._object.stat
         return asked(self.root, self.key.rstrip("/"), wanted, known, named=str(self))
 
@@ -320,7 +322,7 @@ class RemotePath:
         return self._found
 
     def _looked_up(self) -> _Node:
-        """What is there: an object if it is called like a log, else a folder, else an object."""
+        """The node: an object if it is named like a log, else a folder, else an object."""
         alone = _Node(Known())
         http = self.root.startswith("http")
         named = bool(self.key) and not self.key.endswith("/")
@@ -337,7 +339,7 @@ class RemotePath:
         return alone
 
     def _listed(self) -> _Node:
-        """The folder with all that is below it, by one listing."""
+        """The folder with everything below it, by one listing."""
         folder, prefix = _Node(), self.key.rstrip("/")
         skip = len(prefix) + 1 if prefix else 0
         for key, stat in listed(self.root, prefix, named=str(self)):
@@ -346,7 +348,7 @@ class RemotePath:
         return folder
 
     def _listed_one_by_one(self) -> _Node:
-        """The same by a request per folder: those with a key that cannot be read are broken."""
+        """The same by one request per folder; those with an unreadable key are marked as broken."""
         top = _Node()
         waiting = [(self.key.rstrip("/"), top)]
         while waiting:
@@ -383,7 +385,7 @@ def _path(root: str, key: str, found: _Node | None, allow_scan: bool) -> RemoteP
 
 
 def _public(address: str) -> str:
-    """An address without user, password and question, which may be a signature."""
+    """The address without user, password and query, which may be a signature."""
     scheme, host, path, _, _ = urlsplit(address)
     if scheme not in ("http", "https"):
         return address
@@ -391,11 +393,11 @@ def _public(address: str) -> str:
 
 
 LogPath = Path | RemotePath
-"""Where a log lies."""
+"""The place of a log."""
 
 
 def log_path(place: str | LogPath, *, allow_scan: bool = False) -> LogPath:
-    """The place that a text names: on this machine, or by an address elsewhere."""
+    """The place of a text: a local path or a remote address."""
     if isinstance(place, RemotePath):
         return place
     if isinstance(place, str) and is_remote(place):

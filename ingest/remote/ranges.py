@@ -1,4 +1,4 @@
-"""Which byte ranges to ask for: close ones together, long ones in parts."""
+"""Planning of byte range requests: near ranges are merged, long ones split."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from ...topology.arrays import BoolArray, IntArray
 
 WASTE = 1 / 32
-"""Share of what is wanted that may be read besides, to save requests. It leaves room in the tenth
-that reading may cost for the end of a file, which is read before it is known what is there."""
+"""Share of unneeded bytes that may be read to save requests: small enough for reading at most a
+tenth more than needed, together with the end of the file."""
 
 GAP_BYTES = 1 << 20
-"""A longer gap is not read: at 100 MB/s it takes as long as another request, some 10 ms."""
+"""Longer gaps are not read: at 100 MB/s they take as long as another request, about 10 ms."""
 
 
 def coalesced(begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
-    """Ranges in ascending order, with the smallest gaps between them closed. O(n log n).
+    """Ranges in ascending order with the smallest gaps between them closed. O(n log n).
 
-    begin, end: (n,) in any order; they may overlap. What the gaps hold is at most WASTE of what
-    the ranges do.
+    begin, end: (n,) in any order, possibly overlapping. Closed gaps are at most WASTE of the
+    ranges' bytes.
     """
     begin, end = begin[end > begin], end[end > begin]
     if len(begin) == 0:
@@ -40,7 +40,7 @@ def coalesced(begin: IntArray, end: IntArray) -> tuple[IntArray, IntArray]:
 def without(
     begin: IntArray, end: IntArray, held: list[tuple[int, int]]
 ) -> tuple[IntArray, IntArray]:
-    """Ranges in ascending order, less what is there already, perhaps in more pieces. O(n log n)."""
+    """Ranges in ascending order without the `held` ones. O(n log n)."""
     there = np.array(held, np.int64).reshape(-1, 2)
     edges = np.unique(np.concatenate([begin, end, there.ravel()]))
     wanted = _covered(edges, begin, end) & ~_covered(edges, there[:, 0], there[:, 1])
@@ -48,7 +48,8 @@ def without(
 
 
 def _covered(edges: IntArray, begin: IntArray, end: IntArray) -> BoolArray:
-    """Which stretches between edges lie in any range; all ranges begin and end at edges."""
+    """For each interval between consecutive edges whether it lies in any range; all ranges begin
+    and end at edges."""
     change = np.zeros(len(edges), np.int64)
     np.add.at(change, np.searchsorted(edges, begin), 1)
     np.add.at(change, np.searchsorted(edges, end), -1)
@@ -56,7 +57,7 @@ def _covered(edges: IntArray, begin: IntArray, end: IntArray) -> BoolArray:
 
 
 def in_parts(begin: IntArray, end: IntArray, most: int) -> list[tuple[int, int]]:
-    """Ranges with those longer than `most` cut into parts of equal length."""
+    """Ranges with those longer than `most` split into equal parts."""
     out = []
     for first, last in zip(begin.tolist(), end.tolist(), strict=True):
         count = -(-(last - first) // most)

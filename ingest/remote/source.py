@@ -1,6 +1,6 @@
-"""The bytes of one remote log: what is wanted is said in advance, and read ahead in few requests.
+"""Reading one remote log: needed ranges are announced and read ahead in few requests.
 
-Pieces that were read are kept as long as memory allows, for logs are gone through more than once.
+Bytes read are kept within a limit of memory, since logs are read more than once.
 """
 
 from __future__ import annotations
@@ -17,22 +17,22 @@ from .ranges import coalesced, in_parts, without
 from .store import TAIL_MOST, Got
 
 PART_BYTES = 1 << 22
-"""Longest request: the usual size of parts in buckets, and 40 ms at 100 MB/s, so that what a
-request takes to begin is small beside it."""
+"""Longest request: the usual part size of buckets, 40 ms at 100 MB/s, against which a request's
+latency is small."""
 
 AHEAD_BYTES, AHEAD = 4 * PART_BYTES, 16
-"""What is under way at a time, in bytes and in requests: one connection to a bucket gives 50 to
-100 MB/s, which decoding outruns, and short requests are nothing but waiting."""
+"""Limits on outstanding bytes and requests: one connection to a bucket gives 50 to 100 MB/s, less
+than decoding needs, and short requests are dominated by latency."""
 
 HELD_BYTES = 1 << 26
-"""What is kept of a log: more than its walk has in hand at a time (`logs.ahead.AHEAD_BYTES`)."""
+"""Bytes kept of a log: more than its walk holds at a time (`logs.ahead.AHEAD_BYTES`)."""
 
 LEAST_BYTES = 1 << 12
-"""A request that nobody announced brings so much: heads of records lie close together."""
+"""Least length of a request that was not announced: record heads are close together."""
 
 
 class _Held:
-    """Pieces of an object that do not overlap; the least recently used ones go first."""
+    """Disjoint pieces of an object; the least recently used ones are dropped first."""
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -41,7 +41,7 @@ class _Held:
         self._starts: list[int] = []
 
     def put(self, start: int, data: bytes) -> None:
-        """Keep a piece, and the last few others."""
+        """Keep a piece, within the limit."""
         if not data or start in self._pieces:
             return
         self._pieces[start] = data
@@ -53,7 +53,7 @@ class _Held:
             self._bytes -= len(gone)
 
     def at(self, offset: int) -> tuple[int, bytes] | None:
-        """The piece that holds the byte at `offset`, with its place."""
+        """The piece that holds the byte at `offset`, with its offset."""
         k = bisect_right(self._starts, offset) - 1
         if k < 0:
             return None
@@ -65,17 +65,17 @@ class _Held:
         return start, data
 
     def after(self, offset: int) -> int | None:
-        """Where the next piece behind `offset` begins."""
+        """Offset of the next piece after `offset`."""
         k = bisect_right(self._starts, offset)
         return self._starts[k] if k < len(self._starts) else None
 
     def spans(self) -> list[tuple[int, int]]:
-        """First byte, and the one behind the last, of every piece."""
+        """First byte, and the one after the last, of every piece."""
         return [(start, start + len(self._pieces[start])) for start in self._starts]
 
 
 class ReadAhead:
-    """Parts of an object that are read one after the other, the next few of them meanwhile."""
+    """Parts of an object that are read in order, the next few of them ahead."""
 
     def __init__(
         self, parts: list[tuple[int, int]], ask: Callable[[tuple[int, int]], Future[Got]]
@@ -86,7 +86,8 @@ class ReadAhead:
         self._fresh = 0
 
     def at(self, offset: int) -> tuple[int, bytes] | None:
-        """The part that holds the byte at `offset`, with its place; those behind it are begun."""
+        """The part that holds the byte at `offset`, with its offset; requests for the following
+        ones are started."""
         k = bisect_right(self._parts, offset, key=lambda part: part[0]) - 1
         if k < 0 or offset >= self._parts[k][1]:
             return None
@@ -95,30 +96,30 @@ class ReadAhead:
             left -= stop - start
             if n > k and left < 0:
                 break
-            # Threads may come out of turn: what was read behind this part is not asked for twice.
+            # Threads may read out of order: parts read after this one are not requested twice.
             if n not in self._begun and (n == k or n >= self._fresh):
                 self._begun[n] = self._ask((start, stop))
                 self._fresh = max(self._fresh, n + 1)
-        # What does not fit into memory any more when it is wanted again is asked for again.
+        # Dropped parts are requested again when needed.
         return self._parts[k][0], self._begun.pop(k).result().data
 
     def after(self, offset: int) -> int | None:
-        """Where the next part behind `offset` begins."""
+        """Offset of the next part after `offset`."""
         k = bisect_right(self._parts, offset, key=lambda part: part[0])
         return self._parts[k][0] if k < len(self._parts) else None
 
     def left(self) -> Iterator[tuple[int, bytes]]:
-        """What was on its way when nobody wanted more; what failed is asked for when it is."""
+        """Completed parts that were not read; failed requests are repeated when needed."""
         for k, part in self._begun.items():
             if part.exception() is None:
                 yield self._parts[k][0], part.result().data
 
 
 class RemoteFile:
-    """One object to read from. Any thread may read; LogError where the server fails.
+    """One object for reading; thread-safe. Raises LogError on server errors.
 
-    ends: bytes of its ends by their places; what is read of an index is added. ask: begins to ask
-    for a range: first byte, and the one behind the last.
+    ends: bytes of its ends by offset; index bytes that are read are added. ask: starts a request
+    for a range: first byte, and the one after the last.
     """
 
     def __init__(
@@ -133,7 +134,7 @@ class RemoteFile:
             self._put(start, data)
 
     def cost(self, begin: IntArray, end: IntArray) -> int:
-        """Bytes that reading these ranges takes, gaps included, beyond what is there."""
+        """Bytes that reading these ranges requests, with gaps and without bytes already held."""
         return sum(stop - start for start, stop in self._planned(begin, end))
 
     def _planned(self, begin: IntArray, end: IntArray) -> list[tuple[int, int]]:
@@ -143,7 +144,7 @@ class RemoteFile:
 
     @contextmanager
     def reading_ahead(self, begin: IntArray, end: IntArray) -> Iterator[ReadAhead]:
-        """While the body runs, these ranges are read ahead of it, in their order."""
+        """Context in which these ranges are read ahead, in order."""
         ahead = ReadAhead(self._planned(begin, end), self._ask)
         try:
             yield ahead
@@ -158,7 +159,7 @@ class RemoteFile:
                 self._put(start, data)
 
     def read(self, offset: int, length: int, ahead: ReadAhead | None = None) -> bytes:
-        """The bytes of a place, which must be inside the object."""
+        """The bytes at an offset inside the object."""
         out: list[bytes] = []
         at, stop = offset, offset + length
         with self._lock:
@@ -169,10 +170,10 @@ class RemoteFile:
         return out[0] if len(out) == 1 else b"".join(out)
 
     def _fetched(self, at: int, stop: int, ahead: ReadAhead | None) -> tuple[int, bytes]:
-        """A piece that holds the byte at `at`, which is in no piece that is there."""
+        """A piece with the byte at `at`, which is not held."""
         found = ahead.at(at) if ahead is not None else None
         if found is None:
-            # Nobody announced it: a little more is read along, but nothing twice.
+            # Not announced: read a little more, but nothing twice.
             behind = (self._held.after(at), ahead.after(at) if ahead is not None else None)
             most = min(max(stop, at + LEAST_BYTES), self.size)
             end = min([most, *(place for place in behind if place is not None)])
@@ -183,7 +184,7 @@ class RemoteFile:
         return found
 
     def _put(self, start: int, data: bytes) -> None:
-        """Keep what of a piece is not there yet."""
+        """Keep the bytes of a piece that are not held yet."""
         at, stop = start, start + len(data)
         while at < stop:
             there = self._held.at(at)

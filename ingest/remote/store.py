@@ -1,8 +1,7 @@
-"""Requests to object stores and web servers, by obstore: one range, or all keys below a prefix.
+"""Requests to object stores and web servers by obstore: byte ranges, and listings below a prefix.
 
-What goes wrong becomes a LogError that names bucket and key. Requests that fail, stall or are cut
-off are tried again by obstore; what was sent is checked: its place, its length, and that the object
-is the same as before.
+Errors become LogErrors that name bucket and key. obstore repeats requests that fail, stall or are
+cut off; responses are checked for range, length, and an unchanged object.
 """
 
 from __future__ import annotations
@@ -24,24 +23,24 @@ if TYPE_CHECKING:
     from obstore.store import ObjectStore
 
 PIECE_BYTES = 1 << 20
-"""What is taken out of an answer at a time: one that is longer than asked for is not kept whole."""
+"""Bytes taken from a response at a time; longer responses than requested are cut."""
 
 
 TAIL_MOST = 1 << 19
-"""Most of an end of an object that is asked for unseen, or kept with its address."""
+"""Limit on the end of an object that is requested without its size, or kept with its path."""
 
 
 MOST_KEYS = 1 << 22
-"""A longer list is not kept: this one takes 2.4 GB (570 bytes a key, measured with 100,000)."""
+"""Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Patience:
-    """How long a server is waited for, and how often it is asked again.
+    """Timeouts and retries of requests.
 
-    read_s: without a single byte, as botocore's 60 s by default, but for stalls; request_s: for
-    one whole answer, so that 4 MiB still come at 14 kB/s; retries, retry_s: tries after the first
-    one, and the time after which none is begun.
+    read_s: without any byte (botocore's default is 60 s); request_s: for one response, enough for 4
+    MiB at 14 kB/s; retries, retry_s: attempts after the first one, and the time after which none is
+    started.
     """
 
     connect_s: float = 10.0
@@ -54,10 +53,10 @@ class Patience:
 
 
 class Stat(NamedTuple):
-    """What tells one state of an object from another.
+    """What identifies a state of an object.
 
-    etag: empty if there is none; modified_s: Unix time, 0 if there is none. Listings tell it more
-    finely than answers, so it is in whole seconds.
+    etag: empty if there is none; modified_s: Unix time in whole seconds, since listings are more
+    precise than responses, 0 if there is none.
     """
 
     size: int
@@ -66,7 +65,7 @@ class Stat(NamedTuple):
 
 
 class Got(NamedTuple):
-    """Bytes from `start` on, and what the object was when they were sent."""
+    """Bytes from `start` on, and the object's state when they were sent."""
 
     start: int
     data: bytes
@@ -78,16 +77,17 @@ class MissingObjectError(LogError):
 
 
 class BadKeyError(LogError):
-    """A folder holds a key that is no path, so that it cannot be listed."""
+    """A folder holds a key that is no valid path, so that it cannot be listed."""
 
 
 def asked(
     root: str, key: str, wanted: tuple[int, int] | int, known: Stat | None, *, named: str
 ) -> Future[Got]:
-    """One request. wanted: first byte and the one behind the last, or so many at the end.
+    """Start one request. wanted: first byte and the one after the last, or a number of bytes at the
+    end.
 
-    known: what the object must still be, if anything is known of it. The answer raises
-    MissingObjectError, or LogError with `named` in front.
+    known: the state that the object must still have, if known. The result raises
+    MissingObjectError, or LogError with `named` as prefix.
     """
     return begun(partial(_answer, root, key, wanted, known, named))
 
@@ -98,7 +98,7 @@ def _answer(
     import obstore
 
     if isinstance(wanted, int) and root.startswith("az:"):
-        # Azure does not know requests for the end of an object.
+        # Azure does not support suffix ranges.
         known = known or _head(root, key, named)
         wanted = max(0, known.size - wanted), known.size
     options: GetOptions = {"range": {"suffix": wanted} if isinstance(wanted, int) else wanted}
@@ -124,7 +124,7 @@ def _head(root: str, key: str, named: str) -> Stat:
 
 
 def _same(known: Stat, now: Stat) -> bool:
-    """Whether an object is what it was, by its tag or, where there is none, its time."""
+    """Whether the object is unchanged, by its tag or, without one, its time."""
     if known.etag and now.etag:
         return (known.size, known.etag) == (now.size, now.etag)
     times = known.modified_s, now.modified_s
@@ -145,7 +145,7 @@ def _exactly(pieces: Iterator[bytes], length: int, named: str) -> bytes:
 
 
 def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
-    """Every key below a prefix, which is taken as a folder, with what its object is."""
+    """Every key below a prefix, as a folder, with its object's state."""
     import obstore
 
     with _told(named):
@@ -162,7 +162,7 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
 def listed_here(
     root: str, prefix: str, *, named: str
 ) -> tuple[list[tuple[str, Stat]], Sequence[str]]:
-    """The objects in a folder itself, and the folders in it."""
+    """The objects directly in a folder, and its folders."""
     import obstore
 
     with _told(named):
@@ -176,7 +176,7 @@ def _stat(meta: Any) -> Stat:
 
 
 def require_obstore(named: str) -> None:
-    """UsageError where the extra is not installed."""
+    """UsageError if the extra is not installed."""
     try:
         import obstore  # noqa: F401
     except ImportError as error:
@@ -187,7 +187,7 @@ def require_obstore(named: str) -> None:
 
 @lru_cache(maxsize=64)
 def store(root: str) -> ObjectStore:
-    """The store of a bucket or server; what it needs besides comes from the environment."""
+    """The store of a bucket or server, configured by the environment."""
     from obstore.store import from_url
 
     patience = PATIENCE
@@ -221,7 +221,7 @@ _ENDPOINTS = {
 
 
 def _plain_http(root: str) -> bool:
-    """Whether an address, or the endpoint that the environment names, is http:// on purpose."""
+    """Whether the address, or the environment's endpoint, is http:// explicitly."""
     import os
 
     scheme = root.partition("://")[0]
@@ -231,7 +231,7 @@ def _plain_http(root: str) -> bool:
 
 @contextmanager
 def _told(named: str) -> Iterator[None]:
-    """Errors of obstore as ours. Its own tell the request, what came back, and inner structures."""
+    """obstore's errors as ours, without requests, responses and internals."""
     from obstore.exceptions import BaseError, InvalidPathError
 
     try:
@@ -263,11 +263,11 @@ _MEANT = (
     ("MissingAccount", _CREDENTIALS),
     ("TokenRequest", _CREDENTIALS),
 )
-"""What an error means whose kind or text has such a word."""
+"""What an error with such a word in its type or text means."""
 
 
 def _why(error: Exception) -> str:
-    """What went wrong, from the kind of an error and the telling parts of its text."""
+    """The reason of an error from its type and the relevant parts of its text."""
     kind, text = type(error).__name__, str(error)
     for word, meaning in _MEANT:
         if word in f"{kind} {text}":
@@ -287,12 +287,12 @@ def _why(error: Exception) -> str:
 
 
 def _code(text: str) -> str:
-    """The code of an error in the XML of an answer, as S3 and Azure have it; empty if none."""
+    """The error code in the XML of an S3 or Azure response; empty if there is none."""
     found = re.search(r"<Code>([A-Za-z0-9.]{1,60})</Code>", text)
     return found[1] if found else ""
 
 
 def _first_line(text: str) -> str:
-    """Without addresses: what stands behind their question mark may be a signature."""
+    """The first line without addresses, whose query may be a signature."""
     line = text.strip().partition("\n")[0]
     return re.sub(r"https?://\S+", "the server", line)[:200]

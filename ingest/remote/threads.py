@@ -1,7 +1,7 @@
-"""Requests on threads that nothing waits for when the program ends.
+"""Requests on daemon threads, which do not delay the end of the program.
 
-Whoever waits for an answer can be interrupted, which who asks obstore for it cannot; and Ctrl-C
-ends the program at once, which an executor of the standard library keeps until all is answered.
+Waiting for a result can be interrupted, unlike waiting in obstore; and Ctrl-C ends the program at
+once, where an executor of the standard library would wait for all requests.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 AT_ONCE = 16
-"""Small requests under way at a time: each takes some 30 ms, all but one of them waiting."""
+"""Small requests at a time: each takes about 30 ms, nearly all of it waiting."""
 
 
 def begun(call: Callable[[], R]) -> Future[R]:
-    """A call begun on a thread of its own."""
+    """Start a call on a thread of its own."""
     future: Future[R] = Future()
 
     def run() -> None:
@@ -35,7 +35,7 @@ def begun(call: Callable[[], R]) -> Future[R]:
 
 
 def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """The results of a function, in the order of the items."""
+    """The results of a function computed concurrently, in the order of the items."""
     waiting: deque[Future[R]] = deque()
     for item in items:
         if len(waiting) == AT_ONCE:
