@@ -3,7 +3,7 @@
 import sys
 
 INTERRUPTED = 130
-"""128 and the number of the signal, as shells say it."""
+"""Exit code after SIGINT by shell convention: 128 + signal number."""
 
 
 def start() -> None:

@@ -76,7 +76,7 @@ def changes(
 
 
 def _lines(change: Change) -> list[str]:
-    """What a change is, who says so, and how sure that is."""
+    """A change with its witnesses and its evidence."""
     x, y = change.xy
     at = f"at ({x:.1f}, {y:.1f}) m in component {change.component}"
     if change.thing == "corridor":

@@ -12,13 +12,13 @@ from contextlib import contextmanager
 from ..topology.errors import DataError, UsageError
 
 CONNECT_S = 20
-"""How long a scheduler may take to answer."""
+"""Timeout of the connection to a scheduler."""
 
 
 @contextmanager
 def cluster(address: str) -> Iterator[Executor]:
-    """The executor of a running cluster. UsageError where Dask is not installed or the address is
-    none, DataError where nobody answers there or its workers keep dying."""
+    """The executor of a running cluster. UsageError if Dask is not installed or the address is
+    invalid, DataError if nobody answers or workers keep dying."""
     try:
         from distributed import Client
         from distributed.scheduler import KilledWorker
@@ -34,7 +34,7 @@ def cluster(address: str) -> Iterator[Executor]:
         raise DataError(f"--cluster {address}: no scheduler answers there") from error
     with client:
         try:
-            # Tasks are not told apart by hashing them again: their order says which is which.
+            # Tasks are identified by their order; hashing them is not needed.
             yield client.get_executor(pure=False)
         except KilledWorker as error:
             raise DataError(

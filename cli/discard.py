@@ -69,7 +69,7 @@ def discard(
 def _sorted_out(
     place: Workspace, what: list[str], undo: bool
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """The runs and the pairs that are named. UsageError where there are none of that name."""
+    """The runs and the pairs that are named; UsageError for unknown ones."""
     known = set(place.runs())
     runs, pairs = [], []
     for name in dict.fromkeys(what):
@@ -85,7 +85,7 @@ def _sorted_out(
 
 
 def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> None:
-    """UsageError where a person said that two runs are the same, or nothing is to be undone."""
+    """UsageError for pairs locked as the same, or if there is nothing to undo."""
     if undo:
         kept = place.discards()
         for a, b in pairs:
@@ -101,7 +101,7 @@ def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> 
 
 
 def _discard_run(place: Workspace, run: str) -> None:
-    """Remove what is about a run: last its map, so that a second call finishes a first one."""
+    """Remove a run's files, its map last, so that an interrupted call can be repeated."""
     locks = place.locks()
     left = tuple(lock for lock in locks if run not in (lock.a, lock.b))
     if len(left) < len(locks):

@@ -62,12 +62,12 @@ def draw(
 
 
 def quiet_fonts() -> None:
-    """Keep to itself what matplotlib logs of its caches: where a home cannot be written, say."""
+    """Silence matplotlib's log about its caches, for instance in a read-only home."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
 
 
 def format_of(out: Path) -> Format:
-    """What a picture's name asks for."""
+    """The format by a file name's suffix."""
     suffix = out.suffix.lower()
     if suffix == ".svg":
         return "svg"
@@ -77,7 +77,7 @@ def format_of(out: Path) -> Format:
 
 
 def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
-    """The picture of a run, of a merge or of a pair."""
+    """The drawing of a run, a merge or a pair."""
     from ..viz import draw as drawings
 
     runs = place.runs()
@@ -92,7 +92,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
-    """The two runs that "A:B" names, in the order of their names."""
+    """The two runs of "A:B", in the order of their names."""
     found = pairs_named(what, runs)
     if found and found[0][0] == found[0][1]:
         raise UsageError(f"two runs are needed, got {found[0][0]!r} twice")
@@ -100,7 +100,7 @@ def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
 
 
 def _merge_of(place: Workspace, what: str) -> Workspace:
-    """The workspace with the merge that is named, or a message that says what there is."""
+    """The workspace with the named merge; otherwise an error that lists what there is."""
     if what == MERGED:
         place.require_merge()
         return place
@@ -111,7 +111,7 @@ def _merge_of(place: Workspace, what: str) -> Workspace:
 
 
 def read_result(place: Workspace) -> MergeResult:
-    """The merge of a workspace, as its document tells it; DocumentError if it cannot be read."""
+    """The merge of a workspace from its document; DocumentError if it cannot be read."""
     from ..merge.document import result_from_document
 
     document = place.read_merged()

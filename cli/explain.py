@@ -121,8 +121,8 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
 
 
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
-    """The maps of a pair, and the decision on it, with the settings and the runs of the merge that
-    had both."""
+    """The maps of a pair and the decision on it, with the settings and runs of the merge that had
+    both."""
     from dataclasses import replace
 
     from ..merge.document import poses_from_document, verdict_from_entry
@@ -162,12 +162,12 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
 
 
 def _last_merge(place: Workspace) -> MergedDocument | None:
-    """The document of the merge that is meant, if there is one."""
+    """The document of the selected merge, if there is one."""
     return place.read_merged() if place.merged_json.exists() else None
 
 
 def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: str) -> str:
-    """Why the workspace's merge has nothing to say of a pair, "" if it has."""
+    """Why the workspace's merge has no verdict on a pair, "" if it has one."""
     if document is None:
         return "not merged yet (topobatch merge --all)"
     if document.graph.method == "paper":
@@ -178,7 +178,7 @@ def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: st
 
 
 def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) -> list[str]:
-    """Read the maps of these runs into `maps`; the names of those that cannot be read."""
+    """Read the maps of these runs into `maps`; returns the names of unreadable ones."""
     gone = []
     for run in runs:
         if run in maps:
@@ -191,7 +191,7 @@ def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) ->
 
 
 def _record(recording: Path, draw: Callable[[], None], quiet: bool) -> None:
-    """Write a recording; a workspace that cannot be written is no reason not to answer."""
+    """Write a recording; a failure to write is only a warning."""
     try:
         draw()
     except OSError as error:
@@ -208,7 +208,7 @@ def _by_paper(
     as_json: bool,
     rows: int | None,
 ) -> None:
-    """Show what the paper's method finds."""
+    """Show the result of the paper's method."""
     from ..merge.paper.explain import explain as explained
     from ..merge.paper.explain import lines, to_document
     from ..merge.paper.method import DEFAULT_PAPER
@@ -249,8 +249,7 @@ def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSett
 
 
 def _verdict_lines(said: MergeEntry, merge: str) -> list[str]:
-    """The verdict of a merge, whatever its method. merge: its document, and what tells it from the
-    figures."""
+    """The verdict of a merge, of any method. merge: name of its document."""
     from math import degrees
 
     from ..merge.result import shown_bits

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 STDOUT = Path("-")
 
 MOST_NAMED = 4
-"""Components, and runs of each, that a warning names."""
+"""Components, and runs of each, that a warning lists."""
 
 
 Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "g2o", "tum", "csv"]
@@ -107,7 +107,7 @@ def export(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Source:
-    """A map to write: of a run or, with the document it stands in, of a component."""
+    """A map to export: a run's, or a component's with its document."""
 
     name: str
     topomap: TopoMap
@@ -117,7 +117,7 @@ class _Source:
 
 
 def _sources(place: Workspace, what: str, component: int | None, screen: Screen) -> list[_Source]:
-    """The maps that are meant: one of a run, one for each component of a merge."""
+    """The maps to export: a run's, or one for each component of a merge."""
     merged = _merge_named(place, what)
     if merged is None:
         if component is not None:
@@ -148,7 +148,7 @@ def _sources(place: Workspace, what: str, component: int | None, screen: Screen)
 
 
 def _merge_named(place: Workspace, what: str) -> Workspace | None:
-    """The workspace with the merge that is called so; None where a run is."""
+    """The workspace with the merge of this name; None if it is a run's."""
     if what == MERGED:
         return place
     return None if what in place.runs() else place.merge_named(what)
@@ -183,7 +183,7 @@ def _component(
 def _texts(
     place: Workspace, source: _Source, form: Format, tolerance: float, log: Path | None
 ) -> dict[str, str]:
-    """What to write, by the ending of its file's name."""
+    """The texts to write by the suffix of their files."""
     from ..topology.turning_vertices import with_turning_points
     from ..viz.exports import MAP_FORMATS
 
@@ -215,7 +215,7 @@ def _pose_graph(source: _Source) -> str:
 
 
 def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[str, str]:
-    """The odometry of every run, as recorded and corrected; read from its log."""
+    """The odometry of every run, as recorded and corrected, from its log."""
     from ..merge.document import poses_from_document
     from ..viz.exports import corrected_tum, recorded_tum
 
@@ -237,7 +237,7 @@ def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[s
 
 
 def _odometry(place: Workspace, run: str, log: LogPath | None) -> Odometry:
-    """The odometry of a run from its log: as it was read for the map, if that is recorded."""
+    """A run's odometry from its log, with the recorded settings of its ingest, if any."""
     from ..ingest.reading import ReadSettings, read_run
     from .ingest_worker import READ_OPTIONS
 
@@ -259,13 +259,13 @@ def _to_stdout(texts: dict[str, str], sources: list[_Source]) -> None:
 def _paths(
     place: Workspace, output: Path | None, texts: dict[str, str], sources: list[_Source]
 ) -> dict[Path, str]:
-    """Where each text goes. Of an --output for several files, each file's own part is put before
+    """The file of each text. With an --output for several files, each file's own part comes before
     the suffix: out.csv becomes out.junctions.csv and out.corridors.csv."""
     if output is None:
         return {place.exports / name: text for name, text in texts.items()}
     if len(texts) == 1:
         return dict(zip([output], texts.values(), strict=True))
-    # The names differ in what follows the beginning that they share.
+    # The names differ after their common prefix.
     shared = sources[0].name if len(sources) == 1 else sources[0].name.rpartition("-")[0]
     out = {}
     for name, text in texts.items():

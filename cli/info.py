@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
 
 WHOLE_BYTES = 64_000_000
-"""A log of this size is read in a fraction of a second or, where junctions are found in its scans,
-in some minutes at most, with a progress bar."""
+"""Logs up to this size are read whole: a fraction of a second or, if junctions are found in scans,
+some minutes at most, with a progress bar."""
 
 
 def info(
@@ -93,7 +93,7 @@ def info(
 
 
 def _each_log(given: list[LogPath]) -> Iterator[LogPath | LogError]:
-    """Every log once; an error in place of what holds none."""
+    """Every log once; an error for a path without any."""
     seen: set[LogPath] = set()
     for path in given:
         try:
@@ -108,7 +108,7 @@ def _each_log(given: list[LogPath]) -> Iterator[LogPath | LogError]:
 
 
 def _as_json(found: LogInfo) -> dict[str, Any]:
-    """What `described` shows, as JSON values."""
+    """The content of `described` as JSON values."""
     path = str(found.path).encode("utf-8", "backslashreplace").decode()
     return asdict(found) | {"path": path}
 
@@ -125,7 +125,7 @@ def _read_whole(found: LogInfo) -> bool:
 
 
 def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
-    """Why ingest with these settings would refuse to read a log, nothing if it would not."""
+    """Why ingest with these settings would reject a log; empty if it would not."""
     from ..ingest.reading import log_size, read_log
 
     done = 0

@@ -177,7 +177,7 @@ def _plan(
     force: bool,
     screen: Screen,
 ) -> list[IngestJob | IngestOutcome]:
-    """One job per log found; what cannot even be found is an outcome already."""
+    """A job for each log found, or its outcome if it is known already."""
     from ..ingest.reading import run_name
     from .ingest_worker import IngestJob, IngestOutcome
 
@@ -211,7 +211,7 @@ def _plan(
 def _logs_of(
     given: list[LogPath], screen: Screen
 ) -> tuple[dict[LogPath, None], list[IngestOutcome]]:
-    """The logs at some paths, each once, and what became of paths where none can be."""
+    """The logs at some paths, each once, and outcomes for paths without any."""
     from .ingest_worker import IngestOutcome
 
     logs: dict[LogPath, None] = {}
@@ -230,7 +230,7 @@ def _logs_of(
 
 
 def _at(log: LogPath) -> LogPath:
-    """Where a log is, whatever links lead there."""
+    """The log's path with links resolved."""
     try:
         return log.resolve()
     except (OSError, RuntimeError):  # links in a circle, of which reading will tell
@@ -238,7 +238,7 @@ def _at(log: LogPath) -> LogPath:
 
 
 def _workers(asked: int, logs: int, total_bytes: int) -> int:
-    """How many processes: as asked, or one per core as far as there is work enough for them."""
+    """Number of processes: as asked, or one per core as far as there is enough work."""
     enough = asked or max(total_bytes // WORTH_A_PROCESS_BYTES, logs // WORTH_A_PROCESS_LOGS)
     return max(1, min(asked or os.cpu_count() or 1, enough, logs))
 
@@ -246,7 +246,7 @@ def _workers(asked: int, logs: int, total_bytes: int) -> int:
 def _run_all(
     planned: list[IngestJob | IngestOutcome], asked: int, screen: Screen
 ) -> list[IngestOutcome]:
-    """Do every job, in this process or in several; a line per finished log."""
+    """Run all jobs, in this process or in several; a line per finished log."""
     from .ingest_pool import outcomes_of
     from .ingest_worker import IngestJob, IngestOutcome, job_size
     from .remote import announce

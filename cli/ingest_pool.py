@@ -1,4 +1,4 @@
-"""`topobatch ingest` of many logs side by side, in processes that count together what they read."""
+"""`topobatch ingest` of many logs in parallel processes with a common progress count."""
 
 from __future__ import annotations
 
@@ -14,16 +14,17 @@ from .ingest_worker import IngestJob, IngestOutcome, ingest_one
 from .workers import start_worker
 
 POLL_S = 0.1
-"""How often progress is shown: people see no more than ten steps in a second."""
+"""Interval of progress updates."""
 
 TOGETHER = 2
-"""Times that logs are read side by side, as long as processes die; then one by one."""
+"""Attempts at reading logs in parallel if processes die; after that one by one."""
 
 
 def outcomes_of(
     jobs: list[IngestJob], workers: int, advance: Callable[[int], None]
 ) -> Iterator[IngestOutcome]:
-    """Outcomes as they come; `advance` is told the bytes read so far, over all logs."""
+    """Outcomes as they are completed; `advance` is called with the bytes read so far over all
+    logs."""
     if workers == 1:
         done = 0
 
@@ -52,7 +53,7 @@ def outcomes_of(
 def _side_by_side(
     jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
 ) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
-    """Jobs with their outcomes; None where the processes ended before it was there."""
+    """Jobs with their outcomes; None if the processes ended before."""
     if not jobs:
         return
     context = _context()
@@ -86,7 +87,7 @@ def _start_worker(counter: Any) -> None:
 
 
 def _counted(job: IngestJob) -> IngestOutcome:
-    """`ingest_one` in a worker process, adding what it reads to the shared counter."""
+    """`ingest_one` in a worker process, with its progress added to the shared counter."""
 
     def on_bytes(more: int) -> None:
         with _bytes_done.get_lock():
@@ -97,7 +98,7 @@ def _counted(job: IngestJob) -> IngestOutcome:
 
 @contextmanager
 def _interrupts_deferred() -> Iterator[None]:
-    """Ctrl-C within the body takes effect at its end."""
+    """Defers Ctrl-C in the body to its end."""
     interrupted = False
 
     def note(*_: object) -> None:
@@ -116,7 +117,7 @@ def _interrupts_deferred() -> Iterator[None]:
 def _submitted(
     pool: ProcessPoolExecutor, jobs: Sequence[IngestJob]
 ) -> Iterator[tuple[Future[IngestOutcome], IngestJob]]:
-    """The jobs as they are asked for, as long as all processes live."""
+    """The submitted jobs, as long as all processes live."""
     for job in jobs:
         try:
             yield pool.submit(_counted, job), job
@@ -132,7 +133,7 @@ def _result(future: Future[IngestOutcome]) -> IngestOutcome | None:
 
 
 def _context() -> Any:
-    """Workers start from a server that has imported everything once, where there is one."""
+    """Workers are forked from a server that has imported everything once, where available."""
     if "forkserver" not in multiprocessing.get_all_start_methods():
         return multiprocessing.get_context("spawn")
     from multiprocessing import forkserver, resource_tracker

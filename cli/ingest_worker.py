@@ -1,4 +1,4 @@
-"""What `topobatch ingest` does to one log."""
+"""`topobatch ingest` of one log."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from .version import VERSION
 from .workspace import Workspace, checked_run_name
 
 MOST_NAMES = 16
-"""Names of one run, one after the other, that are followed."""
+"""Limit on successive renames of one run."""
 
 
 @dataclass(frozen=True, slots=True)
 class IngestJob:
-    """One log to turn into a map, and the workspace that it goes to."""
+    """One log to turn into a map, and its workspace."""
 
     log: LogPath
     run: str
@@ -46,22 +46,22 @@ class IngestJob:
 
 @dataclass(frozen=True, slots=True)
 class IngestOutcome:
-    """What became of one log; `text` is a summary or, where it failed, the error."""
+    """The result of one log; `text` is a summary or the error."""
 
     run: str
     status: Literal["done", "unchanged", "failed"]
     text: str
     warnings: tuple[str, ...] = ()
     needs_option: bool = False
-    """The log is good, but the call must say more: which topic, for instance."""
+    """The log is valid, but an option is needed, for instance which topic."""
     maps: int = 1
-    """How many maps the log has given."""
+    """Number of maps from the log."""
     details: tuple[str, ...] = ()
-    """What was read and how, for those who ask."""
+    """What was read and how, for --verbose."""
 
 
 def job_size(job: IngestJob) -> int:
-    """Bytes to read; 0 for a log that is not there any more."""
+    """Bytes to read; 0 for a log that does not exist any more."""
     try:
         return log_size(job.log)
     except (TopobatchError, OSError):
@@ -69,9 +69,9 @@ def job_size(job: IngestJob) -> int:
 
 
 def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
-    """Read a log, build its map, write both files; whatever goes wrong becomes the outcome.
+    """Read a log, build its map, write both files; errors become the outcome.
 
-    `on_bytes` is told how many more bytes have been read.
+    `on_bytes` is called with the number of further bytes read.
     """
     try:
         return _ingest_one(job, on_bytes)
@@ -84,7 +84,7 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
     except Exception as error:
         if os.environ.get("TOPOBATCH_DEBUG"):
             raise
-        # One log that trips over a defect of ours must not cost the others.
+        # A bug that one log triggers must not stop the others.
         text = f"{job.log}: internal error, please report it: {type(error).__name__}: {error}"
         return IngestOutcome(job.run, "failed", text)
     finally:
@@ -121,7 +121,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
     _clear_away(job.place, before, job.run, set(runs))
-    # Written last: a run counts as finished only when all of its files are there.
+    # Written last: a run is finished only when all of its files exist.
     doc = {"key": key, "log": _origin(job.log), "runs": runs, "read": _read_how(job.read)}
     doc |= {"version": VERSION, "bytes": job_size(job)}
     record = partial(write_json, doc=doc)
@@ -135,13 +135,14 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
 
 
 def is_unchanged(job: IngestJob) -> bool:
-    """Whether `ingest_one` will find nothing to do."""
+    """Whether `ingest_one` has nothing to do."""
     job = replace(job, run=_called(job.place, job.run))
     return bool(_kept(job, _content_key(job)))
 
 
 def _kept(job: IngestJob, key: str) -> list[str]:
-    """The runs that the same log gave before by the same settings, if all is there; else none."""
+    """The runs that the same log gave before with the same settings, if all files exist; else
+    none."""
     before = job.place.ingested(job.run) or {}
     had = _runs_of(before, job.run)
     same = not job.force and before.get("key") == key and _all_there(job.place, had)
@@ -149,7 +150,7 @@ def _kept(job: IngestJob, key: str) -> list[str]:
 
 
 def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
-    """What was read, and what loop closure made of it."""
+    """What was read, and the result of loop closure."""
     source = topomap.info.get("source", {})
     read = [
         f"{what}: {part['messages']:,} messages of {part['type']} on {part['topic']}"
@@ -162,7 +163,7 @@ def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
 
 
 def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
-    """The map; or maps, where the odometry broke and nothing ties the pieces together."""
+    """The map, or one map for each piece if the odometry broke and nothing connects the pieces."""
     if topomap.pieces < 2:
         return (topomap,)  # most runs: no need to load what merges
     from ..merge.pieces import joined_pieces
@@ -171,7 +172,7 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
 
 
 READ_OPTIONS = ("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time")
-"""What a call can say about reading a log, and what reading it again takes."""
+"""Options about reading a log that are recorded, to read it again in the same way."""
 
 
 def _read_how(settings: ReadSettings) -> dict[str, str]:
@@ -185,7 +186,7 @@ def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
 
 
 def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[str]) -> None:
-    """Remove the maps of pieces that the log gave before and does not give any more."""
+    """Remove the maps of pieces that the log no longer gives."""
     for gone in set(_runs_of(before, run)) - kept:
         if (place.ingested(gone) or {}).get("log") == before.get("log"):
             for file in (place.map_json(gone), place.map_rrd(gone), place.ingest_record(gone)):
@@ -207,14 +208,14 @@ def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
 
 
 def _content_key(job: IngestJob) -> str:
-    """Changes when the log's content, the settings or the program change."""
+    """A digest of the log's content, the settings and the program."""
     parts = [VERSION, log_fingerprint(job.log), asdict(job.read), asdict(job.mapping)]
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _called(place: Workspace, run: str) -> str:
-    """The name that a run was given since by `topobatch rename`; its own if it was not."""
+    """The current name of a run after `topobatch rename`."""
     name = run
     for _ in range(MOST_NAMES):
         if place.map_json(name).is_file():
@@ -228,9 +229,9 @@ def _called(place: Workspace, run: str) -> str:
 
 
 def _runs_of(record: dict[str, Any], run: str) -> list[str]:
-    """The runs that the log of a record gave: one, or one per piece of a broken odometry.
+    """The runs that a record's log gave: one, or one per piece of a broken odometry.
 
-    Names that ingest would not have given are none: a record is no reason to touch other files.
+    Names that ingest cannot give are ignored: a record must not lead to other files.
     """
     runs, own = record.get("runs"), re.compile(re.escape(run) + "(#[0-9]{1,9})?")
     listed = runs if isinstance(runs, list) else []
@@ -238,12 +239,13 @@ def _runs_of(record: dict[str, Any], run: str) -> list[str]:
 
 
 def _origin(log: LogPath) -> str:
-    """Where a log lies; bytes of the path that are no text are written out."""
+    """The path of a log; bytes that are no text are escaped."""
     return str(log.resolve()).encode("utf-8", "backslashreplace").decode()
 
 
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
-    """A map made from another log of the same name is not overwritten unasked."""
+    """Raise unless the run's existing map was made from this log: others are not overwritten
+    without --force."""
     other, path = (job.place.ingested(run) or {}).get("log"), job.place.map_json(run)
     if job.force or not isinstance(other, str) or other == _origin(job.log):
         return

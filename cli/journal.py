@@ -1,4 +1,4 @@
-"""What was done to a workspace, line by line: `history.jsonl`, and `topobatch history`."""
+"""The journal of a workspace, `history.jsonl`, and `topobatch history`."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .output import say, table, warn
 from .workspace import Workspace
 
 MOST_BYTES = 4 << 20
-"""Of a longer journal the older half is dropped: some 40,000 lines."""
+"""Of a longer journal the older half is dropped: about 40,000 lines."""
 
 
 def note(place: Workspace, what: str, text: str, say: Callable[[str], None]) -> None:
-    """Add a line; the workspace is held. A journal that cannot be written is told of, no more."""
+    """Append a line; the caller holds the workspace's lock. A failure to write is only reported."""
     from ..topology.files import write_text
 
     now = datetime.now(UTC).isoformat(timespec="seconds")
@@ -44,7 +44,7 @@ def _lines(place: Workspace) -> list[str]:
 
 
 def _entry(line: str) -> dict[str, Any] | None:
-    """A line as it was written, None if it was not written here."""
+    """A parsed line, None if it is no entry."""
     try:
         found = json.loads(line)
     except (ValueError, RecursionError):

@@ -1,6 +1,6 @@
-"""What `import topobatch` offers: the steps of the command, as functions of values.
+"""The Python interface `import topobatch`: the steps of the command as functions.
 
-Nothing here prints, exits, or writes a file. Everything raised on purpose is a TopobatchError.
+Nothing here prints, exits, or writes a file. All deliberate errors are TopobatchErrors.
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ def to_networkx(graph: TopoMap | MergeResult) -> Any:
 
 
 def _on_one_thread() -> AbstractContextManager[object]:
-    """What `cli.main` sets for the command before numpy is loaded, and why."""
+    """One thread for linear algebra, as `cli.main` sets for the command."""
     import scipy.linalg  # noqa: F401  loads a library of its own, which is to be held as well
     from threadpoolctl import threadpool_limits
 

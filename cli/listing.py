@@ -23,9 +23,9 @@ ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A run. health: "ok", warnings, or why its map cannot be read; component, with: number of its
-    component in the last merge and how many runs it has; recorded: when it passed its first
-    junction, ingested: when its map was made, in UTC; stale: what changed since."""
+    """A run. health: "ok", warnings, or why its map cannot be read; component, runs: its component
+    in the last merge, and the number of runs in it; recorded: time of its first junction, ingested:
+    when its map was made, in UTC; stale: what changed since."""
 
     run: str
     junctions: int | None
@@ -90,15 +90,15 @@ def _row(row: Listed) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True)
 class _Merge:
-    """Of the last merge: component and its size of every run, `contents` of the maps that were
-    merged where it says so, and when it was [ns], None where there is none."""
+    """The last merge: component and its size of every run, `contents` of the merged maps if
+    recorded, and its time [ns], None without a merge."""
 
     home: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     documents: Mapping[str, str] = field(default_factory=dict)
     when_ns: int | None = None
 
     def change(self, place: Workspace, run: str, made_ns: int) -> list[str]:
-        """What became of a map since; without its content, by when it was made."""
+        """How a map changed since; without its content, by its time."""
         if self.when_ns is None:
             return []
         if run not in self.home:
@@ -151,7 +151,7 @@ def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
 
 
 def _log_changes(place: Workspace, run: str) -> list[str]:
-    """What became of the log of a run since it was read, as far as its record tells."""
+    """How a run's log changed since it was read, by its record."""
     try:
         record = place.ingested(run)
     except UsageError:  # a name that a file has, but that nothing of ours gave it
@@ -168,9 +168,10 @@ def _log_changes(place: Workspace, run: str) -> list[str]:
 
 
 def _still_there(log: str, size: int) -> bool:
-    """Is there a file of such a size, or a folder? It is not opened: a record can name anything.
+    """Whether there is a file of this size, or a folder. It is not opened, since a record can name
+    any file.
 
-    What lies elsewhere is believed to be there: nobody waits for a server to see a list.
+    Remote logs are assumed to exist: a list does not wait for servers.
     """
     from ..ingest.remote.path import is_remote
 

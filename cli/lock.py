@@ -96,7 +96,7 @@ def _pair(at: str | None) -> tuple[int, int] | None:
 
 
 def _checked(place: Workspace, wanted: Lock) -> Lock:
-    """The lock, if both junctions exist."""
+    """The lock, if both junctions exist; else UsageError."""
     for run, vertex in zip((wanted.a, wanted.b), wanted.at or (), strict=False):
         junctions = len(place.read_map(run))
         if vertex >= junctions:

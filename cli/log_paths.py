@@ -1,4 +1,4 @@
-"""The logs that a path on the command line names, and what to do about those that are packed."""
+"""The logs at a path of the command line, and errors for archives."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ PACKED = {
     b"\xfd7zXZ\x00": "xz",
     b"7z\xbc\xaf\x27\x1c": "7-Zip",
 }
-"""Archives by their first bytes. What rosbag2 packs itself (zstd) is read as it is."""
+"""Archives by their first bytes; zstd, which rosbag2 writes, is read directly."""
 
 _PACKED_LOG = re.compile(r"\.(mcap|bag|db3)(\.active)?\.(gz|zip|bz2|xz|7z)$", re.IGNORECASE)
 
 
 def logs_at(path: LogPath) -> list[LogPath]:
-    """Every log at or below a path, as `find_logs`; the metadata of a ROS 2 bag stand for its
+    """Every log at or below a path, as `find_logs`; metadata.yaml of a ROS 2 bag stands for its
     folder.
 
-    Raises LogError, which says of archives that they must be unpacked.
+    Raises LogError, for archives with the hint to unpack them.
     """
     from ..ingest.logs.recording import METADATA
     from ..ingest.reading import find_logs
@@ -54,7 +54,7 @@ def logs_at(path: LogPath) -> list[LogPath]:
 
 
 def packed_below(path: LogPath) -> str | None:
-    """What is said of packed logs below a folder, which are passed over; None without any."""
+    """A hint about archived logs below a folder, which are skipped; None without any."""
     if not isinstance(path, Path) or not path.is_dir():
         return None
     names = [os.path.relpath(file, path) for file in _files_below(path)]
@@ -66,8 +66,8 @@ def packed_below(path: LogPath) -> str | None:
 
 
 def _files_below(folder: Path) -> Iterator[str]:
-    """Files that are not hidden, in a folder and below; what cannot be listed is passed over:
-    looking for logs has told of it."""
+    """Files in a folder and below that are not hidden; folders that cannot be listed are skipped,
+    since `find_logs` has reported them."""
     waiting = [str(folder)]  # no recursion, as `os.walk`: folders can lie deeper than the stack
     while waiting:
         try:
@@ -80,7 +80,7 @@ def _files_below(folder: Path) -> Iterator[str]:
 
 
 def _packed(path: Path) -> str | None:
-    """How a file is packed; None for all else, and what cannot be read."""
+    """The kind of an archive; None for other or unreadable files."""
     if not path.is_file():
         return None
     try:

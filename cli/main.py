@@ -37,11 +37,11 @@ from .version import VERSION
 from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
-"""Of wrong data, of a wrong call (click's), of a fault of ours (EX_SOFTWARE of sysexits.h)."""
+"""Invalid data; invalid call (as click); a bug (EX_SOFTWARE of sysexits.h)."""
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
-"""Matrices are small here: threads of the linear algebra spin more than they help, and their number
-would show in the last bits of results. Several cores are used by several processes."""
+"""Linear algebra runs on one thread: matrices are small, and the number of threads changes the last
+bits of results. Several cores are used by several processes."""
 
 # Plain help: rich's boxes would double the time that `--help` takes.
 app = typer.Typer(
@@ -97,7 +97,7 @@ def topobatch(
 
 
 def _say_what_is_wrong(error: TyperException) -> None:
-    """A wrong call in one line, like every error; without arguments, the help."""
+    """An invalid call as one line; without arguments, the help."""
     text = error.format_message()
     if text.startswith("Usage:"):
         say_lines(text.rstrip("\n"), err=True)
@@ -114,7 +114,7 @@ def _say_what_is_wrong(error: TyperException) -> None:
 
 
 def main() -> None:
-    """Run the command line; the one place that turns errors into messages and exit codes."""
+    """Run the command line and turn errors into messages and exit codes."""
     for name in _THREADS:
         os.environ.setdefault(name, "1")
     for stream in (sys.stdout, sys.stderr):

@@ -1,4 +1,4 @@
-"""What commands that match maps have in common: the maps they read, and where finds are kept."""
+"""Common parts of commands that match maps: reading maps, and the cache of results."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def read_maps(
     place: Workspace, names: list[str], screen: Screen, store: ResultCache
 ) -> tuple[list[TopoMap], list[str]]:
-    """The maps that can be read, and the names of those that cannot. Maps are kept in the store."""
+    """The readable maps, and the names of the others. Maps are kept in the store."""
     from ..merge.kept_maps import KeptMaps
 
     maps, broken, known = [], [], KeptMaps(store)
@@ -46,8 +46,8 @@ def matching(
     workers: Callable[[int], Workers | None],
     screen: Screen,
 ) -> Iterator[Means]:
-    """How so many pairs are matched, with progress on the screen; what is found is kept in the
-    store, also where the command is interrupted."""
+    """The means to match `pairs` pairs, with progress on the screen; results are kept in the store,
+    also if the command is interrupted."""
     from ..merge.robust import Means
 
     with screen.progress("matching", pairs, "pairs") as advance:

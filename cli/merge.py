@@ -34,15 +34,15 @@ if TYPE_CHECKING:
     from .unchanged import Line
 
 MOST_LINES, MOST_JOINED = 20, 5
-"""Lines that are printed at most: of all pairs, and of those that only others join."""
+"""Limits of printed lines: for all pairs, and for those only joined through others."""
 
 GARBAGE = 50_000
-"""New objects after which cycles are looked for. Maps and verdicts are objects by the hundred
-thousand that live as long as the merge; looking through them after every 700, as usual, takes a
-tenth of it at 200 maps, and finds 2 MB."""
+"""Threshold of new objects for the garbage collector. Maps and verdicts are hundreds of thousands
+of long-lived objects; with the default of 700, collection takes a tenth of a merge of 200 maps, and
+finds 2 MB."""
 
 WORTH_PROCESSES = 4000
-"""Pairs to match; fewer take no longer than starting processes, each of which reads the maps."""
+"""Pairs to match from which on processes are started, each of which reads the maps."""
 
 
 def merge(
@@ -152,7 +152,7 @@ def merge(
         said = recalled(place, asked)
         if said is None:
             settings = _settings(method, false_merge_rate, options)
-            # A merge of all loses nothing but runs that the workspace has lost.
+            # A merge of all runs only leaves out those that no longer exist.
             if not replace_last and (output is not None or not everything):
                 _keep_larger(place, chosen)
             store = _store(place, settings, screen)
@@ -187,8 +187,8 @@ def merge_again(
     screen: Screen,
     new: Mapping[str, str] | None = None,
 ) -> None:
-    """Merge anew what the last merge had of runs that are still there, as it was merged, if it had
-    one of the affected runs; new: names that runs have now. The workspace is held."""
+    """Repeat the last merge with the runs that still exist, if it had one of the affected ones;
+    new: new names of runs. The caller holds the workspace's lock."""
     from ..merge.document import read_merged
     from .unchanged import contents
 
@@ -217,7 +217,7 @@ def merge_again(
 
 
 def _settings_of(graph: MergedGraph) -> MergeSettings:
-    """How a merge was made; ValueError on settings that cannot be."""
+    """The settings of a merge; ValueError if they are invalid."""
     from ..merge.merging import MergeSettings
     from ..merge.paper.method import settings_from_document as of_paper
     from ..merge.robust.settings import settings_from_document as of_robust
@@ -228,7 +228,7 @@ def _settings_of(graph: MergedGraph) -> MergeSettings:
 
 
 def _keep_larger(place: Workspace, chosen: list[str]) -> None:
-    """UsageError where the result of a merge with other runs would be overwritten."""
+    """UsageError if the result of a merge with other runs would be overwritten."""
     from ..merge.document import read_merged
 
     path = place.merged_json
@@ -252,7 +252,7 @@ def _settings(
     false_merge_rate: float | None,
     options: paper_options.PaperOptions,
 ) -> MergeSettings:
-    """The settings that the options ask for; UsageError on nonsense."""
+    """The settings of the options; UsageError if they are invalid."""
     from ..merge.merging import MergeSettings
 
     settings = MergeSettings(method=method)
@@ -264,7 +264,7 @@ def _settings(
 
 
 def _store(place: Workspace, settings: MergeSettings, screen: Screen) -> ResultCache:
-    """What earlier merges left."""
+    """The cache of earlier merges."""
     from ..merge.cache import ResultCache
     from ..merge.robust import era_of
 
@@ -293,21 +293,21 @@ def _merged(
 
 
 def _workers(jobs: int, cluster: str | None, pairs: int) -> Workers | None:
-    """Where to match, if not in this process: processes where there is enough to do for them."""
+    """Where to match: None for this process, else processes or a cluster."""
     from ..merge.workers import Workers
     from .cluster import cluster as dask_cluster
 
     if cluster is not None:
         return Workers(partial(dask_cluster, cluster))
     count = min(jobs or os.cpu_count() or 1, pairs)
-    # Those who name a number of processes get them.
+    # An explicit number of processes is used as it is.
     worth = 0 if jobs else WORTH_PROCESSES
     return Workers(partial(_executor, count), worth) if count > 1 else None
 
 
 @contextmanager
 def _executor(workers: int) -> Iterator[Executor]:
-    """Processes to match in, started as they are needed."""
+    """A pool of processes, started as needed."""
     import multiprocessing
     from concurrent.futures import ProcessPoolExecutor
 
@@ -327,7 +327,8 @@ def _write(
     maps: list[TopoMap],
     documents: Mapping[str, str | None],
 ) -> None:
-    """The files of a merge. documents: `contents` of the maps, which tell later what changed."""
+    """Write the files of a merge. documents: `contents` of the maps, from which later changes are
+    recognised."""
     from ..merge.document import write_merged
     from ..topology.files import write_together
     from ..viz.merged_recording import write_merged_recording
@@ -343,7 +344,7 @@ def _write(
 
 
 def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
-    """What is told of a merge."""
+    """The printed summary of a merge."""
     from ..merge.merging import ALONE
     from ..merge.result import Standing
 
@@ -383,7 +384,7 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
 
 
 def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:
-    """What is wrong with a merge; home: the component of every run."""
+    """Warnings about a merge; home: the component of every run."""
     yield from map(str, result.info.get("warnings") or ())
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
@@ -391,7 +392,7 @@ def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:
 
 
 def _counts(result: MergeResult) -> str:
-    """What became of all pairs, in a line."""
+    """Counts of all pairs by verdict, as a line."""
     from ..merge.result import Standing, pairs_of
 
     runs = sum(len(component.poses) for component in result.components)

@@ -37,7 +37,7 @@ VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Say what h
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The runs of the workspace that begin so, for the completion of shells."""
+    """Runs of the workspace with this prefix, for shell completion."""
     from .workspace import Workspace
 
     named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")

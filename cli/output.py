@@ -1,10 +1,10 @@
-"""What the command shows: lines, tables, errors and progress bars.
+"""The command's output: lines, tables, errors and progress bars.
 
-Results go to the standard output; progress, warnings and errors to the standard error. Away from
-a terminal there are no bars and no colours, only lines.
+Results go to standard output; progress, warnings and errors to standard error. Without a terminal
+there are no bars and no colours.
 
-Everything that the command shows goes through `say`, and no other module writes to a stream: names
-of files, topics and types come from others, and what would steer a terminal is shown escaped.
+All output passes through `say`, and no other module writes to a stream: names of files, topics and
+types are untrusted, and control characters are escaped.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ from typing import Any
 import typer
 
 WIDTH = 79
-"""Letters in a line of advice: the smallest usual terminal."""
+"""Line width of advice: the smallest usual terminal."""
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
-"""Characters. A name can have millions of them, and pads every row of a table."""
+"""Characters; names can have millions, and a table's cells pad every row."""
 
 
 def plain(text: str, most: int = LONGEST_LINE) -> str:
-    """The text in printable characters, on one line, and not without end.
+    r"""The text on one line in printable characters, cut at `most`.
 
-    Escaped are control characters, line breaks, marks that turn the direction of writing, halves of
-    characters (as \\x1b, \\n, \\u202e, \\ud800). Text that is plain already is returned as it is.
+    Control characters, line breaks, marks of writing direction and surrogates are escaped (as \x1b,
+    \n, \u202e, \ud800). Plain text is returned as it is.
     """
     if len(text) > most:
         text = f"{text[:most]}… ({len(text) - most:,} more characters)"
@@ -44,18 +44,18 @@ def _escaped(character: str) -> str:
 
 
 def say(text: str = "", *, err: bool = False) -> None:
-    """One line, on the standard output or the standard error."""
+    """Print one line on standard output or standard error."""
     typer.echo(plain(text), err=err)
 
 
 def say_lines(text: str, *, err: bool = False) -> None:
-    """A text of several lines, as long as they are."""
+    """Print a text of several lines, of any length."""
     for line in text.split("\n"):
         typer.echo(plain(line, len(line)), err=err)
 
 
 def folded(text: str, indent: str = "      ") -> list[str]:
-    """A long line as several of WIDTH letters at most, all but the first indented."""
+    """A long line as several of at most WIDTH letters, indented from the second on."""
     return wrap(
         plain(text),
         WIDTH,
@@ -67,17 +67,17 @@ def folded(text: str, indent: str = "      ") -> list[str]:
 
 
 def complain(message: str) -> None:
-    """An error, on the standard error."""
+    """Print an error."""
     typer.echo(typer.style("error: ", fg="red", bold=True) + plain(message), err=True)
 
 
 def warn(message: str) -> None:
-    """A warning, on the standard error."""
+    """Print a warning."""
     typer.echo(typer.style("warning: ", fg="yellow") + plain(message), err=True)
 
 
 def say_text(text: str) -> None:
-    """A file for the next program, as it is; on a terminal like everything that is shown."""
+    """Print a file's content unchanged for other programs; on a terminal escaped."""
     if sys.stdout.isatty():
         say_lines(text.removesuffix("\n"))
     else:
@@ -85,7 +85,7 @@ def say_text(text: str) -> None:
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
-    """Lines of a table with left-aligned columns as wide as their longest cell."""
+    """Lines of a table with left-aligned columns."""
     shown = [[plain(cell, LONGEST_CELL) for cell in row] for row in [header, *rows]]
     widths = [max(len(row[i]) for row in shown) for i in range(len(header))]
     return [
@@ -95,7 +95,7 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = " 
 
 
 class Screen:
-    """Lines and, on a terminal, one progress bar below them."""
+    """Output of lines, with one progress bar below them on a terminal."""
 
     def __init__(self, quiet: bool, verbose: bool = False) -> None:
         self.quiet = quiet
@@ -104,22 +104,22 @@ class Screen:
         self._progress: Any = None
 
     def line(self, text: str) -> None:
-        """A line of the result, above the bar if there is one."""
+        """Print a line of the result, above the bar."""
         if not self.quiet:
             self._emit(text, err=False)
 
     def detail(self, text: str) -> None:
-        """What happens meanwhile, with the seconds since the start; only if it was asked for."""
+        """Print what is being done, with the seconds since the start; with --verbose only."""
         if self.verbose:
             self._emit(f"[{time.monotonic() - self._started:.1f} s] {text}", err=True)
 
     def warn(self, message: str) -> None:
-        """A warning; --quiet silences it, for it is in the documents too."""
+        """Print a warning, unless --quiet: it is in the documents too."""
         if not self.quiet:
             self._emit(f"warning: {message}", err=True)
 
     def complain(self, message: str) -> None:
-        """An error; never silenced."""
+        """Print an error, also with --quiet."""
         self._emit(f"error: {message}", err=True)
 
     def _emit(self, text: str, *, err: bool) -> None:
@@ -130,9 +130,9 @@ class Screen:
 
     @contextmanager
     def progress(self, label: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
-        """A bar while the body runs; the body calls the given function with what is done so far.
+        """Context with a progress bar; the yielded function sets the progress so far.
 
-        `unit` is "bytes" or a plural noun. Nothing is drawn with --quiet or away from a terminal.
+        `unit` is "bytes" or a plural noun. Nothing is drawn with --quiet or without a terminal.
         """
         if self.quiet or not sys.stderr.isatty():
             yield lambda done: None

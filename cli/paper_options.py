@@ -1,4 +1,4 @@
-"""Options of the paper's method, for all commands that apply it, and the settings they make."""
+"""Options of the paper's method, shared by commands, and the settings from them."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ MetOption = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class PaperOptions:
-    """What was asked for; None and nothing for what was not."""
+    """The options given; None or empty for others."""
 
     degree: Degree | None = None
     confidence: float | None = None
@@ -83,7 +83,7 @@ class PaperOptions:
     met: tuple[str, ...] = ()
 
     def refuse(self) -> None:
-        """UsageError if any was given: another method has none of them."""
+        """UsageError if any was given: other methods have none of them."""
         if self != PaperOptions():
             raise UsageError(
                 "--degree, --confidence, --confidence-of, --weights, --iterative and --met belong "
@@ -91,7 +91,7 @@ class PaperOptions:
             )
 
     def over(self, settings: PaperSettings) -> PaperSettings:
-        """The settings with what was asked for in place of theirs; UsageError on nonsense."""
+        """The settings with the given options replaced; UsageError if they are invalid."""
         from ..merge.paper.meeting import parse_meeting
 
         growth, clusters = settings.growth, settings.clusters

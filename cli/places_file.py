@@ -16,15 +16,15 @@ from ..topology.map_schema import FARTHEST_M
 
 MOST_BYTES = 16 << 20
 MOST_PLACES = 100_000
-"""Their rows take a kilobyte each while they are carried; a site has some hundreds."""
+"""A row takes a kilobyte in memory; a site has some hundreds."""
 MOST_VALUES = 1 << 20
-"""In all columns and rows together, each of which takes a hundred bytes."""
+"""Limit on cells of the table, of a hundred bytes each."""
 OWN = ("name", "x", "y", "theta")
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A named place in a map; more: what else its row says, by column."""
+    """A named place in a map; more: the other columns of its row."""
 
     line: int
     name: str
@@ -36,7 +36,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Places:
-    """The rows of a table; columns: those that are not a place's own, in their order."""
+    """The rows of a table; columns: the other columns, in order."""
 
     rows: tuple[Place, ...]
     columns: tuple[str, ...]
@@ -44,7 +44,7 @@ class Places:
 
 
 def read_places(path: Path) -> Places:
-    """The places of a CSV file; DataError, with the line, on what is no such table."""
+    """The places of a CSV file; DataError with the line number if it is invalid."""
     try:
         with path.open("rb") as file:
             raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end

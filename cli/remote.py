@@ -1,4 +1,4 @@
-"""What reading logs in buckets and on web servers will cost, said before it begins."""
+"""The cost of reading remote logs, reported before it begins."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from .ingest_worker import IngestJob, is_unchanged, job_size
 from .output import Screen
 
 KEPT_BYTES = 1 << 28
-"""Most that is kept of the indexes looked at; those of further logs are asked for again."""
+"""Limit on index bytes kept; those of further logs are requested again."""
 
 
 def announce(jobs: Sequence[IngestJob], screen: Screen) -> None:
-    """Look at the indexes of all remote logs that are to be read, and say what that will take."""
+    """Read the indexes of all remote logs to be ingested, and print the bytes to fetch."""
     remote = [job for job in jobs if isinstance(job.log, RemotePath)]
     if not remote:
         return
@@ -39,7 +39,7 @@ def announce(jobs: Sequence[IngestJob], screen: Screen) -> None:
 
 
 def _cost(job: IngestJob) -> int | None:
-    """Bytes to be fetched; None for a log that is done already, or cannot be read."""
+    """Bytes to fetch; None for a log that is finished or cannot be read."""
     assert isinstance(job.log, RemotePath)
     try:
         return None if is_unchanged(job) else read_cost(job.log, job.read)

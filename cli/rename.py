@@ -65,7 +65,7 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 
 
 def _rename(place: Workspace, old: str, new: str) -> None:
-    """The files of a run; the new ones are there before the old ones go."""
+    """Move the files of a run; new ones are written before old ones are removed."""
     from ..topology.document import write_map
     from ..topology.files import write_json, write_together
 
@@ -89,7 +89,7 @@ def _rename(place: Workspace, old: str, new: str) -> None:
 
 
 def _in_decisions(place: Workspace, names: dict[str, str]) -> None:
-    """Locks and discarded matches by the new names."""
+    """Replace the names in locks and discarded matches."""
     from ..merge.locks import Lock
 
     locks = place.locks()

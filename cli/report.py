@@ -67,7 +67,7 @@ def report(
 
 
 def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:
-    """The maps that can be read, by run, and what is wrong with the others."""
+    """The readable maps by run, and errors of the others."""
     maps, unread = {}, []
     for run in place.runs():
         try:

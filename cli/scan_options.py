@@ -1,4 +1,4 @@
-"""Options about scans, which `ingest` and `info` share."""
+"""Options about scans, shared by `ingest` and `info`."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ CloudBand = Annotated[
 
 
 def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None:
-    """Numbers separated by commas, None for None; UsageError where they are others than `names`."""
+    """Comma-separated numbers, None for None; UsageError unless they are as many as `names`."""
     if text is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""`topobatch merge --shard I/N`: a share of the pairs, for the cache."""
+"""`topobatch merge --shard I/N`: match a share of the pairs and keep the results in the cache."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ def match_share(
     workers: Callable[[int], Workers | None],
     screen: Screen,
 ) -> None:
-    """Match a share of all pairs, for the cache. Others may do other shares meanwhile: the
-    workspace is held only to write."""
+    """Match a share of all pairs and keep the results in the cache. Other shares may run at the
+    same time: the workspace is locked only to write."""
     from ..merge.cache import ResultCache
     from ..merge.result import pairs_of
     from ..merge.robust import era_of, match_shard

@@ -122,7 +122,7 @@ def _row(
     within: float,
     why: str,
 ) -> dict[str, str]:
-    """The row of a place: carried, or with a note."""
+    """The row of a place: with new coordinates, or with a note."""
     from ..merge.transfer import WITHIN_SIGMAS
     from ..topology.se2 import wrap
 
@@ -150,7 +150,7 @@ def _row(
 def _carried(
     place: Workspace, table: Places, source: str, target: str
 ) -> tuple[Transferred | None, str]:
-    """The carried places, or why none can be."""
+    """The transferred places, or why there are none."""
     import numpy as np
 
     from ..merge.transfer import transfer as carry
@@ -162,7 +162,7 @@ def _carried(
 
 
 def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctions | None, str]:
-    """The junctions that source and target have in common, or why there are none."""
+    """The common junctions of source and target, or why there are none."""
     from ..merge.transfer import junctions_of_merged, junctions_of_runs
 
     if source == target:

@@ -1,8 +1,7 @@
-"""A merge of nothing new: what the last one was made from, what it wrote, and what it said.
+"""Recognising a merge without changes since the last one, whose output is then repeated.
 
-The record lies in the cache. It counts where the program, its libraries, the options, the documents
-of all runs, locks and discards are what they were, and the files of the merge are those that were
-written, all by their checksums; else the merge is made.
+A record in the cache is used if the program, its libraries, the options, the documents of all runs,
+locks, discards and the files of the merge all have the recorded checksums; else the merge is done.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from .output import Screen, folded
 from .workspace import Workspace
 
 Line = tuple[Literal["line", "folded", "warning"], str]
-"""What is said of a merge, and how."""
+"""A line of output and how it is printed."""
 
 FOLDERS = ("topology", "merge", "viz", "cli")
 LIBRARIES = ("numpy", "scipy", "pydantic", "rerun-sdk", "pyarrow")
-"""What the files of a merge are made by."""
+"""Libraries on which the files of a merge depend."""
 
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """What is told of a merge: on the screen, and in the journal."""
+    """The output of a merge on the screen and in the journal."""
 
     lines: Sequence[Line]
     note: str
@@ -48,14 +47,14 @@ class Said:
 
 
 def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
-    """What changes with the document of each run's map; None where it cannot be read."""
+    """A digest of each run's map document; None if it cannot be read."""
     return {run: _content(place.maps / f"{run}.json") for run in runs}
 
 
 def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[str]) -> list[str]:
-    """Those of the runs whose maps are not the ones that were merged.
+    """Those of the runs whose maps differ from the merged ones.
 
-    merged: the `contents` of these, as the document of the merge states them.
+    merged: their `contents` by the document of the merge.
     """
     now = contents(place, [run for run in runs if run in merged])
     return [run for run, content in now.items() if content != merged[run]]
@@ -67,7 +66,7 @@ def told_changed(runs: Sequence[str]) -> str:
 
 
 def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
-    """Changes with all that the merge of some runs follows from; documents: their `contents`."""
+    """A digest of everything that a merge depends on; documents: the runs' `contents`."""
     spoken = [
         (os.path.lexists(path), _content(path)) for path in (place.locks_json, place.discards_json)
     ]
@@ -78,7 +77,8 @@ def made_from(place: Workspace, documents: Mapping[str, str | None], options: ob
 
 
 def recalled(place: Workspace, asked: str) -> Said | None:
-    """What was said of the last merge, if it was made from what is asked for, and is there."""
+    """The output of the last merge, if it was made from the same digest and its files are
+    unchanged."""
     try:
         found = read_json(place.merge_record)
         if not isinstance(found, dict) or _check(found["record"]) != found["check"]:
@@ -92,7 +92,7 @@ def recalled(place: Workspace, asked: str) -> Said | None:
 
 
 def remember(place: Workspace, asked: str, said: Said, screen: Screen) -> None:
-    """Keep what was said of the merge that lies there; all its maps could be read."""
+    """Record the output of the current merge, all of whose maps were readable."""
     record = {"made_from": asked, "files": _files(place), **asdict(said)}
     try:
         write_json(place.merge_record, {"check": _check(record), "record": record})
@@ -109,7 +109,7 @@ def _files(place: Workspace) -> dict[str, str | None]:
 
 
 def _content(path: Path) -> str | None:
-    """Changes with what a file holds; None where it cannot be read."""
+    """A digest of a file; None if it cannot be read."""
     try:
         with opened(path) as file:
             return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
@@ -118,7 +118,7 @@ def _content(path: Path) -> str | None:
 
 
 def _program() -> str:
-    """Changes with all code that a merge can reach."""
+    """A digest of all code that a merge can use."""
     root = Path(__file__).parents[1]
     out = hashlib.blake2b(digest_size=16)
     for folder in FOLDERS:

@@ -61,7 +61,7 @@ def view(
 
 
 def _recording(place: Workspace, run: str | None) -> Path:
-    """The recording that is asked for; UsageError or DataError where there is none."""
+    """The recording to open; UsageError or DataError if there is none."""
     if run is None:
         if not place.merged_rrd.is_file():
             place.require_merge()
@@ -80,8 +80,8 @@ def _recording(place: Workspace, run: str | None) -> Path:
 
 @contextmanager
 def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]]:
-    """The recording of a run with the log that its map was made from, and the views of both: kept
-    in the workspace or, where that cannot be written, as long as the viewer is open."""
+    """The recording of a run with its log, and the blueprint of both: in the workspace or, if that
+    is not writable, in a temporary folder while the viewer is open."""
     from ..viz.raw_log import write_raw_log
 
     log = place.log_of(run)
@@ -101,7 +101,7 @@ def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]
 
 
 def _open(recordings: list[Path]) -> None:
-    """Show recordings, or say how where there is no display."""
+    """Open recordings in the viewer, or print how to without a display."""
     if not _has_display():
         names = " ".join(r.name for r in recordings)
         paths = " ".join(map(str, recordings))

@@ -1,4 +1,4 @@
-"""What the worker processes of the commands have in common."""
+"""Setup of worker processes."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ import threading
 
 
 def start_worker() -> None:
-    """At the start of a worker process: Ctrl-C is its parent's to handle, whose end is its own."""
+    """Set up a worker process: it ignores Ctrl-C, which its parent handles, and ends with its
+    parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """End a worker whose parent was killed: the workspace is no longer held, no work will come."""
+    """End the worker when its parent was killed, since no work will come."""
     parent = multiprocessing.parent_process()
     if parent is not None:
         parent.join()

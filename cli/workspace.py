@@ -1,4 +1,4 @@
-"""The workspace folder: which file lies where."""
+"""The workspace folder: the path of each file."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ RUN, MERGE = "a run", "a merge"
 """What is named."""
 
 MERGED = "merged"
-"""Name of a merge that was given none."""
+"""Default name of a merge."""
 
 NAME_BYTES = 200
-"""Longest run name: files have 255 bytes for it, what is put behind it, and their suffixes."""
+"""Longest run name: file names have 255 bytes for it and suffixes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +36,10 @@ class Workspace:
     """The folder of the command's results: `maps/<run>.json`, `maps/<run>.rrd`, `merged.json`,
     `merged.rrd`, `locks.json`, `discards.json`, `history.jsonl`, `cache/`.
 
-    What lies there may come from others. Raises DataError if one of its folders is a link, or is
-    none: what is written and cleared away lies in the workspace. Names become paths only if they
-    are plain file names, else UsageError.
+    Its contents are untrusted. Raises DataError if one of its folders is a link or no folder, so
+    that nothing is written or removed elsewhere. Names must be plain file names, else UsageError.
 
-    merge: name of the merge that is meant, where it is not the usual one.
+    merge: name of the merge, if not the default.
     """
 
     root: Path
@@ -62,7 +61,7 @@ class Workspace:
         self._require(self.root / ".lock", stat.S_IFREG, "file")
 
     def _require(self, path: Path, kind: int, name: str) -> None:
-        """DataError if something else than topobatch would put there lies at a path."""
+        """DataError if a path is of another kind than topobatch creates."""
         if os.path.lexists(path) and stat.S_IFMT(os.lstat(path).st_mode) != kind:
             from ..topology.files import kind_of
 
@@ -85,7 +84,7 @@ class Workspace:
         return self.root / f"{plain_name(self.merge, MERGE)}.rrd"
 
     def check_merge(self) -> None:
-        """UsageError if the name of the merge is too long, or that of something else."""
+        """UsageError if the name of the merge is too long, or used for something else."""
         checked_file_name(self.merge, MERGE)
         folders = (self.maps.name, "cache", "explain", self.exports.name)
         kept = (MERGED, self.locks_json.stem, self.discards_json.stem, *folders)
@@ -93,7 +92,7 @@ class Workspace:
             raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
 
     def check_run(self, run: str) -> None:
-        """UsageError if a merge is called like a run: `view` and people could not tell which."""
+        """UsageError if a merge has the name of the run, which would be ambiguous."""
         merge = self.root / f"{plain_name(run)}.json"
         others = (self.locks_json, self.discards_json)
         if run.casefold() == MERGED or (merge not in others and os.path.lexists(merge)):
@@ -101,7 +100,7 @@ class Workspace:
 
     @property
     def locks_json(self) -> Path:
-        """What a person decided about pairs of runs."""
+        """Decisions by a person about pairs of runs."""
         return self.root / "locks.json"
 
     def map_json(self, run: str) -> Path:
@@ -113,7 +112,7 @@ class Workspace:
         return self.maps / f"{plain_name(run)}.rrd"
 
     def explain_rrd(self, a: str, b: str, *, method: str = "robust") -> Path:
-        """The recording of how two maps match. Names too long for a file together are cut."""
+        """The recording of a pair's match. Names that are too long together are cut."""
         kind = "" if method == "robust" else f".{method}"
         name = f"{plain_name(a)}+{plain_name(b)}"
         if len(name.encode()) > NAME_BYTES:
@@ -124,15 +123,15 @@ class Workspace:
 
     @property
     def exports(self) -> Path:
-        """Folder of maps in the formats of others."""
+        """Folder of exported maps."""
         return self.root / "exports"
 
     def ingest_record(self, run: str) -> Path:
-        """What a run's map was made from; may be deleted at any time."""
+        """The record of how a run's map was made; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
 
     def ingested(self, run: str) -> dict[str, Any] | None:
-        """What is recorded of the log that a run's map was made from; None where nothing is."""
+        """The record of the log that a run's map was made from; None without one."""
         from ..topology.files import read_json
 
         try:
@@ -142,9 +141,9 @@ class Workspace:
         return found if isinstance(found, dict) else None
 
     def log_of(self, run: str, otherwise: str = "ingest it again") -> LogPath:
-        """The log that a run's map was made from. Whether one elsewhere is there is not asked.
+        """The log that a run's map was made from; remote ones are not checked to exist.
 
-        DataError where that is not recorded, or the log is gone; `otherwise`: what to do then.
+        DataError if it is not recorded or does not exist; `otherwise`: advice in that case.
         """
         from ..ingest.remote.path import log_path
 
@@ -158,12 +157,12 @@ class Workspace:
 
     @property
     def pairs(self) -> Path:
-        """Folder of what matching pairs of maps found; may be deleted at any time."""
+        """Folder of cached matching results; may be deleted at any time."""
         return self.root / "cache" / "pairs"
 
     @property
     def merge_record(self) -> Path:
-        """What the merge was made from; may be deleted at any time."""
+        """The record of how the merge was made; may be deleted at any time."""
         return self.root / "cache" / "merged" / f"{plain_name(self.merge, MERGE)}.json"
 
     def raw_log_rrd(self, run: str) -> Path:
