@@ -1,4 +1,4 @@
-"""The length of a corridor, of which several drives tell."""
+"""Lengths of corridors from several drives, and their errors."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from .se2 import wrap
 from .topomap import RunNoise, TopoMap
 
 LIKE_SIGMAS = 4.0
-"""The shortest of a few normal ways is one or two sigmas below their mean, and hardly any lies as
-far above the shortest as this."""
+"""Largest difference of lengths of drives without detours, in standard deviations: the shortest of
+a few normal values is one or two below the mean, and hardly any value lies this far above the
+shortest."""
 
 LEAST_M = 0.001
-"""No length is known better, which is what documents are rounded to."""
+"""Lower bound of length errors: the precision of documents."""
 
 _MEDIAN_CHI2 = 0.4549
 """Median of χ² with one degree of freedom."""
@@ -24,20 +25,21 @@ _MEDIAN_CHI2 = 0.4549
 def corridor_lengths(
     way: FloatArray, line: FloatArray, sound: Sequence[IntArray]
 ) -> tuple[FloatArray, IntArray]:
-    """(c,) length of each corridor [m], and the leg whose track shows it best.
+    """(c,) length of each corridor [m], and (c,) the leg whose track represents it.
 
-    way, line: (l,) of every leg, its length and that of the straight line between its ends [m];
-    sound: of each corridor, the legs that were driven straight through it, the shortest first.
+    way, line: (l,) length of each leg and of the straight line between its ends [m]; sound: for
+    each corridor the legs that were driven straight through it, shortest first.
 
-    Who wanders drives farther, nobody less far: of a straight corridor the shortest way counts. A
-    way that bends errs to either side, though, by what the odometry turned wrongly on it, and the
-    shortest of several is too short: by 0.7 % of three, where the way is a third longer than the
-    line. The variance grows with the bend, which is what a way is longer than its line; how far the
-    ways of one corridor differ tells by how much. Where the bend is clearly more than these errors,
-    the ways like the shortest count, in the mean.
+    Wandering only lengthens a drive, so that the shortest drive is used for straight corridors. In
+    a bent corridor heading errors of the odometry change the measured length in both directions,
+    and the minimum of several drives is biased: by -0.7 % for three, where the length is a third
+    more than the line. Their variance is taken as proportional to the bend (length minus line),
+    with the factor estimated from the differences of drives through one corridor (a median, over
+    all corridors). If the bend exceeds LIKE_SIGMAS of these errors, the mean over the legs within
+    that of the shortest is used.
     """
     bend = np.array([max(float(way[legs[0]] - line[legs[0]]), 1e-9) for legs in sound])
-    # One drive and the next: neighbours by length would be nearer to each other than chance.
+    # Differences of drives in order of time: sorted by length they would be too small.
     apart = [np.diff(way[np.sort(k)]) ** 2 / (2 * b) for k, b in zip(sound, bend, strict=True)]
     told = np.concatenate([np.zeros(0), *apart])
     ratio = float(np.median(told)) / _MEDIAN_CHI2 if len(told) else 0.0
@@ -47,7 +49,7 @@ def corridor_lengths(
         within = like_m[e] if bend[e] > like_m[e] else 0.0
         like = legs[way[legs] <= way[legs[0]] + within]
         length[e] = way[like].mean()
-        # Two are equally far from their mean: it is not rounding that chooses, but the shorter way.
+        # Two legs are equally far from their mean: rounded, so that the shorter one is chosen.
         leg[e] = like[np.round(np.abs(way[like] - length[e]) / LEAST_M).argmin()]
     return length, leg
 
@@ -55,16 +57,16 @@ def corridor_lengths(
 def straightness(
     xy: FloatArray, source: IntArray, target: IntArray, length: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(m,) chords [m] of corridors between vertices that lie at xy (n, 2), and their shares in the
-    lengths (m,) of the corridors, 1 at most."""
+    """(m,) chords [m] of corridors between vertices at xy (n, 2), and their shares (at most 1) of
+    the corridors' lengths (m,)."""
     chord = np.hypot(*(xy[target] - xy[source]).T)
     return chord, np.minimum(chord / length, 1.0)
 
 
 def turning_variance(paths: Sequence[FloatArray], noise: RunNoise) -> FloatArray:
-    """(m,) variance [m²] of how far apart the ends of m polylines (k, 2) lie, by what an odometry
-    turned wrongly on one drive: ∫ h² dq, with h the offset from the chord and q the variance of the
-    heading. A wrong turn moves the far end along the chord by as much times the offset."""
+    """(m,) variance of the chord of m polylines (k, 2) by the heading errors of one drive [m²]: ∫
+    h² dq, with h the offset from the chord and q the variance of the heading. A heading error dθ at
+    offset h moves the far end by h dθ along the chord."""
     size = np.array([len(path) for path in paths], np.int64)
     owner, last = np.repeat(np.arange(len(paths)), size), np.cumsum(size) - 1
     points = np.concatenate([np.zeros((0, 2)), *paths])
@@ -84,12 +86,12 @@ def turning_variance(paths: Sequence[FloatArray], noise: RunNoise) -> FloatArray
 
 
 def way_sigma(topomap: TopoMap) -> FloatArray:
-    """(m,) 1 sigma [m] of a map's lengths, were the ends of its corridors and the scale of its
-    odometry known.
+    """(m,) standard deviation of a map's lengths if the ends of its corridors and the scale of its
+    odometry were known [m].
 
-    What odometry does on ways that wind is known, what robots wandered is the rest of what the map
-    states: beyond that, the scale, and the errors of both ends by this corridor alone; and not
-    more than the corridor is longer than the line between them.
+    From `length_sigma`, the variance of the scale and that of both ends (as far as this corridor
+    alone determines them) are subtracted. What remains is at least the odometry's error on a bent
+    path, and at most that plus the length beyond the chord (detours).
     """
     noise, length, times = topomap.measured, topomap.length, np.maximum(topomap.traversals, 1)
     ends = topomap.source, topomap.target

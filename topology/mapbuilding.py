@@ -1,4 +1,4 @@
-"""From identified passes to the topological map: vertices, corridors, what was driven."""
+"""From passes assigned to places to the topological map: vertices, branches, corridors."""
 
 from __future__ import annotations
 
@@ -28,44 +28,47 @@ from .vertex_errors import VertexErrors
 from .visits import PassesAtPlaces, Visits, draw_track
 
 _Ends = tuple[int, int, int, int]
-"""Of a corridor: source, target, and the branch at each."""
+"""Ends of a corridor: source, target, and the branch at each."""
 
 
 @dataclass(frozen=True, slots=True)
 class MapBuildingSettings:
-    """How the final map is drawn."""
+    """Geometry of the final map."""
 
     slot_gap_rad: float = 0.35
-    """Branch readings of several passes farther apart than this belong to different branches."""
+    """Readings of different branches are at least this far apart."""
     least_share: float = 0.5
-    """Share of a vertex's passes that must have seen a branch which was never driven."""
+    """A branch that was never driven is kept if this share of the vertex's passes saw it."""
     match_rad: float = 0.7
-    """A branch farther than this from the track's direction was not the one driven."""
+    """The driven branch is within this angle of the track's direction."""
     straight_rad: float = 0.35
-    """Two branches opposite to within this are no bend."""
+    """Two branches that are opposite to within this angle are no bend."""
     path_step_m: float = 0.1
     path_tolerance_m: float = 0.08
-    """Paths are thinned to polylines no farther than this from the track."""
+    """Tolerance of simplified paths."""
     junction_m: float = 0.7
-    """So near to a junction's centre the robot cuts its corner: there a corridor is straight."""
+    """Radius around a junction's centre in which robots cut corners: the path is replaced by a
+    straight line there."""
     passable_m: float = 0.5
-    """Points of a track so near to each other have no wall between them: robots are about as wide,
-    and have driven on either side of it."""
+    """Points of tracks closer than this have no wall between them: about the width of a robot on
+    either side."""
     corner_m: float = 0.5
-    """A turn within this to either side is a corner of the corridor, cut by the robot …"""
+    """A turn within this distance to either side is a corner of the corridor that the robot cut
+    …"""
     corner_rad: float = 0.5
-    """… if it turns by this; gentler ones are bends, driven as they are."""
+    """… if it is at least this large; smaller ones are bends."""
     standing_m: float = 0.05
-    """A robot that stands, or turns on the spot, seems to drive no farther: what it does so near to
-    a centre is no part of the time that a corridor takes."""
+    """Time that the robot spends within this path length of a centre, standing or turning on the
+    spot, is not counted as driving time."""
     moved_m: float = 0.05
-    """A robot that drove no farther between two visits did not move."""
+    """A robot that drove less than this between two visits did not move."""
     same_length_m: float = 1.5
-    """A leg with an unknown branch is of the corridor whose median length is within this of its."""
+    """A leg with an unknown branch belongs to a corridor whose median length differs by at most
+    this."""
     sound_m: float = 1.0
     """A leg within this of its corridor's median length was driven straight through."""
     repeated_m: float = 50.0
-    """Way driven again without wandering at all that a run is taken to have shown beforehand."""
+    """Prior for the variance of wandering: this length driven again without any."""
 
 
 def build_topomap(
@@ -80,10 +83,10 @@ def build_topomap(
     fitted_noise: RunNoise | None = None,
     settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
-    """The map of a run whose passes have been identified.
+    """The map of a run whose passes have been assigned to places.
 
-    errors: of vertices; askew_rad: 1 sigma of headings that all passes of a vertex share; noise,
-    fitted_noise: as in TopoMap.
+    errors: of the vertices; askew_rad: standard deviation of the heading error common to all passes
+    of a vertex; noise, fitted_noise: as in TopoMap.
     """
     xy, visits = places.xy, places.visits
     track = track_directions(odometry, visits.time_ns, visits.centre)
@@ -129,7 +132,7 @@ def build_topomap(
 
 
 def mean_of(values: FloatArray, group: IntArray, count: int) -> FloatArray:
-    """(count,) mean of the values of each group, 1 for a group without any."""
+    """(count,) mean of the values in each group, 1 for an empty group."""
     size = np.bincount(group, minlength=count)
     total = np.bincount(group, values, count)
     return np.where(size > 0, total / np.maximum(size, 1), 1.0)
@@ -141,8 +144,9 @@ def _slots(
     driven_rad: tuple[FloatArray, FloatArray],
     settings: MapBuildingSettings,
 ) -> tuple[AngleClusters, IntArray, BoolArray]:
-    """Branches of every vertex, by how many passes each was seen, and which of them stay: driven,
-    or seen by enough passes. driven_rad: (v,) directions each, in which the track leaves visits."""
+    """Branches of every vertex as clusters of readings, the number of passes that saw each, and
+    which are kept: driven ones, and those seen by enough passes. driven_rad: two arrays (v,) of
+    track directions at the visits."""
     pass_vertex, visited = np.where(places.fair, places.place, -1), places.visits.vertex
     owner = passes.branches.owner
     known = pass_vertex[owner] >= 0
@@ -173,10 +177,10 @@ def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Legs:
-    """Drives from a visit to the next: ends with their branches, and the way from centre to centre.
+    """Drives from one visit to the next: ends with their branches, and paths from centre to centre.
 
     length: (l,) of `path` [m]; path: l polylines from the first visit's vertex to the next one's;
-    time_ns: (l, 2) when the robot left the first visit's centre and came to the next one's.
+    time_ns: (l, 2) when the robot left the first centre and reached the next.
     """
 
     source: IntArray
@@ -186,7 +190,7 @@ class _Legs:
     length: FloatArray
     path: list[FloatArray]
     turned: BoolArray
-    """Driven from target to source."""
+    """Whether it was driven from target to source."""
     time_ns: IntArray
 
 
@@ -199,7 +203,7 @@ def _legs(
     xy: FloatArray,
     settings: MapBuildingSettings,
 ) -> _Legs:
-    """Legs within an unbroken track; turning back in a corridor makes no edge."""
+    """Legs within unbroken parts of the track, without those that turn back in a corridor."""
     first = np.arange(len(visits.time_ns) - 1)
     u, v = visits.vertex[:-1], visits.vertex[1:]
     a, b = exit_[:-1], entry[1:]
@@ -211,7 +215,7 @@ def _legs(
     away = (u != v)[fine] | np.array([is_ring(p, settings) for p in path], bool)
     first, u, v, a, b = (x[fine][away] for x in (first, u, v, a, b))
     path, length = [p for p, some in zip(path, away.tolist(), strict=True) if some], length[away]
-    # Each corridor in one direction: from the smaller (vertex, branch).
+    # Corridors have one direction: from the smaller (vertex, branch).
     swap = (u > v) | ((u == v) & (a > b))
     s, t = np.where(swap, v, u), np.where(swap, u, v)
     sb, tb = np.where(swap, b, a), np.where(swap, a, b)
@@ -226,11 +230,11 @@ def _between_centres(
     first: IntArray,
     settings: MapBuildingSettings,
 ) -> list[FloatArray]:
-    """The way of each leg from the centre of one junction to that of the next, in the map's frame.
+    """For each leg its path between the centres of both junctions, in the map's frame.
 
-    The robot passes beside a centre, and before it where it turns: what it drove there is no part
-    of the corridor, nor is what it drove out and back. In between the track is drawn as both
-    junctions see it.
+    A robot passes beside a centre and cuts corners: the track near a centre, and where it went out
+    and back, is no part of the corridor's path. In between the track is interpolated between its
+    placements at both junctions.
     """
     track = draw_track(odometry, visits, xy, first, settings.path_step_m)
     out = []
@@ -250,20 +254,20 @@ def centre_line(
     *,
     loop: bool = False,
 ) -> FloatArray:
-    """(p, 2) the corridor between the centres of two junctions, or of one that it comes back to
-    (loop), from a track drawn (k, 2) in the map that led from one to the other."""
+    """(p, 2) the corridor's path between the centres of two junctions, or back to the same one
+    (loop), from a track (k, 2) in the map's frame that was driven between them."""
     path = join_centres(drawn, begin, end, settings.junction_m)
-    # Where a track was joined to a centre it has an angle, but nobody cut a corner there.
+    # The angles where the track is connected to a centre are no corners.
     inner = path[1:-1]
-    if not loop:  # a loop comes back, that is all it is
+    if not loop:
         inner = loop_erased(inner, settings.passable_m)
     inner = with_corners(inner, settings.corner_m, settings.corner_rad)
     return np.concatenate([path[:1], inner, path[-1:]])
 
 
 def is_ring(path: FloatArray, settings: MapBuildingSettings) -> bool:
-    """Whether a path back to where it began goes round something: who turns about, in a junction
-    or on the way, may seem to leave it by one branch and to enter by another."""
+    """Whether a path back to its beginning goes round something. A robot that turns about in a
+    junction or a corridor may seem to leave by one branch and enter by another."""
     long = float(way_of(path)[-1]) > 2 * settings.junction_m
     return long and loop_width(path) > settings.passable_m
 
@@ -278,14 +282,14 @@ class _Edges:
     traversals: IntArray
     time_ns: tuple[IntArray, ...]
     leg: IntArray
-    """The leg whose track is drawn (`corridor_lengths`)."""
+    """The leg whose track is the path (`corridor_lengths`)."""
     wander: float
-    """Variance, per metre, of the ways driven through one corridor."""
+    """Variance of the lengths of drives through one corridor, per metre [m]."""
     detour: float
-    """How much of what ways go round between their ends was the robots' choice, not the corridors'
-    …"""
+    """Share of the length beyond the chord that is the robots' choice and differs from drive to
+    drive …"""
     farthest_m: float
-    """… and how far hardly any goes round by choice (`_chosen_detour`)."""
+    """… and its largest plausible value [m] (`_chosen_detour`)."""
 
 
 def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges:
@@ -322,7 +326,7 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
 
 
 def _sound(legs: _Legs, member: IntArray, settings: MapBuildingSettings) -> IntArray:
-    """The legs through a corridor that nothing held up, the shortest first."""
+    """The legs that were driven straight through a corridor, shortest first."""
     ordered = member[np.argsort(legs.length[member], kind="stable")]
     middle = legs.length[ordered[len(ordered) // 2]]
     sound: IntArray = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
@@ -330,7 +334,7 @@ def _sound(legs: _Legs, member: IntArray, settings: MapBuildingSettings) -> IntA
 
 
 def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[int]]:
-    """Numbers of the legs through each corridor, by its ends."""
+    """Indices of the legs through each corridor, by its ends."""
     rows = np.stack([legs.source, legs.target, legs.source_branch, legs.target_branch], axis=1)
     between: dict[tuple[int, int], dict[_Ends, list[int]]] = defaultdict(dict)
     vague = []
@@ -346,14 +350,14 @@ def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[i
 
 
 def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> tuple[float, float]:
-    """Root mean square share of the detours driven that a robot takes one time and not another, and
-    how long [m] hardly any is.
+    """Root mean square share of detours that differ from drive to drive, and their largest
+    plausible length [m].
 
-    What a way is longer than the line between its ends is the corridor's bend, or the robot's
-    wandering: what it drives again tells how much of it is not there the next time. Beyond the
-    shortest of several ways the others go as far as one goes beyond the corridor (were ways longer
-    by exponential amounts, exactly); the shortest itself tells nothing. What drives of straight
-    corridors differ by, which is all of their detours, says nothing of bends of metres.
+    A drive's length beyond the chord is the corridor's bend or the robot's detour; repeated drives
+    separate them, since a bend is the same each time. The lengths of the other drives beyond the
+    shortest one estimate the detours (without bias if these are exponentially distributed); the
+    shortest gives no estimate. In straight corridors all of the excess is detour, however small, so
+    that a share found there does not apply to bends of several metres: hence the limit.
     """
     again = [member for member in corridors if len(member) > 1]
     if not again:
@@ -374,8 +378,7 @@ def _fitting(
     k: int,
     settings: MapBuildingSettings,
 ) -> _Ends:
-    """Of the corridors between its vertices, the one that leg k belongs to, of whose ends some
-    branch is unknown; its own ends if none fits."""
+    """The corridor that leg k, with an unknown branch, belongs to; its own ends if none fits."""
     best, best_off = ends, settings.same_length_m
     for key, member in corridors.items():
         if any(mine not in (NO_BRANCH, its) for mine, its in zip(ends[2:], key[2:], strict=True)):
@@ -387,7 +390,7 @@ def _fitting(
 
 
 def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[FloatArray, ...]:
-    """The way of every edge, in the map frame, from vertex to vertex, thinned."""
+    """Path of every edge from vertex to vertex in the map's frame, simplified."""
     ways = (legs.path[k][:: -1 if legs.turned[k] else 1] for k in edges.leg.tolist())
     return tuple(simplify(way, settings.path_tolerance_m) for way in ways)
 
@@ -399,18 +402,17 @@ def _length_sigma(
     noise: RunNoise,
     errors: VertexErrors,
 ) -> FloatArray:
-    """(m,) 1 sigma [m] of the corridors' lengths.
+    """(m,) standard deviation of the corridors' lengths [m].
 
-    A path bent onto its two ends gets longer by their error along the chord times the share of the
-    chord in it (the mean of its directions), to first order. That holds the scale of the odometry
-    to the share squared, and the rest of the way to the rest: one error of the whole length.
+    To first order, a path fitted to its two ends changes in length by the error of the chord times
+    the chord's share c of the length. This includes the odometry's scale to a share of c², and the
+    scale of the rest of the path to 1 - c²: one error, common to all drives.
 
-    What is left of a way that winds is the odometry's. Of what it errs by along the way, to bend
-    the path takes out the share of the chord, squared; and where it turned wrongly, the ends are
-    moved (`turning_variance`) though the length was right. What robots wander in a corridor, and
-    go round where none leads them, shows where they drive it again (`corridor_lengths`). No
-    corridor is shorter than the line between its ends: a drive is no farther beyond it than beyond
-    that.
+    The rest are errors of the odometry on a bent path: along the path, of which the fit removes a
+    share of c²; and of heading, which move the ends (`turning_variance`) though the length is
+    right. Wandering and detours are estimated from repeated drives (`corridor_lengths`,
+    `_chosen_detour`). Since no corridor is shorter than its chord, a detour is at most the length
+    beyond the chord.
     """
     chord, straight = straightness(xy, edges.source, edges.target, edges.length)
     ends = errors.distance_sigma(xy, edges.source, edges.target)

@@ -1,13 +1,13 @@
-"""How noisy a run is, from the run itself.
+"""Noise of a run's odometry and detector, estimated from the run itself.
 
-Before any place is recognised (`estimate_noise`): readings of one branch from message to message
-scatter by the detector's noise; from the first third of a pass to its last they move by what the
-odometry drifted meanwhile; and where branches of different junctions are mostly square to each
-other, they stay so less and less exactly the longer the way between. Drift is a small difference of
-noisy numbers in short runs: a prior of what robots are like holds it (docs of `NoiseSettings`).
+Before loop closure (`estimate_noise`): readings of one branch scatter from message to message by
+the detector's noise; between the first and the last third of a pass, readings move by the
+odometry's drift in between; and where branches of different junctions are mostly square to each
+other, their deviation from that grows with the distance driven in between. In short runs the drift
+is a small difference of noisy values, so that it is regularised by a prior (`NoiseSettings`).
 
-After loop closure (`refine_noise`): passes of one junction repeat each other, which tells the noise
-of a whole pass and the rates of faults.
+After loop closure (`refine_noise`): repeated passes of one junction give the noise of a whole pass
+and the rates of faults.
 """
 
 from __future__ import annotations
@@ -30,34 +30,36 @@ from .revisits import Repeats
 from .square_branches import SquareBranches
 
 _ONE_SIGMA = 0.6827
-"""Share of normal errors within 1 sigma."""
+"""Probability within one standard deviation of a normal distribution."""
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseSettings:
-    """What is expected of a run before it is looked at, and how it is looked at."""
+    """Priors, and limits on the data used."""
 
     prior: RunNoise = field(default_factory=RunNoise)
-    """Centre of every prior; kept where a run tells nothing."""
+    """Centres of the priors, kept where a run has no data."""
     prior_spread: float = 0.7
-    """1 sigma of the logarithm of a random walk: a factor of two either way."""
+    """Standard deviation of the logarithm of a random walk's rate: a factor of two."""
     prior_messages: float = 20.0
-    """Worth of the prior of the detector's scatter, in messages."""
+    """Weight of the prior of the detector's scatter, in messages."""
     prior_passes: float = 15.0
-    """Worth of the prior of a fault rate, in passes."""
+    """Weight of the prior of a fault rate, in passes."""
     scale_prior: float = 0.01
-    """1 sigma of the relative error of lengths in general, before closure tells of the odometry."""
+    """Standard deviation of the relative length error of odometries in general, used before
+    closure."""
     match_rad: float = 0.35
-    """Readings farther than this from a branch are of another."""
+    """Readings within this angle of a branch belong to it."""
     least_messages: int = 6
-    """Shorter passes tell no drift."""
+    """Passes with fewer messages are not used for drift."""
     straight_rad: float = 0.3
-    """Only passes that turn by no more tell of lengths."""
+    """Passes with a larger turn are not used for lengths."""
     reach_passes: int = 6
     reach_m: float = 60.0
-    """Branches are compared with those of so many passes before, not farther back than this."""
+    """Branches are compared with those of this many passes before, within this distance along the
+    path."""
     most_passes: int = 500
-    """Passes compared with those before; more are thinned out evenly."""
+    """Limit on passes that are compared; more are thinned evenly."""
 
 
 def estimate_noise(
@@ -66,9 +68,9 @@ def estimate_noise(
     passes: Passes,
     settings: NoiseSettings = NoiseSettings(),
 ) -> RunNoise:
-    """Noise of the odometry and of the detector, before closure; rates are those of the prior.
+    """Noise of odometry and detector before closure; fault rates are those of the prior.
 
-    odometry: calibrated, the frame of `passes`. O(readings); never raises on few data.
+    odometry: calibrated, in the frame of `passes`. O(readings); does not raise on little data.
     """
     thirds = _WithinPasses.of(odometry, detections, passes, settings)
     if thirds is None:
@@ -76,8 +78,8 @@ def estimate_noise(
     prior = settings.prior
     walk_m, walk_rad = _heading_walk(odometry, passes, thirds, settings)
     along, scale = _along(thirds, settings)
-    # Half of the variance of a reading is taken to be common to its pass (a junction is seen
-    # askew from one side): what does not scatter cannot be seen to.
+    # Half of the variance of a reading is assumed to be common to its pass (a junction is seen
+    # askew from one side), which the scatter within a pass does not show.
     return _stated(
         prior,
         along_m_per_sqrt_m=along,
@@ -91,13 +93,14 @@ def estimate_noise(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _WithinPasses:
-    """What passes that are long enough show by themselves: from their first third to their last.
+    """Differences between the first and the last third of each pass that is long enough.
 
-    turn (q,) [rad] of the branches, turn_variance (q,) of it by the detector's scatter; shift
-    (q, 2) [m] of the centre along and across the motion, shift_variance (q,); walked (q, 2) way [m]
-    and angle turned [rad] in between, as far as a random walk averaged over both thirds counts;
-    moved (q,) way between the middles of the thirds. branch_sigma, centre_sigma: scatter of single
-    messages; messages: usual number in a pass; walks: averaged over whole passes.
+    turn (q,) rotation of the branches [rad], turn_variance (q,) its variance by the detector's
+    scatter; shift (q, 2) of the centre along and across the motion [m], shift_variance (q,); walked
+    (q, 2) path length [m] and absolute rotation [rad] that determine the variance of a random walk
+    averaged over both thirds; moved (q,) path length between the middles of the thirds [m].
+    branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass;
+    walks: averaged over whole passes.
     """
 
     turn: FloatArray
@@ -181,12 +184,12 @@ def refine_noise(
     drive_bys: int = 0,
     settings: NoiseSettings = NoiseSettings(),
 ) -> RunNoise:
-    """Noise and fault rates after loop closure, from passes that repeat each other.
+    """Noise and fault rates after loop closure, from repeated passes of one place.
 
-    vertex: (p,) place of each pass, negative for those dissolved as phantoms; turn_rad: (p,) turn
-    from the odometry's frame to the map's at each pass; noise: what was known before, the prior of
-    `branch_rad`; drive_bys: times that the robot drove by a known place without seeing it.
-    Every rate is held by `settings.prior_passes` passes at the prior rate. O(b log b).
+    vertex: (p,) place of each pass, negative for those removed as phantoms; turn_rad: (p,) rotation
+    from the odometry's frame to the map's at each pass; noise: the estimate before, prior of
+    `branch_rad`; drive_bys: number of times that the robot passed a known place without detecting
+    it. Every rate has a prior of weight `settings.prior_passes`. O(b log b) for b branch readings.
     """
     prior, worth = settings.prior, settings.prior_passes
     seen = int(np.sum(vertex >= 0))
@@ -204,8 +207,8 @@ def refine_noise(
 
 
 def _stated(before: RunNoise, **measured: float) -> RunNoise:
-    """The noise with what was measured, in the digits of documents: all that follows from it is
-    the same on every processor, though the searches above multiply the error of sums."""
+    """The noise with the measured values, rounded as in documents: the searches above amplify
+    rounding errors, and results must be the same on every processor."""
     return replace(before, **{name: significant(value) for name, value in measured.items()})
 
 
@@ -216,13 +219,14 @@ def refine_scale(
     noise: RunNoise,
     settings: NoiseSettings = NoiseSettings(),
 ) -> float:
-    """1 sigma of the relative error of lengths, after loop closure told how the heading drifts.
+    """Standard deviation of the relative length error, after loop closure has estimated the
+    heading's drift.
 
-    No loop tells of it: all close whatever the scale. An odometry is taken to be as much better or
-    worse at lengths than the prior's as it is at headings: a Student's t of two degrees of freedom
-    about 0, of which 68.3 % lie within what is expected so. Junctions that seem to move along with
-    the robot tell more. The detector may be their cause, so lengths are not corrected by them: the
-    sigma is what 68.3 % of the posterior keep to.
+    Loop closure does not determine it: loops close at any scale. Prior: Student's t with two
+    degrees of freedom about 0, of which 68.3 % lie within `prior.scale` times the ratio of this
+    run's heading drift to the prior's. Likelihood: the apparent motion of junctions along with the
+    robot (`_shown_scale`). As the detector may cause this, lengths are not corrected; returned is
+    the bound that holds 68.3 % of the posterior.
     """
     prior = settings.prior
     worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
@@ -235,9 +239,8 @@ def refine_scale(
 
 
 def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
-    """Bound on the size of x that holds 68.3 % of its posterior, where that is the probability of
-    `expected` under its prior (Student's t, two degrees of freedom) and x + N(0, sigma²) = shown.
-    """
+    """The bound r with P(|x| <= r) = 68.3 % under the posterior of x: prior Student's t with two
+    degrees of freedom, for which this bound is `expected`; likelihood x + N(0, sigma²) = shown."""
     if not np.isfinite(sigma) or expected <= 0:
         return expected
     ratio = np.geomspace(1e-3, 1e3, 4096)  # |x| over what is expected
@@ -249,19 +252,19 @@ def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
 
 
 def _turned(odometry: Odometry, noise: RunNoise) -> float:
-    """Variance of the heading [rad²] that a run's way and turns add up to."""
+    """Variance of the heading at the end of a run, by its path length and rotations [rad²]."""
     way, turned = odometry.step_m.sum(), np.abs(odometry.turn_rad).sum()
     both = np.array([noise.heading_rad_per_sqrt_m, noise.heading_rad_per_sqrt_rad]) ** 2
     return float(both @ [way, turned])
 
 
 def _rate(events: float, trials: float, prior: float, worth: float) -> float:
-    """Mean of the Beta posterior."""
+    """Mean of the Beta posterior of a rate."""
     return (events + worth * prior) / (trials + worth)
 
 
 def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
-    """(k,) pass of every message, -1 for none, and its number within the pass."""
+    """(k,) pass of every message, -1 for none, and its index within the pass."""
     home = np.searchsorted(passes.start_ns, detections.time_ns, side="right") - 1
     inside = (home >= 0) & (detections.time_ns <= passes.end_ns[np.maximum(home, 0)])
     home = np.where(inside, home, -1)
@@ -270,9 +273,10 @@ def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArra
 
 
 def _scatter(values: FloatArray, group: IntArray, prior: float, settings: NoiseSettings) -> float:
-    """1 sigma of single readings (k, d) about their group, from differences of successive ones.
+    """Standard deviation of single readings (k, d) about their group's mean, from differences of
+    successive ones.
 
-    Differences do not see what moves slowly; the median does not see flicker.
+    Differences are insensitive to slow drift, their median to outliers.
     """
     same = np.diff(group) == 0
     step = np.abs(np.diff(values, axis=0)[same]).ravel()
@@ -289,9 +293,10 @@ def _scatter(values: FloatArray, group: IntArray, prior: float, settings: NoiseS
 def _branch_turn(
     branch: IntArray, heading: FloatArray, third: IntArray, passes: Passes
 ) -> tuple[FloatArray, FloatArray]:
-    """(p,) mean turn of a pass's branches from first to last third, and its variance at unit noise.
+    """(p,) mean rotation of a pass's branches from its first to its last third, and its variance
+    for unit noise.
 
-    The variance is infinite where no branch was seen in both.
+    The variance is infinite if no branch was seen in both.
     """
     count, p = len(passes.branches.values), len(passes)
     total = np.bincount(branch * 3 + third, heading, 3 * count).reshape(-1, 3)
@@ -309,7 +314,7 @@ def _branch_turn(
 def _heading_walk(
     odometry: Odometry, passes: Passes, thirds: _WithinPasses, settings: NoiseSettings
 ) -> tuple[float, float]:
-    """Random walk of the heading per √m and per √rad: the most likely one under the prior."""
+    """Random walk of the heading per √m and per √rad: the maximum a posteriori estimate."""
     from scipy.optimize import minimize
 
     prior = settings.prior
@@ -335,7 +340,7 @@ def _heading_walk(
         return out + 0.05 * float(x[3] ** 2)
 
     start = np.array([*centre, branch, 0.0])
-    # By itself it would begin with a step of nothing from what is 0: the share would stay there.
+    # The default simplex has a relative step, almost none for a start of 0.
     simplex = start + settings.prior_spread * np.vstack([np.zeros(4), np.eye(4)])
     found = minimize(
         cost,
@@ -348,10 +353,10 @@ def _heading_walk(
 
 
 def _student_cost(error: FloatArray, variance: FloatArray) -> float:
-    """Negative log-likelihood of errors under Student's t, four degrees of freedom.
+    """Negative log-likelihood of errors under Student's t with four degrees of freedom.
 
-    The scale is the one that fits normal errors of the given variance best, so that data without
-    outliers are judged without bias.
+    Its scale is the best fit to normal errors of the given variance, so that estimates from data
+    without outliers are unbiased.
     """
     nu, scale = 4.0, 0.6906 * variance
     tails = 0.5 * (nu + 1) * np.log1p(error**2 / scale / nu)
@@ -359,11 +364,11 @@ def _student_cost(error: FloatArray, variance: FloatArray) -> float:
 
 
 def _along(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float]:
-    """Random walk along the way, and size of the constant error of lengths.
+    """Random walk along the path [m/√m], and the size of the constant relative error of lengths.
 
-    A junction that seems to move along with the robot tells of wrong lengths; the detector may do
-    the same, so it is used as a size of the error and not to correct it. Turns are left out: there
-    the odometry's point and the detector's need not move alike.
+    If junctions appear to move along with the robot, lengths are wrong; but the detector may cause
+    the same, so that this gives the size of the error and no correction. Turns are excluded, since
+    odometry and detector may refer to different points of the robot.
     """
     from scipy.optimize import minimize_scalar
 
@@ -386,9 +391,10 @@ def _along(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float
 def _shown_scale(
     thirds: _WithinPasses, along: float, settings: NoiseSettings
 ) -> tuple[float, float]:
-    """Relative error of lengths by how junctions move along with the robot, and its 1 sigma.
+    """Relative length error by the motion of junctions along with the robot, and its standard
+    deviation.
 
-    along: random walk of the odometry along the way [m/√m].
+    along: random walk of the odometry along the path [m/√m].
     """
     straight = np.flatnonzero(thirds.walked[:, 1] <= settings.straight_rad)
     moved = np.maximum(thirds.moved[straight], 0.0)

@@ -1,1 +1,1 @@
-"""Maps and accepted verdicts to one fused map (§4)."""
+"""Fusion of maps by accepted verdicts into one map (§4)."""

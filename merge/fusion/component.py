@@ -1,7 +1,7 @@
-"""A fused component, also as bytes.
+"""A fused component and its serialisation to bytes.
 
-Read again it is the same to the last bit. What is read is checked against the maps, so that no
-bytes whatever make a component that points outside of them.
+Reading returns the same values to the last bit. Bytes are validated against the maps, so that no
+input makes a component with indices outside of them.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from ..result import FusedMap, Late, Spread, by_run
 Rows = tuple[tuple[tuple[str, int], ...], ...]
 
 ARRAYS = "fffiffiifiiiiiiiffiiff"
-"""Poses; middles, own covariances, keys and cross covariances of the spread, empty where it was not
-asked for; positions, kinds and numbers of branches of the vertices; the branches; members of the
+"""Types of the arrays: poses; centroids, own covariances, keys and cross covariances of the spread
+(empty if not computed); positions, kinds and degrees of the vertices; the branches; members of the
 vertices as counts, runs and rows; the same of the edges; their ends and branches, lengths, sigmas
-and traversals; numbers of points of their paths; the points; sigmas of the positions, empty where
-they were not asked for."""
+and traversals; point counts of their paths; the points; sigmas of the positions (empty if not
+computed)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedComponent:
-    """One component by itself: T_component_run of every run, its part of the fused map (numbered
-    from 0 on), and how surely its runs are placed, if that was asked for; text: as `Component` has
-    it."""
+    """One component: T_component_run of every run, its part of the fused map (numbered from 0), and
+    the covariances of the runs' placements, if computed; text: as in `Component`."""
 
     poses: Mapping[str, FloatArray]
     fused: FusedMap
@@ -44,7 +43,7 @@ class FusedComponent:
 def observations_of(
     maps: Sequence[TopoMap], members: Sequence[Mapping[str, tuple[int, ...]]]
 ) -> Rows:
-    """For every place the passes of all its members, sorted."""
+    """For every place the passes of all its members as (run, time), sorted."""
     place_of = {m.run: np.zeros(len(m), np.int64) for m in maps}
     for k, own in enumerate(members):
         for run, vertices in own.items():
@@ -58,7 +57,7 @@ def observations_of(
 
 
 def to_bytes(component: FusedComponent, maps: Sequence[TopoMap]) -> bytes:
-    """A component of maps, which are sorted by run."""
+    """Serialise a component. maps: its runs' maps, sorted by run."""
     fused, sure = component.fused, component.spread
     kinds = {kind: k for k, kind in enumerate(_kinds(maps))}
     behind = [[(run, v) for run, own in of.items() for v in own] for of in fused.members]
@@ -87,7 +86,7 @@ def to_bytes(component: FusedComponent, maps: Sequence[TopoMap]) -> bytes:
 
 
 def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
-    """The component of maps, which are sorted by run; None where it cannot be theirs."""
+    """The component of the maps, sorted by run; None if the data cannot be theirs."""
     arrays = arrays_from_bytes(data, ARRAYS)
     if arrays is None:
         return None
@@ -153,7 +152,7 @@ def _kinds(maps: Sequence[TopoMap]) -> list[str]:
 
 
 def _flat(rows: Iterable[Sequence[tuple[str, int]]], maps: Sequence[TopoMap]) -> list[IntArray]:
-    """Rows of (run, number) as their sizes, the rows of the runs and the numbers."""
+    """Rows of (run, number) as their sizes, run indices and numbers, concatenated."""
     of = {m.run: k for k, m in enumerate(maps)}
     listed = list(rows)
     flat = np.array([(of[run], k) for row in listed for run, k in row], np.int64).reshape(-1, 2)
@@ -161,7 +160,7 @@ def _flat(rows: Iterable[Sequence[tuple[str, int]]], maps: Sequence[TopoMap]) ->
 
 
 def _are_rows(flat: Sequence[IntArray], most: Sequence[int]) -> bool:
-    """Whether numbers can be the rows of some runs; most: how much each has of what is numbered."""
+    """Whether flat rows are valid; most: for each run the number of its items."""
     size, run, number = flat
     if len(run) != len(number) or ((size < 0) | (size > len(run))).any() or size.sum() != len(run):
         return False
@@ -171,7 +170,7 @@ def _are_rows(flat: Sequence[IntArray], most: Sequence[int]) -> bool:
 
 
 def _rows(flat: Sequence[IntArray], maps: Sequence[TopoMap]) -> Rows:
-    """The reverse of `_flat`."""
+    """The inverse of `_flat`."""
     size, run, number = flat
     names = [m.run for m in maps]
     pairs = [(names[r], k) for r, k in zip(run.tolist(), number.tolist(), strict=True)]

@@ -1,8 +1,8 @@
-"""Vertices of different runs that lie on each other once their maps share a frame.
+"""Data association by position: vertices of different runs that coincide in a component's frame.
 
-No pair of maps need have matched them: a corner that only one run knew when it met the second, a
-match too small to count alone. They are fused when each is the other's nearest, near enough, their
-branches fit and the corridors around them bear it out; whatever is doubtful stays apart.
+Not all of them were matched by a pair of maps: a junction may be known to only one run when it met
+the other, or a match be too small to be accepted. Two are fused if each is the other's nearest
+within a gate, their branches fit and the corridors around them agree; doubtful ones are kept apart.
 """
 
 from __future__ import annotations
@@ -26,29 +26,29 @@ from .vertex_partition import Groups, Pool
 
 @dataclass(frozen=True, slots=True)
 class CoincidenceSettings:
-    """When two vertices that nothing matched are still one place."""
+    """When two unmatched vertices are one place."""
 
     gate_m: float = 0.5
-    """Distance allowed beside a place that several runs share …"""
+    """Gate on the distance at a place that several runs share …"""
     gate_per_m: float = 0.04
-    """… and how it grows with the way driven from there …"""
+    """… and its growth per metre driven from there …"""
     max_gate_m: float = 1.5
     """… up to this."""
     lead: float = 1.6
-    """The next candidate must be further away by this factor."""
+    """Least ratio of the second nearest candidate's distance to the nearest one's."""
     branch_gate_rad: float = 0.45
-    """Branches fit within this angle."""
+    """Gate on the directions of branches."""
     spare_branches: int = 1
-    """Branches that either vertex may have and the other not."""
+    """Number of unpaired branches allowed."""
     length_m: float = 0.5
-    """Corridors agree in length within this …"""
+    """Lengths of corridors agree within this …"""
     length_share: float = 0.06
-    """… plus this share of it."""
+    """… plus this share of them."""
     min_chain: int = 3
-    """Runs that were not matched with each other coincide in at least so many joined places, or in
-    so many within `gate_m`."""
+    """Runs without a match of their own need at least this many coincident places that corridors
+    connect, or that lie within `gate_m`."""
     rounds: int = 4
-    """Rounds of "fuse what coincides, optimise again"."""
+    """Limit on rounds of fusing and optimising."""
 
 
 COINCIDENCE = CoincidenceSettings()
@@ -56,7 +56,7 @@ COINCIDENCE = CoincidenceSettings()
 
 @dataclass(frozen=True, slots=True)
 class _Leg:
-    """A corridor seen from one row: the row at its other end and its length."""
+    """A corridor at one row: the row at its other end, and its length [m]."""
 
     far: int
     length: float
@@ -79,7 +79,7 @@ class _Surroundings:
                     self.legs[first + t][j] = _Leg(first + s, length)
 
     def partners(self, u: int, v: int, gate_rad: float) -> list[tuple[int, int]]:
-        """Mutually nearest branches of two rows within a gate."""
+        """Mutually nearest branches of two rows, within a gate."""
         pairs = mutual_nearest(self.units[u][None], self.units[v][None], float(np.cos(gate_rad)))
         i = pairs.paired[0].nonzero()[0]
         return list(zip(i.tolist(), pairs.nearest[0, i].tolist(), strict=True))
@@ -91,9 +91,9 @@ def coincident(
     """Pairs of rows whose groups are one place, nearest first.
 
     pose: (n, 3) of every row in the component's frame; matched: pairs of runs with an accepted
-    match. Two runs that were matched need no further support than their position; others need a
-    corridor that leads both to a place they share, or several places, joined alike or very near. A
-    corridor that leaves both by the same branch and differs in length speaks against.
+    match. For two matched runs coincidence is enough. Other pairs need a corridor from both to a
+    place that they share, or several coincident places, connected by agreeing corridors or within
+    `gate_m`. A pair with more disagreeing than agreeing corridors is rejected.
     """
     label = groups.labels()
     around = _Surroundings(pool, pose, label)
@@ -122,7 +122,7 @@ def coincident(
 
 
 class _Chains:
-    """Candidate pairs joined by corridors that agree, and what speaks for and against each."""
+    """Candidate pairs connected by agreeing corridors, with the evidence for and against each."""
 
     def __init__(self, candidates: list[tuple[int, int]], around: _Surroundings) -> None:
         self._around = around
@@ -139,11 +139,11 @@ class _Chains:
                     self._joined.merge(k, self._place[far])
 
     def size(self, u: int, v: int) -> int:
-        """Candidate pairs in the chain of this one."""
+        """Number of candidate pairs connected with this one."""
         return self._joined.subset_size(self._number[u, v])
 
     def anchored(self, u: int, v: int) -> bool:
-        """Whether an agreeing corridor leads both to one place that is already shared."""
+        """Whether an agreeing corridor leads from both to one place."""
         return any(x == y for x, y in self._agreeing(u, v))
 
     def contradicted(self, u: int, v: int) -> bool:
@@ -158,7 +158,8 @@ class _Chains:
         return [(x, y) for x, y in both if x is not None and y is not None]
 
     def _agreeing(self, u: int, v: int) -> list[tuple[int, int]]:
-        """Places at the far ends of corridors that leave both rows alike and agree in length."""
+        """Places at the far ends of corridors that leave both rows by paired branches with agreeing
+        lengths."""
         s, label = COINCIDENCE, self._around.label
         return [
             (int(label[x.far]), int(label[y.far]))
@@ -170,8 +171,8 @@ class _Chains:
 def _candidates(
     pool: Pool, label: IntArray, pose: FloatArray, around: _Surroundings
 ) -> list[tuple[int, int, float]]:
-    """Rows of places that no run has both of, clearly each other's nearest, branches fitting; and
-    the distances [m] of the places."""
+    """Pairs of rows, one of each place, with the distance of their places [m]: places that share no
+    run, are each other's nearest by a margin, and whose branches fit."""
     visits = pass_counts(pool)
     best = np.lexsort((np.arange(len(pool)), -visits, label))
     speaker = best[np.searchsorted(label[best], np.arange(int(label.max(initial=-1)) + 1))]
@@ -195,7 +196,8 @@ def _candidates(
 
 
 def _branches_fit(around: _Surroundings, u: int, v: int) -> bool:
-    """Whether all but a few branches of two rows point the same ways."""
+    """Whether at most `spare_branches` branches are unpaired, and some are paired if there are
+    any."""
     pairs = len(around.partners(u, v, COINCIDENCE.branch_gate_rad))
     lone = max(len(around.units[u]), len(around.units[v])) - pairs
     return lone <= COINCIDENCE.spare_branches and (pairs > 0 or lone == 0)
@@ -209,14 +211,15 @@ def _runs_of(pool: Pool, label: IntArray) -> list[set[int]]:
 
 
 def _gates(pool: Pool, label: IntArray) -> FloatArray:
-    """(places,) distance allowed at each place, from the way to the nearest shared one."""
+    """(places,) gate on the distance at each place, by the path length to the nearest shared place
+    [m]."""
     count = int(label.max()) + 1
     ends = np.concatenate(
         [np.stack([m.source, m.target]) + pool.first[m.run] for m in pool.maps], axis=1
     )
     length = np.concatenate([m.length for m in pool.maps])
     u, v = label[ends]
-    # Parallel corridors would add up in a sparse matrix: keep the shortest.
+    # A sparse matrix adds up parallel corridors: keep only the shortest.
     low, high = np.minimum(u, v), np.maximum(u, v)
     order = np.lexsort((length, high, low))
     _, once = np.unique(low[order] * count + high[order], return_index=True)
@@ -233,7 +236,7 @@ def _gates(pool: Pool, label: IntArray) -> FloatArray:
 def _clearly_nearest(
     u: IntArray, v: IntArray, distance: FloatArray, count: int, lead: float
 ) -> BoolArray:
-    """Pairs of which each is the other's nearest, with the next candidates clearly further."""
+    """Pairs that are each other's nearest, with the second nearest `lead` times as far."""
     best, second = np.full(count, np.inf), np.full(count, np.inf)
     for k in np.argsort(distance, kind="stable").tolist():
         for end in (u[k], v[k]):

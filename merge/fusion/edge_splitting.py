@@ -1,8 +1,8 @@
-"""Corridors that run past a junction which another run knows, replaced by their parts.
+"""Splitting corridors at junctions that their own run missed.
 
-A run that misses a junction draws one long corridor through it. Where the junction is known from
-another run the long corridor is the short ones, driven without noticing: by the branches it shares
-with them at both ends, or by the path it took.
+A run that misses a junction maps one long corridor through it. Where another run knows the
+junction, the long corridor is replaced by its parts, which are recognised by the branches at both
+ends or by the path.
 """
 
 from __future__ import annotations
@@ -27,17 +27,18 @@ class PassageSettings:
     """When a corridor passes through a junction that its run did not see."""
 
     pass_m: float = 0.8
-    """It does if the junction is no further from its path than this …"""
+    """The junction is within this distance of the corridor's path …"""
     pass_end_m: float = 1.2
-    """… and at least this far from both of its ends along the path …"""
+    """… at least this far along it from both ends …"""
     pass_rad: float = 0.6
-    """… and has branches along the path both ways within this angle."""
+    """… and has branches in both directions of the path within this angle."""
     junction_m: float = 0.3
-    """A corridor past a junction is this much longer or shorter than its parts, 1 sigma."""
+    """Standard deviation of a corridor's length against the sum of its parts, per missed
+    junction."""
     deepest: int = 4
-    """Junctions missed in one corridor, at most, where its branches tell."""
+    """Limit on junctions missed in one corridor, where its branches identify the parts."""
     rounds: int = 5
-    """Rounds of replacing: the parts of one corridor may be replaced in the next."""
+    """Limit on rounds: the parts of one corridor may be split in the next."""
 
 
 PASSAGE = PassageSettings()
@@ -46,12 +47,12 @@ PASSAGE = PassageSettings()
 def split_at_places(
     corridors: list[Corridor], place_xy: FloatArray, branches: list[FloatArray]
 ) -> list[Corridor]:
-    """Replace corridors that run through known places by the corridors between those.
+    """Replace corridors through known places by the corridors between those.
 
-    place_xy: (p, 2); branches: headings of every place, in the frame of the corridors. A part that
-    is known already takes the long corridor in as a member; a part that no run drove from junction
-    to junction becomes a corridor of its own. Where no part is known, or a place has no branches
-    along the path, the corridor stays whole.
+    place_xy: (p, 2) [m]; branches: headings of every place [rad], in the frame of the corridors.
+    The long corridor becomes a member of each part that is known; a part that no run drove on its
+    own becomes a new corridor. A corridor stays whole if none of its parts is known, or if a place
+    has no branches along its path.
     """
     world = _World(cKDTree(place_xy) if len(place_xy) else None, place_xy, branches)
     for _ in range(PASSAGE.rounds):
@@ -66,8 +67,8 @@ def split_at_places(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _World:
-    """The places that corridors may run through, and the parts of those corridors that were looked
-    at: most of them stay as they are from round to round."""
+    """The places at which corridors may be split; known: the parts of corridors computed so far,
+    since most stay the same from round to round."""
 
     tree: Any
     xy: FloatArray
@@ -75,14 +76,15 @@ class _World:
     known: dict[Corridor, list[Corridor]] = field(default_factory=dict)
 
     def parts(self, c: Corridor) -> list[Corridor]:
-        """`_parts`, worked out once."""
+        """`_parts`, cached."""
         if c not in self.known:
             self.known[c] = _parts(c, self)
         return self.known[c]
 
 
 def _replaced_once(corridors: list[Corridor], world: _World) -> list[Corridor]:
-    """One round: shortest corridors first; one that is a part of another waits for the next."""
+    """One round, shortest corridors first; a corridor that became a part of another waits for the
+    next round."""
     index, leaving = _by_ends(corridors), _by_branch(corridors)
     gone: set[int] = set()
     busy: dict[int, list[Corridor]] = {}
@@ -116,7 +118,7 @@ def _by_ends(corridors: list[Corridor]) -> dict[tuple[int, int], list[int]]:
 
 @dataclass(frozen=True, slots=True)
 class _Way:
-    """A corridor as it leaves a place: its number, and the place and branch it leads to."""
+    """A corridor as it leaves a place: its index, and the place and branch at its other end."""
 
     number: int
     place: int
@@ -124,7 +126,7 @@ class _Way:
 
 
 def _by_branch(corridors: list[Corridor]) -> dict[int, list[tuple[int, _Way]]]:
-    """For every place the corridors that leave it: (branch, way)."""
+    """For every place its corridors: (branch, way)."""
     out: dict[int, list[tuple[int, _Way]]] = {}
     for k, c in enumerate(corridors):
         out.setdefault(c.u, []).append((c.branch_u, _Way(k, c.v, c.branch_v)))
@@ -137,8 +139,8 @@ def _chain(
 ) -> tuple[int, ...]:
     """Known corridors that together are this one: same first and last branch, same length.
 
-    A branch leads into one corridor only, so a shorter corridor that leaves by the same branch ends
-    at a junction on the way. Of several chains the one nearest in length; () if there is none.
+    Only one corridor leaves by a branch, so that a shorter one by the same branch ends at a
+    junction on the way. Of several chains the one nearest in length; () if there is none.
     """
     c = corridors[number]
     if NO_BRANCH in {c.branch_u, c.branch_v} or c.u == c.v:
@@ -157,7 +159,8 @@ def _chain(
 def _chains(
     c: Corridor, number: int, corridors: list[Corridor], leaving: dict[int, list[tuple[int, _Way]]]
 ) -> Iterator[tuple[int, ...]]:
-    """All chains of corridors from one end of a corridor to the other by its own branches."""
+    """All chains of corridors from one end of a corridor to the other, by its own first and last
+    branch."""
     longest = 1.2 * c.length + 1.0
     stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
     while stack:
@@ -185,7 +188,8 @@ def _with_extra(c: Corridor, parts: list[Corridor]) -> Corridor:
 def _known_part(
     part: Corridor, number: int, corridors: list[Corridor], index: dict[tuple[int, int], list[int]]
 ) -> int | None:
-    """The corridor that is already known between the ends of a part, by the same branches."""
+    """The existing corridor between the ends of a part by the same branches, None if there is
+    none."""
     p = oriented(part)
     for k in index.get((p.u, p.v), []):
         if k != number and same_corridor([corridors[k]], p):
@@ -194,7 +198,7 @@ def _known_part(
 
 
 def _parts(c: Corridor, world: _World) -> list[Corridor]:
-    """The corridor cut at the places its path runs through; itself alone if there are none."""
+    """The corridor split at the places on its path; itself alone if there are none."""
     way = way_of(c.path)
     if way[-1] < 2 * PASSAGE.pass_end_m:
         return [c]
@@ -214,7 +218,8 @@ def _parts(c: Corridor, world: _World) -> list[Corridor]:
 
 
 def _along(points: FloatArray, at: int, headings: FloatArray) -> tuple[int | None, int | None]:
-    """The branches of a place by which a path through it comes in and goes on."""
+    """The branches by which a path through a place enters and leaves it, None without a fitting
+    one."""
     if len(headings) == 0:
         return None, None
     low, high = max(at - 4, 0), min(at + 4, len(points) - 1)
@@ -233,7 +238,8 @@ def _cut(
     points: FloatArray,
     drawn_length: float,
 ) -> list[Corridor]:
-    """The corridor in parts, each from one place to the next; lengths in proportion to the path."""
+    """The corridor split at (distance, place, branches back and on, point index); lengths in
+    proportion to the path."""
     scale = c.length / drawn_length
     stops = [(0.0, c.u, NO_BRANCH, c.branch_u, 0), *cuts]
     stops.append((drawn_length, c.v, c.branch_v, NO_BRANCH, len(points) - 1))

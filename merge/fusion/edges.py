@@ -1,8 +1,7 @@
-"""Corridors of several runs that are one: fused where they join the same places the same way.
+"""Fusion of corridors of several runs between the same places.
 
-§4: "estimates of path lengths can be updated by combining the measurements from the two maps";
-here by inverse variance. Parallel corridors differ in their branches or their lengths and stay
-apart.
+§4: "estimates of path lengths can be updated by combining the measurements from the two maps", here
+by inverse variance. Parallel corridors differ in their branches or their lengths and stay apart.
 """
 
 from __future__ import annotations
@@ -27,31 +26,32 @@ class CorridorSettings:
     """When corridors agree in length."""
 
     agree_sigmas: float = 4.0
-    """Lengths agree within so many sigmas of their difference …"""
+    """Lengths agree within this many standard deviations of their difference …"""
     agree_m: float = 0.4
     """… or within this …"""
     agree_share: float = 0.05
     """… plus this share of the length."""
 
     def allowed_m(self, length: float, sigma: float) -> float:
-        """How far lengths may differ, of which the shorter is so long and sigma that of the
-        difference."""
+        """Largest difference of agreeing lengths [m]. length: of the shorter corridor; sigma: of
+        the difference."""
         return max(self.agree_m + self.agree_share * length, self.agree_sigmas * sigma)
 
 
 CORRIDOR = CorridorSettings()
 
 SHORTEST_M = 1e-3
-"""Lengths are positive, also of a corridor whose ends were one place to the millimetre."""
+"""Lower bound of lengths, for corridors whose ends coincide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corridor:
-    """A corridor between two places: ends in ascending (place, branch), path from u to v.
+    """A corridor between two places, with ends in ascending order of (place, branch) and its path
+    from u to v.
 
-    sigma: as each run knows its ends by itself [m]; shared: of it, what all runs' lengths are off
-    by alike; way: of it, what is left where the ends and the scales of the runs are known
-    (`way_sigma`). members: (run, edge) pairs, sorted. Branches are those of the fused places.
+    sigma: of the length as in the run's map [m]; shared: the part of it that is common to all runs;
+    way: the part that remains if the ends and the runs' scales are known (`way_sigma`). members:
+    (run, edge) pairs, sorted. Branches are those of the fused places.
     """
 
     u: int
@@ -70,7 +70,7 @@ class Corridor:
 def corridors_of(
     pool: Pool, label: IntArray, pose: FloatArray, place_xy: FloatArray, branch_of: list[IntArray]
 ) -> list[Corridor]:
-    """Every corridor of every run, drawn between the fused places.
+    """Every corridor of every run, with its path between the fused places.
 
     branch_of: for each row of the pool, the fused branch of each of its branches.
     """
@@ -87,7 +87,7 @@ def corridors_of(
         )
         told = zip(*(column.tolist() for column in columns), strict=True)
         for e, (s, t, i, j, length, sigma, traversals, own) in enumerate(told):
-            # All runs told where the ends lie: the length changes by what its path is bent by.
+            # The ends are fused over all runs: the length changes as that of its path.
             bent = float(way_of(drawn[e])[-1] - ways[e][-1])
             corridor = Corridor(
                 u=home[s],
@@ -109,10 +109,11 @@ def corridors_of(
 def _drawn(
     m: TopoMap, ways: Sequence[FloatArray], turn: FloatArray, place: FloatArray
 ) -> list[FloatArray]:
-    """The paths of a run's map in the component's frame, their ends on the fused places.
+    """The paths of a run's map in the component's frame, with their ends at the fused places.
 
-    Both ends carry a path along rigidly; in between they hand over in proportion to the way.
-    ways: `way_of` each path; turn: (n,) [rad] and place: (n, 2) of the run's vertices there.
+    A path is moved rigidly with its source and with its target, and interpolated between both in
+    proportion to the distance. ways: `way_of` each path; turn: (n,) [rad] and place: (n, 2) [m], of
+    the run's vertices in that frame.
     """
     if not m.paths:
         return []
@@ -136,9 +137,9 @@ def oriented(c: Corridor) -> Corridor:
 
 
 def fuse_corridors(corridors: Iterable[Corridor]) -> list[Corridor]:
-    """Corridors that join the same places by the same branches and agree in length made one.
+    """Fuse corridors that join the same places by the same branches and agree in length.
 
-    A corridor of which a branch is unknown joins the nearest in length that fits what is known.
+    A corridor with an unknown branch joins the nearest in length that its known branches fit.
     """
     known = sorted(corridors, key=_order)
     out: dict[tuple[int, int], list[list[Corridor]]] = {}
@@ -154,16 +155,16 @@ def fuse_corridors(corridors: Iterable[Corridor]) -> list[Corridor]:
 
 
 def _order(c: Corridor) -> tuple[object, ...]:
-    """Known branches first, then by ends, certainty and provenance."""
+    """Known branches first, then by ends, uncertainty and members."""
     unknown = (c.branch_u == NO_BRANCH) + (c.branch_v == NO_BRANCH)
     return (unknown, c.u, c.v, c.branch_u, c.branch_v, c.sigma, c.members)
 
 
 def same_corridor(bundle: list[Corridor], c: Corridor) -> bool:
-    """Whether a corridor between the same places is that of a bundle: branches and length.
+    """Whether a corridor between the same places belongs to a bundle, by branches and length.
 
-    A branch leads into one corridor only: one that is the same is enough if the other end was seen
-    differently. Where branches are unknown the length decides.
+    Only one corridor leaves by a branch: one equal branch is enough if the other one differs. With
+    unknown branches only the length decides.
     """
     lead = bundle[0]
     ends = ((lead.branch_u, c.branch_u), (lead.branch_v, c.branch_v))
@@ -184,9 +185,10 @@ def _mean_length(bundle: list[Corridor]) -> float:
 
 
 def _combined(bundle: list[Corridor]) -> Corridor:
-    """One corridor of several: lengths by inverse variance (§4), path of the best measured.
+    """One corridor of several: lengths by inverse variance (§4), the path of the least uncertain.
 
-    With weights w, what they are off by alike stands, of which the mean otherwise keeps w².
+    The error common to all runs is not reduced: of its variance the weighted mean of independent
+    errors already holds Σ w² (normalised weights w), the rest is added.
     """
     if len(bundle) == 1:
         return bundle[0]

@@ -1,6 +1,6 @@
-"""Maps and accepted verdicts to one fused map (§4).
+"""Fusion of maps by accepted verdicts into one map (§4).
 
-Works on any method's verdicts: only the matched vertices and transforms of accepted pairs count.
+Independent of the method: only matched vertices and transforms of accepted pairs are used.
 """
 
 from __future__ import annotations
@@ -42,13 +42,15 @@ def fuse(
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
 
-    A component's frame is that of its first run by name. Positions come from one joint pose graph
-    over all vertices of a component; vertices are fused from matched pairs, transitively, and
-    where they coincide afterwards. Components, vertices and edges are numbered by run name and
-    vertex: independent of the order of the input. A run that nothing matched is a component of
-    its own, its map unchanged. asked: with the sigmas of all vertices, and the `spread` of every
-    component for its accepted pairs and these; None: without. kept: components fused earlier, which
-    are not fused again.
+    A component's frame is that of its first run by name. Positions are from one joint pose graph
+    over all vertices of a component; vertices are fused by matched pairs, transitively, and where
+    they coincide afterwards. Components, vertices and edges are numbered by run name and vertex,
+    independent of the input's order. A run without a match is a component of its own, with its map
+    unchanged.
+
+    asked: also compute the sigmas of all vertices, and every component's `spread` for its accepted
+    pairs and these; None: neither. kept: store of components fused before, which are not fused
+    again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -83,8 +85,8 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
 
 
 def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Names]) -> IntArray:
-    """The pairs of runs of a component of which is said how surely they lie to each other, as
-    `Spread` has them."""
+    """Keys as in `Spread` of the pairs whose relative covariance is wanted: accepted ones and those
+    asked for."""
     number, count = {run: k for k, run in enumerate(runs)}, len(runs)
     pairs = {(v.a, v.b) for v in inside}.union(asked)
     return np.array(sorted(number[a] * count + number[b] for a, b in pairs), np.int64)
@@ -93,7 +95,7 @@ def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Na
 def fused_once(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], sure: IntArray | None, kept: Kept | None
 ) -> FusedComponent:
-    """`fuse_component` of maps sorted by run, or what is kept of when it was done before."""
+    """`fuse_component` of maps sorted by run, cached in `kept`."""
     if kept is None:
         return fuse_component(maps, inside, sure)
     asked = None if sure is None else sure.tobytes()
@@ -107,7 +109,7 @@ def fused_once(
 
 
 def _text(fused: FusedMap, digest: bytes, maps: Sequence[TopoMap], kept: Kept) -> bytes:
-    """What the document says of the places of a component, which has a digest."""
+    """The document text of the places of a component, cached by its digest."""
     key = digest, digested(*(f"{m.run}\n".encode() for m in maps))
     text = kept.find(Kind.TEXT, key)
     if text is None:
@@ -117,8 +119,8 @@ def _text(fused: FusedMap, digest: bytes, maps: Sequence[TopoMap], kept: Kept) -
 
 
 def _tells(found: FusedComponent, sure: IntArray | None) -> bool:
-    """Whether a component that was kept says of all pairs that are asked for how surely they lie:
-    one of a single run has none."""
+    """Whether a cached component has the covariances of all pairs asked for; one of a single run
+    has none."""
     return sure is None or found.spread is None or np.array_equal(found.spread.key, sure)
 
 
@@ -128,9 +130,9 @@ def component_digest(
     inside: Sequence[PairVerdict],
     asked: bytes | None = None,
 ) -> bytes:
-    """Changes with whatever a component follows from: the content of its maps, in the order of
-    their names, and what joins them, the strongest first; and with what is asked of it. Not with
-    names or evidence."""
+    """A digest of everything that a component depends on: the contents of its maps in order of
+    name, the matches that join them, strongest first, and the covariances asked for; not of names
+    or evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
     out = hashlib.blake2b(repr(asked).encode(), digest_size=DIGEST)
     out.update(b"".join(digests))
@@ -144,8 +146,8 @@ def component_digest(
 def fuse_component(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], sure: IntArray | None = None
 ) -> FusedComponent:
-    """One component. inside: accepted verdicts, all between its runs, that join them; sure: the
-    pairs of its `spread`, None where not even the sigmas of its vertices are asked for."""
+    """Fuse one component. inside: accepted verdicts between its runs, which connect them; sure:
+    keys of its `spread`, None to compute no sigmas."""
     pool = Pool.of(maps)
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
@@ -169,7 +171,7 @@ def fuse_component(
     own = {run: poses[run] for run in sorted(poses)}
     if sure is None:
         return FusedComponent(own, fused)
-    if joint.graph is None or joint.solution is None:  # of one run what its map says
+    if joint.graph is None or joint.solution is None:  # one run: the sigmas of its map
         return FusedComponent(own, replace(fused, position_sigma=pool.maps[0].position_sigma))
     errors = spread(pool, label, joint.graph, joint.solution, sure)
     sigmas = fused_sigmas(pool, label, joint.graph, joint.solution, corridors)
@@ -181,7 +183,7 @@ def fuse_component(
 def _settle(
     pool: Pool, groups: Groups, start: Mapping[str, FloatArray], matched: Sequence[tuple[str, str]]
 ) -> Joint:
-    """Optimise, fuse what coincides, and again until nothing more does."""
+    """Optimise and fuse coincident vertices alternately, until there are none."""
     if len(pool.maps) < 2:
         return settle(pool, groups.labels(), start)
     within = measured_within(pool)
@@ -196,14 +198,14 @@ def _settle(
 
 
 def _place_positions(pool: Pool, label: IntArray, pose: FloatArray) -> FloatArray:
-    """(places, 2) mean positions, weighted by passes."""
+    """(places, 2) mean positions [m], weighted by passes."""
     weight = pass_counts(pool).astype(np.float64)
     total = np.bincount(label, weight)
     columns = [np.bincount(label, weight * pose[:, k]) / total for k in (0, 1)]
     return np.stack(columns, axis=-1)
 
 
-# --- places and corridors as a map, and everything in one row -------------------------------------
+# --- places and corridors as a map, and the concatenation of components ---------------------------
 
 
 def _fused_map(
@@ -233,7 +235,7 @@ def _fused_map(
 
 
 def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
-    """All components in one FusedMap, vertices numbered through."""
+    """All components concatenated into one FusedMap, with consecutive vertex numbers."""
     sizes = [len(p) for p in parts]
     first = np.cumsum([0, *sizes])[:-1].repeat([len(p.source) for p in parts])
 
@@ -268,7 +270,7 @@ def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
 
 
 def _sigmas_in_a_row(parts: Sequence[FusedMap]) -> FloatArray | None:
-    """NaN for components that say nothing; None if none does."""
+    """Concatenated sigmas, NaN for components without; None if none has any."""
     if all(p.position_sigma is None for p in parts):
         return None
     nothing = (np.full(len(p), np.nan) for p in parts)

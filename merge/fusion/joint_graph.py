@@ -1,9 +1,9 @@
-"""One pose graph over all runs of a component: where every vertex lies when all maps count.
+"""The joint pose graph of all runs of a component, which gives the positions of all vertices.
 
-Every vertex of every run is a pose: its position, and how far the run's map is turned there
-against the component. Corridors are relative measurements within a run, with sigmas from the
-run's noise and one scale for all of them; vertices that are one place are tied by relative
-measurements across runs.
+Every vertex of every run is a pose: its position, and the rotation of the run's map there against
+the component. Corridors are relative measurements within a run, with covariances from the run's
+noise and one common scale error; vertices of one place are connected by relative measurements
+between runs.
 """
 
 from __future__ import annotations
@@ -32,55 +32,57 @@ from .vertex_partition import Pool
 
 @dataclass(frozen=True, slots=True)
 class JointSettings:
-    """Sigmas that maps do not state, and how much a false match may pull."""
+    """Standard deviations that maps do not state, and the robust kernel of identities."""
 
     min_position_m: float = 0.01
-    """No two maps agree better than this on where a junction's centre is, 1 sigma."""
+    """Lower bound of the uncertainty of a junction's centre between two maps."""
     min_heading_rad: float = 0.01
-    """Nor on the direction of its branches."""
+    """Lower bound of the uncertainty of a rotation between two maps, by branches of one
+    junction."""
     branch_gate_rad: float = 0.6
-    """Branches further apart than this do not measure the turn between two maps."""
+    """Gate on branches that measure the rotation between two maps."""
     bridge_m: float = 1.0
-    """Parts of one map that no corridor joins keep their places to this, 1 sigma …"""
+    """Standard deviation of the relative position of parts of one map that no corridor connects
+    …"""
     bridge_rad: float = 0.1
-    """… and their directions to this."""
+    """… and of their relative heading."""
     scaled_runs: int = 24
-    """Up to so many runs the scale of each run's odometry is estimated, too: unknowns that many
-    measurements share cost memory and time by the square of their number."""
+    """Up to this many runs each odometry's scale is estimated as well; memory and time grow with
+    the square of their number."""
     min_scale: float = 1e-6
-    """No odometry's scale is known better than this: 0.1 mm in 100 m. It keeps information finite;
-    a run whose odometry does not err states 2e-5 to 1e-4."""
+    """Lower bound of the scale's standard deviation, 0.1 mm in 100 m, which keeps information
+    finite; runs without odometry errors state 2e-5 to 1e-4."""
     kernel_sigmas: float = 3.0
-    """Identities count by a Cauchy kernel of this width: a false one gives way."""
+    """Width of the Cauchy kernel of identities, which limits the influence of false ones."""
     grid_rad: float = 0.035
-    """Where every map lies on one grid, corridors keep to it within this, 1 sigma: what strays
-    farther is none. As far as …"""
+    """Prior standard deviation of corridors about the grid of a rectilinear building …"""
     grid_junctions: float = 20.0
-    """… so many junctions say; the maps' own junctions tell the rest …"""
+    """… with the weight of this many junctions, against those of the maps …"""
     min_grid_rad: float = 0.01
-    """… down to this."""
+    """… and its lower bound."""
     grid_gate_rad: float = 0.26
-    """Maps whose grids differ by more than this, as first laid out, do not share one."""
+    """Gate on the difference of the maps' grid directions in the initial layout, beyond which there
+    is no common grid."""
 
 
 JOINT = JointSettings()
 
 _SAMPLES = 64
-"""Samples of the errors of a map's vertices: their mean square has an error of a few per cent."""
+"""Number of samples of the vertices' errors; their mean square has an error of a few per cent."""
 
 _LEAST_BEND = 0.03
 """Lower bound of the share of a map's stated variances that bending explains: they are estimated
 from 256 samples, and known no better."""
 
 SOLVER = SolverSettings(relative_tolerance=1e-5, max_iterations=25)
-"""Cauchy kernels converge slowly in their last digits, which are far below a millimetre."""
+"""Cauchy kernels converge slowly; the remaining error is far below a millimetre."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """Poses (n, 3) of all rows of a pool in the component's frame (position, and turn of the run's
-    map there), and the graph that gave them with its solution in a frame of its own; None where no
-    place ties two runs."""
+    """Poses (n, 3) of all rows of a pool in the component's frame (position, and rotation of the
+    run's map there), and the graph with its solution, in a frame of its own; None if no place
+    connects two runs."""
 
     pose: FloatArray
     graph: PoseGraph | None
@@ -88,9 +90,10 @@ class Joint:
 
 
 def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str, FloatArray]:
-    """A first T_component_run of every run along the strongest accepted verdicts.
+    """An initial T_component_run of every run, along a maximum spanning tree of accepted verdicts
+    by evidence.
 
-    The frame is that of the first run by name; runs that no verdict reaches are left out.
+    The frame is that of the first run by name; runs that are not connected to it are left out.
     """
     of: dict[str, list[tuple[float, str, str, FloatArray]]] = {}
     for v in verdicts:
@@ -101,7 +104,7 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
     start = min(runs)
     poses, ahead = {start: np.zeros(3)}, list(of.get(start, ()))
     heapq.heapify(ahead)
-    while ahead:  # Prim: the strongest verdict that reaches a new run
+    while ahead:  # Prim's algorithm: the strongest verdict that reaches a new run
         _, a, b, T_a_b = heapq.heappop(ahead)
         if a in poses and b in poses:
             continue
@@ -116,11 +119,11 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
 def settle(
     pool: Pool, label: IntArray, start: Mapping[str, FloatArray], within: Measurements | None = None
 ) -> Joint:
-    """The most likely poses of all rows of a pool.
+    """The maximum-likelihood poses of all rows of a pool.
 
-    label: (n,) the place of each row; start: T_component_run of every run; within:
-    `measured_within` of the pool, where it is known. The frame is chosen so that the first run,
-    laid rigidly over its optimised vertices, does not move.
+    label: (n,) place of each row; start: T_component_run of every run; within: `measured_within` of
+    the pool, if computed before. The frame is chosen so that the rigid fit of the first run's map
+    to its optimised vertices is the identity.
     """
     guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
     ties = _identity_factors(pool, label, guess)
@@ -147,12 +150,12 @@ def settle(
 
 
 def measured_within(pool: Pool) -> Measurements:
-    """What every run measured between its own rows."""
+    """The relative measurements of every run between its own rows."""
     return joined([_map_factors(m, pool.first[m.run]) for m in pool.maps])
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
-    """T_component_run of every run: its map laid rigidly over its optimised vertices."""
+    """T_component_run of every run: the rigid fit of its map to its optimised vertices."""
     out = {}
     for m in pool.maps:
         rows = slice(pool.first[m.run], pool.first[m.run] + len(m))
@@ -162,7 +165,7 @@ def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:
 
 
 def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
-    """Rigid transform from map positions to poses; the poses' own turns decide for one vertex."""
+    """The rigid fit of map positions to poses; for a single position by the poses' own heading."""
     if len(xy) == 0:
         return np.zeros(3)
     if len(xy) > 1 and np.ptp(xy, axis=0).max() > 0:
@@ -178,7 +181,7 @@ def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
 
 
 def _map_factors(topomap: TopoMap, first: int) -> Measurements:
-    """The corridors of one map as relative measurements, from row `first` of the pool on."""
+    """The corridors of one map as relative measurements; `first`: its first row in the pool."""
     given = odometry_measurements(topomap)
     information = given.information / bending(topomap)
     roads = Measurements(given.source + first, given.target + first, given.measurement, information)
@@ -186,14 +189,14 @@ def _map_factors(topomap: TopoMap, first: int) -> Measurements:
 
 
 def bending(topomap: TopoMap) -> float:
-    """Factor on the variances of a map's corridors that makes its vertices as uncertain as its
+    """Factor on the variances of a map's corridors with which its vertices are as uncertain as its
     document states (`position_sigma`).
 
-    The variances of corridors hold random walks and the scatter of passes. Constant errors of the
-    odometry (a bias or a scale of turns) bend a map as well, and are in the `position_sigma` of its
-    vertices. So is how each vertex's centre was seen, less what laying the map rigidly over the
-    truth takes of that: 3 of the 2 n errors of n vertices, as much as all of the bending on good
-    odometry.
+    The corridors' variances are of random walks and of the scatter of passes. The `position_sigma`
+    of vertices also holds constant errors of the odometry, which bend the map (a bias, a scale of
+    turns), and the error of each centre. The latter is subtracted, less the part that a rigid fit
+    to the truth absorbs: 3 of the 2 n errors of n vertices, which with good odometry is as much as
+    all bending.
     """
     if topomap.position_sigma is None or len(topomap) < 3:
         return 1.0
@@ -213,7 +216,7 @@ def bending(topomap: TopoMap) -> float:
 
 
 def _bridges(topomap: TopoMap, first: int) -> Measurements:
-    """Loose measurements between the parts of a map that no corridor joins."""
+    """Loose measurements between parts of a map that no corridor connects."""
     part = connected(topomap.source, topomap.target, len(topomap))
     anchor = np.unique(part, return_index=True)[1]
     u, v = anchor[:-1], anchor[1:]
@@ -224,15 +227,15 @@ def _bridges(topomap: TopoMap, first: int) -> Measurements:
 
 
 def usual_scale(maps: Sequence[TopoMap]) -> float:
-    """1 sigma of the scales of a component's odometries, which all its runs tell together, in the
-    mean square: robots of one fleet are alike, and few runs can see their own."""
+    """Root mean square of the runs' scale errors (relative, standard deviation): robots of one
+    fleet are alike, and few runs can measure their own."""
     return float(np.sqrt(np.mean([m.measured.scale**2 for m in maps])))
 
 
 def _scales(pool: Pool, factors: Measurements, within: int) -> SharedErrors:
-    """The scale of each run's odometry: one unknown that all its measurements share.
+    """The scale error of each run's odometry, as one unknown shared by all its measurements.
 
-    within: how many of the factors, the first ones, are measurements within a run.
+    within: the first so many factors are measurements within a run.
     """
     count = len(pool.maps)
     if count > JOINT.scaled_runs:
@@ -245,7 +248,8 @@ def _scales(pool: Pool, factors: Measurements, within: int) -> SharedErrors:
 
 
 def _identity_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measurements:
-    """Every further row of a place tied to its first: same position, turn as the branches say."""
+    """Measurements from the first row of each place to its other rows: same position, and a
+    rotation by the branches."""
     order = np.argsort(label, kind="stable")
     first = order[np.searchsorted(label[order], label[order])]
     source, target = first[first != order], order[first != order]
@@ -268,10 +272,10 @@ def _identity_factors(pool: Pool, label: IntArray, guess: FloatArray) -> Measure
 
 
 def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
-    """Headings of all rows where every map is rectilinear and their grids agree.
+    """Heading priors of all rows, if every map is rectilinear and their grids agree.
 
-    In a rectilinear building the directions of corridors are known up to quarter turns (§2.3), so
-    a heading does not drift from map to map.
+    In a rectilinear building the directions of corridors are known up to quarter turns (§2.3),
+    which stops the drift of headings from map to map.
     """
     grids = [grid_direction(m.branches.values) for m in pool.maps]
     if any(g is None for g in grids):
@@ -297,11 +301,11 @@ def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
 
 
 def grid_sigma(off_rad: FloatArray, spread_rad: FloatArray, run: IntArray) -> float:
-    """How truly a building keeps to its grid, 1 sigma [rad], by what its maps show of it.
+    """Standard deviation of a building's corridors about its grid [rad], estimated from its maps.
 
-    off_rad, spread_rad: (k,) means of the branches of each row off the grid, and their noise; run:
-    (k,) their runs, each of which may be turned as a whole. The sample variance beyond noise is
-    shrunk towards the settings as by so many more junctions.
+    off_rad, spread_rad: (k,) mean deviation of each row's branches from the grid, and its noise;
+    run: (k,) their runs, each of which has a rotation of its own. The sample variance beyond noise
+    is shrunk towards the prior, which has the weight of `grid_junctions`.
     """
     count = np.maximum(np.bincount(run), 1)
     own = off_rad - (np.bincount(run, off_rad) / count)[run]
@@ -314,10 +318,12 @@ def grid_sigma(off_rad: FloatArray, spread_rad: FloatArray, run: IntArray) -> fl
 def measured_turn(
     heading_a: FloatArray, heading_b: FloatArray, expected_rad: FloatArray, gate_rad: float
 ) -> tuple[FloatArray, IntArray]:
-    """Turn of frame b in frame a from branches of one place seen in both, and how many told it.
+    """The rotation of frame b in frame a by the branches of one place seen in both, and the number
+    of branches used.
 
-    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) the turn
-    to within the gate. Mutually nearest branches within the gate measure it: mean of a minus b.
+    heading_a, heading_b: (k, D) padded with NaN, each in its own map; expected_rad: (k,) the
+    rotation to within the gate. Mean difference a - b over mutually nearest branches within the
+    gate.
     """
     if not (heading_a.size and heading_b.size):
         return expected_rad.copy(), np.zeros(len(expected_rad), np.int64)
@@ -331,7 +337,7 @@ def measured_turn(
 
 
 def branch_headings(pool: Pool) -> FloatArray:
-    """(n, D) branch headings of all rows in their own maps, NaN where there are no more."""
+    """(n, D) branch headings of all rows in their own maps, padded with NaN."""
     rows = [padded_branches(m) for m in pool.maps]
     width = max((r.shape[1] for r in rows), default=0)
     return np.concatenate(
@@ -340,15 +346,15 @@ def branch_headings(pool: Pool) -> FloatArray:
 
 
 def centre_sigma(pool: Pool) -> FloatArray:
-    """(n,) 1 sigma [m] per axis of the centre of each row as its map saw it."""
+    """(n,) standard deviation per axis of each row's centre as seen by its own map [m]."""
     one = np.array([m.measured.centre_m for m in pool.maps])[pool.run]
     least = JOINT.min_position_m / np.sqrt(2)
     return np.asarray(np.maximum(one / np.sqrt(pass_counts(pool)), least))
 
 
 def shared_sigma(pool: Pool) -> FloatArray:
-    """(n,) 1 sigma [m] per axis of what all passes by each row are off by alike: as the
-    median one of its run, but no more than its map states of all errors there."""
+    """(n,) standard deviation per axis of the error common to all passes of each row [m]: the run's
+    median, but at most what its map states for all errors there."""
     alike = np.array([m.measured.shared_centre_m for m in pool.maps])[pool.run]
     stated = [
         np.full(len(m), np.inf) if m.position_sigma is None else m.position_sigma for m in pool.maps
@@ -357,5 +363,5 @@ def shared_sigma(pool: Pool) -> FloatArray:
 
 
 def pass_counts(pool: Pool) -> IntArray:
-    """(n,) passes by every row, at least 1."""
+    """(n,) passes of every row, at least 1."""
     return np.asarray(np.maximum(np.concatenate([m.passes for m in pool.maps]), 1), np.int64)

@@ -1,4 +1,4 @@
-"""Fused places: what several visits by several runs say of one junction."""
+"""Fused places: branches and kind of a junction from several visits by several runs."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .vertex_partition import Pool
 
 @dataclass(frozen=True, slots=True)
 class PlaceSettings:
-    """Which branches of a fused place are one, and which are believed."""
+    """Which branches of a fused place are one, and which are kept."""
 
     branch_gate_rad: float = 0.6
-    """Branches of one place seen by different runs are one within this angle."""
+    """Gate on branches of one place in different runs."""
     min_branch_share: float = 0.3
-    """A branch that nobody drove stays if this share of the passes saw it."""
+    """A branch that was never driven is kept if this share of the passes saw it."""
 
 
 PLACE = PlaceSettings()
@@ -34,7 +34,7 @@ class Place:
 
     rows: its members in the pool; headings: (d,) branches in the component's frame [rad],
     ascending; branch_of: for each row, the fused branch of each of its own branches, NO_BRANCH for
-    one that was not believed; kind: what most passes say it is.
+    one that was dropped; kind: that of most passes.
     """
 
     rows: list[int]
@@ -73,7 +73,7 @@ def fused_places(pool: Pool, label: IntArray, pose: FloatArray) -> list[Place]:
 
 
 def _driven(pool: Pool) -> list[set[int]]:
-    """For each row the branches by which a corridor was driven."""
+    """For each row the branches that a corridor leaves by."""
     out: list[set[int]] = [set() for _ in range(len(pool))]
     for m in pool.maps:
         first = pool.first[m.run]
@@ -87,10 +87,10 @@ def _driven(pool: Pool) -> list[set[int]]:
 def _clusters(
     pool: Pool, rows: list[int], pose: FloatArray, visits: IntArray
 ) -> list[list[_Sighting]]:
-    """Branches of all rows of a place on one circle.
+    """Clusters of the branches of all rows of a place.
 
-    The row with the most passes begins; the branches of the others go to the nearest one not yet
-    taken by the same row, or are new.
+    Rows are taken by number of passes; each branch joins the nearest cluster that has none of its
+    row yet, or starts a new one.
     """
     clusters: list[list[_Sighting]] = []
     for row in sorted(rows, key=lambda r: (-int(visits[r]), r)):
@@ -110,7 +110,7 @@ def _clusters(
 def _believed(
     clusters: list[list[_Sighting]], rows: list[int], visits: IntArray, driven: list[set[int]]
 ) -> list[list[_Sighting]]:
-    """Branches that somebody drove or enough passes saw."""
+    """Clusters with a branch that was driven, or that enough passes saw."""
     enough = PLACE.min_branch_share * float(visits[rows].sum())
     return [
         c
@@ -129,7 +129,7 @@ def _mean(cluster: list[_Sighting]) -> float:
 
 
 def _assigned(headings: FloatArray, centres: FloatArray, gate_rad: float) -> list[int | None]:
-    """For each heading the centre it belongs to: nearest pairs first, each used once."""
+    """For each heading its centre: greedy assignment of nearest pairs, None beyond the gate."""
     out: list[int | None] = [None] * len(headings)
     if len(centres) == 0:
         return out
@@ -150,7 +150,7 @@ def _degree(pool: Pool, row: int) -> int:
 
 
 def _kind(pool: Pool, rows: list[int], visits: IntArray) -> str:
-    """The kind that most passes speak for; ties go to the first run."""
+    """The kind of most passes; in a tie that of the first run."""
     count: Counter[str] = Counter()
     for row in rows:
         count[pool.maps[int(pool.run[row])].kind[int(pool.vertex[row])]] += int(visits[row])

@@ -1,8 +1,7 @@
-"""Turning points of the runs of a component, at the junctions of its fused map.
+"""Turning points of a component's runs, attached to the junctions of its fused map.
 
-Where a robot turns round is its own choice: a turning point makes no two places one, and is known
-from its junction alone. Of runs that drove by the same branch the deepest tells where the way ends;
-where a corridor leaves by that branch, another run drove on, and there is none.
+Where a robot turns round is arbitrary, so that turning points do not identify places. One is
+dropped where a corridor leaves by its branch, since another run drove on there.
 """
 
 from __future__ import annotations
@@ -27,11 +26,11 @@ from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run, fused_of
 
 DRAWING = MapBuildingSettings()
-"""As in the maps of single runs."""
+"""The settings of single runs' maps."""
 
 
 class _End(NamedTuple):
-    """Turning point `row` of a map, drawn from a fused vertex in its component's frame."""
+    """Turning point `row` of a map, attached to a fused vertex, in its component's frame."""
 
     topomap: TopoMap
     row: int
@@ -54,27 +53,27 @@ class _End(NamedTuple):
 
     @property
     def seen(self) -> list[tuple[str, int]]:
-        """When its run was there."""
+        """(run, time) of every drive to it."""
         return [(self.topomap.run, ns) for ns in self.points.time_ns[self.row][:, 0].tolist()]
 
     @property
     def member(self) -> tuple[str, int]:
-        """Its run, and its number there among all vertices (`with_turning_points`)."""
+        """Its run, and its vertex number there (`with_turning_points`)."""
         return self.topomap.run, len(self.topomap) + self.row
 
     @property
     def edge(self) -> tuple[str, int]:
-        """The same of the way to it."""
+        """Its run, and the edge number of the corridor to it."""
         return self.topomap.run, len(self.topomap.source) + self.row
 
 
 def with_turning_ends(
     fused: FusedMap, components: Sequence[Component], maps: Sequence[TopoMap]
 ) -> FusedMap:
-    """The fused map with the turning points of its runs as its last vertices, and the ways to them
-    as its last edges. maps: of all runs, sorted by name. O(n log n).
+    """The fused map with the turning points of its runs as its last vertices, and the corridors to
+    them as its last edges. maps: of all runs, sorted by name. O(n log n).
 
-    Those that `told_by_deepest` keeps, as in the maps of single runs.
+    Keeps those that `told_by_deepest` keeps, as in the maps of single runs.
     """
     if not any(len(m.turning_points) for m in maps):
         return fused
@@ -90,7 +89,7 @@ def with_turning_ends(
 
 
 def _corridors(fused: FusedMap, step_m: float) -> Callable[[int], Ways]:
-    """The corridors of the component of a fused vertex; made once, where they are asked for."""
+    """For a fused vertex the corridors of its component, computed once per component."""
     home = fused.component
 
     @cache
@@ -121,7 +120,7 @@ def _ends(
 
 
 def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
-    """kept: of every end those that lead there, the deepest first."""
+    """kept: for every new vertex the turning points that are fused in it, the farthest first."""
     if not kept:
         return fused
     n, k = len(fused), len(kept)

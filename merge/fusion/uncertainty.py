@@ -1,8 +1,8 @@
-"""How surely the runs of one component are placed against each other.
+"""Covariances of the runs' placements in one component.
 
-A run that only others place, along a chain of maps that bend, may lie metres off though every link
-of the chain is right. The joint pose graph knows by how much: the covariance of its solution,
-carried over to the rigid fit of each run's map.
+A run that is placed along a chain of maps may be metres off though every link is correct, since
+each map bends. The covariance of the joint pose graph's solution gives the covariance of the rigid
+fit of each run's map.
 """
 
 from __future__ import annotations
@@ -27,30 +27,29 @@ from .vertex_partition import Pool
 
 VAGUE_M = 1.5
 VAGUE_RAD = 0.087
-"""Placements with a larger sigma than this are told to be vague."""
+"""Placements with a larger standard deviation than these are reported as vague."""
 
 CHUNK = 32
-"""Runs whose columns are solved for at once: memory stays with them, and not with the square of the
-graph or of the runs."""
+"""Runs whose columns are solved at once, which limits memory."""
 
 SAMPLES = 64
-"""A sigma estimated from them has an error of 1 / √(2 · 64) = 9 %, which costs some coverage."""
+"""Number of samples: a standard deviation estimated from them has an error of 1 / √(2 · 64) = 9
+%."""
 MOST_ROWS = 10_000
-"""Samples of so many vertices take some 200 MB."""
+"""Limit on vertices for sampling, about 200 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landmarks:
     """The joint graph with a node of its own for every place of several rows.
 
-    A row of the pool is a junction's centre as one map saw it, with an error of `seen` (n,) [m] per
-    axis; a tie between two rows has the errors of both. These are correlated with the errors of the
-    maps that are tied there. So each row of such a place measures the place, which takes the part
-    of the ties.
+    A row of the pool is a junction's centre as seen by one map, with an error `seen` (n,) per axis
+    [m]; a measurement between two rows has the errors of both, which are correlated with other
+    measurements of the same rows. Here each row measures the node of its place instead.
 
-    node: (n,) of each row, that of its place; seen: 0 where that is a place of several rows;
-    shared: (n,) what all passes by a row are off by alike [m]. Maps that are tied at a place see
-    the same there: it takes their places along, and does not tell them apart.
+    node: (n,) node of each row: that of its place, or its own; seen: 0 for rows of places of
+    several rows; shared: (n,) error common to all passes of a row [m]. Maps that share a place have
+    the same common error there: it moves the place but does not separate the maps.
     """
 
     graph: PoseGraph
@@ -61,7 +60,7 @@ class Landmarks:
 
     @classmethod
     def of(cls, pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution) -> Landmarks:
-        """Of a pool, solved as a joint graph with the places `label` (n,) of its rows."""
+        """label: (n,) the place of each row of the pool; graph, solution: its joint pose graph."""
         solution, n = solution.with_full_weights(), len(pool)
         across = pool.run[graph.source] != pool.run[graph.target]
         ties, own = np.flatnonzero(across), np.flatnonzero(~across)
@@ -70,7 +69,7 @@ class Landmarks:
         node = np.arange(n)
         node[rows] = n + place
         sigma = centre_sigma(pool)
-        # Either end of a tie has half of the variance of the turn that it measured.
+        # Each end of a measurement between rows gets half of the variance of its rotation.
         weight, turn = np.ones(n), np.zeros(n)
         weight[graph.target[ties]] = solution.edge_weight[ties]
         np.maximum.at(turn, graph.source[ties], 2 * graph.information[ties, 2, 2])
@@ -96,7 +95,7 @@ class Landmarks:
 
     @property
     def alone(self) -> FloatArray:
-        """(n,) error [m] per axis of the centre of each row that no other map saw; else 0."""
+        """(n,) error per axis of the centre of each row that no other map saw, else 0 [m]."""
         return np.where(self.seen > 0, np.hypot(self.seen, self.shared), 0.0)
 
 
@@ -107,8 +106,8 @@ def fused_sigmas(
     solution: Solution,
     corridors: Sequence[Corridor],
 ) -> tuple[FloatArray, FloatArray] | None:
-    """1 sigma [m] of each coordinate of the places, (p,), with the component laid rigidly over the
-    truth, and of the lengths of its corridors, (c,).
+    """Standard deviations of the places' coordinates (p,) [m], after a rigid fit of the component
+    to the truth, and of the corridors' lengths (c,) [m].
 
     label: (n,) the place of each row of the pool. None for components of more than MOST_ROWS rows.
     """
@@ -136,13 +135,14 @@ def _length_sigmas(
     scale: FloatArray,
     corridors: Sequence[Corridor],
 ) -> FloatArray:
-    """(c,) 1 sigma [m] of the lengths of corridors between places that lie at xy (p, 2).
+    """(c,) standard deviations of the lengths of corridors between places at xy (p, 2) [m].
 
-    All runs' drives are bent onto the same places, of whose errors along the chord a length takes
-    the share of the chord in it, whichever runs drove there. The rest of the way is stretched by
-    the scales of those that did, and off by what each did on the way (`Corridor.way`). scale: (r,
-    s) errors of the scales of all runs, which belong to those of the places; without rows where
-    there are more runs than scales are estimated for: the places then have no part of them.
+    The paths of all runs end at the same places: a length has the error of their distance times the
+    chord's share of the length, whichever runs drove there. The rest of the length has the scale
+    errors of the runs that drove it, and their other errors (`Corridor.way`).
+
+    scale: (r, s) sampled scale errors of all runs, consistent with the places' samples; no rows if
+    there are more runs than scales are estimated for: then they are drawn independently.
     """
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
     length, way = np.array([(c.length, c.way) for c in corridors], np.float64).reshape(-1, 2).T
@@ -161,12 +161,12 @@ def _length_sigmas(
 def spread(
     pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution, key: IntArray
 ) -> Spread:
-    """Errors of rigid fits of the truth to the maps of a pool, by its joint pose graph.
+    """Covariances of the rigid fits of the truth to the maps of a pool, from its joint pose graph.
 
     label: (n,) the place of each row; key: as in `Spread`. A rigid fit is linear in small shifts of
-    its points, so its covariance is G H⁻¹ Gᵀ with H the normal matrix and three rows of G for each
-    run, and what the places that one map alone saw are off by. Cost: three pairs of triangular
-    solves per run; what is held is the blocks that are asked for, and some columns at a time.
+    its points, so that its covariance is G H⁻¹ Gᵀ, with H the normal matrix and three rows of G for
+    each run, plus the errors of places that one map alone saw. Cost: three pairs of triangular
+    solves per run; memory: the blocks asked for, and CHUNK runs' columns.
     """
     marks = Landmarks.of(pool, label, graph, solution)
     marginals = Marginals.of(marks.graph, marks.solution)
@@ -177,7 +177,7 @@ def spread(
     middle = np.stack([np.bincount(pool.run, xy[:, k], count) / size for k in (0, 1)], axis=-1)
     arm = xy - middle[pool.run]
     reach = np.bincount(pool.run, (arm**2).sum(axis=1), count)[pool.run]
-    lone = reach < 1e-6  # a single place is turned by its own heading alone
+    lone = reach < 1e-6  # the rotation of a single place is that of its pose
     lever = arm / np.where(lone, 1.0, reach)[:, None]
     share, zero = 1 / size[pool.run], np.zeros(len(xy))
     # (row, component of the fit, component of the pose): the derivative.
@@ -212,5 +212,5 @@ def spread(
 
 
 def _symmetric(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Blocks of a matrix that is symmetric but for rounding; other: those across its diagonal."""
+    """Blocks of a matrix, made exactly symmetric; other: those across its diagonal."""
     return np.asarray((one + other.transpose(0, 2, 1)) / 2, np.float64)

@@ -1,4 +1,4 @@
-"""Which vertices of several runs are one place: groups grown from matched pairs."""
+"""The partition of the runs' vertices into places, grown from matched pairs."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from ..result import PairVerdict
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pool:
-    """The vertices of several maps in one row: `runs` sorted by name, rows run by run.
+    """The vertices of several maps concatenated, with runs sorted by name.
 
-    run: (n,) index of the run of each row; vertex: (n,) its vertex; first: row of each run's
-    vertex 0. A row is internal to one fusion; outside, a place is (run, vertex).
+    run: (n,) index of each row's run; vertex: (n,) its vertex; first: row of each run's vertex 0.
+    Rows are internal to one fusion; elsewhere a vertex is (run, vertex).
     """
 
     maps: tuple[TopoMap, ...]
@@ -45,7 +45,7 @@ class Pool:
 
 
 class Groups:
-    """Rows of a pool in disjoint groups, at most one vertex of a run in each."""
+    """Disjoint groups of a pool's rows, with at most one vertex of a run in each."""
 
     def __init__(self, run: IntArray) -> None:
         self._run = run
@@ -53,7 +53,8 @@ class Groups:
         self._rows = [[row] for row in range(len(run))]
 
     def join(self, row: int, other: int) -> bool:
-        """Make two groups one, unless that puts two vertices of a run into it."""
+        """Join two groups, unless that puts two vertices of a run into one; returns whether they
+        are one."""
         keep, gone = sorted((self._head[row], self._head[other]))
         if keep == gone:
             return True
@@ -67,7 +68,7 @@ class Groups:
         return True
 
     def labels(self) -> IntArray:
-        """(n,) number of the group of each row, groups numbered by their first rows."""
+        """(n,) group of each row, groups numbered by their first rows."""
         heads = np.array(self._head, np.int64)
         first = np.full(len(heads), len(heads), np.int64)
         np.minimum.at(first, heads, np.arange(len(heads)))
@@ -75,10 +76,10 @@ class Groups:
 
 
 def identify(pool: Pool, verdicts: Iterable[PairVerdict]) -> Groups:
-    """Groups from the matched pairs of all accepted verdicts, the strongest evidence first.
+    """Groups by the matched pairs of all accepted verdicts, strongest evidence first.
 
-    Matches are transitive over all pairs; one that would put two vertices of the same run into a
-    group contradicts stronger ones and is left out.
+    Matches are transitive; one that would put two vertices of the same run into a group contradicts
+    stronger ones and is ignored.
     """
     groups = Groups(pool.run)
     for verdict in sorted(verdicts, key=lambda v: (-v.evidence_bits, v.a, v.b)):
