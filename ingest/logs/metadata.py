@@ -1,8 +1,8 @@
-"""What a ROS 2 bag's metadata.yaml says about its files, read line by line.
+"""Files and message count of a ROS 2 bag's metadata.yaml, parsed line by line.
 
-Of YAML only what rosbag2 and its converters write is understood: block mappings, lists, plain and
-quoted names; a document in braces is read as JSON. There are no aliases, no merge keys and no tags,
-so that nothing in a file can stand for more than it is. O(bytes).
+Only the YAML that rosbag2 and its converters write is supported: block mappings, lists, plain and
+quoted names; a document in braces is parsed as JSON. Without aliases, merge keys and tags the
+parsed data are no larger than the file. O(bytes).
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from .messages import NAME_BYTES, printable
 
 BAG_INFORMATION = "rosbag2_bagfile_information"
 METADATA_BYTES = 1 << 22
-"""Longest file that is read; a thousand topics and files take 1 MiB."""
+"""Largest file that is read; a thousand topics and files take 1 MiB."""
 
 _KEY = re.compile(r"""^(["']?)(?P<key>[A-Za-z0-9_]+)\1\s*:(\s+(?P<value>.*))?$""")
 _QUOTED = re.compile(r"""^("(?:[^"\\]|\\.)*"|'(?:[^']|'')*')\s*(#.*)?$""")
 _STRANGE = frozenset("&*!|>%@`[]{},")
-"""What a plain name does not begin with."""
+"""Characters with which plain names do not begin."""
 
 
 class Metadata(NamedTuple):
-    """files: names without folders, in their order; messages: their number, None if not told."""
+    """files: names without folders, in order; messages: their number, None if unknown."""
 
     files: list[str]
     messages: int | None
 
 
 def parse_metadata(text: str) -> Metadata:
-    """The files and the count in a metadata.yaml; raises ValueError where there are none."""
+    """The files and the count in a metadata.yaml; raises ValueError if there are none."""
     if text.lstrip().startswith("{"):
         return _from_json(text)
     files: list[str] | None = None
@@ -65,7 +65,7 @@ def _from_json(text: str) -> Metadata:
 
 
 def _information(text: str) -> Iterator[tuple[int, str]]:
-    """Indentation and content of the lines below the key of the bag's information."""
+    """Indentation and content of the lines in the bag's information."""
     inside = False
     for raw in text.splitlines():
         line = raw.strip()
@@ -80,7 +80,7 @@ def _information(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _items(lines: list[tuple[int, str]], at: int) -> list[str]:
-    """The list below the key in line `at`."""
+    """The list under the key in line `at`."""
     out = []
     for indent, line in lines[at + 1 :]:
         if indent < lines[at][0] or not line.startswith("- "):

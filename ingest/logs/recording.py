@@ -1,4 +1,4 @@
-"""From a path to the files of one recording: formats by content, folders, names, fingerprints."""
+"""The files of one recording at a path: formats by content, folders, names, fingerprints."""
 
 from __future__ import annotations
 
@@ -27,27 +27,28 @@ from .sqlite_file import SqliteFile
 
 METADATA = "metadata.yaml"
 NOTES = 12
-"""So many missing or unexpected files are named."""
+"""Limit on missing or unexpected files that are named."""
 _SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst|ya?ml))+$", re.IGNORECASE)
 _NAMED = re.compile(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", re.IGNORECASE)
 _PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
-"""Name of a part; ROS 1 puts the time at which it was begun in front of its number."""
+"""Name of a part of a split recording; ROS 1 puts its start time before its number."""
 
 WHOLE_BYTES = 1 << 26
 SAMPLE_BYTES = 1 << 16
 SAMPLES = 256
-"""Up to WHOLE_BYTES all of a file is its fingerprint, beyond so many samples of so many bytes."""
+"""Fingerprints hash files of up to WHOLE_BYTES whole, and SAMPLES blocks of SAMPLE_BYTES of larger
+ones."""
 
 UNPACKED_RATIO = 1000
 UNPACKED_BYTES = 1 << 28
-"""Most that a file compressed as a whole may inflate to: 256 MiB, or 1000 times its size."""
+"""Limit on the unpacked size of a file compressed as a whole: 256 MiB, or 1000 times its size."""
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """The files of one run in their order, and what is wrong with their number.
+    """The files of one run in order, with notes on missing or unexpected ones.
 
-    declared: how many messages the bag's metadata counts, None where there is none.
+    declared: message count of the bag's metadata, None without any.
     """
 
     path: LogPath
@@ -57,7 +58,7 @@ class Recording:
 
     @property
     def bytes(self) -> int:
-        """Size of all files together."""
+        """Size of all files."""
         return sum(file.stat().st_size for file in self.files)
 
 
@@ -80,21 +81,21 @@ def sniff(path: LogPath) -> str | None:
         if head.startswith(magic):
             return format_name
     for format_name, magic in (("mcap", MCAP_MAGIC), ("bag", BAG_MAGIC), ("sqlite3", SQLITE_MAGIC)):
-        # One wrong bit in the magic is no reason to give up everything behind it.
+        # A magic with one wrong bit is accepted.
         if one_bit_apart(head[: len(magic)], magic):
             return format_name
     return None
 
 
 def run_name(path: LogPath) -> str:
-    """Name of the run that a log holds: folder name, or file name without its log suffixes."""
+    """The run's name by its log: folder name, or file name without log suffixes."""
     path = log_path(path)
     name = path.name if path.name not in ("", "..") else path.resolve().name
     return name if path.is_dir() else _SUFFIX.sub("", name) or name
 
 
 def recording_at(path: LogPath) -> Recording:
-    """The recording at a path; raises LogError where there is none."""
+    """The recording at a path; raises LogError if there is none."""
     path = log_path(path)
     if isinstance(path, RemotePath):
         path = path.fresh()  # what is read of it goes with the recording
@@ -122,7 +123,8 @@ def recording_at(path: LogPath) -> Recording:
 
 
 def _may_be_log(path: LogPath) -> bool:
-    """Whether a file begins as a log does; elsewhere than here, it is read to find out."""
+    """Whether a local file begins like a log; True for remote ones, which are only checked when
+    read."""
     return isinstance(path, RemotePath) or sniff(path) is not None
 
 
@@ -139,14 +141,13 @@ def log_size(path: LogPath) -> int:
 
 
 def log_fingerprint(path: LogPath) -> str:
-    """A hash that changes when the log does, in a fraction of the time that reading takes.
+    """A hash that changes with the log, in a fraction of the time of reading it.
 
-    Names and sizes of all files, the whole content of files up to 64 MiB, and of larger ones 256
-    blocks of 64 KiB spread evenly, the first and the last included. A larger file that is edited
-    in place, keeps its size and differs between the sampled blocks alone has the same fingerprint;
-    recording, truncating, appending or compressing anew changes it. In a bucket the names, sizes
-    and tags of all files stand for the content; where there are no tags, their times, or else their
-    last bytes.
+    Hashed are names and sizes of all files, the whole content of files up to 64 MiB, and 256 evenly
+    spaced blocks of 64 KiB of larger ones, including the first and the last. Editing a larger file
+    in place without changing its size or a sampled block is not noticed; recording, truncating,
+    appending and recompressing are. In a bucket names, sizes and tags are hashed instead of
+    contents; without tags times, or else the last bytes.
     """
     recording = recording_at(path)
     digest = hashlib.blake2b(digest_size=16)
@@ -184,11 +185,12 @@ def _sample(path: Path, digest: Any) -> None:
 def find_logs(paths: Sequence[LogPath]) -> list[LogPath]:
     """Every log at or below the given paths, sorted, each once.
 
-    A ROS 2 bag folder is one log, and so is a folder that holds nothing but the parts of one
-    split recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Below a
-    folder, files are taken by content or, so that what is broken is reported, by name; hidden
-    ones are passed over; a folder that cannot be listed stands for itself, and reading it says
-    why. In a bucket, files are taken by name alone. A path given directly is returned as it is.
+    A ROS 2 bag folder is one log, and so is a folder with nothing but the parts of one split
+    recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Below a folder,
+    files are logs by content or, so that broken ones are reported, by name; hidden files are
+    skipped; a folder that cannot be listed is returned itself, and reading it raises the error. In
+    a bucket, files are logs by name alone. A path given directly is returned as it is.
+
     Raises LogError for a path that does not exist and for a folder without any log.
     """
     found: dict[LogPath, None] = {}
@@ -210,7 +212,7 @@ def find_logs(paths: Sequence[LogPath]) -> list[LogPath]:
 
 
 def _below(folder: LogPath) -> Iterator[LogPath]:
-    # No recursion: folders can lie in each other deeper than Python's stack.
+    # No recursion: folders can be nested deeper than Python's stack.
     waiting = [folder]
     while waiting:
         logs, folders = _listed(waiting.pop())
@@ -219,7 +221,7 @@ def _below(folder: LogPath) -> Iterator[LogPath]:
 
 
 def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
-    """The logs that lie in a folder itself, and the folders to look through."""
+    """The logs directly in a folder, and the folders to search."""
     try:
         entries = _entries(folder)
         if _is_bag_folder(folder):
@@ -230,19 +232,19 @@ def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
         return [folder], []
     if len(files) > 1 and _is_split(files):
         files = [folder]
-    # Links that lead nowhere, and what would block or act on being opened: reading says so.
+    # Broken links, and devices or pipes, which must not be opened: reading reports them.
     others = [e for e in entries if not e.is_file() and not e.is_dir() and _NAMED.search(e.name)]
     return [*files, *others], folders
 
 
 def _entries(folder: LogPath) -> list[LogPath]:
-    """What lies in a folder and is not hidden, by name."""
+    """Entries of a folder that are not hidden, by name."""
     shown = (entry for entry in folder.iterdir() if not entry.name.startswith("."))
     return sorted(shown, key=lambda entry: entry.name)
 
 
 def _is_bag_folder(folder: LogPath) -> bool:
-    """Whether a folder is one ROS 2 bag: data sets have a file of that name as well."""
+    """Whether a folder is one ROS 2 bag: data sets also have files named metadata.yaml."""
     path = folder / METADATA
     if not path.is_file():
         return False
@@ -251,10 +253,9 @@ def _is_bag_folder(folder: LogPath) -> bool:
 
 
 def _is_log(path: LogPath) -> bool:
-    """Whether a file is a log by content; one that is named so but is broken counts as well.
+    """Whether a file is a log by content, or by name, so that broken logs are reported.
 
-    The second half matters: a log whose recorder died early is reported by name, not passed over.
-    Elsewhere than here, looking at every file takes too long.
+    Remote files are checked by name only.
     """
     if isinstance(path, RemotePath):
         return _is_part(path)
@@ -266,7 +267,7 @@ def _is_log(path: LogPath) -> bool:
 
 
 def _is_split(files: Sequence[LogPath]) -> bool:
-    """Whether files are the parts of one recording, by their names and by their times."""
+    """Whether files are the parts of one recording, by their names and times."""
     parts = {}
     stems = set()
     for file in files:
@@ -289,10 +290,10 @@ def _is_split(files: Sequence[LogPath]) -> bool:
 
 
 def _span(path: LogPath) -> tuple[int, int] | None:
-    """First and last log time of a part, None where it has none or is compressed as a whole.
+    """First and last log time of a part, None if it has none or is compressed as a whole.
 
-    A part that its recorder did not finish has no index and is gone through. A broken one has
-    none: reading it will say why.
+    An unfinished part has no index and is read through. A broken one has no times; reading it later
+    reports why.
     """
     if sniff(path) in (None, "zstd"):
         return None
@@ -315,7 +316,7 @@ def _times(log: Container) -> tuple[int, int] | None:
 
 
 SPLIT_GAP_NS = 5 * 10**9
-"""Longest silence between two parts of one recording."""
+"""Longest gap between two parts of one recording."""
 
 SPLIT_OVERLAP_NS = 10**9 // 2
 """Longest overlap of two parts: messages in flight while the recorder changes files."""
@@ -338,9 +339,8 @@ def _container(path: LogPath, kind: str | None) -> Container:
 
 @contextmanager
 def opened(path: LogPath) -> Iterator[Container]:
-    """The reader for one file; a file compressed as a whole is unpacked beside the system's
-    temporary files for as long as it is read.
-    """
+    """The reader for one file; a file compressed as a whole is unpacked into a temporary file
+    meanwhile."""
     kind = sniff(path)
     if kind != "zstd":
         yield _container(path, kind)
@@ -351,7 +351,7 @@ def opened(path: LogPath) -> Iterator[Container]:
 
 
 def _here(path: LogPath, why: str) -> Path:
-    """The path of a file on this machine; LogError for one elsewhere."""
+    """A local path; LogError for a remote one."""
     if isinstance(path, RemotePath):
         raise LogError(f"{path}: {why}; copy it here, or convert it to MCAP (`ros2 bag convert`)")
     return path
@@ -370,13 +370,13 @@ def _unpack(path: Path, target: Path) -> Path:
                     raise LogError(f"{path}: inflates to more than {most >> 20} MiB")
                 sink.write(piece)
         except zstandard.ZstdError:
-            # What came before the broken place is read; the walk reports that it is cut short.
+            # The part before the damage is read; the walk reports the truncation.
             sink.flush()
     return target
 
 
 def _folder(path: LogPath) -> Recording:
-    """The files of a bag folder: those that metadata.yaml names, and any others that are logs."""
+    """The files of a bag folder: those named by metadata.yaml, and any other logs."""
     notes: list[str] = []
     try:
         entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
@@ -393,7 +393,7 @@ def _folder(path: LogPath) -> Recording:
             if name not in there and name + ".zstd" not in there
         ]
         notes += _some(missing, "also names")
-    # A file that was left beside its compressed copy holds the same messages.
+    # A file beside its compressed copy has the same messages.
     names = {file.name for file in files}
     files = [
         f
@@ -414,7 +414,7 @@ def _folder(path: LogPath) -> Recording:
 
 
 def _is_part(path: LogPath) -> bool:
-    """Whether a file of a bag folder is a log: by content here, by name elsewhere."""
+    """Whether a file of a bag folder is a log: local ones by content, remote ones by name."""
     if isinstance(path, RemotePath):
         return _NAMED.search(path.name) is not None
     return sniff(path) is not None
@@ -424,13 +424,14 @@ _SUFFIX_ZSTD = re.compile(r"\.(zstd|zst)$")
 
 
 def _natural(path: LogPath) -> tuple[list[tuple[int, str]], str]:
-    """Order in which part 10 comes after part 9."""
+    """Sort key by which part 10 comes after part 9."""
     pieces = re.split(r"(\d+)", path.name)
     return [(int(p), "") if p.isdecimal() else (-1, p) for p in pieces], path.name
 
 
 def _metadata(path: LogPath, notes: list[str]) -> Metadata:
-    """What metadata.yaml says; an unreadable one is noted, and the folder believed."""
+    """The content of metadata.yaml; if it is unreadable, a note is added and the folder's files are
+    used."""
     try:
         if path.stat().st_size > METADATA_BYTES:
             raise ValueError("it is implausibly long")
@@ -443,6 +444,6 @@ def _metadata(path: LogPath, notes: list[str]) -> Metadata:
 
 
 def _some(notes: list[str], what: str) -> list[str]:
-    """The first of many notes, and how many more there are."""
+    """The first NOTES notes, and the number of further ones."""
     more = len(notes) - NOTES
     return [*notes[:NOTES], f"{METADATA} {what} {more} further files"] if more > 0 else notes

@@ -1,6 +1,6 @@
-"""Maps as ROS's map_server saves them: `map.yaml` beside a picture of the grid.
+"""Maps saved by ROS's map_server: `map.yaml` beside an image of the grid.
 
-Of YAML only what map savers write is understood: `key: value`, lists in brackets or with dashes.
+Only the YAML that map savers write is supported: `key: value`, lists in brackets or with dashes.
 """
 
 from __future__ import annotations
@@ -21,21 +21,21 @@ from ..remote.path import LogPath, RemotePath
 from .messages import printable
 
 YAML_BYTES = 1 << 16
-"""Longest description that is read; real ones have 200 bytes."""
+"""Largest description that is read; real ones have 200 bytes."""
 
 IMAGE_FORMATS = ("PPM", "PNG", "BMP")
-"""Pillow's names of what map savers write; its PPM reads PGM."""
+"""Image formats of map savers by Pillow's names; its PPM includes PGM."""
 
 _LINE = re.compile(r"^(?P<key>[A-Za-z_]+)\s*:\s*(?P<value>.*?)\s*(#.*)?$")
 _NAMED = re.compile(r"\.ya?ml$", re.IGNORECASE)
 
 
 MOST_CELLS = 1 << 24
-"""Largest grid that is read, 16.8 million cells: 200 by 200 m at 5 cm."""
+"""Largest grid that is read: 16.8 million cells, 200 by 200 m at 5 cm."""
 
 
 def checked_grid(grid: Grid) -> Grid:
-    """The grid; raises ValueError where its numbers make none."""
+    """The grid; raises ValueError if its numbers are invalid."""
     height, width = grid.free.shape
     if height * width == 0 or height * width > MOST_CELLS:
         raise ValueError(f"a grid of {width} x {height} cells cannot be read")
@@ -47,7 +47,7 @@ def checked_grid(grid: Grid) -> Grid:
 
 
 def is_saved_map(path: LogPath) -> TypeGuard[Path]:
-    """Whether a file on this machine describes a saved map, by its name and its keys."""
+    """Whether a local file describes a saved map, by its name and keys."""
     if isinstance(path, RemotePath) or not _NAMED.search(path.name) or not path.is_file():
         return False
     try:
@@ -58,7 +58,7 @@ def is_saved_map(path: LogPath) -> TypeGuard[Path]:
 
 
 def saved_map_files(path: Path) -> tuple[Path, ...]:
-    """The description and the picture; LogError if the picture is not there."""
+    """The description and the image; LogError if there is no image."""
     try:
         image = path.parent / _image(_keys(_text(path)))
     except (OSError, ValueError) as error:
@@ -73,7 +73,7 @@ def saved_map_files(path: Path) -> tuple[Path, ...]:
 
 
 def read_saved_map(path: Path) -> Grid:
-    """The grid of a saved map; raises LogError where it cannot be read."""
+    """The grid of a saved map; raises LogError if it cannot be read."""
     _, image = saved_map_files(path)
     try:
         found = _keys(_text(path))
@@ -96,7 +96,7 @@ def _text(path: Path) -> str:
 
 
 def _keys(text: str) -> dict[str, list[str]]:
-    """Values by key; a single value is a list of one."""
+    """Values by key, as lists."""
     out: dict[str, list[str]] = {}
     last: list[str] | None = None
     for line in text.splitlines():
@@ -129,9 +129,9 @@ def _number(found: dict[str, list[str]], key: str, otherwise: float | None = Non
 
 
 def _pixels(path: Path) -> NDArray[np.uint8]:
-    """(h, w, 2) shade (0 black to 255 white) and opacity of every pixel.
+    """(h, w, 2) brightness (0 black to 255 white) and opacity of every pixel.
 
-    The size is looked at before anything is unpacked. Raises ValueError on what is no picture.
+    The size is checked before decoding. Raises ValueError for invalid images.
     """
     from PIL import Image
 
@@ -144,11 +144,11 @@ def _pixels(path: Path) -> NDArray[np.uint8]:
             if image.width * image.height > MOST_CELLS:
                 raise ValueError(f"a picture of {image.width} x {image.height} is too large")
             if image.mode.startswith(("I", "F")):
-                # Sixteen bits, of which eight are more than a map needs.
+                # 16-bit images are reduced to 8 bits.
                 shades = (np.asarray(image).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
                 return np.stack([shades, np.full_like(shades, 255)], axis=-1)
             return np.asarray(image.convert("LA"))
-    # Pillow's readers meet hostile bytes with these.
+    # Pillow raises these on invalid data.
     except (OSError, SyntaxError, EOFError, struct.error, MemoryError, *bombs) as error:
         raise ValueError(f"{path.name} is no picture that can be read") from error
 
@@ -161,7 +161,7 @@ def _cells(pixels: NDArray[np.uint8], found: dict[str, list[str]]) -> tuple[Bool
     least, most = _number(found, "free_thresh", 0.196), _number(found, "occupied_thresh", 0.65)
     shade = np.arange(256)
     if mode == "raw":
-        # Pixels are the occupancy itself, 0 to 100, and more where nothing is known.
+        # Pixels are occupancies, 0 to 100, larger for unknown.
         free, unknown = shade <= 100 * least, shade > 100
     else:
         occupied = shade if _number(found, "negate", 0) else 255 - shade

@@ -1,4 +1,4 @@
-"""Scans out of the blocks of a container, a bounded number of bytes at a time."""
+"""Decoding scans from the blocks of a container, with bounded memory."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .schema import UnreadableError, as_expected, object_decoder
 from .topics import CLOUD_KINDS, SCAN_KINDS
 
 SLICE_BYTES = 1 << 22
-"""So much of a block is decoded at once: blocks may be large, and decoding takes a few copies."""
+"""Bytes of a block decoded at once: blocks may be large, and decoding needs several copies."""
 
 _MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
 
@@ -27,7 +27,7 @@ Slicer = Callable[[Cloud], RawScans]
 
 
 def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
-    """The decoder for a channel of scans or clouds; raises DamageError if there is none.
+    """The decoder for a channel of scans or point clouds; raises DamageError if there is none.
 
     slicer: makes a scan of a cloud.
     """
@@ -43,7 +43,7 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
         except UnreadableError:
             if kind is None:
                 raise
-            # The type's name is known; as in a log without definitions it is taken at its word.
+            # The type's name is known and trusted, as in a log without definitions.
             return LaserDecoder(kind, ros1)
         return ObjectScanDecoder(lambda raw: object_scan(decode(raw)))
     if channel.encoding == "json":
@@ -74,14 +74,15 @@ def _cloud_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
 
 
 class TimedScans(NamedTuple):
-    """Scans with the time at which each reached the log: log_ns: (n,)."""
+    """Scans with their log times log_ns (n,)."""
 
     scans: RawScans
     log_ns: IntArray
 
 
 class ScanIntake:
-    """Decodes the blocks of one channel; messages: taken in, failed: that could not be decoded."""
+    """Decodes the blocks of one channel. messages: their number; failed: those that could not be
+    decoded."""
 
     def __init__(self, channel: Channel, slicer: Slicer) -> None:
         self._decoder = scan_decoder(channel, slicer)
@@ -91,16 +92,16 @@ class ScanIntake:
 
     @property
     def failed(self) -> int:
-        """Messages that could not be decoded."""
+        """Number of messages that could not be decoded."""
         return self._decoder.failed + self._unpacked
 
     @property
     def reason(self) -> str:
-        """Why the first of them could not be decoded."""
+        """Why the first of these could not be decoded."""
         return self._decoder.reason
 
     def take(self, block: Block) -> Iterator[TimedScans]:
-        """The scans of a block, in its order."""
+        """The scans of a block, in order."""
         data, _, log_ns, start, size = block
         self.messages += len(start)
         log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
@@ -127,7 +128,7 @@ class ScanIntake:
     def _inflated(
         self, data: Bytes, start: IntArray, size: IntArray
     ) -> Iterator[tuple[IntArray, Bytes, IntArray, IntArray]]:
-        """Messages that are zstd streams, inflated: their numbers, a buffer, begins and sizes."""
+        """Messages that are zstd streams, inflated: their indices, a buffer, offsets and sizes."""
         out: dict[int, bytes] = {}
         for k, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
             payload = data[at : at + length].tobytes()

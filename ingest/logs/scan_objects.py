@@ -1,4 +1,4 @@
-"""Planar scans decoded message by message: Foxglove's protobuf and JSON, and any other encoding."""
+"""Decoding planar scans message by message: Foxglove's protobuf and JSON, and other encodings."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ from .one_by_one import OneByOne
 from .scan_rows import Geometry, RawScans, checked_beams
 
 OneScan = tuple[int, Float32Array, Geometry]
-"""Stamp [ns], ranges (m,) and geometry of one scan."""
+"""Stamp [ns], ranges (m,) [m] and geometry of one scan."""
 
 
 class ObjectScanDecoder(OneByOne[RawScans | OneScan]):
-    """Decodes scan by scan; for encodings without fixed places."""
+    """Decodes scans one by one, for encodings without fixed offsets."""
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> list[RawScans]:
-        """The scans of a batch of messages; those of one geometry that follow on, together."""
+        """The scans of a batch of messages; consecutive ones of one geometry are joined."""
         return _together([_raw(scan, number) for number, scan in self.parsed(data, start, size)])
 
 
@@ -45,11 +45,11 @@ def _raw(parsed: RawScans | OneScan, number: int) -> RawScans:
 
 
 def _together(found: list[RawScans]) -> list[RawScans]:
-    """Scans of one geometry that follow on one another joined."""
+    """Consecutive scans of one geometry joined."""
     out: list[list[RawScans]] = []
     for scan in found:
         last = out[-1][0] if out else None
-        # Compared as text: geometries may hold NaN.
+        # Compared as text, since geometries may hold NaN.
         if (
             last is not None
             and repr(last.geometry) == repr(scan.geometry)
@@ -101,7 +101,7 @@ def protobuf_scan(raw: bytes) -> OneScan:
 
 
 def _in_plane(pose: tuple[float, ...]) -> tuple[float, float, float]:
-    """x, y, yaw of a pose; a quaternion of zeros, as protobuf leaves it out, is no turn."""
+    """x, y, yaw of a pose; a zero quaternion, protobuf's default, is the identity."""
     x, y, _, *turn = pose
     if not np.isfinite(pose).all():
         raise DamageError("a pose holds numbers that are not finite")
@@ -115,7 +115,7 @@ def _between(
     ranges: Any,
     pose: tuple[float, float, float],
 ) -> OneScan:
-    """A scan of beams spread evenly between two angles."""
+    """A scan with beams evenly spaced between two angles."""
     beams = checked_beams(len(ranges))
     step = (angles[1] - angles[0]) / max(beams - 1, 1)
     geometry = Geometry(frame.lstrip("/"), angles[0], step, angle_max=angles[1], pose=pose)
@@ -123,20 +123,21 @@ def _between(
 
 
 def _single(ranges: Any) -> Float32Array:
-    """Ranges as float32; larger ones become inf, which is what they are."""
+    """Ranges as float32; values too large become inf."""
     with np.errstate(over="ignore"):
         return np.asarray(ranges).astype(np.float32)
 
 
 def json_scan(raw: bytes) -> OneScan:
-    """A scan in JSON, with Foxglove's or ROS's names of fields; raises DamageError."""
+    """A scan in JSON, with the field names of Foxglove or ROS; raises DamageError."""
     return object_scan(load_json(raw))
 
 
 def object_scan(message: Any) -> OneScan:
-    """A decoded scan, by the names of its fields; raises DamageError.
+    """A decoded scan by the names of its fields; raises DamageError.
 
-    Knows sensor_msgs/LaserScan (`angle_min`), Foxglove's (`start_angle`), and echoes.
+    Supports sensor_msgs/LaserScan (`angle_min`), foxglove.LaserScan (`start_angle`), and multi-echo
+    scans.
     """
     header = get(message, "header")
     source = message if header is None else header
@@ -164,7 +165,7 @@ def _or(value: Any, otherwise: float) -> float:
 
 
 def _ranges(value: Any) -> Float32Array:
-    """(m,) ranges; of echoes the first; what JSON writes as null is no range."""
+    """(m,) ranges, of multiple echoes the first; null in JSON is no range."""
     if value is None or isinstance(value, str) or not hasattr(value, "__len__"):
         raise DamageError("a list of ranges is missing")
     checked_beams(len(value))

@@ -1,4 +1,4 @@
-"""Planar scans as they come out of messages, whatever the message's type and encoding."""
+"""Planar scans decoded from messages, independent of type and encoding."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ...topology.arrays import Float32Array, IntArray
 from .messages import Bytes, DamageError
 
 MOST_BEAMS = 1 << 16
-"""Longest scan that is believed: laser scanners have some hundreds or thousands of beams."""
+"""Largest number of beams; laser scanners have hundreds or thousands."""
 
 
 class Geometry(NamedTuple):
-    """What scans of one laser have in common.
+    """Common parameters of a laser's scans.
 
-    frame: name, without a leading slash; angle_min, angle_increment [rad]; time_increment: between
-    two beams [s]; range_min, range_max [m]; angle_max: of the last beam, as told; pose: x, y, yaw
-    of the scan in its frame; level: angles are already seen from above in the robot's orientation,
-    so that of the frame only its place counts.
+    frame: name without a leading slash; angle_min, angle_increment [rad]; time_increment: between
+    two beams [s]; range_min, range_max [m]; angle_max: of the last beam, as stated; pose: x, y, yaw
+    of the scan in its frame; level: angles are in the robot's orientation, seen from above, so that
+    only the frame's position is used.
     """
 
     frame: str
@@ -37,9 +37,9 @@ class Geometry(NamedTuple):
 class RawScans(NamedTuple):
     """Scans of one geometry and number of beams, as recorded.
 
-    message: (n,) number of the message within its batch; stamp_ns: (n,) header time; ranges_m: (n,
-    m) float32, whatever the message holds; blind: beams without a range tell nothing, as in a slice
-    of a cloud.
+    message: (n,) index of the message in its batch; stamp_ns: (n,) header time; ranges_m: (n, m)
+    float32 as in the message; blind: beams without a range give no information, as in a slice of a
+    cloud.
     """
 
     message: IntArray
@@ -50,9 +50,9 @@ class RawScans(NamedTuple):
 
 
 class ScanDecoder(Protocol):
-    """Turns payloads into scans; what cannot be decoded is left out and counted in `failed`.
+    """Turns payloads into scans; failures are left out and counted in `failed`.
 
-    reason: why the first of them could not be decoded.
+    reason: why the first of them failed.
     """
 
     failed: int
@@ -63,14 +63,14 @@ class ScanDecoder(Protocol):
 
 
 def checked_beams(count: int) -> int:
-    """A number of beams; raises DamageError if no scan has so many."""
+    """The number of beams; raises DamageError if it is not plausible."""
     if count > MOST_BEAMS:
         raise DamageError(f"a scan of {count} beams is implausible")
     return count
 
 
 def in_order(parts: Sequence[RawScans]) -> list[RawScans]:
-    """The same scans in the order of their messages: each part covers messages that follow on."""
+    """The scans in the order of their messages, in parts of consecutive messages."""
     whole = [part for part in parts if len(part.message)]
     if len(whole) < 2:
         return whole

@@ -1,4 +1,4 @@
-"""Message definitions embedded in logs: layouts checked, and messages of any type decoded."""
+"""Message definitions in logs: checking layouts, and decoding messages of any type."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ LINES = 4000
 """Longest definition that is parsed; the largest in use have about a thousand lines."""
 
 _BESIDE_IDL = re.compile(r"^(=+|IDL:.*|[ \t]*#.*)$", re.MULTILINE)
-"""What stands between the IDL files that a definition is made of, and the includes in them."""
+"""Separators between the IDL files of a definition, and their includes."""
 
 DEPTH = 32
-"""Deepest nesting of types that is followed; those in use nest less than ten deep."""
+"""Deepest nesting of types; those in use nest less than ten deep."""
 
 PARTS = 10_000
-"""Most fields that a type may have with all that is nested in it, sequences counted once. The
-largest in use have some hundreds; types that double level by level have 2 to the 32."""
+"""Most fields of a type including nested ones, with sequences counted once. The largest in use have
+some hundreds; types that double at each level have 2^32."""
 
 REMEMBERED_BYTES = 1 << 14
-"""Definitions up to this size, of all the messages used here, are not parsed again with each log
-of a process: 64 of them take 1 MiB."""
+"""Definitions up to this size are cached in the process: 64 of them take 1 MiB. Includes all
+message types used here."""
 
 _TIME = ["int32", "uint32"]
 _HEADER = [*_TIME, "string"]
@@ -55,18 +55,18 @@ EXPECTED = {
     ],
     "grid": [*_HEADER, *_TIME, "float32", "uint32", "uint32", *_POSE, "[", "int8", "]"],
 }
-"""Leading primitive fields of each kind of message that is decoded by columns."""
+"""Leading primitive fields of each kind of message with a columnar decoder."""
 
 
 class UnreadableError(DamageError):
-    """An embedded definition follows no grammar."""
+    """A definition that cannot be parsed."""
 
 
 def as_expected(channel: Channel, kind: str) -> bool:
-    """Whether the embedded definition begins with the fields that the kind is known for.
+    """Whether the definition begins with the fields expected of the kind.
 
-    A log without definitions is taken at its word. Definitions other than `.msg` text are not
-    followed here and count as unexpected, so that the general decoder takes over.
+    True for a log without definitions. Definitions other than `.msg` text are not parsed here and
+    give False, so that the general decoder is used.
     """
     if not channel.schema:
         return True
@@ -143,7 +143,7 @@ def _primitives_of(
 
 
 def _resolve(sections: dict[str, list[tuple[str, str]]], bare: str, outer: str) -> str:
-    """Full name of a type used in `outer`, where the package may be left out."""
+    """Full name of a type used in `outer`, where the package may be omitted."""
     if "/" in bare:
         return _short(bare)
     if bare in _SHORT:
@@ -156,10 +156,10 @@ def _resolve(sections: dict[str, list[tuple[str, str]]], bare: str, outer: str) 
 
 
 def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
-    """A function from payload to message object, built from the embedded definition.
+    """A function from payload to message object, by the embedded definition.
 
-    Falls back on the definitions bundled with rosbags. Raises DamageError where neither serves; the
-    function raises DamageError on a payload that does not decode.
+    Without a usable definition those bundled with rosbags are used. Raises DamageError if there is
+    none; the function raises DamageError for a payload that cannot be decoded.
     """
     ros1 = channel.encoding == "ros1"
     store = _store(channel)
@@ -171,7 +171,7 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     def decode(raw: bytes) -> Any:
         try:
             return read(raw, channel.type_name)
-        # The generated code meets hostile bytes with whatever numpy and struct raise.
+        # The generated code raises numpy's and struct's exceptions on invalid data.
         except Exception as error:
             raise DamageError(f"a message does not decode ({type(error).__name__})") from error
 
@@ -179,16 +179,16 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
 
 
 class Member(NamedTuple):
-    """A field of a message type: the type of its value, or of the items if it is a list."""
+    """A field of a message type: the type of its value, or of its items if it is a list."""
 
     type_name: str
     listed: bool
 
 
 def members(channel: Channel) -> dict[str, dict[str, Member]]:
-    """Fields by name, of the channel's type and of every type that is known beside it.
+    """Fields by name of the channel's type and of every type that it uses.
 
-    Raises DamageError where the type has no definition that can be read.
+    Raises DamageError if the type has no readable definition.
     """
     definitions = _store(channel).fielddefs
     if channel.type_name not in definitions:
@@ -200,7 +200,7 @@ def members(channel: Channel) -> dict[str, dict[str, Member]]:
 
 
 def _member(node: int, described: Any) -> Member:
-    """A field as rosbags describes it: Nodetype, and a name or what the items are."""
+    """A field by rosbags' description: Nodetype, and a name or the items' type."""
     from rosbags.interfaces import Nodetype
 
     if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
@@ -210,7 +210,7 @@ def _member(node: int, described: Any) -> Member:
 
 
 def _store(channel: Channel) -> Any:
-    """rosbags' typestore with the embedded definition, or with ROS's own where there is none."""
+    """rosbags' typestore with the embedded definition, or with ROS's own without one."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
     if not channel.schema:
@@ -224,27 +224,27 @@ def _store(channel: Channel) -> Any:
             store.register(get_types_from_idl(_BESIDE_IDL.sub("", definition)))
         else:
             store.register(get_types_from_msg(definition, channel.type_name))
-    # The grammar meets hostile text with its own errors and with Python's.
+    # The parser raises its own and Python's exceptions on invalid text.
     except (Exception, RecursionError) as error:
         raise UnreadableError(f"the definition of {channel.type_name} cannot be read") from error
     return store
 
 
 def _check_length(definition: str) -> None:
-    """Refuse definitions that are far larger than any real one before they are parsed."""
+    """Reject definitions that are far larger than real ones before parsing."""
     if definition.count("\n") > LINES:
         raise DamageError("a message definition is implausibly long")
 
 
 class _Extent(NamedTuple):
-    """parts: fields with all that is nested in them; least: bytes that the shortest value takes."""
+    """parts: number of fields including nested ones; least: bytes of the shortest value."""
 
     parts: int
     least: int
 
 
 def _check_extent(fielddefs: Any, type_name: str) -> None:
-    """Refuse a type that is incomplete, or of which few bytes could make many objects."""
+    """Reject a type that is incomplete, or of which few bytes could make many objects."""
     known: dict[str, _Extent | None] = {}
 
     def of_type(name: str, depth: int) -> _Extent:
@@ -275,7 +275,7 @@ def _check_extent(fielddefs: Any, type_name: str) -> None:
             raise DamageError(f"{type_name} has an array of empty items")
         if kind == "SEQUENCE":
             return _Extent(1 + each.parts, 4)
-        # Numbers are read as one array, whatever their number.
+        # A sequence of numbers is read as one array.
         numbers = inner[0].name == "BASE" and "string" not in inner[1][0]
         return _Extent(1 if numbers else 1 + count * each.parts, count * each.least)
 

@@ -1,4 +1,4 @@
-"""Names of which one bit was flipped, set right where only one known name is that close."""
+"""Correction of names with one flipped bit, if only one known name is that close."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def one_bit_apart(name: Name, other: Name) -> bool:
         return isinstance(name, int) and isinstance(other, int) and (name ^ other).bit_count() == 1
     if len(name) != len(other):
         return False
-    # A broken byte of text stands for itself, or for one character that cannot be decoded.
+    # A damaged byte of text is another character, or one that cannot be decoded.
     a, b = (n.encode("latin-1", "replace") if isinstance(n, str) else n for n in (name, other))
     wrong = [(x, y) for x, y in zip(a, b, strict=True) if x != y]
     if len(wrong) != 1:
@@ -32,7 +32,7 @@ def one_bit_apart(name: Name, other: Name) -> bool:
 
 
 def nearest(name: Name, known: Collection[Name]) -> Name:
-    """The one known name that is a bit away, or the name itself."""
+    """The only known name that is one bit away, or the name itself."""
     if name in known:
         return name
     found = [other for other in known if one_bit_apart(name, other)]
@@ -40,7 +40,7 @@ def nearest(name: Name, known: Collection[Name]) -> Name:
 
 
 def spelled(channel: Channel) -> Channel:
-    """A channel whose type and encodings are what they can only have been."""
+    """The channel with its type and encodings corrected."""
     if channel.type_name in TYPES and channel.encoding in ENCODINGS:
         return channel
     names = _spelled(channel.type_name, channel.encoding, channel.schema_encoding)
