@@ -17,7 +17,7 @@ from .settings import MATCH, RobustSettings
 OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
 NO_WORSE = "another placement that chance does not explain has no more against it"
-MAYBE_COPY = "the building repeats itself and this may be another copy of the place"
+MAYBE_COPY = "this may be another copy of the place, as buildings in this merge repeat themselves"
 
 
 @dataclass(frozen=True, slots=True)
