@@ -1,15 +1,17 @@
-"""Worlds made to be merged wrongly: python benchmarks/adversaries.py [--seeds N] [--first S]
-[--only NAME ...] [--without RULE]
+"""False merges in adversarial worlds.
 
-Every adversary makes a batch of maps of several runs, of worlds that repeat themselves or one
-another in ways that nothing here was tuned to, or of runs that went wrong. Each batch is judged as
-a whole, and two runs at a time. Wrong: pairs merged otherwise than they lie, or of two worlds; at
-most: what share of such pairs could be, by that (the upper end of Wilson's interval of 95 %);
-promised: so many of them the false-merge rate allows. Right: pairs with at least FEWEST common
-junctions, and a quarter of the smaller map, that end in one component. Twice, mixed: junctions that
-stand twice in a component of the fused map, and fused vertices of several junctions. Of the floors
-with a door each, and of what is turned round itself, nobody could tell one from another who has
-seen only one of them.
+    python benchmarks/adversaries.py [--seeds N] [--first S] [--only NAME ...] [--without RULE]
+
+Every adversary makes a batch of maps of several runs, in worlds with repeated parts or with parts
+of one another, none of which were used to tune anything, or of runs with gross errors. Each batch
+is merged as a whole, and two runs at a time.
+
+Wrong: pairs merged at a false placement, or of two worlds; at most: upper end of Wilson's 95 %
+interval of their share; promised: number that the false-merge rate allows. Right: pairs with at
+least FEWEST common junctions, and a quarter of the smaller map, that end in one component. Twice,
+mixed: junctions with several vertices in a component of the fused map, and fused vertices of
+several junctions. Floors that differ by a door, and worlds with rotational symmetry, cannot be told
+apart by a run that saw only one of the alternatives.
 """
 
 from __future__ import annotations

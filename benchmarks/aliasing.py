@@ -1,11 +1,11 @@
-"""Worlds that repeat themselves and one another: python benchmarks/aliasing.py [--worlds N]
-[--first S] [--without RULE]
+"""Perceptual aliasing, in worlds that repeat themselves and one another.
 
-For every kind of world N worlds of RUNS runs each, judged in one batch, world by world, and two
+    python benchmarks/aliasing.py [--worlds N] [--first S] [--without RULE]
+
+For every kind of world N worlds of RUNS runs each, merged in one batch, world by world, and two
 runs at a time. Right: pairs with at least FEWEST common junctions that end in one component, by the
-share of the smaller map that both have; wrong: pairs merged otherwise than they lie, or of two
-worlds. Promised: so many of these the false-merge rate allows. --without leaves one rule out, to
-see what it is there for.
+common share of the smaller map; wrong: pairs merged at a false placement, or of two worlds.
+Promised: number of these that the false-merge rate allows. --without disables one rule (ablation).
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
-"""What pairs of runs could be told at all: python benchmarks/bound.py [--kinds rows] [--worlds N]
-[--first S] [--size K] [--others M]
+"""Upper bound of the evidence that a pair of runs can have.
 
-A pair of runs is told to be of one place by what both saw there. Here that is known without error:
-the junctions that both regions hold, to `TOLERANCE_M`, with their branches. The same set is looked
-for elsewhere: where it lies again in its own world no matcher can tell the two places apart; and
-among M other worlds of the same kind its expected number of places per world, as -log2, is what
-the set tells to somebody who knows how such worlds are made. No honest matcher, who does not,
-can have more, and merging needs log2(pairs / rate): 14.8 bits in a batch of eight runs.
+    python benchmarks/bound.py [--kinds rows] [--worlds N] [--first S] [--size K] [--others M]
+
+The evidence for one place is what both runs saw there, here known without error: the junctions in
+both regions, to `TOLERANCE_M`, with their branches. This set is searched for elsewhere. If it
+occurs again in its own world, no matcher can tell the two places apart. Its expected number of
+occurrences in each of M other worlds of the same kind, as -log2, is its evidence for a matcher that
+knows the distribution of worlds; one that does not cannot have more. Merging needs log2(pairs /
+rate): 14.8 bits in a batch of eight runs.
 """
 
 from __future__ import annotations

@@ -1,10 +1,12 @@
-"""Is a bit a bit? python benchmarks/calibration.py [--pairs 100000] [--svg FILE] [--first SEED]
+"""Calibration of the evidence in bits.
 
-Pairs of maps that share no place: of different buildings, and of different parts of one building,
-which is harder, since its grid and its habits repeat. For every number of bits t the share of pairs
-that offer an alignment with t bits or more, beside the promise 2^-t that the threshold of
-`--false-merge-rate` relies on. Offices repeat themselves: there the bits are those of the second
-question ("this place, or a copy of it?"), asked of every alignment that chance does not explain.
+    python benchmarks/calibration.py [--pairs 100000] [--svg FILE] [--first SEED]
+
+Pairs of maps without a common place: of different buildings, and of different parts of one
+building, which is harder since its grid and its patterns repeat. For every number of bits t the
+share of pairs with an alignment of at least t bits is compared with 2^-t, on which the threshold of
+`--false-merge-rate` relies. Offices have copies: their bits are those of the second question (this
+place or a copy of it?), for every alignment that is not explained by chance.
 """
 
 from __future__ import annotations

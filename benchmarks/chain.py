@@ -1,11 +1,11 @@
-"""The whole chain on simulated runs, judged by their truth.
+"""The whole processing chain on simulated runs, compared with the truth.
 
     python benchmarks/chain.py [--seeds N] [--first SEED] [--only TEXT] [--junctions N]
 
-Per kind of scenario, summed over seeds: map nodes that mix several places; places drawn as several
+For each kind of scenario, summed over seeds: map nodes of several places; places with several
 nodes; pairs merged rightly (common places within 1 m on average, and 5 degrees, of the best rigid
-fit of the two maps), wrongly, or not at all; runs joined though nothing links them; CPU seconds
-per run and per pair.
+fit of the two maps), wrongly, or not at all; runs joined though they share no chain of overlaps;
+CPU seconds per run and per pair.
 """
 
 from __future__ import annotations

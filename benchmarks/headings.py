@@ -1,15 +1,17 @@
-"""Headings of scan matching alone: python benchmarks/headings.py FOLDER... [--real FOLDER...]
+"""Headings by scan matching.
 
-Folders as `laser.py` takes them. Of all runs of a folder, and of all: share of heading errors after
-20 m within 68.3, 95.4 and 99.7 % of what the run's noise claims, with standard errors as if
-stretches that do not overlap were independent; 1 sigma claimed over error (root mean squares,
-pooled); by how much patches of wall err together (`TurnErrors`: apart over apart_alone). Real logs
-are judged by what all their scans agree on (`revisits.py`).
+    python benchmarks/headings.py FOLDER... [--real FOLDER...]
 
-Of real logs also branches of junctions that were passed again: how often the headings that two
-passes show (turned by what the scans agree on) differ by no more than the map's noise of a branch
-claims, and by how much. That tells what passes do not share; what they do, `uncertainty.py --laser`
-holds against the truth of simulated worlds. Folders that do not exist are passed over.
+Folders as for `laser.py`. For all runs of a folder, and for all folders: share of heading errors
+after 20 m within the 68.3, 95.4 and 99.7 % intervals of the run's noise, with standard errors for
+independent stretches; stated over true standard deviation (root mean squares, pooled); correlation
+of errors by wall patch (`TurnErrors`: apart over apart_alone). Real logs are compared with the
+consensus of all their scans (`revisits.py`).
+
+For real logs also branches of junctions that were passed again: how often the headings of two
+passes (rotated by that consensus) differ within the map's noise of a branch, and by how much. This
+shows errors that passes do not share; `uncertainty.py --laser` covers shared ones in simulated
+worlds. Missing folders are skipped.
 """
 
 from __future__ import annotations

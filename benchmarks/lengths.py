@@ -1,19 +1,18 @@
-"""Distances between neighbouring junctions: those of maps, and the best that their logs allow.
+"""Distances between neighbouring junctions in maps, and the best possible from their logs.
 
 python benchmarks/lengths.py [--seeds 4] [--first 6100]
 
 Two runs in every world, mid drift and mild faults. For every corridor of each run's map whose ends
-are two junctions of the world, the straight distance of these, against the truth:
+are two junctions of the world, the straight distance of these is compared with the truth:
 
-  map      as the map has it
-  ideal    by the pose graph of the same passes (and the same grid of the building) when it is told
-           which pass was by which junction, and the noise that the simulator added: the most likely
-           positions, and with normal errors no unbiased estimate has a smaller variance (Cramér and
-           Rao)
-  stated   1 sigma by that graph, the scale of the odometry included
+  map      in the map
+  ideal    by the pose graph of the same passes (and the same grid of the building) with the true
+           place of each pass and the simulator's noise: the maximum likelihood estimate, whose
+           variance is the least of unbiased ones for normal errors (Cramér-Rao bound)
+  stated   standard deviation by that graph, with the scale of the odometry
 
-Each: the root mean square error [m], and the share within 2 %; `bias` is the median of the length
-of the corridor over the true one, less 1, by how straight it is: line over way.
+Each: the root mean square error [m], and the share within 2 %; `bias` is the median of the
+corridor's length over the true one, minus 1, by straightness: line over length.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
-"""What the scans of a whole log agree on, where others' corrected poses are too coarse a truth.
+"""Consensus trajectories of all scans of a log, where published corrected poses are too coarse as
+truth.
 
-Corrected paths of published logs are a filter's poses of every tenth scan or so: their headings are
-off by degrees. Scans of one place, passed again at any time, tell better where the robot was. All
-are held against each other at once (point to line, least squares over the whole log), pairs found
-by the corrected path, the odometry beside them. What never sees a place again may be judged by
-that; how far it is to be trusted is how far it moves when the odometry counts for a tenth.
+Corrected paths of published logs are a filter's poses of about every tenth scan, with heading
+errors of degrees. Scans of one place at different times locate the robot better. All are aligned at
+once (point to line, least squares over the whole log), with pairs found by the corrected path, and
+with the odometry. Odometry and maps that do not use revisits can be compared with the result; its
+own accuracy is estimated by how far it moves when the odometry's weight is a tenth.
 """
 
 from __future__ import annotations

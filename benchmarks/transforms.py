@@ -1,17 +1,19 @@
-"""What the stated errors of merges are made of. python benchmarks/transforms.py [--seeds 1]
+"""Contributions to the stated errors of merges.
 
-Runs of one simulated world are matched by the truth and fused, so that nothing hangs on what
-merging finds. Of where the middle of one map lies, seen from another (along the line between both
-middles, and across it), and of how the two are turned:
+    python benchmarks/transforms.py [--seeds 1]
 
-  within     how often the truth lies within what should hold 68.3 and 95 %
-  carried    what maps state of their own errors (samples of their posteriors), carried through the
-             joint pose graph, over what the merge states (variances, in the mean)
+Runs of one simulated world are matched by the truth and fused, so that results do not depend on
+matching. For the position of one map's centre relative to another (along the line between both
+centres, and across it), and for the relative rotation:
+
+  within     how often the truth lies within the 68.3 and 95 % intervals
+  carried    the maps' own errors (samples of their posteriors) propagated through the joint pose
+             graph, over what the merge states (mean variances)
   legs, centres, branches, grid, scale
-             shares of the stated variance that come of the odometry between places, of how centres
-             and branches were seen, of the grid of a building, and of the scale of lengths
+             shares of the stated variance by the odometry between places, by observations of
+             centres and branches, by the grid of a building, and by the scale of lengths
 
-Worlds, errors and seeds as in `uncertainty.py`. Dense algebra: for maps of some 40 junctions.
+Worlds, errors and seeds as in `uncertainty.py`. Uses dense algebra: for maps of about 40 junctions.
 """
 
 from __future__ import annotations

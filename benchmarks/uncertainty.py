@@ -1,37 +1,37 @@
-"""Is a sigma a sigma? python benchmarks/uncertainty.py [--seeds 2] [--first 1] [--runs 3] [--worst]
+"""Coverage of stated uncertainties.
 
-How often the truth lies within what 68.3, 95 and 99.7 % of errors should keep to, by what documents
-and merges state:
+    python benchmarks/uncertainty.py [--seeds 2] [--first 1] [--runs 3] [--worst]
+
+How often the truth lies within the 68.3, 95 and 99.7 % intervals stated by documents and merges:
 
   length     a corridor's length (`length_sigma`)
-  near, far  where one junction of a map lies, seen from another at most 15 m, at least 30 m away
-  size       how large the map is as a whole: one error of a run, that of its odometry's scale
-             most of all
+  near, far  the position of one junction relative to another one, at most 15 m, at least 30 m away
+  size       the size of the map as a whole: one error per run, mostly that of its odometry's scale
   heading    a branch in the map's frame (`branch_sigmas`)
-  place      where a junction lies, with the map as a whole laid over the truth (`sigma_m`)
+  place      a junction's position, after a rigid fit of the map to the truth (`sigma_m`)
   fused      a corridor's length in the fused map
-  fused place  where a junction of the fused map lies
-  transform  how far off the middles of the maps of two merged runs lie, each seen from the other's,
-             by the radius that is to hold the share (`transform_sigma` states that of 68.3 %)
-  turn       how the two are turned to each other (`transform_sigma`)
-  placed     the same two for runs that only others tie (`placed`)
+  fused place  the position of a junction of the fused map
+  transform  the relative position of the centres of two merged runs' maps, as the radius that
+             holds the share (`transform_sigma` states that of 68.3 %)
+  turn       the relative rotation of the two (`transform_sigma`)
+  placed     the same two for runs that are joined only through others (`placed`)
 
-Runs of the project's simulator, three to a world, each overlapping the one before, or alone in it
-(`--runs 1`: no merges, and many more worlds in the same time); per quantity one row for every kind
-of world and drift, over all faults, and one for every drift and faults, over all worlds. `--worst`
-prints, for every quantity and drift, all worlds together, and the kinds of world that stray most.
-No two scenarios share a random number: an odometry's error of scale is one draw per run, and far
-junctions err by little else. `n` counts statements; behind each share stands its standard error,
-with all statements about one run (of merges: one world) as one draw, as errors within a run go
-together. Junctions, corridors and pairs that were identified wrongly are left out: `closure.py` and
-`chain.py` count those. A map's frame is arbitrary: it is laid rigidly over the truth.
+Runs of the project's simulator, three to a world, each overlapping the one before, or one to a
+world (`--runs 1`: no merges, and many more worlds in the same time); for each quantity a row for
+every kind of world and drift, over all faults, and one for every drift and faults, over all worlds.
+`--worst` prints, for every quantity and drift, all worlds together, and the kinds of world with the
+largest deviations. No two scenarios share random numbers, since an odometry's scale error is one
+draw per run and dominates the errors of far junctions. `n` is the number of statements; standard
+errors count all statements about one run (of merges: one world) as one draw, since their errors are
+correlated. Wrongly identified junctions, corridors and pairs are left out: `closure.py` and
+`chain.py` count those. A map's frame is arbitrary, so that maps are fitted rigidly to the truth.
 
-`--laser` has the junctions found in scans; faults are those of the laser and its surroundings.
-`--real FOLDER…` judges recorded runs instead: folders with `truth.json` (vertices and edges of the
-world, passes of every run) and `logs/`; `--parts N…` cuts each of them into so many runs of equal
-way. These are drives of one robot, whose scale is one draw however many parts it is cut into. The
-truth is off itself: of folders with scans, by how much its junctions are, held against what all
-scans of a run agree on (`revisits.py`), stands before the table.
+`--laser`: junctions found in scans; faults are those of the laser and its surroundings. `--real
+FOLDER…`: recorded runs, in folders with `truth.json` (vertices and edges of the world, passes of
+every run) and `logs/`; `--parts N…` cuts each into this many runs of equal length. These are drives
+of one robot, whose scale error is one draw for all parts. The truth has errors itself: for folders
+with scans, those of its junctions against the consensus of all scans of a run (`revisits.py`) are
+printed before the table.
 """
 
 from __future__ import annotations
