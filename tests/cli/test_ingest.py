@@ -121,7 +121,7 @@ def test_pieces_that_nothing_ties_together_are_runs_until_the_log_is_whole(
     assert done.code == 0, done
     assert "on their own: run#2" in done.err
     assert "(run#2)" in done.out
-    assert "2 maps in" in done.out
+    assert "2 maps of 1 log in" in done.out
     assert sorted(p.name for p in maps.iterdir()) == [
         "run#2.json",
         "run#2.rrd",
