@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -42,6 +42,12 @@ class PassageSettings:
 
 
 PASSAGE = PassageSettings()
+
+_STEP_M = 0.25
+"""Spacing of the points at which a path is compared with places."""
+
+_STOP_M = 0.1
+"""Standard deviation of the position of a split along the path [m]."""
 
 
 def split_at_places(
@@ -197,24 +203,33 @@ def _known_part(
     return None
 
 
+class _Stop(NamedTuple):
+    """Where a corridor is split: distance along its path [m], place, the branches by which the path
+    enters and leaves it, and the row of the path's point."""
+
+    way: float
+    place: int
+    back: int
+    on: int
+    row: int
+
+
 def _parts(c: Corridor, world: _World) -> list[Corridor]:
     """The corridor split at the places on its path; itself alone if there are none."""
     way = way_of(c.path)
     if way[-1] < 2 * PASSAGE.pass_end_m:
         return [c]
-    fine = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / 0.25)) + 1))
+    fine = np.linspace(0.0, way[-1], max(2, int(np.ceil(way[-1] / _STEP_M)) + 1))
     points = np.column_stack([np.interp(fine, way, c.path[:, k]) for k in (0, 1)])
     near = {k for hits in world.tree.query_ball_point(points, PASSAGE.pass_m) for k in hits}
-    cuts = []
+    stops = []
     for place in sorted(near - {c.u, c.v}):
         at = int(np.argmin(np.hypot(*(points - world.xy[place]).T)))
         if PASSAGE.pass_end_m <= fine[at] <= way[-1] - PASSAGE.pass_end_m:
             back, on = _along(points, at, world.branches[place])
             if back is not None and on is not None and back != on:
-                cuts.append((float(fine[at]), place, back, on, at))
-    if not cuts:
-        return [c]
-    return _cut(c, sorted(cuts), points, float(way[-1]))
+                stops.append(_Stop(float(fine[at]), place, back, on, at))
+    return _split(c, sorted(stops), points, float(way[-1])) if stops else [c]
 
 
 def _along(points: FloatArray, at: int, headings: FloatArray) -> tuple[int | None, int | None]:
@@ -232,31 +247,32 @@ def _along(points: FloatArray, at: int, headings: FloatArray) -> tuple[int | Non
     return out[0], out[1]
 
 
-def _cut(
-    c: Corridor,
-    cuts: list[tuple[float, int, int, int, int]],
-    points: FloatArray,
-    drawn_length: float,
-) -> list[Corridor]:
-    """The corridor split at (distance, place, branches back and on, point index); lengths in
-    proportion to the path."""
-    scale = c.length / drawn_length
-    stops = [(0.0, c.u, NO_BRANCH, c.branch_u, 0), *cuts]
-    stops.append((drawn_length, c.v, c.branch_v, NO_BRANCH, len(points) - 1))
+def _split(c: Corridor, inner: list[_Stop], points: FloatArray, drawn_m: float) -> list[Corridor]:
+    """The corridor split at these stops; lengths are in proportion to those on its path.
+
+    points: (k, 2) of the path, which is drawn_m long.
+    """
+    stops = [
+        _Stop(0.0, c.u, NO_BRANCH, c.branch_u, 0),
+        *inner,
+        _Stop(drawn_m, c.v, c.branch_v, NO_BRANCH, len(points) - 1),
+    ]
+    scale = c.length / drawn_m
     parts = []
-    for (s0, u, _, out, i), (s1, v, into, _, j) in pairwise(stops):
-        share = (s1 - s0) / drawn_length
+    for s, t in pairwise(stops):
+        share = (t.way - s.way) / drawn_m
+        path = points[s.row : t.row + 1] if t.row > s.row else points[[s.row, t.row]]
         parts.append(
             replace(
                 c,
-                u=u,
-                v=v,
-                branch_u=out,
-                branch_v=into,
-                length=max((s1 - s0) * scale, SHORTEST_M),
-                sigma=float(np.hypot(c.sigma * np.sqrt(share), 0.1)),
-                way=float(np.hypot(c.way * np.sqrt(share), 0.1)),
-                path=points[i : j + 1].copy() if j > i else points[[i, min(i + 1, j)]].copy(),
+                u=s.place,
+                v=t.place,
+                branch_u=s.on,
+                branch_v=t.back,
+                length=max((t.way - s.way) * scale, SHORTEST_M),
+                sigma=float(np.hypot(c.sigma * np.sqrt(share), _STOP_M)),
+                way=float(np.hypot(c.way * np.sqrt(share), _STOP_M)),
+                path=path.copy(),
             )
         )
     return parts
