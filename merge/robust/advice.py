@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -26,8 +27,8 @@ def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
     if best is None:
         return None
     options = [
-        *_unexplored(a, b, best.a, best.b, best.transform[2]),
-        *_unexplored(b, a, best.b, best.a, -best.transform[2]),
+        *_driven_by_one(a, b, best.a, best.b, best.transform[2]),
+        *_driven_by_one(b, a, best.b, best.a, -best.transform[2]),
     ]
     if not options:
         return (
@@ -35,17 +36,24 @@ def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
             "every corridor they share has been driven by both"
         )
     blind = _partners_of(assessment.runner_up)
-    known, length, end, other, vertex, known_vertex = max(
-        options, key=lambda o: (_telling(o, blind, a), o[1], -o[4])
-    )
+    o = max(options, key=lambda o: (_refutes(o, blind, a), o.length, -o.other_vertex))
     return (
-        f"record with {other.run}'s robot the corridor that {known.run} drove from its junction "
-        f"{known_vertex} to {end} ({length:.1f} m): it leaves junction {vertex} of {other.run}, "
-        "where that run turned another way"
+        f"record with {o.other.run}'s robot the corridor that {o.known.run} drove from its "
+        f"junction {o.vertex} to {o.end} ({o.length:.1f} m): it leaves junction {o.other_vertex} "
+        f"of {o.other.run}, where that run turned another way"
     )
 
 
-Option = tuple[Prepared, float, int, Prepared, int, int]
+class _Option(NamedTuple):
+    """A corridor that the run `known` drove from `vertex` to `end`, length in [m], and that the run
+    `other` saw leave its `other_vertex`, matched with `vertex`, and did not drive."""
+
+    known: Prepared
+    vertex: int
+    end: int
+    length: float
+    other: Prepared
+    other_vertex: int
 
 
 def _partners_of(candidate: Candidate | None) -> dict[int, int]:
@@ -55,17 +63,17 @@ def _partners_of(candidate: Candidate | None) -> dict[int, int]:
     return dict(zip(candidate.b.tolist(), candidate.a.tolist(), strict=True))
 
 
-def _telling(option: Option, blind: Mapping[int, int], a: Prepared) -> bool:
+def _refutes(option: _Option, blind: Mapping[int, int], a: Prepared) -> bool:
     """Whether the runner-up matches the junction with another one, so that the corridor can refute
     it."""
-    known, _, _, _, vertex, known_vertex = option
-    ours, theirs = (known_vertex, vertex) if known is a else (vertex, known_vertex)
+    o = option
+    ours, theirs = (o.vertex, o.other_vertex) if o.known is a else (o.other_vertex, o.vertex)
     return blind.get(theirs, ours) != ours
 
 
-def _unexplored(
+def _driven_by_one(
     known: Prepared, other: Prepared, vk: IntArray, vo: IntArray, turn: float
-) -> list[Option]:
+) -> list[_Option]:
     """Corridors of `known` at matched junctions by branches that `other` saw and did not drive."""
     partner = np.full(len(known), -1)
     partner[vk] = vo
@@ -76,8 +84,8 @@ def _unexplored(
     gap[np.isnan(theirs)] = np.pi  # as far off as can be
     branch = gap.argmin(axis=1)
     open_ = (gap.min(axis=1) < LIKELIHOOD.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
-    columns = (known.length[row], known.head[row], vertex, tail)
+    columns = (tail, known.head[row], known.length[row], vertex)
     return [
-        (known, length, head, other, v, t)
-        for length, head, v, t in zip(*(c[open_].tolist() for c in columns), strict=True)
+        _Option(known, u, end, length, other, v)
+        for u, end, length, v in zip(*(c[open_].tolist() for c in columns), strict=True)
     ]
