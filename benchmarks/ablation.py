@@ -1,12 +1,14 @@
-"""What every mechanism of loop closure is there for: python benchmarks/ablation.py [--seeds 5]
+"""Ablation of loop closure: the effect of every mechanism.
 
-Takes one mechanism out at a time, by the settings or in place of a function, and closes the same
-walks again: runs of the project's simulator in five kinds of world, by drift and faults (`CELLS`),
-and recorded runs (`--real FOLDER…`, as `uncertainty.py` reads them). `runs`: how many walks come
-out otherwise at all; `recall`: of the passes by a junction passed before, those that stand in one
-place with such a pass; then for every kind of world passes in a place that is mostly another
-junction (false), and junctions that stand once more than they should (double). `--only NAME…` tries
-these mechanisms, `--list` names them all.
+    python benchmarks/ablation.py [--seeds 5]
+
+Disables one mechanism at a time, by settings or by replacing a function, and closes the same runs
+again: runs of the project's simulator in five kinds of world, by drift and faults (`CELLS`), and
+recorded runs (`--real FOLDER…`, as `uncertainty.py` reads them). `runs`: number of runs with
+another result; `recall`: share of the passes by a junction passed before that are in one place with
+such a pass; then for every kind of world passes in a place that is mostly another junction (false),
+and surplus vertices of junctions (double). `--only NAME…` selects mechanisms, `--list` names them
+all.
 """
 
 from __future__ import annotations
@@ -74,7 +76,7 @@ OUT = {
     "phantoms: least miss rate": {"driven_by.least_miss_rate": 1e-6},
     "phantoms: least rate": {"driven_by.least_phantom_rate": 1e-6},
 }
-"""Mechanisms, and what takes each out: fields of RoundSettings (`driven_by`: DrivenBySettings)."""
+"""Mechanisms, and the fields of RoundSettings that disable each (`driven_by`: DrivenBySettings)."""
 
 
 def _no_growth(state, a, *args):
@@ -103,7 +105,7 @@ REPLACED = {
     ),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
 }
-"""Mechanisms that no field takes out: module, function, and what stands in for it."""
+"""Mechanisms without such a field: module, function, and its replacement."""
 
 
 class Case(NamedTuple):

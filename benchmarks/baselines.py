@@ -1,6 +1,6 @@
-"""What the paper compares itself with: three other ways to lay one map over another.
+"""Other methods to align two maps, for comparison as in the paper.
 
-Each takes two maps and returns T_a_b (3,), or None where it finds nothing.
+Each takes two maps and returns T_a_b (3,), or None if it finds nothing.
 """
 
 from __future__ import annotations

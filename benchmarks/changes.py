@@ -1,12 +1,14 @@
-"""Closed corridors told. python benchmarks/changes.py [--seeds 5] [--first 0]
+"""Detection of closed corridors.
 
-Two runs of one world, the second with every tenth corridor closed (as far as the world stays in one
-piece): nobody drives there, and their branches are not seen.
+    python benchmarks/changes.py [--seeds 5] [--first 0]
 
-  closed   corridors that the first run drove and the second found closed
+Two runs of one world, the second with every tenth corridor closed (as far as the world stays
+connected): closed corridors are not driven, and their branches are not seen.
+
+  closed   corridors that the first run drove and that are closed in the second
   met      those of which the second run passed both ends
-  told     those that are called a change; unsure: listed as what chance may have made
-  false    what is called a change and is none
+  told     those reported as a change; unsure: reported as possibly due to chance
+  false    reported changes that are none
 """
 
 from __future__ import annotations

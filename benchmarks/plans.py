@@ -1,4 +1,4 @@
-"""Worlds that repeat themselves, or one another, in ways that nothing was tuned to."""
+"""Worlds with repeated parts, none of which were used to tune anything."""
 
 from __future__ import annotations
 

@@ -1,10 +1,11 @@
-"""What every number of robust merging is worth: python benchmarks/sensitivity.py [--only NAME ...]
+"""Sensitivity of robust merging to its settings.
 
-Every number in turn is made smaller and larger by FACTOR, and worlds of all kinds (`aliasing.py`)
-are judged, in one batch and any two runs of one world alone. Shown: by kind of world how many more
-or fewer pairs of runs with common junctions end in one component; pairs merged otherwise than they
-lie; and the processor's time. Numbers whose two rows say nothing could be anything between, as far
-as these worlds go.
+    python benchmarks/sensitivity.py [--only NAME ...]
+
+Every number is divided and multiplied by FACTOR in turn, and worlds of all kinds (`aliasing.py`)
+are merged, in one batch and as pairs of runs of one world. Shown: by kind of world the change in
+the number of pairs with common junctions that end in one component; pairs merged at a false
+placement; and CPU time. Numbers with no effect in either row are not determined by these worlds.
 """
 
 from __future__ import annotations

@@ -1,17 +1,20 @@
-"""Named places carried from map to map. python benchmarks/transfer.py [--seeds 3] [--first 601]
+"""Transfer of named places between maps.
 
-Simulated runs, two of each world, with places in one's map carried to the other's and to the merged
-one. The truth is where the target's own map has that place: on the same corridor, as far along it,
-as far to its side ("other", "merged"). Of a corridor that the target never drove ("beyond") the
-truth is where the world has the place, seen from the target's four nearest junctions.
+    python benchmarks/transfer.py [--seeds 3] [--first 601]
 
-  carried      of all places, those whose 95 % lie within 0.5 m by what is stated
-  ≤ 0.5 m      of the carried ones, those that are no farther off; behind it, of all
-  68, 95 %     coordinates within 1 and 1.96 of the stated sigmas
-  left, off    what was not carried, and what share of it would have been farther off than 0.5 m
+Simulated runs, two of each world, with places in one's map transferred to the other's and to the
+merged one. The truth is the same place in the target's own map: on the same corridor, at the same
+share of its length and the same distance to its side ("other", "merged"). For a corridor that the
+target never drove ("beyond") it is the world's place, relative to the target's four nearest
+junctions.
 
-Robots keep to the middle of corridors here (`--wobble 0`): where they wander, paths differ by that
-from run to run, and a path is what the truth is read from.
+  carried      share of all places whose stated 95 % bound is within 0.5 m
+  ≤ 0.5 m      share of the carried ones with an error of at most this; after it, of all
+  68, 95 %     coordinates within 1 and 1.96 of the stated standard deviations
+  left, off    places not transferred, and the share of them whose error would exceed 0.5 m
+
+Robots keep to the centre line here (`--wobble 0`): otherwise paths, from which the truth is read,
+differ from run to run.
 """
 
 from __future__ import annotations
