@@ -373,4 +373,4 @@ class MergeResult:
 def shown_bits(bits: float, digits: int = 1) -> str:
     """Bits for people: those of the documents with fewer decimals, so that a number reads alike
     before and after it went through a document (3.846 is 3.85 there, and 3.9 here)."""
-    return f"{round(bits, BITS):.{digits}f}"
+    return f"{round(bits, BITS):z.{digits}f}"

@@ -185,7 +185,7 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
     )
     recording.static((MATRIX, "evidence"), dots, info)
     if len(runs) <= MOST_NUMBERS:
-        labels = [f"{b + 0.0:.1f}" for b in np.round(bits, 1).tolist()]
+        labels = [shown_bits(b) for b in bits.tolist()]
         _labels(recording, "bits", ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE], labels)
 
 

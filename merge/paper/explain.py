@@ -19,6 +19,7 @@ from ...topology.matching.correspondence import candidate_nodes, node_codes, nod
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..document import pose_to_document
+from ..result import shown_bits
 from .clustering import Clusters
 from .hypotheses import Hypotheses
 from .method import DEFAULT_PAPER, PaperSettings, match, prepare_map
@@ -141,7 +142,7 @@ def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
         x, y, turn = c.transform[k].tolist()
         yield (
             f"{k + 1:>7}  {c.vertices[k]:>9}  {c.hypotheses[k]:>10}  {c.largest[k]:>7}  {rms:>5.2f}"
-            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {e.bits[k]:>6.1f}"
+            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {shown_bits(e.bits[k]):>6}"
         )
     if len(c) > most:
         yield f"… and {counted(len(c) - most, 'more cluster')}"

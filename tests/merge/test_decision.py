@@ -245,6 +245,7 @@ def test_a_number_reads_alike_before_and_after_a_document(bits):
 def test_a_lead_reads_alike_in_the_reason_and_on_the_screen():
     assert shown_bits(3.846) == shown_bits(3.85) == "3.9"  # 3.85 is a hair more than it says
     assert shown_bits(12.5534, 2) == "12.55"
+    assert shown_bits(-0.02) == "0.0"
 
 
 def test_contradictions_of_the_next_best_are_told():

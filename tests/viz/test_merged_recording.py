@@ -17,6 +17,8 @@ Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
 
 def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> None:
     result, maps = merge_of([["a", "b", "c"], ["d"]], ambiguous=[("c", "d")])
+    first, *others = result.verdicts
+    result = replace(result, verdicts=(replace(first, evidence_bits=3.846), *others))
     write_merged_recording(tmp_path / "merged.rrd", result, maps)
     got = Readback(tmp_path / "merged.rrd")
     assert got.identity == ("topobatch", "merged")
@@ -33,6 +35,8 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
         assert f"/runs/component_0/{run}/corridors" in got.entities
     assert got.value("/agreement/component_0/corridors", "driven_by") == ["a, b, c"] * 5
     assert got.value("/verdicts/evidence", "reason") == [p.reason for p in result.verdicts]
+    numbers = got.value("/verdicts/bits", "Points2D:labels")
+    assert numbers[0] == "3.9"  # as reasons and documents have it
     assert "/undecided/pairs/c/d/best/matched" in got.entities
     assert "/undecided/pairs/c/d/runner-up/b/d/corridors" in got.entities
     assert "two ways" in got.value("/pairs", "TextDocument:text")[0]

@@ -15,6 +15,8 @@ rotation only, H3 is at another one, and at 90 degrees a7-b6 is only the next pa
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -218,6 +220,8 @@ def test_explanation_as_text_and_json(example):
     assert "73 with their rotations; 15 hypotheses" in text
     table = next(line for line in lines(found) if line.strip().startswith("a2 "))
     assert "H" in table
+    half = replace(found, bits=np.full(len(found.bits), 3.846))  # 3.85 in documents
+    assert lines(half)[-1].endswith(" 3.9")
     document = to_document(found)
     best = document["hypotheses"][0]
     assert named(best["matched"]) in (H2, H4)
