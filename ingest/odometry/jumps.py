@@ -140,8 +140,10 @@ def _seldom(values: FloatArray) -> float:
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
-def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> BoolArray:
-    """(n - 1,) steps that deviate from their neighbours more than others of the run.
+def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> tuple[BoolArray, float]:
+    """(n - 1,) steps that deviate from their neighbours more than others of the run; and the
+    deviation [m] that occurs too often to be told apart, if none of the robot's motion is that
+    fast, else 0.
 
     Because of its inertia a robot makes no large step between two small ones. What is normal for
     this robot and odometry (sparse rows, jerky drives) is estimated from the run. Light robots turn
@@ -150,7 +152,7 @@ def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> BoolArray
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
     if len(pose) <= JUMPS.few_steps or not _any_spike(pose, bounds):
-        return found
+        return found, 0.0
     # Including smaller deviations, which show what is normal.
     rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
     steps = _Steps.of(pose, rows)
@@ -158,12 +160,14 @@ def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> BoolArray
     way, turn = _excess(time_ns, pose, steps, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / JUMPS.usual_way_m)
-    out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
+    normal_m = _at_rank(way, often)
+    out = way > max(JUMPS.least_m, JUMPS.factor * normal_m)
     fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
     fast = fast > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
-    return found
+    driven_m = max(JUMPS.least_m, usual.speed * usual.period)
+    return found, normal_m if normal_m > driven_m else 0.0
 
 
 def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:

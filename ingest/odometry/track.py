@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
+from .jumps import JUMPS, Jumps, measured_jumps, no_jumps, spikes, times
 from .step_bounds import StepBounds
 
 SECOND_NS = 10**9
@@ -164,7 +164,13 @@ def _measured(
 ) -> tuple[IntArray, FloatArray, Jumps, StepBounds]:
     """The track without glitches (single poses off it), and its jumps and resets."""
     bounds = StepBounds.of(time_ns, pose)
-    leaps = _leaps(time_ns, pose, bounds, settings)
+    leaps, frequent_m = _leaps(time_ns, pose, bounds, settings)
+    if frequent_m:
+        warnings.append(
+            f"odometry leaves its course by {frequent_m:.2f} m or more, more than it ever moves in "
+            f"a step, and more often than once per {JUMPS.usual_way_m:.0f} m: taken for its usual "
+            "noise, not for jumps; the map may be wrong"
+        )
     if not leaps.any():
         return time_ns, pose, no_jumps(), bounds
     glitch = _glitches(time_ns, pose, leaps, settings)
@@ -173,7 +179,7 @@ def _measured(
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
         bounds = StepBounds.of(time_ns, pose)
-        leaps = _leaps(time_ns, pose, bounds, settings)
+        leaps, _ = _leaps(time_ns, pose, bounds, settings)
     if not leaps.any():
         return time_ns, pose, no_jumps(), bounds
     duration = np.diff(time_ns)
@@ -188,9 +194,11 @@ def _measured(
 
 def _leaps(
     time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
-) -> BoolArray:
-    """(n - 1,) steps that cannot have been driven, or stand out from all others."""
-    return _teleports(time_ns, pose, bounds, settings) | spikes(time_ns, pose, bounds)
+) -> tuple[BoolArray, float]:
+    """(n - 1,) steps that cannot have been driven, or stand out from all others; and as `spikes`
+    the deviation [m] that occurs too often."""
+    found, frequent_m = spikes(time_ns, pose, bounds)
+    return _teleports(time_ns, pose, bounds, settings) | found, frequent_m
 
 
 def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -72,8 +72,19 @@ def test_an_odometry_that_runs_well_has_no_jumps():
 
 def test_sparse_rows_that_leap_at_every_corner_do_not_jump():
     time, pose = drive()
-    odometry, _ = read(time[::30], pose[::30])
+    odometry, track = read(time[::30], pose[::30])
     assert len(odometry.jumps) == 0
+    assert track.warnings == ()
+
+
+def test_jumps_too_frequent_to_be_told_from_noise_are_said():
+    time, pose = drive()
+    for row in range(300, 3900, 450):
+        pose = jumped(pose, row, (0.4, 0.2, -0.5))
+    odometry, track = read(time, pose)
+    assert len(odometry.jumps) == 0
+    (warning,) = track.warnings
+    assert warning.startswith("odometry leaves its course by 0.4")
 
 
 def test_stamps_in_bursts_are_no_jumps():
@@ -131,13 +142,14 @@ def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
     pose += rng.normal(0, noise, pose.shape) * (rng.random((len(pose), 1)) < 0.02)
     pose[:, 2] = wrap(pose[:, 2])
     pose = jumped(pose, int(rng.integers(1, 600)), (leap, rng.normal(0, 0.2), rng.normal(0, 0.2)))
-    quick = spikes(time, pose, StepBounds.of(time, pose))
+    quick, often = spikes(time, pose, StepBounds.of(time, pose))
     with pytest.MonkeyPatch.context() as patch:
         every = np.arange(1, len(pose) - 1)
         patch.setattr("topobatch.ingest.odometry.jumps._large", lambda *_: every)
         patch.setattr(StepBounds, "within", lambda self, way, turn: False)
-        thorough = spikes(time, pose, StepBounds.of(time, pose))
+        thorough, thoroughly = spikes(time, pose, StepBounds.of(time, pose))
     assert np.flatnonzero(quick).tolist() == np.flatnonzero(thorough).tolist()
+    assert often == thoroughly
 
 
 def test_several_jumps_are_taken_one_after_another():
