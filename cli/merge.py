@@ -152,11 +152,14 @@ def merge(
         said = recalled(place, asked)
         if said is None:
             settings = _settings(method, false_merge_rate, options)
-            # A merge of all runs only leaves out those that no longer exist.
-            if not replace_last and (output is not None or not everything):
-                _keep_larger(place, chosen)
+            before = set() if replace_last else _merged_before(place, chosen, everything, screen)
             store = _store(place, settings, screen)
             maps, broken = read_maps(place, chosen, screen, store)
+            if lost := sorted(before - {m.run for m in maps}):
+                screen.warn(
+                    f"{place.merged_json}: was the merge of {counted(len(before), 'run')}, and "
+                    f"this one leaves out {listed(lost)}, without a readable map"
+                )
             result = _merged(place, maps, settings, workers, everything, screen, store)
             _write(place, result, maps, documents)
             told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
@@ -227,24 +230,35 @@ def _settings_of(graph: MergedGraph) -> MergeSettings:
     return MergeSettings(robust=of_robust(graph.settings or {}))
 
 
-def _keep_larger(place: Workspace, chosen: list[str]) -> None:
-    """UsageError if the result of a merge with other runs would be overwritten."""
+def _merged_before(
+    place: Workspace, chosen: list[str], everything: bool, screen: Screen
+) -> set[str]:
+    """The runs of the merge that will be overwritten.
+
+    UsageError if it has others than the chosen ones. Merging everything leaves out only runs
+    without a map, and overwrites documents that are no merge, except under a name of its own.
+    """
     from ..merge.document import read_merged
 
     path = place.merged_json
     if not path.exists():
-        return
+        return set()
+    free = everything and place.merge == MERGED
     advice = "give this merge another --output NAME, or overwrite with --replace"
     try:
         before = set(read_merged(path).graph.home)
     except DocumentError as error:
-        raise UsageError(f"{error}; {advice}") from error
+        if not free:
+            raise UsageError(f"{error}; {advice}") from error
+        screen.warn(f"{error}; it is overwritten")
+        return set()
     lost = sorted(before - set(chosen))
-    if lost:
+    if lost and not free:
         raise UsageError(
             f"{path}: is the merge of {counted(len(before), 'run')}, and this one leaves out "
             f"{listed(lost)}; {advice}"
         )
+    return before
 
 
 def _settings(

@@ -77,6 +77,27 @@ def test_a_merge_of_fewer_runs_does_not_replace_a_larger_one(topobatch, workspac
     assert [list(c["runs"]) for c in document["graph"]["components"]] == [[b]]
 
 
+def test_a_merge_of_all_says_which_runs_of_the_last_one_have_no_map_any_more(topobatch, workspace):
+    b = max(p.stem for p in (workspace / "maps").glob("*.json"))
+    merge = ("merge", "--all", "-w", workspace)
+    assert topobatch(*merge).code == 0
+    damaged = workspace / "maps" / f"{b}.json"
+    whole = damaged.read_bytes()
+    damaged.write_bytes(whole[: len(whole) // 2])
+    done = topobatch(*merge)
+    assert done.code == 1
+    assert f"was the merge of 2 runs, and this one leaves out {b}" in done.err
+    damaged.write_bytes(whole)
+    assert "leaves out" not in topobatch(*merge).err
+    damaged.unlink()
+    done = topobatch(*merge)
+    assert done.code == 0
+    assert f"leaves out {b}" in done.err
+    (workspace / "merged.json").write_text("{}")
+    damaged.write_bytes(whole)
+    assert "it is overwritten" in topobatch(*merge).err
+
+
 def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
     other = workspace / "notes.json"
     other.write_text('{"my": "notes"}')
