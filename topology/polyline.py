@@ -76,7 +76,8 @@ def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[i
 
     Outside the reach this is the offset of the nearest point. Else it is the offset of the first
     point, across the direction in which the track goes on, times the share of the reach that the
-    track kept off the centre: a track through the centre is not aside where its corridor bends.
+    track kept off the centre: a track through the centre is not aside where its corridor bends. A
+    first point far off (sparse tracks) shifts it no farther than the track kept off the centre.
     """
     away = np.hypot(*(track - centre).T)
     inside = np.flatnonzero(away < reach)
@@ -91,7 +92,8 @@ def _past_centre(track: FloatArray, centre: FloatArray, reach: float) -> tuple[i
     onward = beyond[ahead] - beyond[0]
     onward = onward / max(float(np.hypot(*onward)), 1e-9)
     offset = beyond[0] - centre
-    return first, (offset - (offset @ onward) * onward) * float(away[nearest]) / reach
+    aside = offset - (offset @ onward) * onward
+    return first, aside * float(away[nearest]) / max(reach, float(np.hypot(*aside)))
 
 
 def loop_erased(path: FloatArray, near_m: float) -> FloatArray:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from topobatch.topology.polyline import (
     join_centres,
@@ -84,6 +86,34 @@ def test_a_corridor_that_bends_at_its_junction_keeps_its_length(turned):
     line = walked((-2.0, 0.05), (0.7, 0.05), (0.7, 5.0 * turned))
     path = join_centres(line[20:], np.zeros(2), np.array([0.7, 5.0 * turned]), 0.7)
     assert way_of(path)[-1] == pytest.approx(5.7, abs=0.1)
+
+
+@pytest.mark.parametrize("step_m", [1.0, 5.0, 50.0])
+def test_a_sparse_track_is_shifted_no_farther_than_it_passes_aside(step_m):
+    # Beside the centre, a corner at the next point, and on.
+    track = np.array([0.0, 0.3]) + step_m * np.array([[0, 0], [1, 0], [1, 1], [1, 2], [1, 3]])
+    path = join_centres(track, np.zeros(2), track[-1], 0.7)
+    assert np.hypot(*(path[1:-1] - track[1:-1]).T).max() == pytest.approx(0.3)
+
+
+coordinates = st.floats(-1e9, 1e9, allow_subnormal=False)
+points = st.tuples(coordinates, coordinates)
+
+
+@given(
+    st.lists(points, max_size=12).map(lambda p: np.array(p).reshape(-1, 2)),
+    points.map(np.array),
+    points.map(np.array),
+    st.sampled_from([0.0, 0.7, 1e9]),
+)
+def test_whatever_the_track_it_is_joined_to_the_centres(track, begin, end, reach):
+    path = join_centres(track, begin, end, reach)
+    assert np.isfinite(path).all()
+    assert (path[0] == begin).all()
+    assert (path[-1] == end).all()
+    both = np.concatenate([begin[None], track, end[None]])
+    assert np.abs(path).max() <= 3 * np.abs(both).max()
+    assert way_of(path)[-1] >= np.hypot(*(end - begin)) * (1 - 1e-9)
 
 
 def walked(*corners: tuple[float, float], step_m: float = 0.1) -> np.ndarray:
