@@ -140,10 +140,12 @@ def _seldom(values: FloatArray) -> float:
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
-def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> tuple[BoolArray, float]:
+def spikes(
+    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, impossible: BoolArray
+) -> tuple[BoolArray, float]:
     """(n - 1,) steps that deviate from their neighbours more than others of the run; and the
-    deviation [m] that occurs too often to be told apart, if none of the robot's motion is that
-    fast, else 0.
+    deviation [m] that occurs too often to be told apart, if the robot's usual motion is slower,
+    else 0. The latter is without `impossible` steps (n - 1,), which are found by their speed.
 
     Because of its inertia a robot makes no large step between two small ones. What is normal for
     this robot and odometry (sparse rows, jerky drives) is estimated from the run. Light robots turn
@@ -160,14 +162,14 @@ def spikes(time_ns: IntArray, pose: FloatArray, bounds: StepBounds) -> tuple[Boo
     way, turn = _excess(time_ns, pose, steps, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / JUMPS.usual_way_m)
-    normal_m = _at_rank(way, often)
-    out = way > max(JUMPS.least_m, JUMPS.factor * normal_m)
+    out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
     fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
     fast = fast > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
+    frequent_m = _at_rank(way[~impossible[rows]], often)
     driven_m = max(JUMPS.least_m, usual.speed * usual.period)
-    return found, normal_m if normal_m > driven_m else 0.0
+    return found, frequent_m if frequent_m > driven_m else 0.0
 
 
 def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:

@@ -165,21 +165,19 @@ def _measured(
     """The track without glitches (single poses off it), and its jumps and resets."""
     bounds = StepBounds.of(time_ns, pose)
     leaps, frequent_m = _leaps(time_ns, pose, bounds, settings)
-    if frequent_m:
-        warnings.append(
-            f"odometry leaves its course by {frequent_m:.2f} m or more, more than it ever moves in "
-            f"a step, and more often than once per {JUMPS.usual_way_m:.0f} m: taken for its usual "
-            "noise, not for jumps; the map may be wrong"
-        )
-    if not leaps.any():
-        return time_ns, pose, no_jumps(), bounds
     glitch = _glitches(time_ns, pose, leaps, settings)
     if glitch.any():
         count = int(glitch.sum())
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
         bounds = StepBounds.of(time_ns, pose)
-        leaps, _ = _leaps(time_ns, pose, bounds, settings)
+        leaps, frequent_m = _leaps(time_ns, pose, bounds, settings)
+    if frequent_m:
+        warnings.append(
+            f"odometry leaves its course by {frequent_m:.2f} m or more, more than it ever moves in "
+            f"a step, and more often than once per {JUMPS.usual_way_m:.0f} m: taken for its usual "
+            "noise, not for jumps; the map may be wrong"
+        )
     if not leaps.any():
         return time_ns, pose, no_jumps(), bounds
     duration = np.diff(time_ns)
@@ -197,8 +195,9 @@ def _leaps(
 ) -> tuple[BoolArray, float]:
     """(n - 1,) steps that cannot have been driven, or stand out from all others; and as `spikes`
     the deviation [m] that occurs too often."""
-    found, frequent_m = spikes(time_ns, pose, bounds)
-    return _teleports(time_ns, pose, bounds, settings) | found, frequent_m
+    impossible = _teleports(time_ns, pose, bounds, settings)
+    found, frequent_m = spikes(time_ns, pose, bounds, impossible)
+    return impossible | found, frequent_m
 
 
 def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -87,6 +87,21 @@ def test_jumps_too_frequent_to_be_told_from_noise_are_said():
     assert warning.startswith("odometry leaves its course by 0.4")
 
 
+@pytest.mark.parametrize("size_m", [1.5, 3.0])
+def test_frequent_jumps_that_are_found_by_their_speed_are_no_noise(size_m):
+    time, pose = drive()
+    glitches = pose.copy()
+    glitches[300:3900:450, :2] += size_m
+    for row in range(300, 3900, 450):
+        pose = jumped(pose, row, (size_m, 0.2, -0.5))
+    odometry, track = read(time, pose)
+    assert odometry.jumps.tolist() == list(range(300, 3900, 450))
+    (warning,) = track.warnings
+    assert warning.startswith("odometry jumps 8 times")
+    (warning,) = read(time, glitches)[1].warnings
+    assert warning.startswith("8 odometry poses lie off the track")
+
+
 def test_stamps_in_bursts_are_no_jumps():
     time, pose = drive()
     late = time - time % (SECOND // 2) + 10**6 * (np.arange(len(time)) % 10)
@@ -142,12 +157,13 @@ def test_jumps_are_found_as_without_the_shortcut(seed, noise, leap):
     pose += rng.normal(0, noise, pose.shape) * (rng.random((len(pose), 1)) < 0.02)
     pose[:, 2] = wrap(pose[:, 2])
     pose = jumped(pose, int(rng.integers(1, 600)), (leap, rng.normal(0, 0.2), rng.normal(0, 0.2)))
-    quick, often = spikes(time, pose, StepBounds.of(time, pose))
+    driven = np.zeros(len(pose) - 1, bool)
+    quick, often = spikes(time, pose, StepBounds.of(time, pose), driven)
     with pytest.MonkeyPatch.context() as patch:
         every = np.arange(1, len(pose) - 1)
         patch.setattr("topobatch.ingest.odometry.jumps._large", lambda *_: every)
         patch.setattr(StepBounds, "within", lambda self, way, turn: False)
-        thorough, thoroughly = spikes(time, pose, StepBounds.of(time, pose))
+        thorough, thoroughly = spikes(time, pose, StepBounds.of(time, pose), driven)
     assert np.flatnonzero(quick).tolist() == np.flatnonzero(thorough).tolist()
     assert often == thoroughly
 
