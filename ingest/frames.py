@@ -44,9 +44,9 @@ class FixedTransforms:
         return {name: T for name, (T, _) in self._reached(target).items()}
 
     def contradictions(self, target: str) -> list[str]:
-        """A sentence on transforms that place frames joined to `target` otherwise than the rest do.
+        """One sentence on the transforms that contradict the shortest chains from `target` to their
+        frames, by more than the rounding of all transforms in such a loop; none if all agree.
 
-        By so much more than all transforms of such a loop may be rounded. Empty if there are none.
         O(number of transforms).
         """
         reached, told = self._reached(target), []
@@ -63,12 +63,13 @@ class FixedTransforms:
         if not told:
             return []
         return [
-            f"transforms contradict each other: {listed(told, 3)} off from where other transforms "
-            "lead; the way by the fewest counts"
+            "transforms contradict each other; the shortest chain counts, from which these differ: "
+            f"{listed(told, 3)}"
         ]
 
     def _reached(self, target: str) -> dict[str, tuple[FloatArray, int]]:
-        """(7,) T_target_source of every frame joined to `target`, and by how many transforms."""
+        """(7,) T_target_source of every frame connected to `target` along the shortest chain, and
+        the number of transforms in it."""
         beside: dict[str, list[tuple[str, FloatArray]]] = {}
         for (parent, child), T_parent_child in sorted(self.value.items()):
             beside.setdefault(parent, []).append((child, T_parent_child))
@@ -128,7 +129,7 @@ def _inverse(T_a_b: FloatArray) -> FloatArray:
 
 
 def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    """How far two poses (7,) lie apart [m], and are turned against each other [rad]."""
+    """Distance [m] and relative rotation [rad] of two poses (7,)."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(a[3:]).inv() * Rotation.from_quat(b[3:])

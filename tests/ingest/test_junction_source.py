@@ -424,6 +424,6 @@ def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path:
 
     run = read_run(rewritten(both, tmp_path / "two.mcap", sensors, halves))
     assert sorted(run.source["junctions"]["lasers"]) == ["/laser", "/other"]
-    assert any("other: laser → other by 0.50 m and 0.0° off" in told for told in run.warnings)
+    assert any("laser → other by 0.50 m and 0.0°" in told for told in run.warnings)
     assert run.scanned is not None
     assert len(run.scanned.passes) > 0

@@ -175,8 +175,8 @@ def test_transforms_that_contradict_each_other_are_told(logs, drive, tmp_path, o
     both = [mounted(m, LEVEL, XYZ, "sensor") for m in seen]
     run = read_run(logs.mcap(tmp_path / "a.mcap", [*odometry, *both, *tf]))
     told = (
-        "transforms contradict each other: mast → sensor by 0.25 m and 0.0° off from where other "
-        "transforms lead; the way by the fewest counts",
+        "transforms contradict each other; the shortest chain counts, from which these differ: "
+        "mast → sensor by 0.25 m and 0.0°",
     )
     assert run.warnings == (told if off_m == 0.25 else ())
     same(run.detections, expected)
