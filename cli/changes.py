@@ -22,7 +22,7 @@ def changes(
         int | None, typer.Option(metavar="N", min=0, help="Only this component of the merged map.")
     ] = None,
     everything: Annotated[
-        bool, typer.Option("--all", help="Also differences that chance may have made.")
+        bool, typer.Option("--all", help="Also differences that may be due to chance.")
     ] = False,
     merge: MergeOption = MERGED,
     as_json: JsonOption = False,
@@ -30,10 +30,10 @@ def changes(
 ) -> None:
     """Tell what changed between the runs that were merged.
 
-    Corridors and junctions that one run passed and another, which had to meet them (it passed the
-    corridor's ends, or drove through where the junction is), did not: gone, new, or now and then.
-    With who says so, how often and when, and the evidence in bits: how unlikely it is that the
-    others only overlooked it.
+    Corridors and junctions that one run found and another did not, although it passed an end of the
+    corridor, or drove through the place of the junction: gone, new, or there at times. For each
+    the runs, how often and when they passed, and the evidence in bits: how unlikely it is that the
+    others only missed it.
 
     \b
       topobatch changes
@@ -66,7 +66,7 @@ def changes(
         for line in _lines(change):
             say(line)
     unsure = sum(not c.sure for c in found)
-    told = f", and {counted(unsure, 'difference')} that chance may have made" if unsure else ""
+    told = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""
     say(
         f"{counted(len(found) - unsure, 'change')}{told}{hint}"

@@ -34,7 +34,7 @@ def discard(
     ingested again, makes it anew. A:B: what was found between the two is not counted any more, in
     this merge and in later ones; other runs may still join them (to keep them apart whatever is
     found: topobatch lock A B --never). The last merge is made anew without it. Without arguments,
-    the matches that were taken back.
+    lists the matches that were taken back.
 
     \b
       topobatch discard run1:run2

@@ -48,8 +48,8 @@ def info(
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
-    hold. Logs of up to 64 MB on this machine are read to tell; of others that have an index, the
-    index alone, and a line says so.
+    hold. To find out, logs of up to 64 MB on this machine are read whole; of others that have an
+    index only the index is read, and a line says so.
 
     \b
       topobatch info run1.mcap

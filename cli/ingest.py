@@ -53,7 +53,7 @@ BaseFrame = Annotated[
     str | None,
     typer.Option(
         metavar="FRAME",
-        help="The robot's frame, where a topic (tf, say) holds the odometry of several.",
+        help="The robot's frame, if a topic such as /tf holds the odometry of several robots.",
     ),
 ]
 TimeSource = Annotated[

@@ -57,7 +57,10 @@ def _entry(line: str) -> dict[str, Any] | None:
 def history(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     most: Annotated[
-        int, typer.Option("--last", "-n", metavar="N", min=1, help="How many, the last ones.")
+        int,
+        typer.Option(
+            "--last", "-n", metavar="N", min=1, help="Number of entries to show, the latest."
+        ),
     ] = 20,
     as_json: JsonOption = False,
 ) -> None:

@@ -45,8 +45,8 @@ def lock(
 ) -> None:
     """Say that two runs belong together, or never do.
 
-    Kept in the workspace (locks.json) and honoured by every later merge. Without runs, the locks
-    that there are.
+    Kept in the workspace (locks.json) and honoured by every later merge. Without runs, lists the
+    locks.
 
     \b
       topobatch lock run1 run2 --same

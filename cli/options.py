@@ -28,12 +28,12 @@ QuietOption = Annotated[
 
 MergeOption = Annotated[
     str,
-    typer.Option("--merge", metavar="NAME", help="The merge to go by, by its --output NAME."),
+    typer.Option("--merge", metavar="NAME", help="The merge to use, by its --output NAME."),
 ]
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
-VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Say what happens meanwhile.")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what is being done.")]
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:

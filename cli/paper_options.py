@@ -30,34 +30,35 @@ ConfidenceOption = Annotated[
     float | None,
     typer.Option(
         metavar="P",
-        help="Paper's method: how likely a right match survives the comparison of its corridors' "
-        "lengths; default 0.999. Closer to 1: fewer right matches are lost, and each of the others "
-        "is worth less, as more agrees by chance.",
+        help="Paper's method: probability that a correct match passes the comparison of its "
+        "corridors' lengths; default 0.999. Closer to 1: fewer correct matches are rejected, but "
+        "more agree by chance, so that each is weaker evidence.",
     ),
 ]
 ConfidenceOfOption = Annotated[
     ConfidenceOf | None,
     typer.Option(
-        help="Paper's method: what --confidence speaks of. match, the default: all corridors of a "
-        "match together; corridor: each by itself, so that a right match of k corridors survives "
+        help="Paper's method: what --confidence applies to. match, the default: all corridors of "
+        "a match together; corridor: each by itself, so that a correct match of k corridors passes "
         "with P ** k. As published: --confidence 0.95 --confidence-of corridor. (§5)",
     ),
 ]
 WeightsOption = Annotated[
     Weights | None,
     typer.Option(
-        help="Paper's method: of matched junctions, where one map is laid on the other. equal, "
-        "the default: a junction that lies far off shows that the match is bad; reweighted: what "
-        "lies far off counts less, for maps of which a part is bent. (§3.1)",
+        help="Paper's method: weights of matched junctions when one map is fitted to the other. "
+        "equal, the default: all count alike, so that one far off shows a bad match; reweighted: "
+        "junctions far off count less, for maps that are bent in places. (§3.1)",
     ),
 ]
 IterativeOption = Annotated[
     bool | None,
     typer.Option(
         "--iterative/--once",
-        help="Paper's method: matches join a cluster again and again if its transform lays their "
-        "junctions on each other, though their own transform differs, as that of few junctions "
-        "may; or once, by their transforms, as published. (§5)",
+        help="Paper's method: how matches are clustered. --once: by their own transforms, as "
+        "published. --iterative: also matches of other transforms join, as those of few junctions "
+        "may have, if the cluster's transform lays their junctions on each other; repeated until "
+        "nothing changes. (§5)",
     ),
 ]
 MetOption = Annotated[

@@ -11,9 +11,9 @@ from ..topology.errors import UsageError
 JunctionsFrom = Annotated[
     Literal["topic", "scan", "cloud", "grid"] | None,
     typer.Option(
-        help="How junctions come: as detections on a topic, or found in laser scans, in clouds of "
-        "points (sliced at the sensor's height), or in the last occupancy grid; default: the first "
-        "of these that the log has.",
+        help="Where junctions come from: detections on a topic, or found in laser scans, clouds of "
+        "points (sliced at the sensor's height), or the last occupancy grid; default: the first of "
+        "these that the log has.",
     ),
 ]
 ScanTopic = Annotated[
@@ -28,15 +28,15 @@ LaserPose = Annotated[
     str | None,
     typer.Option(
         metavar="X,Y,YAW",
-        help="Where the laser is on the robot, in metres and radians; default: as /tf_static or "
-        "/tf tell, else at the robot's middle, looking as its scans show, or ahead.",
+        help="Pose of the laser on the robot, in metres and radians; default: from /tf_static or "
+        "/tf, else at the robot's centre, in the direction that its scans show, or ahead.",
     ),
 ]
 ScanStamp = Annotated[
     Literal["begin", "middle", "end"],
     typer.Option(
-        help="Which beam of a sweep the time of a scan is of. ROS says the first; some drivers "
-        "stamp a scan when it is finished."
+        help="Which beam of a sweep a scan's time stamp refers to. In ROS it is the first; some "
+        "drivers stamp a scan when it is finished."
     ),
 ]
 CloudBand = Annotated[

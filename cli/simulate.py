@@ -32,11 +32,12 @@ def simulate(
     overlap: Annotated[
         float,
         typer.Option(
-            metavar="SHARE", help="Share of its junctions that a run has in common with the last."
+            metavar="SHARE",
+            help="Share of its junctions that a run has in common with the previous one.",
         ),
     ] = 0.4,
     junctions: Annotated[
-        int, typer.Option(metavar="N", help="Junctions that a run visits, about.")
+        int, typer.Option(metavar="N", help="Approximate number of junctions that a run visits.")
     ] = 50,
     drift: Annotated[
         Literal["none", "low", "mid", "high", "real"], typer.Option(help="Odometry's error.")

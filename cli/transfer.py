@@ -62,7 +62,9 @@ def transfer(
     merge: MergeOption = MERGED,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="File to write; default: - (shown)."),
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="File to write; default: -, the standard output."
+        ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     quiet: QuietOption = False,

@@ -91,7 +91,8 @@ def way_sigma(topomap: TopoMap) -> FloatArray:
 
     From `length_sigma`, the variance of the scale and that of both ends (as far as this corridor
     alone determines them) are subtracted. What remains is at least the odometry's error on a bent
-    path, and at most that plus the length beyond the chord (detours).
+    path, and at most that plus, as detours, the square of the length beyond the chord, over the
+    traversals.
     """
     noise, length, times = topomap.measured, topomap.length, np.maximum(topomap.traversals, 1)
     ends = topomap.source, topomap.target

@@ -405,8 +405,8 @@ def _length_sigma(
     """(m,) standard deviation of the corridors' lengths [m].
 
     To first order, a path fitted to its two ends changes in length by the error of the chord times
-    the chord's share c of the length. This includes the odometry's scale to a share of c², and the
-    scale of the rest of the path to 1 - c²: one error, common to all drives.
+    the chord's share c of the length. Of the odometry's scale error, common to all drives, this
+    includes the share c² (variance: c⁴); the rest of its variance, 1 - c⁴, is added.
 
     The rest are errors of the odometry on a bent path: along the path, of which the fit removes a
     share of c²; and of heading, which move the ends (`turning_variance`) though the length is

@@ -198,8 +198,8 @@ def with_crossings(
     *,
     known: Known | None = None,
 ) -> tuple[SkeletonGraph, tuple[Crossing, ...]]:
-    """A graph with its nodes placed, and these: two forks of one crossing become one node, without
-    the edge between them."""
+    """A graph with its nodes placed, and these nodes; two forks of one crossing become one node,
+    and the edge between them is removed."""
     every = range(len(graph.nodes))
     found, joints = crossings(graph, every, clearance_m, cell_m, settings, known=known)
     kept, ways = sorted(found), [k for k in range(len(graph.edges)) if k not in joints]

@@ -122,7 +122,8 @@ def _openings(
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
-    """Remove from the border lines that fork in front of an opening into its two corners."""
+    """The lines, where those that fork in front of an opening into its two corners no longer count
+    as leading to the border: the line that forks leads on, not they."""
     columns, rows = np.rint(lines.fork_xy / cell_m).astype(np.int64).T
     in_front = opening[rows, columns]
     ends = Counter(line for line, _ in lines.touching)
@@ -137,7 +138,8 @@ def _places(
     cell_m: float,
     settings: FloorplanSettings,
 ) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """lines: of the skeleton under each of the variants; opening: see `_openings`."""
+    """Places, with the agreement of the variants on them, and corridors. lines: of the skeleton
+    under each of the variants; opening: see `_openings`."""
     known: Known = {}
     graph, own = with_crossings(
         traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton, known=known

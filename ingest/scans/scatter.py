@@ -145,8 +145,8 @@ def _pulls(pose: FloatArray, scores: Scores, moved: FloatArray) -> FloatArray:
 
 
 def _absorbed(walls: Scores) -> float:
-    """Share of the scans' errors that their poses follow: a scan that sees k patches has three
-    degrees of freedom of as many (MacKinnon and White, 1985)."""
+    """Share of the patches' errors that the scans' poses absorb: 3 / k for a scan that sees k
+    patches, because its pose has three degrees of freedom (MacKinnon and White, 1985)."""
     looks = len(np.unique(walls.first * (4 * SPREAD**2) + walls.group))
     return min(3 * len(np.unique(walls.first)) / max(looks, 1), 1.0)
 

@@ -171,8 +171,8 @@ def _is_spur(net: _Net, k: int, settings: SkeletonSettings) -> bool:
 
 
 def _joint_rank(net: _Net, k: int, settings: SkeletonSettings) -> tuple[float, int] | None:
-    """The order in which segment k is merged into one node; None if it is longer. Rings come
-    first."""
+    """Sort key of segment k among those whose two ends are merged, rings first; None if it is too
+    long for that."""
     segment = net.segments.get(k)
     if segment is None or len(segment.nodes) != 2 or segment.length >= settings.join_m:
         return None

@@ -39,8 +39,8 @@ SURFACES = SurfaceSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surfaces:
-    """Line fits of scans, (n, m) each: a point x, y on the line and its normal nx, ny towards the
-    laser [m].
+    """Line fits of scans, (n, m) each: a point x, y on the line [m] and its unit normal nx, ny,
+    towards the laser.
 
     Where there is none `valid` is False, the normal zero and the point OUT_OF_REACH_M away.
     """

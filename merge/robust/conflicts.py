@@ -198,9 +198,9 @@ def _elsewhere_bits(grown: Grown) -> FloatArray:
 
 def _placed_points(grown: Grown, lane: IntArray, rows: IntArray) -> tuple[ComplexArray, FloatArray]:
     """Points of b's corridors in the frame of a, interpolated between the predictions of both ends,
-    and their uncertainty [m].
+    and their uncertainty [m], (k,) each.
 
-    rows: points of directed corridors of the first half, tail to head.
+    lane: (k,); rows: (k,) rows of b's `points`.
     """
     b, shift = grown.lanes.b.whole, grown.lanes.shift[lane]
     tail, head, z = b.points.tail[rows], b.points.head[rows], b.points.z[rows]

@@ -239,8 +239,9 @@ def _legs(reckoning: DeadReckoning) -> _Factors:
 
 
 def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
-    """(k, 3, 3) covariance of the errors of the legs from passes `row` (k,) to the next ones, in
-    the metric of the pose graph with `swing`: the end is seen from half of the heading error."""
+    """(k, 3, 3) covariance of the errors of the legs from passes `row` (k,) to the next ones, as
+    the pose graph measures them: the translation after rotation by half of the heading error
+    (`PoseGraph.swing`)."""
     x, y = (reckoning.passes.centre[row + 1] - reckoning.passes.centre[row]).T
     half = np.tile(np.eye(3), (len(row), 1, 1))
     half[:, 0, 2], half[:, 1, 2] = _SWING * y, -_SWING * x

@@ -24,8 +24,8 @@ class LatticeSettings:
     """How neighbours and lattice vectors are found."""
 
     hops: int = 4
-    """Places up to so many legs from each other, and no farther apart than that of typical legs,
-    are neighbours."""
+    """Places up to so many legs from each other, and less than as many typical legs apart, are
+    neighbours."""
     sample: int = 200
     """Size of the sample of neighbours that represents all."""
     width_m: float = 0.3
