@@ -122,10 +122,11 @@ def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
     run, noise = scenario.runs["run1"], estimated(scenario)
     usual = NoiseSettings().prior
 
-    def stated(factor: float, detections: Detections = run.detections) -> float:
-        """1 sigma for an odometry whose lengths are too long by a factor."""
+    def stated(factor: float, detections: Detections = run.detections, along: float = 0.0) -> float:
+        """1 sigma for an odometry whose lengths are too long by a factor, and walk along."""
         track = replace(run.odometry, pose=run.odometry.pose * [factor, factor, 1.0])
-        return refine_scale(track, detections, fuse_passes(track, detections), noise)
+        told = replace(noise, along_m_per_sqrt_m=noise.along_m_per_sqrt_m + along)
+        return refine_scale(track, detections, fuse_passes(track, detections), told)
 
     assert 0.03 < stated(1.05) < 0.07
     assert 0.03 < stated(0.95) < 0.07
@@ -144,6 +145,7 @@ def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
         run.detections.time_ns[few], run.detections.centre[few], run.detections.branches.take(few)
     )
     assert stated(1.0, first) == pytest.approx(expected, rel=0.2)
+    assert stated(1.05, along=10.0) == pytest.approx(expected, rel=0.2)
 
 
 def test_a_run_without_passes_has_the_usual_noise() -> None:
