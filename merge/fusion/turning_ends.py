@@ -1,7 +1,8 @@
 """Turning points of a component's runs, attached to the junctions of its fused map.
 
-Where a robot turns round is arbitrary, so that turning points do not identify places. One is
-dropped where a corridor leaves by its branch, since another run drove on there.
+Where a robot turns round is arbitrary, so that turning points do not identify places. Of those by
+one branch of a junction the deepest is the end of the corridor. One is dropped where a corridor
+leaves by its branch, since another run drove on there.
 """
 
 from __future__ import annotations

@@ -37,14 +37,17 @@ def decide(
     All pairs of a small batch; of a large one those that were matched: the others were screened out
     (`index`) and are unrelated unless other runs join them.
 
-    1. Every map is prepared, and matched with itself: how much does the building repeat itself? 2.
-    Every pair that passes screening is matched: candidate alignments with evidence against chance
-    and against being a copy. 3. Each pair by itself is merged, ambiguous or unrelated; "merged"
-    must lead every rival placement and the mirror image. 4. Merged pairs are joined, strongest
-    first, subject to locks and to the consistency of cycles and of copies. 5. The merged maps of
-    components are matched again: evidence adds up over their runs, and fewer pairs remain that
-    could be merged wrongly. They, too, must lead their mirror images. 6. Pairs that stayed open
-    take over the placement by the joined runs; pairs that now overlap are matched after all.
+    1. Every map is prepared, and matched with itself: how much does the building repeat itself?
+    2. Every pair that passes screening is matched: candidate alignments with evidence against
+       chance and against being a copy.
+    3. Each pair by itself is merged, ambiguous or unrelated; "merged" must lead every rival
+       placement and the mirror image.
+    4. Merged pairs are joined, strongest first, subject to locks and to the consistency of cycles
+       and of copies.
+    5. The merged maps of components are matched again: evidence adds up over their runs, and fewer
+       pairs remain that could be merged wrongly. They, too, must lead their mirror images.
+    6. Pairs that stayed open take over the placement by the joined runs; pairs that now overlap are
+       matched after all.
 
     Locks of runs that are not among the maps are ignored. Discarded matches, by the names of their
     runs in order, are treated as not found. Raises UsageError on locks that contradict each other
