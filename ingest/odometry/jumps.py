@@ -144,8 +144,8 @@ def spikes(
     time_ns: IntArray, pose: FloatArray, bounds: StepBounds, impossible: BoolArray
 ) -> tuple[BoolArray, float]:
     """(n - 1,) steps that deviate from their neighbours more than others of the run; and the
-    deviation [m] that occurs too often to be told apart, if the robot's usual motion is slower,
-    else 0. The latter is without `impossible` steps (n - 1,), which are found by their speed.
+    deviation [m] that occurs too often to be told apart, if it exceeds all steps that deviate
+    little, else 0. The latter leaves out `impossible` steps (n - 1,), which their speed shows.
 
     Because of its inertia a robot makes no large step between two small ones. What is normal for
     this robot and odometry (sparse rows, jerky drives) is estimated from the run. Light robots turn
@@ -160,15 +160,16 @@ def spikes(
     steps = _Steps.of(pose, rows)
     usual = _Usual.of(time_ns, pose)
     way, turn = _excess(time_ns, pose, steps, usual)
-    driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
-    often = 1 + int(driven / JUMPS.usual_way_m)
+    step_m = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
+    often = 1 + int(float(step_m.sum()) / JUMPS.usual_way_m)
     out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
     fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
     fast = fast > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
     frequent_m = _at_rank(way[~impossible[rows]], often)
-    driven_m = max(JUMPS.least_m, usual.speed * usual.period)
+    step_m[rows[way > JUMPS.least_m]] = 0.0
+    driven_m = max(JUMPS.least_m, _seldom(step_m))
     return found, frequent_m if frequent_m > driven_m else 0.0
 
 

@@ -1,6 +1,7 @@
 """Pose graphs in the g2o format, which GTSAM, SE-Sync and g2o read.
 
-        VERTEX_SE2 id x y theta EDGE_SE2 id_from id_to dx dy dtheta I11 I12 I13 I22 I23 I33
+    VERTEX_SE2 id x y theta
+    EDGE_SE2 id_from id_to dx dy dtheta I11 I12 I13 I22 I23 I33
 
 (Kümmerle, Grisetti, Strasdat, Konolige, Burgard: g2o, ICRA 2011; its wiki, "File format".)
 """

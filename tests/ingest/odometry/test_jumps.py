@@ -87,6 +87,15 @@ def test_jumps_too_frequent_to_be_told_from_noise_are_said():
     assert warning.startswith("odometry leaves its course by 0.4")
 
 
+@pytest.mark.parametrize(("size_m", "every"), [(0.4, 7), (0.4, 100), (4.0, 20)])
+def test_jumps_that_are_among_the_usual_steps_are_said(size_m, every):
+    time, pose = drive()
+    for row in range(300, 3900, every):
+        pose = jumped(pose, row, (size_m, 0.2, -0.5))
+    (warning,) = read(time, pose)[1].warnings
+    assert warning.startswith(f"odometry leaves its course by {size_m:.1f}")
+
+
 @pytest.mark.parametrize("size_m", [1.5, 3.0])
 def test_frequent_jumps_that_are_found_by_their_speed_are_no_noise(size_m):
     time, pose = drive()
