@@ -8,7 +8,7 @@ uncertainty on to the next round.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from itertools import count
+from itertools import count, product
 
 import numpy as np
 
@@ -48,7 +48,7 @@ from .manhattan import (
     grid_corridors,
     grid_headings,
 )
-from .places import Places, tabulate
+from .places import NOWHERE, Places, tabulate
 from .variance_components import with_shown_spread
 
 
@@ -302,44 +302,74 @@ def _turns(place: IntArray, new: list[Identification]) -> FloatArray:
 def _certain(places: Places, found: Candidates, least: float) -> list[Identification]:
     """The candidates whose log odds against all candidates that they exclude reach `least`, best
     first."""
-    total = found.total
-    maybe = np.flatnonzero(total >= 0.0)
-    known = set(zip(found.a[maybe].tolist(), found.b[maybe].tolist(), strict=True))
-    likely = maybe[found.fits[maybe]]
-    ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely.tolist()}
-    by_place: dict[int, list[int]] = {}
-    for k, pair in ends.items():
-        for place in pair:
-            by_place.setdefault(place, []).append(k)
+    total, likely = found.total, _Likely.of(places, found)
     out = []
-    for k in likely[np.argsort(-total[likely], kind="stable")].tolist():
+    for k in sorted(likely.ends, key=lambda row: (-total[row], row)):
         if total[k] < least:
             break
-        rivals = [0.0, *total[_rivals(ends, k, by_place, known)].tolist()]
+        rivals = [0.0, *total[sorted(likely.against(k))].tolist()]
         if total[k] - np.logaddexp.reduce(rivals) >= least:
             out.append(_answer(places, found, k, float(total[k]), reason=AGREE, accepted=True))
     return out
 
 
-def _rivals(
-    ends: dict[int, tuple[int, int]],
-    row: int,
-    by_place: dict[int, list[int]],
-    known: set[tuple[int, int]],
-) -> list[int]:
-    """Candidates that identify one of the two places with a third one that is not the other.
+@dataclass(frozen=True, slots=True)
+class _Likely:
+    """Candidates within the gate with positive log odds.
 
-    row: the candidate in question; ends: the places of each; by_place: candidates of each place;
-    known: pairs that may be one.
+    ends: the two places of each, by its row; rows: the inverse; by_place: the rows of each place;
+    known: pairs of places that may be one, within the gate or not; beside: the places that
+    corridors lead to from each place.
     """
-    a, b = ends[row]
-    out = []
-    for mine, other in ((a, b), (b, a)):
-        for r in by_place[mine]:
-            third = sum(ends[r]) - mine
-            if third != other and (min(other, third), max(other, third)) not in known:
-                out.append(r)
-    return out
+
+    ends: dict[int, tuple[int, int]]
+    rows: dict[tuple[int, int], int]
+    by_place: dict[int, list[int]]
+    known: set[tuple[int, int]]
+    beside: list[set[int]]
+
+    @classmethod
+    def of(cls, places: Places, found: Candidates) -> _Likely:
+        maybe = np.flatnonzero(found.total >= 0.0)
+        known = set(zip(found.a[maybe].tolist(), found.b[maybe].tolist(), strict=True))
+        likely = maybe[found.fits[maybe]].tolist()
+        ends = {k: (int(found.a[k]), int(found.b[k])) for k in likely}
+        by_place: dict[int, list[int]] = {}
+        for k, pair in ends.items():
+            for place in pair:
+                by_place.setdefault(place, []).append(k)
+        beside = [set(row) - {NOWHERE} for row in places.next_place.tolist()]
+        return cls(ends, {pair: k for k, pair in ends.items()}, by_place, known, beside)
+
+    def against(self, row: int) -> set[int]:
+        """Rows of the candidates that this one excludes, or that are excluded with it.
+
+        Corridors support an identification as far as their other ends are one place, too. If those
+        may be other places, the whole stretch may lie along another one, which this identification
+        excludes though it shares no place with the ones that say so.
+        """
+        out = self._rivals(row)
+        for other in self._supporting(row):
+            out |= self._rivals(other) - {row}
+        return out
+
+    def _rivals(self, row: int) -> set[int]:
+        """Rows that identify one of the two places with a third one that is not the other."""
+        a, b = self.ends[row]
+        out = set()
+        for mine, other in ((a, b), (b, a)):
+            for r in self.by_place[mine]:
+                third = sum(self.ends[r]) - mine
+                if third != other and (min(other, third), max(other, third)) not in self.known:
+                    out.add(r)
+        return out
+
+    def _supporting(self, row: int) -> list[int]:
+        """Rows that identify neighbours of the two places with each other."""
+        a, b = self.ends[row]
+        pairs = product(self.beside[a] - {b}, self.beside[b] - {a})
+        rows = (self.rows.get((min(pair), max(pair))) for pair in pairs)
+        return [r for r in rows if r is not None and r != row]
 
 
 def _together(

@@ -25,7 +25,7 @@ from topobatch.topology.closure.incremental import (
 )
 from topobatch.topology.closure.joint_compatibility import RIVALS, STEP_OFF
 from topobatch.topology.closure.manhattan import RectilinearSettings
-from topobatch.topology.closure.places import tabulate
+from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.matching.likelihood import LIKELIHOOD
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH
@@ -337,12 +337,28 @@ def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, fits, a
     found = Candidates(
         a, b, zero, alike, zero, zero, zero, zero, no_ground(len(pairs)), within
     )  # fmt: skip
-    places = SimpleNamespace(first=np.arange(3))
+    places = SimpleNamespace(first=np.arange(3), next_place=np.full((3, 1), NOWHERE))
     certain = _certain(places, found, least=9.0)
     assert [(q.first, q.second) for q in certain] == accepted
     # A rival as unlikely as not takes little away.
     found = replace(found, branches=alike - [0.0, 10.5, 0.0][: len(pairs)])
     assert [(q.first, q.second) for q in _certain(places, found, least=9.0)] == [(0, 1)]
+
+
+@pytest.mark.parametrize(("driven", "accepted"), [(False, [(0, 5)]), (True, [])])
+def test_the_end_of_a_stretch_is_no_more_certain_than_the_stretch(driven, accepted):
+    """Corridors lead from 0 to 1 to 2 and from 3 to 4 to 5, along the first ones (1 is 3, 2 is 4)
+    or a junction further (1 is 4, 0 is 5). The latter shares no place with the former."""
+    a, b = np.array([(0, 5), (1, 4), (1, 3), (2, 4)]).T
+    zero, alike = np.zeros(4), np.array([12.0, 11.0, 13.0, 13.0])
+    found = Candidates(
+        a, b, zero, alike, zero, zero, zero, zero, no_ground(4), np.ones(4, bool)
+    )  # fmt: skip
+    beside = np.array([[1, -1], [0, 2], [1, -1], [4, -1], [3, 5], [4, -1]])
+    next_place = beside if driven else np.full((6, 2), NOWHERE)
+    places = SimpleNamespace(first=np.arange(6), next_place=next_place)
+    certain = _certain(places, found, least=9.0)
+    assert [(q.first, q.second) for q in certain] == accepted
 
 
 def test_noise_is_raised_where_errors_as_large_are_no_chance():
