@@ -14,7 +14,7 @@ from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted, utc
 from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
 from .output import complain, say, say_lines, table, warn
-from .unchanged import contents
+from .unchanged import changed_since
 from .version import VERSION
 from .workspace import Workspace
 
@@ -103,9 +103,11 @@ class _Merge:
             return []
         if run not in self.home:
             return ["not merged"]
-        known = self.documents.get(run)
-        same = made_ns <= self.when_ns if known is None else known == contents(place, [run])[run]
-        return [] if same else ["map changed since the merge"]
+        if run in self.documents:
+            changed = bool(changed_since(place, self.documents, [run]))
+        else:
+            changed = made_ns > self.when_ns
+        return ["map changed since the merge"] if changed else []
 
 
 def _merge(place: Workspace) -> _Merge:

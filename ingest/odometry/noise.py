@@ -20,6 +20,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
+from ...topology.quadratic_forms import ONE_SIGMA
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
@@ -29,8 +30,8 @@ from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
 
-_ONE_SIGMA = 0.6827
-"""Probability within one standard deviation of a normal distribution."""
+_RATIOS = np.geomspace(1e-3, 1e3, 4096)
+"""Grid for the error of lengths over the expected one: 0.3 % apart, below the digits stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,6 +175,15 @@ class _WithinPasses:
             walks=WalkMeans.of(track, home, p),
         )
 
+    def straight(
+        self, settings: NoiseSettings
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of passes without turns, (k,) each: shift along the motion [m] and its variance [m²],
+        moved, and way walked [m], neither negative."""
+        rows = self.walked[:, 1] <= settings.straight_rad
+        moved, walked = (np.maximum(x[rows], 0.0) for x in (self.moved, self.walked[:, 0]))
+        return self.shift[rows, 0], self.shift_variance[rows], moved, walked
+
 
 def refine_noise(
     passes: Passes,
@@ -243,12 +253,11 @@ def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
     degrees of freedom, for which this bound is `expected`; likelihood x + N(0, sigma²) = shown."""
     if not np.isfinite(sigma) or expected <= 0:
         return expected
-    ratio = np.geomspace(1e-3, 1e3, 4096)  # |x| over what is expected
-    off = (expected * ratio - np.array([[shown], [-shown]])) / sigma
+    off = (expected * _RATIOS - np.array([[shown], [-shown]])) / sigma
     likelihood = np.exp(-0.5 * (off**2 - (off**2).min())).sum(axis=0)
-    density = (1 + ratio**2 * _ONE_SIGMA**2 / (1 - _ONE_SIGMA**2)) ** -1.5
-    below = np.cumsum(likelihood * density * ratio)  # steps are as wide as the ratio is large
-    return expected * float(np.interp(_ONE_SIGMA * below[-1], below, ratio))
+    density = (1 + _RATIOS**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5
+    below = np.cumsum(likelihood * density * _RATIOS)  # steps are as wide as the ratio is large
+    return expected * float(np.interp(ONE_SIGMA * below[-1], below, _RATIOS))
 
 
 def _turned(odometry: Odometry, noise: RunNoise) -> float:
@@ -372,15 +381,13 @@ def _along(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float
     """
     from scipy.optimize import minimize_scalar
 
-    straight = thirds.walked[:, 1] <= settings.straight_rad
-    along, moved = thirds.shift[straight, 0], np.maximum(thirds.moved[straight], 0.0)
-    variance = thirds.shift_variance[straight]
+    along, variance, moved, walked = thirds.straight(settings)
     belief = moved @ (moved / variance) + settings.scale_prior**-2
     scale = float(moved @ (along / variance) / belief)
     centre = np.log(settings.prior.along_m_per_sqrt_m)
 
     def cost(x: float) -> float:
-        spread = variance + np.exp(2 * x) * np.maximum(thirds.walked[straight, 0], 0.0)
+        spread = variance + np.exp(2 * x) * walked
         pull = (x - centre) / settings.prior_spread
         return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
 
@@ -396,11 +403,9 @@ def _shown_scale(
 
     along: random walk of the odometry along the path [m/√m].
     """
-    straight = np.flatnonzero(thirds.walked[:, 1] <= settings.straight_rad)
-    moved = np.maximum(thirds.moved[straight], 0.0)
-    walked = np.maximum(thirds.walked[straight, 0], 0.0)
-    weight = moved / (thirds.shift_variance[straight] + along**2 * walked)
+    shift, variance, moved, walked = thirds.straight(settings)
+    weight = moved / (variance + along**2 * walked)
     belief = float(weight @ moved)
     if belief <= 0:
         return 0.0, np.inf
-    return float(weight @ thirds.shift[straight, 0]) / belief, belief**-0.5
+    return float(weight @ shift) / belief, belief**-0.5
