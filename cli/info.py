@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..topology.errors import LogError
+from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, utc
 from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
 from .log_paths import logs_at, packed_below
@@ -138,7 +138,7 @@ def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
 
         try:
             read_log(log, settings, on_bytes=on_bytes)
-        except LogError as error:
+        except (LogError, UsageError) as error:
             return (str(error),)
     return ()
 

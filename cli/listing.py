@@ -76,7 +76,7 @@ def list_runs(
 def _fail_if_unreadable(rows: Sequence[Listed]) -> None:
     unreadable = sum(row.junctions is None for row in rows)
     if unreadable:
-        complain(f"{counted(unreadable, 'map')} cannot be read; ingest the logs again with --force")
+        complain(f"{counted(unreadable, 'map')} cannot be read")
         raise typer.Exit(1)
 
 

@@ -30,7 +30,7 @@ def read_maps(
         try:
             maps.append(place.read_map(name, known.read))
         except DocumentError as error:
-            screen.complain(f"{error}; left out (ingest its log again with --force)")
+            screen.complain(f"{error}; left out")
             broken.append(name)
     known.keep()
     if not maps:

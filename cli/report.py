@@ -73,7 +73,7 @@ def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:
         try:
             maps[run] = place.read_map(run)
         except DocumentError as error:
-            complain(f"{error}; left out (ingest its log again with --force)")
+            complain(f"{error}; left out")
             unread.append(f"The map of {run} cannot be read and is left out: {error}")
     return maps, unread
 

@@ -234,28 +234,34 @@ class Workspace:
             raise self.no_maps()
 
     def read_map(self, run: str, read: Callable[[Path], TopoMap] | None = None) -> TopoMap:
-        """The map of a run; DocumentError if it cannot be read, or is another run's. read: what
-        reads it, where some maps are kept."""
+        """The map of a run; DocumentError with the way out if it cannot be read, or is another
+        run's. read: what reads it, where some maps are kept."""
         from ..topology.document import read_map
+        from ..topology.map_schema import with_way_out
 
         try:
             path = self.map_json(run)
         except UsageError as error:  # a name that a file has, but that nothing of ours gave it
             raise DocumentError(f"{self.maps}: {error}") from error
-        topomap = (read or read_map)(path)
-        if topomap.run != run:
-            raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
+        try:
+            topomap = (read or read_map)(path)
+            if topomap.run != run:
+                raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
+        except DocumentError as error:
+            raise with_way_out(error, "map") from error
         return topomap
 
     def read_merged(self) -> MergedDocument:
-        """The merged document; as `require_merge`, and DocumentError if it is none."""
+        """The merged document; as `require_merge`, and DocumentError with the way out if it is
+        none."""
         from ..merge.document import read_merged
+        from ..topology.map_schema import with_way_out
 
         self.require_merge()
         try:
             return read_merged(self.merged_json)
         except DocumentError as error:
-            raise DocumentError(f"{error} (to make it anew: topobatch merge --all)") from error
+            raise with_way_out(error, "merged") from error
 
     def require_merge(self) -> None:
         """DataError where nothing was merged yet, UsageError where nothing of a given name was."""

@@ -103,9 +103,9 @@ def _kept(
         except (LogError, UsageError):
             if index.sure:
                 raise
-            if settings.junction_fields is not None:
-                try_mapping(recording, settings)
     # There is no index, or it is inconsistent with the data.
+    if settings.junction_fields is not None:
+        try_mapping(recording, settings)
     return _walked(recording, settings, progress, None)
 
 

@@ -244,6 +244,12 @@ WAY_OUT = {
 """What makes a document anew, by its kind."""
 
 
+def with_way_out(error: DocumentError, kind: str) -> DocumentError:
+    """The error with what makes a document of this kind anew, said once."""
+    said = WAY_OUT[kind] in str(error)
+    return error if said else DocumentError(f"{error} (to make it anew: {WAY_OUT[kind]})")
+
+
 def validated(model: type[M], doc: Any, name: str) -> M:
     """`doc` as the given model, or a DocumentError that names the place of the first fault, or what
     to do about a document of another version."""

@@ -280,6 +280,21 @@ def test_the_error_that_the_page_shows(topobatch, run, tmp_path):
     assert told in topobatch("ingest", *arguments, "-w", tmp_path / "ws").error(2)
 
 
+def test_info_tells_of_degrees_for_radians_beside_the_topics(topobatch, run, tmp_path):
+    log = Log(Maker(), run)
+    own_message(log)
+    path, *options = called("A message of one's own", log.write(tmp_path / "run1"))
+    arguments = [path, *(option.removesuffix(",unit=deg") for option in options)]
+    done = topobatch("info", *arguments)
+    assert (done.code, done.err) == (1, "")
+    assert re.search(r"^  /crossings +my_msgs", done.out, re.MULTILINE)
+    assert f"problem: {path}: /crossings: branches=frontiers[].angle_deg: a heading of" in done.out
+    told = topobatch("info", *arguments, "--json")
+    (found,) = json.loads(told.out)
+    assert told.code == 1
+    assert "add unit=deg" in found["problems"][0]
+
+
 # The detector: a stand-in for rclpy that hands it scans, and keeps what it publishes.
 
 

@@ -160,6 +160,21 @@ def test_a_damaged_merge(topobatch, own_site, call):
     assert "3 runs" in shown.out
 
 
+@pytest.mark.parametrize("content", ["{", '{"schema": "topobatch.map/0"}'])
+@pytest.mark.parametrize("call", ["merge --all", "report", "list", "explain run1 run2"])
+def test_what_makes_a_map_anew_is_said_once(topobatch, own_site, call, content):
+    (own_site / "topobatch-workspace" / "maps" / "run1.json").write_text(content)
+    done = topobatch(*call.split())
+    assert done.code == 1
+    assert (done.out + done.err).count("ingest its log again with --force") == 1
+
+
+@pytest.mark.parametrize("content", ["{", '{"schema": "topobatch.merged/0"}'])
+def test_what_makes_a_merge_anew_is_said_once(topobatch, own_site, content):
+    (own_site / "topobatch-workspace" / "merged.json").write_text(content)
+    assert topobatch("report").error(1).count("topobatch merge --all") == 1
+
+
 def test_the_two_runs_of_explain_may_be_named_as_elsewhere(topobatch, own_site):
     assert topobatch("explain", "run2:run1").out == topobatch("explain", "run1", "run2").out
 

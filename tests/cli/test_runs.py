@@ -134,6 +134,27 @@ def test_a_run_that_rests_on_a_discarded_match_falls_with_it(topobatch, merged):
     assert [list(c["runs"]) for c in alone] == [[run]]
 
 
+@pytest.mark.parametrize("content", ['{"my": "notes"}', '["topobatch.map/1"]', "no json"])
+def test_a_file_that_is_no_map_is_not_discarded(topobatch, merged, content):
+    notes = merged / "maps" / "notes.json"
+    notes.write_text(content)
+    run, before = accepted_pair(merged)[0], (merged / "merged.json").read_bytes()
+    told = topobatch("discard", run, "notes", "-w", merged).error(1)
+    assert f"{notes}: is no map of topobatch's" in told
+    assert notes.read_text() == content
+    assert (merged / "maps" / f"{run}.json").exists()
+    assert (merged / "merged.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("content", ['{"schema": "topobatch.map/0"}', "{"])
+def test_a_map_that_cannot_be_read_is_discarded(topobatch, merged, content):
+    run = accepted_pair(merged)[0]
+    (merged / "maps" / f"{run}.json").write_text(content)
+    (merged / "maps" / f"{run}.rrd").write_bytes(b"its recording")
+    assert topobatch("discard", run, "-w", merged).code == 0
+    assert not list((merged / "maps").glob(f"{run}.*"))
+
+
 @pytest.mark.parametrize("what", ["nobody", "a:b", "::", "../x"])
 def test_discard_of_what_is_not_there(topobatch, merged, what):
     told = topobatch("discard", what, "-w", merged).error(2)

@@ -207,8 +207,11 @@ def test_what_only_messages_tell_is_tried_on_the_first(logs, tmp_path, monkeypat
         read_run(folder, wrong)
 
 
-def test_no_checksum_of_the_index_is_needed_for_that(logs, tmp_path, monkeypatch):
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", enable_crcs=False)
+@pytest.mark.parametrize("left_out", ["enable_crcs", "use_statistics"])
+def test_no_checksum_of_the_index_is_needed_for_that_nor_an_index(
+    logs, tmp_path, monkeypatch, left_out
+):
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", **{left_out: False})
     monkeypatch.setattr("topobatch.ingest.reading.walk", None)
     with pytest.raises(UsageError, match=r"/seen: --junction-fields: .* the message has"):
         read_run(folder, settings("center=at.pose.positon,branches=ways"))
