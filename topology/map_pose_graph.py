@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .arrays import FloatArray, IntArray
+from .corridor_lengths import length_variances
 from .posegraph.graph import PoseGraph
 from .se2 import turned_axes
 from .topomap import TopoMap
@@ -40,6 +41,8 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
     and enters where the vertex is tied to other maps; only the scatter of the single passes about
     it remains in each corridor (`_followed`). For errors of turns, the robot is taken to enter
     corridors straight or at a right angle equally often: π/4 in the mean, half of it at each end.
+    The covariance of a corridor whose length is less certain than that explains is enlarged to it
+    (`length_variances`), as a whole.
     """
     noise, length = topomap.measured, topomap.length
     times = np.maximum(topomap.traversals, 1)
@@ -59,6 +62,8 @@ def odometry_measurements(topomap: TopoMap) -> Measurements:
         cov[:, axis, axis] = (leg + passes) / times + LEAST_STEP_M**2
     cov[:, 1, 2] = cov[:, 2, 1] = (walk / 2 + swing) * length / times
     cov[:, 2, 2] = (walk + 2 * swing) / times + LEAST_TURN_RAD**2
+    _, discounted = length_variances(topomap)
+    cov *= (1 + discounted / cov[:, 0, 0])[:, None, None]
     keep = np.flatnonzero(topomap.source != topomap.target)  # a loop tells nothing of its junction
     source, target = topomap.source[keep], topomap.target[keep]
     step = topomap.xy[target] - topomap.xy[source]

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.corridor_lengths import way_sigma
+from ...topology.corridor_lengths import length_variances
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.ragged import parted
@@ -50,8 +50,8 @@ class Corridor:
     from u to v.
 
     sigma: of the length as in the run's map [m]; shared: the part of it that is common to all runs;
-    way: the part that remains if the ends and the runs' scales are known (`way_sigma`). members:
-    (run, edge) pairs, sorted. Branches are those of the fused places.
+    way: the part that remains if the ends and the runs' scales are known. members: (run, edge)
+    pairs, sorted. Branches are those of the fused places.
     """
 
     u: int
@@ -83,7 +83,7 @@ def corridors_of(
         drawn = _drawn(m, ways, pose[rows, 2], place_xy[label[rows]])
         columns = (
             *(m.source, m.target, m.source_branch, m.target_branch),
-            *(m.length, m.length_sigma, m.traversals, way_sigma(m)),
+            *(m.length, m.length_sigma, m.traversals, np.sqrt(length_variances(m)[0])),
         )
         told = zip(*(column.tolist() for column in columns), strict=True)
         for e, (s, t, i, j, length, sigma, traversals, own) in enumerate(told):

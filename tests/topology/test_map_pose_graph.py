@@ -28,7 +28,7 @@ def elbow(traversals: int) -> TopoMap:
         source_branch=np.array([0, 1, 1]),
         target_branch=np.array([0, 0, 2]),
         length=np.array([8.0, 6.0, 5.0]),
-        length_sigma=np.full(3, 0.1),
+        length_sigma=np.full(3, LEAST_STEP_M),  # no more than odometry and centres explain
         traversals=np.full(3, traversals),
         paths=(xy[:2], xy[1:], xy[[2, 0, 2]]),
         observation_vertex=np.repeat(np.arange(3), traversals),
@@ -78,3 +78,14 @@ def test_a_heading_that_walks_at_random_turns_a_corridor_by_a_third() -> None:
     assert covariance[1, 1] == pytest.approx((walk * 8 / 3 + swing) * 64, rel=0.01)
     assert covariance[1, 2] == pytest.approx((walk * 8 / 2 + swing) * 8, rel=0.01)
     assert covariance[2, 2] == pytest.approx(walk * 8 + 2 * swing, rel=0.01)
+
+
+def test_a_corridor_that_loop_closure_discounted_measures_no_more_than_its_length_is_sure_of():
+    plain = elbow(1)
+    doubted = replace(plain, length_sigma=np.array([0.8, 0.001, 0.001]))
+    before, after = (np.linalg.inv(map_pose_graph(m).information) for m in (plain, doubted))
+    assert before[0, 0, 0] < 0.05**2
+    assert after[0, 0, 0] == pytest.approx(0.8**2, rel=0.05)
+    # Of such a drive neither the way nor the turn is known.
+    np.testing.assert_allclose(after[0] / after[0, 0, 0], before[0] / before[0, 0, 0])
+    np.testing.assert_allclose(after[1], before[1])

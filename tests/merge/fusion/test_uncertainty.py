@@ -188,12 +188,29 @@ def winding(draw, name, noise, **stated):
 
 def test_what_robots_did_on_a_winding_way_is_not_told_by_its_ends(draw):
     exact = RunNoise(1e-6, 1e-6, 1e-6, scale=0.0, centre_m=0.01)
-    stated = np.full(8, 0.4)
+    stated = np.where(np.arange(8) == 2, 0.4, 0.01)
     maps = [winding(draw, name, exact, length_sigma=stated) for name in "ab"]
     _, fused = fuse(maps, [verdict(*maps, [(k, k) for k in range(9)])], asked=())
     sigma = fused.length_sigma[fused.length.argmax()]
     assert sigma == pytest.approx(0.4 / np.sqrt(2), rel=0.02)
     assert np.sort(fused.length_sigma)[-2] < 0.02
+
+
+def test_what_a_map_is_not_sure_of_stays_unsure_until_another_run_measures_it(draw):
+    """A straight corridor of which loop closure discounted the drives: 0.4 m by one map."""
+    good = RunNoise(1e-3, 1e-3, 1e-3, scale=0.0, centre_m=0.01)
+    stated = np.where(np.arange(8) == 3, 0.4, 0.01)
+    doubting, other = (replace(along(draw, name, 0, 8), noise=good) for name in "ab")
+    doubting = replace(doubting, length_sigma=stated)
+    half = draw("b", {k: (6.0 * k, 0.0) for k in range(4)}, [(k, k + 1) for k in range(3)])
+    for second, least, most in ((half, 0.3, 0.5), (other, 0.0, 0.05)):
+        pairs = [(k, k) for k in range(len(second))]
+        _, fused = fuse([doubting, second], [verdict(doubting, second, pairs)], asked=())
+        east = np.sort(fused.xy[:, 0])
+        middle = fused.xy[[fused.source, fused.target], 0].mean(axis=0)
+        here = np.abs(middle - (east[3] + east[4]) / 2).argmin()
+        assert least <= fused.length_sigma[here] <= most
+        assert np.delete(fused.length_sigma, here).max() < 0.05
 
 
 def test_the_scales_of_the_runs_stretch_all_of_a_way(draw, monkeypatch):
