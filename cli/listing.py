@@ -142,7 +142,7 @@ def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
         run=run,
         junctions=len(m),
         corridors=len(m.source),
-        length_m=round(float(m.length.sum()), 1),
+        length_m=round(float(m.length.sum()), 3),
         health=counted(told, "warning") if told else "ok",
         component=component,
         runs=runs,

@@ -56,8 +56,10 @@ def test_list(topobatch, merged):
     assert {row["run"]: row["component"] for row in told} == home
     assert all(row["health"] == "ok" and row["stale"] == [] for row in told)
     for row in told:
-        passes = json.loads((merged / "maps" / f"{row['run']}.json").read_text())["nodes"]
-        first = min(o["time_ns"] for node in passes for o in node["observations"])
+        topomap = json.loads((merged / "maps" / f"{row['run']}.json").read_text())
+        # Rounded once, when it is shown: 128.53 m are 129 m, as in the report.
+        assert row["length_m"] == pytest.approx(sum(e["length"] for e in topomap["edges"]), abs=1e-3)
+        first = min(o["time_ns"] for node in topomap["nodes"] for o in node["observations"])
         assert row["recorded"] == datetime.fromtimestamp(first // 10**9, UTC).isoformat()
 
 
