@@ -10,7 +10,7 @@ import typer
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
 from . import paper_options
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
+from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, call, complete_run
 from .output import say, say_lines, warn
 from .workspace import MERGED, Workspace, pairs_named
 
@@ -64,7 +64,7 @@ def explain(
     link, in bits; the threshold and what it is made of; the next best placement and its distance.
     With --method paper the figures of Huang & Beevers instead: the table of vertex pairs with the
     hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The same as a
-    recording in explain/A+B.rrd.
+    recording in explain/A+B.rrd, which topobatch view A:B opens.
 
     The paper's method takes the settings of the last merge by it; its options given here take the
     place of those.
@@ -117,6 +117,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
         recording,
         lambda: write_decision_recording(recording, a, b, decision),
         as_json,
+        f"  (look at it: {call(place.root, 'view', ':'.join(pair))})",
     )
 
 
@@ -190,15 +191,15 @@ def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) ->
     return gone
 
 
-def _record(recording: Path, draw: Callable[[], None], quiet: bool) -> None:
-    """Write a recording; a failure to write is only a warning."""
+def _record(recording: Path, draw: Callable[[], None], quiet: bool, how: str = "") -> None:
+    """Write a recording; a failure to write is only a warning. how: to look at it."""
     try:
         draw()
     except OSError as error:
         warn(f"{recording}: not written: {error.strerror or error}")
         return
     if not quiet:
-        say(f"recording: {recording}")
+        say(f"recording: {recording}{how}")
 
 
 def _by_paper(

@@ -12,11 +12,19 @@ import typer
 
 from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, utc
-from .ingest import AllowScan, JunctionFields, JunctionTopic, OdometryTopic
+from .ingest import (
+    AllowScan,
+    BaseFrame,
+    JunctionFields,
+    JunctionTopic,
+    OdometryTopic,
+    TimeSource,
+    read_settings,
+)
 from .log_paths import logs_at, packed_below
 from .options import JsonOption
 from .output import Screen, complain, say, say_lines, table, warn
-from .scan_options import JunctionsFrom, ScanTopic
+from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -41,6 +49,11 @@ def info(
     junction_fields: JunctionFields = None,
     junctions_from: JunctionsFrom = None,
     scan_topic: ScanTopic = None,
+    laser_pose: LaserPose = None,
+    scan_stamp: ScanStamp = "begin",
+    cloud_band: CloudBand = None,
+    base_frame: BaseFrame = None,
+    time: TimeSource = "header",
     allow_scan: AllowScan = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -49,21 +62,26 @@ def info(
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
     hold. To find out, logs of up to 64 MB on this machine are read whole; of others that have an
-    index only the index is read, and a line says so.
+    index only the index is read, and a line says so. Options about reading are those of ingest.
 
     \b
       topobatch info run1.mcap
       topobatch info logs/ --json
     """
-    from ..ingest.reading import ReadSettings, inspect_log
+    from ..ingest.reading import inspect_log
     from ..ingest.remote.path import log_path
 
-    settings = ReadSettings(
+    settings = read_settings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
         junctions_from=junctions_from,
         scan_topic=scan_topic,
+        laser_pose=laser_pose,
+        scan_stamp=scan_stamp,
+        cloud_band=cloud_band,
+        base_frame=base_frame,
+        time=time,
     )
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
     failed, told = False, []

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -11,7 +11,7 @@ from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
 from .journal import note
 from .log_paths import logs_at, packed_below
-from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, call
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
 from .workspace import Workspace, checked_run_name
@@ -137,19 +137,17 @@ def ingest(
       topobatch ingest logs/ --odometry-topic /odom --workspace ws
     """
     from ..ingest.mapping_settings import MappingSettings
-    from ..ingest.reading import ReadSettings
     from ..ingest.remote.path import log_path
-    from ..ingest.scans.slicing import SliceSettings
 
-    read = ReadSettings(
+    read = read_settings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
         junction_fields=junction_fields,
         junctions_from=junctions_from,
         scan_topic=scan_topic,
-        laser_pose=numbers(laser_pose, "--laser-pose", "x,y,yaw"),  # type: ignore[arg-type]
+        laser_pose=laser_pose,
         scan_stamp=scan_stamp,
-        slices=SliceSettings(numbers(cloud_band, "--cloud-band", "low,high")),  # type: ignore[arg-type]
+        cloud_band=cloud_band,
         base_frame=base_frame,
         time=time,
         strict=strict,
@@ -166,6 +164,18 @@ def ingest(
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
         raise typer.Exit(2 if all(outcome.needs_option for outcome in failed) else 1)
+
+
+def read_settings(laser_pose: str | None, cloud_band: str | None, **others: Any) -> ReadSettings:
+    """The settings of the options about reading; UsageError for numbers that are none."""
+    from ..ingest.reading import ReadSettings
+    from ..ingest.scans.slicing import SliceSettings
+
+    return ReadSettings(
+        laser_pose=numbers(laser_pose, "--laser-pose", "x,y,yaw"),  # type: ignore[arg-type]
+        slices=SliceSettings(numbers(cloud_band, "--cloud-band", "low,high")),  # type: ignore[arg-type]
+        **others,
+    )
 
 
 def _plan(
@@ -283,7 +293,7 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
         same = f" ({unchanged} unchanged)" if unchanged else ""
         logs = counted(len(outcomes) - len(failed), "log")
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
-        screen.line(f"{told}; next: topobatch merge --all")
+        screen.line(f"{told}; next: {call(place.root, 'merge', '--all')}")
     if failed and len(outcomes) > 1:
         screen.complain(
             f"{len(failed)} of {counted(len(outcomes), 'log')} failed: {listed(failed)}"

@@ -17,7 +17,14 @@ from ..topology.wording import counted, listed
 from . import paper_options
 from .journal import note
 from .matching import matching, read_maps
-from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, complete_run
+from .options import (
+    DEFAULT_WORKSPACE,
+    QuietOption,
+    VerboseOption,
+    WorkspaceOption,
+    call,
+    complete_run,
+)
 from .output import Screen
 from .workers import start_worker
 from .workspace import MERGED, Workspace
@@ -379,22 +386,23 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
         yield "folded", f"  {pair.a} + {pair.b}: {pair.reason}"
     if len(merged) > MOST_LINES:
         more = len(merged) - MOST_LINES
-        yield "line", f"  … and {more} more merged pairs, in {place.merged_json}"
+        yield "line", f"  … and {counted(more, 'more merged pair')}, in {place.merged_json}"
     for pair in joined[:MOST_JOINED]:
         yield "folded", f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}"
     if others > min(len(joined), MOST_JOINED):
         more = others - min(len(joined), MOST_JOINED)
-        yield "line", f"  … and {more} more pairs joined through others"
+        yield "line", f"  … and {counted(more, 'more pair')} joined through others"
     for pair in ambiguous[:MOST_LINES]:
         yield "folded", f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}"
         if pair.advice:
             yield "folded", f"    to settle it: {pair.advice}"
     if len(ambiguous) > MOST_LINES:
-        yield "line", f"  … and {len(ambiguous) - MOST_LINES} more ambiguous pairs"
+        more = len(ambiguous) - MOST_LINES
+        yield "line", f"  … and {counted(more, 'more ambiguous pair')}"
     yield "line", _counts(result)
     yield "line", f"{place.merged_json}"
-    name = "" if place.merge == MERGED else f" {place.merge}"
-    yield "line", f"{place.merged_rrd}  (look at it: topobatch view{name})"
+    name = () if place.merge == MERGED else (place.merge,)
+    yield "line", f"{place.merged_rrd}  (look at it: {call(place.root, 'view', *name)})"
 
 
 def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -21,6 +22,14 @@ WorkspaceOption = Annotated[
     ),
 ]
 DEFAULT_WORKSPACE = Path("topobatch-workspace")
+
+
+def call(workspace: Path, *words: str) -> str:
+    """A call of topobatch on a workspace, as a shell takes it."""
+    usual = Path(os.environ.get("TOPOBATCH_WORKSPACE") or DEFAULT_WORKSPACE)
+    where = () if workspace == usual else ("-w", str(workspace))
+    return shlex.join(("topobatch", *words, *where))
+
 
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")

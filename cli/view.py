@@ -13,9 +13,9 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, call, complete_run
 from .output import say
-from .workspace import Workspace
+from .workspace import Workspace, pairs_named
 
 ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
 
@@ -24,8 +24,9 @@ def view(
     run: Annotated[
         str | None,
         typer.Argument(
-            metavar="RUN",
-            help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
+            metavar="RUN|A:B",
+            help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
+            "topobatch explain found; the merged map without.",
             autocompletion=complete_run,
         ),
     ] = None,
@@ -37,7 +38,7 @@ def view(
         ),
     ] = False,
 ) -> None:
-    """Open the merged map, or a run's, in the rerun viewer.
+    """Open the merged map, a run's, or the explanation of a pair, in the rerun viewer.
 
     Drag the time line below the map: a run's map grows as it was driven, a merged map as its runs
     were joined. With --with-log a page for every topic of the raw log stands beside it, at the same
@@ -46,6 +47,8 @@ def view(
     \b
       topobatch view
       topobatch view run1 --with-log
+      topobatch explain run1 run2
+      topobatch view run1:run2
     """
     place = Workspace(workspace)
     if with_log and run is None:
@@ -75,7 +78,14 @@ def _recording(place: Workspace, run: str | None) -> Path:
     merge = place.merge_named(run)
     if merge is not None and merge.merged_rrd.is_file():
         return merge.merged_rrd
-    raise place.unknown([run], "run or merge named")
+    for pair in pairs_named(run, place.runs()):
+        recording = place.explain_rrd(*pair)
+        if not recording.is_file():
+            raise DataError(
+                f"{recording}: is not there; {call(place.root, 'explain', *pair)} makes it"
+            )
+        return recording
+    raise place.unknown([run], "run, merge or pair A:B named")
 
 
 @contextmanager

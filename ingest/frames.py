@@ -29,11 +29,12 @@ class FixedTransforms:
     """Transforms that are constant throughout a log.
 
     value: by (parent, child) T_parent_child as x, y, z [m], qx, qy, qz, qw; moving: pairs whose
-    transform changes.
+    transform changes; unusable: pairs of which no transform has finite numbers and an orientation.
     """
 
     value: Mapping[Pair, FloatArray] = field(default_factory=dict)
     moving: frozenset[Pair] = frozenset()
+    unusable: frozenset[Pair] = frozenset()
 
     def joined_to(self, target: str) -> dict[str, FloatArray]:
         """(7,) T_target_source of every frame connected by fixed transforms, along the shortest
@@ -96,15 +97,20 @@ class FixedTransforms:
         return sorted(sorted(names) for names in joined.subsets())
 
     def __str__(self) -> str:
-        if not self.value and not self.moving:
+        if not (self.value or self.moving or self.unusable):
             return "the log holds no transforms between frames; record /tf_static"
         told = [
             f"fixed to each other are {listed([' = '.join(names) for names in self.groups], 6)}"
         ]
         if not self.value:
             told = ["no frames are fixed to each other"]
-        if self.moving:
-            told.append(f"{listed([f'{a} → {b}' for a, b in sorted(self.moving)], 6)} moves")
+        for pairs, one, several in (
+            (self.moving, "moves", "move"),
+            (self.unusable, "has no usable numbers", "have no usable numbers"),
+        ):
+            if pairs:
+                names = listed([f"{a} → {b}" for a, b in sorted(pairs)], 6)
+                told.append(f"{names} {one if len(pairs) == 1 else several}")
         return "; ".join(told)
 
 
@@ -142,6 +148,7 @@ class FixedCollector:
     def __init__(self) -> None:
         self._known: dict[Pair, FloatArray] = {}
         self._moving: set[Pair] = set()
+        self._unusable: set[Pair] = set()
 
     def decoder_for(self, channel: Channel) -> PoseDecoder:
         """Stands in for the decoder of a channel; raises DamageError if there is none."""
@@ -155,10 +162,15 @@ class FixedCollector:
             for pair, first in sorted(self._known.items())
             if pair not in self._moving and pair[0] != pair[1] and all(pair)
         }
-        return FixedTransforms(value, frozenset(self._moving))
+        unusable = self._unusable - self._known.keys()
+        return FixedTransforms(value, frozenset(self._moving), frozenset(unusable))
 
     def _compare(self, pair: Pair, value: FloatArray) -> None:
         """Whether (k, 7) transforms are what was heard of the pair before."""
+        value = value[usable_poses(value)]
+        if len(value) == 0:
+            self._unusable.add(pair)
+            return
         value[:, 3:] /= np.linalg.norm(value[:, 3:], axis=1)[:, None]
         first = self._known.setdefault(pair, value[0].copy())
         # q and -q are the same rotation.
@@ -182,8 +194,6 @@ class _Listener:
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """No poses."""
         poses = self._decoder.decode(data, start, size)
-        usable = usable_poses(poses.value)
-        for number in np.unique(poses.frame[usable]).tolist():
-            rows = usable & (poses.frame == number)
-            self._hear(self.frames.pairs[number], poses.value[rows])
+        for number in np.unique(poses.frame).tolist():
+            self._hear(self.frames.pairs[number], poses.value[poses.frame == number])
         return no_poses()

@@ -254,13 +254,15 @@ def stamp_of(header: Any) -> int:
         stamp = get(header, "timestamp")
     if stamp is None:
         return 0
-    if isinstance(stamp, int | float) and 0 <= stamp < LATEST_NS / 1e9:
-        return _bounded(round(stamp * 1e9))
+    if isinstance(stamp, int | float):
+        if 0 <= stamp < LATEST_NS / 1e9:
+            return _bounded(round(stamp * 1e9))
+        raise DamageError(f"{real(stamp):g} is no number of seconds")
     for seconds, nanoseconds in (("sec", "nanosec"), ("sec", "nsec"), ("secs", "nsecs")):
         whole, part = get(stamp, seconds), get(stamp, nanoseconds)
         if whole is not None and part is not None:
             return _bounded(integer(whole) * 10**9 + integer(part))
-    raise DamageError("a time is not made of seconds and nanoseconds")
+    raise DamageError("a time is neither seconds and nanoseconds nor a number of seconds")
 
 
 def integer(value: Any) -> int:

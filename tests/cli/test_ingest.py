@@ -301,6 +301,17 @@ def test_info(topobatch, logs, tmp_path):
     assert "gone.mcap" in topobatch("info", tmp_path / "gone.mcap").error(1)
 
 
+def test_info_takes_what_ingest_takes_of_reading(topobatch, logs):
+    options = ("--time", "log", "--laser-pose", "0,0,0", "--scan-stamp", "end")
+    assert topobatch("info", logs["mcap"], *options, "--cloud-band", "0,1").code == 0
+    done = topobatch("info", logs["mcap"], *options, "--base-frame", "arm")
+    assert done.code == 1
+    assert "no usable pose to arm (--base-frame)" in done.out
+    assert "--laser-pose is '0', expected x,y,yaw" in topobatch(
+        "info", logs["mcap"], "--laser-pose", "0"
+    ).error(2)
+
+
 def test_info_on_a_folder_tells_of_every_log(topobatch, logs, tmp_path):
     for kind in ("mcap", "other"):
         shutil.copy(logs[kind], tmp_path / f"{kind}.mcap")

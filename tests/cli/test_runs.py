@@ -58,7 +58,9 @@ def test_list(topobatch, merged):
     for row in told:
         topomap = json.loads((merged / "maps" / f"{row['run']}.json").read_text())
         # Rounded once, when it is shown: 128.53 m are 129 m, as in the report.
-        assert row["length_m"] == pytest.approx(sum(e["length"] for e in topomap["edges"]), abs=1e-3)
+        assert row["length_m"] == pytest.approx(
+            sum(e["length"] for e in topomap["edges"]), abs=1e-3
+        )
         first = min(o["time_ns"] for node in topomap["nodes"] for o in node["observations"])
         assert row["recorded"] == datetime.fromtimestamp(first // 10**9, UTC).isoformat()
 

@@ -38,3 +38,19 @@ def test_what_the_viewer_cannot_read_is_said(topobatch, place, tmp_path) -> None
     assert "not there any more" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
     record.unlink()
     assert "ingest it again" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
+
+
+def test_what_explain_found_is_opened(topobatch, logs, tmp_path, monkeypatch) -> None:
+    ws = tmp_path / "ws"
+    topobatch("ingest", logs["mcap"], logs["other"], "-w", ws, "-q")
+    missing = topobatch("view", "run2:run1", "-w", ws).error(1)
+    assert missing.endswith(f"is not there; topobatch explain run1 run2 -w {ws} makes it")
+    said = topobatch("explain", "run1", "run2", "-w", ws)
+    hint = f"(look at it: topobatch view run1:run2 -w {ws})"
+    assert said.out.splitlines()[-1].endswith(hint)
+    recording = ws / "explain" / "run1+run2.rrd"
+    assert str(recording) in topobatch("view", "run1:run2", "-w", ws).out
+    assert "one run" in topobatch("view", "run1:run2", "--with-log", "-w", ws).error(2)
+    # The usual workspace is not named.
+    monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(ws))
+    assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out

@@ -58,7 +58,11 @@ def written(logs, folder, angles, *, encoding="cdr", ros1=False, first=None, las
 
 def payload(logs, store, name, *, message, ways, encoding):
     if encoding == "json":
-        stamp = {"sec": message.stamp_ns // 10**9, "nsec": message.stamp_ns % 10**9}
+        stamp = {
+            "sec": message.stamp_ns // 10**9,
+            "nsec": message.stamp_ns % 10**9,
+            "nanoseconds": message.stamp_ns,
+        }
         header = {"frame_id": "base_link", "stamp": stamp}
         at = {"pose": {"position": {"x": 0.5, "y": 0.25}}}
         return json.dumps({"header": header, "at": at, "ways": ways}).encode()
@@ -186,7 +190,8 @@ def test_without_an_index_it_is_named_when_the_topic_is_met(logs, tmp_path):
 ONLY_MESSAGES_TELL = {
     "center=at.pose.position.x,branches=ways": "center=at.pose.position.x: a number is missing",
     "center=at.pose,branches=header": "branches=header: a number is missing",
-    f"{CENTER},branches=ways,stamp=header.frame_id": "stamp=header.frame_id: a time is not made of",
+    f"{CENTER},branches=ways,stamp=header.frame_id": "stamp=header.frame_id: a time is neither",
+    f"{CENTER},branches=ways,stamp=header.stamp.nanoseconds": "1.7e+18 is no number of seconds",
     f"{CENTER},branches=ways,frame=header.name": "frame=header.name: the message has frame_id",
     "center=none[],branches=ways": "center=none[]: the message has header, at, ways",
 }
