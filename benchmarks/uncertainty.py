@@ -31,7 +31,9 @@ FOLDER…`: recorded runs, in folders with `truth.json` (vertices and edges of t
 every run) and `logs/`; `--parts N…` cuts each into this many runs of equal length. These are drives
 of one robot, whose scale error is one draw for all parts. The truth has errors itself: for folders
 with scans, those of its junctions against the consensus of all scans of a run (`revisits.py`) are
-printed before the table.
+printed before the table. A few drives are few draws, and nearly all errors of a map are of a few
+bends of it: below each quantity stands how many would lie within if the truth were what maps and
+merges state, and how often so few would by chance.
 """
 
 from __future__ import annotations
@@ -80,6 +82,8 @@ WIDTH_M = 1.4
 """Of the corridors of worlds seen by lasers."""
 MOST_PAIRS = 60
 """Pairs of junctions judged per run, near and far."""
+DRAWS = 1000
+"""Of the errors of recorded runs, as stated: a percentage is known to two points."""
 MISTAKEN_RAD = 0.4
 """A branch farther than this from every true one was invented: no error of a heading."""
 
@@ -131,20 +135,12 @@ def labels(truth, topomap):
     return label
 
 
-def judge_map(truth, topomap, errors, seed, headings):
-    """{quantity: (k, 3) within} of one map; headings: the branches of each world's vertices."""
-    label = labels(truth, topomap)
-    known = np.flatnonzero(label >= 0)
-    out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
-    if len(known) < 4:
-        return out
-    world = truth.worlds[truth.runs[topomap.run].world]
-    T_map_world = fit_rigid(topomap.xy[known], world.xy[label[known]])
-    off = topomap.xy[known] - apply(T_map_world, world.xy[label[known]])
-    out["place"] = within_sigma(off, topomap.position_sigma[known])
-    shape = errors.as_a_whole(topomap.xy, np.where(label >= 0, 0, 1))
+def judge_places(topomap, known, shape, off, seed):
+    """{quantity: (k, 3) within} of errors (k, 2) of the known vertices of a map, of which `shape`
+    (k, 2, s) are samples as the map states them."""
+    out = {"place": within_sigma(off, topomap.position_sigma[known])}
     arm = topomap.xy[known] - topomap.xy[known].mean(axis=0)
-    larger = np.einsum("ki,kis->s", arm, shape.sample[known, :2])
+    larger = np.einsum("ki,kis->s", arm, shape)
     out["size"] = quantiles([(arm * off).sum() ** 2 / np.mean(larger**2)], 1)
     apart = np.hypot(*(arm[:, None] - arm).transpose(2, 0, 1))
     rng = np.random.default_rng(seed)
@@ -152,11 +148,32 @@ def judge_map(truth, topomap, errors, seed, headings):
         i, j = np.nonzero(np.triu((apart >= low) & (apart < high), 1))
         chosen = rng.permutation(len(i))[:MOST_PAIRS]
         i, j = i[chosen], j[chosen]
-        step = off[j] - off[i]
-        error = shape.sample[known[j], :2] - shape.sample[known[i], :2]
+        step, error = off[j] - off[i], shape[j] - shape[i]
         spread = np.einsum("kis,kjs->kij", error, error) / error.shape[2]
         told = np.linalg.inv(spread + 1e-9 * np.eye(2))
         out[name] = quantiles(np.einsum("ki,kij,kj->k", step, told, step), 2)
+    return out
+
+
+def known_places(truth, topomap, errors):
+    """(label, known, samples) of a map: the true vertex of each vertex (negative for none), rows of
+    those that have one, and samples (k, 2, s) of their errors after a rigid fit to the truth."""
+    label = labels(truth, topomap)
+    known = np.flatnonzero(label >= 0)
+    shape = errors.as_a_whole(topomap.xy, np.where(label >= 0, 0, 1))
+    return label, known, shape.sample[known, :2]
+
+
+def judge_map(truth, topomap, errors, seed, headings):
+    """{quantity: (k, 3) within} of one map; headings: the branches of each world's vertices."""
+    label, known, shape = known_places(truth, topomap, errors)
+    out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
+    if len(known) < 4:
+        return out
+    world = truth.worlds[truth.runs[topomap.run].world]
+    T_map_world = fit_rigid(topomap.xy[known], world.xy[label[known]])
+    off = topomap.xy[known] - apply(T_map_world, world.xy[label[known]])
+    out |= judge_places(topomap, known, shape, off, seed)
     z2 = []
     for n in known.tolist():
         true = headings[truth.runs[topomap.run].world][int(label[n])] + T_map_world[2]
@@ -171,6 +188,49 @@ def judge_map(truth, topomap, errors, seed, headings):
 def within_sigma(off, sigma):
     """(k, 3) whether errors (k, 2) in the plane lie within what a sigma per coordinate says."""
     return quantiles((off**2).sum(axis=1) / sigma**2, 2)
+
+
+def drawn_map(truth, topomap, errors, seed):
+    """{quantity: (s, 3) within} of errors drawn as a map states them."""
+    _, known, shape = known_places(truth, topomap, errors)
+    if len(known) < 4:
+        return {}
+    draws = [judge_places(topomap, known, shape, off, seed) for off in np.moveaxis(shape, 2, 0)]
+    return {name: np.array([draw[name].sum(axis=0) for draw in draws]) for name in draws[0]}
+
+
+def drawn_merge(merged, draws, rng):
+    """[{quantity: (draws, 3) within}] of the placements of the runs of each component, drawn as it
+    states them."""
+    out = []
+    for component in merged.components:
+        spread, count = component.spread, len(component.poses)
+        if spread is None:  # a run alone
+            continue
+        own = {run: k for k, run in enumerate(spread.runs)}
+        pairs = [v for v in merged.verdicts if v.a in own and v.b in own]
+        whole = np.zeros((count, 3, count, 3))
+        whole[np.arange(count), :, np.arange(count)] = spread.own
+        for key, block in zip(spread.key.tolist(), spread.cross, strict=True):
+            i, j = divmod(key, count)
+            whole[i, :, j], whole[j, :, i] = block, block.T
+        error = rng.multivariate_normal(
+            np.zeros(3 * count), whole.reshape(3 * count, -1), draws, check_valid="raise"
+        ).reshape(draws, count, 3)
+        found = defaultdict(lambda: np.zeros((draws, 3)))
+        for v in pairs:
+            i, j = own[v.a], own[v.b]
+            step = spread.middle[j] - spread.middle[i]
+            off, turn = (error[:, j] - error[:, i])[:, :2], error[:, [i, j], 2]
+            both = [off - turn[:, [k]] * [-step[1], step[0]] for k in (0, 1)]
+            metres = np.sqrt(np.mean([(e**2).sum(axis=1) for e in both], axis=0))
+            radii = [spread.sigmas([(v.a, v.b)], share)[0][0] for share in SHARES]
+            sigma = spread.sigmas([(v.a, v.b)])[0][1]
+            names = ("transform", "turn") if v.accepted else ("placed", "placed turn")
+            found[names[0]] += metres[:, None] <= radii
+            found[names[1]] += quantiles((turn[:, 1] - turn[:, 0]) ** 2 / sigma**2, 1)
+        out.append(dict(found))
+    return out
 
 
 def judge_merge(truth, maps, merged):
@@ -233,15 +293,30 @@ def judged(truth, runs, seed, headings=None):
     """[(quantity, k, [within 68, 95, 99.7])] of the maps of some runs and their merge; headings: as
     of `judge_map`, those of the world's corridors where they are left out."""
     headings = headings or {name: world.branches for name, world in truth.worlds.items()}
-    built = {name: build_map_with_errors(run) for name, run in runs.items()}
+    whole, merged = mapped(runs)
     rows = []
-    for topomap, errors in built.values():
-        if topomap.pieces == 1:
-            rows += judge_map(truth, topomap, errors, seed, headings).items()
-    whole = [m for m, _ in built.values() if m.pieces == 1]
-    if len(whole) > 1:
-        rows += judge_merge(truth, whole, merge_maps(whole)).items()
+    for topomap, errors in whole:
+        rows += judge_map(truth, topomap, errors, seed, headings).items()
+    if merged:
+        rows += judge_merge(truth, [m for m, _ in whole], merged).items()
     return [(name, len(w), w.sum(axis=0).tolist()) for name, w in rows if len(w)]
+
+
+def drawn(truth, runs, seed):
+    """[{quantity: (DRAWS, 3) within}] of errors drawn as the maps and their merge state them."""
+    rng = np.random.default_rng(seed)
+    whole, merged = mapped(runs)
+    # Samples of two maps may come of the same random numbers.
+    maps = [drawn_map(truth, m, errors, seed) for m, errors in whole]
+    mixed = [{k: rng.choice(w, DRAWS) for k, w in found.items()} for found in maps]
+    return mixed + (drawn_merge(merged, DRAWS, rng) if merged else [])
+
+
+def mapped(runs):
+    """The maps (of one piece) of some runs, with their errors, and their merge if there are two."""
+    built = [build_map_with_errors(run) for run in runs.values()]
+    whole = [(m, errors) for m, errors in built if m.pieces == 1]
+    return whole, merge_maps([m for m, _ in whole]) if len(whole) > 1 else None
 
 
 def simulated(task):
@@ -385,11 +460,11 @@ def shares(cells):
     return n, share, spare
 
 
-def line(name, cells):
+def line(name, cells, width=22):
     """One row: counts and shares in per cent, with their standard errors by runs."""
     n, share, spare = shares(cells)
     cells = "".join(f"{100 * p:8.1f} ±{100 * e:4.1f}" for p, e in zip(share, spare, strict=True))
-    return f"{name:22}{int(n.sum()):7}{cells}"
+    return f"{name:{width}}{int(n.sum()):7}{cells}"
 
 
 def table(results):
@@ -405,6 +480,32 @@ def table(results):
             yield f"{quantity:22}{'n':>7}{head}"
             yield from (line(name, cells) for name, cells in sorted(rows[quantity].items()))
             yield ""
+
+
+def recorded_table(results):
+    """As `table`, a row for each set of runs. Where errors can be drawn as maps and merges state
+    them: the shares within (mean, standard deviation), and how often so few are, or fewer."""
+    for quantity in QUANTITIES:
+        rows = [(name, [r[1:] for r in found if r[0] == quantity]) for name, found, _ in results]
+        rows = [(name, cells) for name, cells in rows if cells]
+        if not rows:
+            continue
+        yield f"{quantity:30}{'n':>7}" + "".join(f"{100 * p:.1f} %".rjust(14) for p in SHARES)
+        every = [cell for _, cells in rows for cell in cells]
+        yield from (line(name, cells, 30) for name, cells in rows)
+        if len(rows) > 1:
+            yield line("together", every, 30)
+        told = [d[quantity] for *_, draws in results for d in draws if quantity in d]
+        if told:
+            n, share, _ = shares(every)
+            drawn = sum(told) / n.sum()
+            ends = zip(100 * drawn.mean(axis=0), 100 * drawn.std(axis=0), strict=True)
+            yield f"{'  drawn as stated':37}" + "".join(f"{p:8.1f} ±{e:4.1f}" for p, e in ends)
+            few = (drawn <= share + 1e-9).mean(axis=0)
+            yield f"{'  of draws, as few or fewer':37}" + "".join(
+                f"{100 * p:11.1f} %  " for p in few
+            )
+        yield ""
 
 
 def worst(results):
@@ -459,7 +560,9 @@ def main():
             for count in args.parts or [None]:
                 told = (truth, runs) if count is None else cut(truth, runs, count)
                 name = folder.name + (f", {count} parts" if count else "")
-                results.append(((name, "", ""), judged(*told, args.first, headings)))
+                found = judged(*told, args.first, headings)
+                results.append((name, found, drawn(*told, args.first)))
+        print("\n".join(recorded_table(results)))
     else:
         seeds = range(args.first, args.first + args.seeds)
         cells = product(
@@ -476,7 +579,7 @@ def main():
                 results = list(pool.map(simulated, cells))
         else:
             results = [simulated(cell) for cell in cells]
-    print("\n".join((worst if args.worst else table)(results)))
+        print("\n".join((worst if args.worst else table)(results)))
 
 
 if __name__ == "__main__":
