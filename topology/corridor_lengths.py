@@ -94,7 +94,8 @@ def length_variances(topomap: TopoMap) -> tuple[FloatArray, FloatArray]:
 
     (m,) of the way, if the ends of the corridors and the scale of the odometry were known; (m,) of
     the chord, beyond the errors of the odometry and of both centres: not 0 where loop closure
-    discounted the drives, because they contradict the rest of the map.
+    discounted the drives, because they contradict the rest of the map. 0 for maps from scans: a
+    centre that is seen badly by all passes states as much.
 
     The variance of the scale and that of both ends (as far as this corridor alone determines them)
     are subtracted. What remains is the way's: at least the odometry's error on a bent path, and at
@@ -114,4 +115,6 @@ def length_variances(topomap: TopoMap) -> tuple[FloatArray, FloatArray]:
     beyond = np.maximum(length - chord, 0.0)
     way = np.clip(rest, driven, driven + beyond**2 / times)
     told = apart + (rest - way) / np.maximum(straight, LEAST_M) ** 2
-    return way, np.maximum(told - EXPLAINED * apart, 0.0)
+    # Of junctions that all passes see alike, some are seen much worse than the run's median.
+    explained = EXPLAINED * apart if noise.shared_centre_m == 0 else np.inf
+    return way, np.maximum(told - explained, 0.0)
