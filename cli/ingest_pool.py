@@ -57,11 +57,13 @@ def _side_by_side(
     if not jobs:
         return
     context = _context()
-    counter = context.Value("q", 0)
-    with ProcessPoolExecutor(workers, context, _start_worker, (counter,)) as pool:
+    counter, begin = context.Value("q", 0), context.Event()
+    with ProcessPoolExecutor(workers, context, _start_worker, (counter, begin)) as pool:
         try:
             with _interrupts_deferred():  # a worker stopped half-started would complain
                 futures = dict(_submitted(pool, jobs))
+            # A process that dies while others are started can block the pool for good.
+            begin.set()
             yield from ((job, None) for job in jobs[len(futures) :])
             waiting = set(futures)
             while waiting:
@@ -80,10 +82,11 @@ def _side_by_side(
 _bytes_done: Any = None  # in a worker process: the counter shared with the parent
 
 
-def _start_worker(counter: Any) -> None:
+def _start_worker(counter: Any, begin: Any) -> None:
     global _bytes_done  # noqa: PLW0603 - set once per worker process
     _bytes_done = counter
     start_worker()
+    begin.wait()
 
 
 def _counted(job: IngestJob) -> IngestOutcome:

@@ -7,6 +7,8 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -466,6 +468,29 @@ def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
     jobs[1] = replace(jobs[1], log=deadly)
     found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
     assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
+def test_a_process_that_dies_at_once_does_not_while_others_are_started(logs, tmp_path, monkeypatch):
+    """It would break the pool, which then may wait for those for ever."""
+    start = ProcessPoolExecutor._spawn_process
+
+    def slowly(pool):
+        if pool._processes:
+            time.sleep(1)
+        start(pool)
+
+    monkeypatch.setattr(ProcessPoolExecutor, "_spawn_process", slowly)
+    place = Workspace(tmp_path / "ws")
+    deadly = Deadly(logs["mcap"], tmp_path / "mark")
+    jobs = [
+        IngestJob(log, run, place, ReadSettings(), MappingSettings(), force=False)
+        for run, log in (("mcap", deadly), ("other", logs["other"]))
+    ]
+    assert {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)} == {
+        "mcap": "done",
+        "other": "done",
+    }
 
 
 def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
