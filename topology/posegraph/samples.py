@@ -216,9 +216,14 @@ def _jacobians(
 
 
 def square_root(information: FloatArray) -> FloatArray:
-    """(k, 3, 3) R with R Rᵀ = information, also where that is singular."""
+    """(k, 3, 3) symmetric R with R Rᵀ = information, also where that is singular.
+
+    It is unique and continuous, unlike a root in the axes of the information: where these are
+    nearly equal, rounding would turn them, and with them the samples.
+    """
     values, vectors = np.linalg.eigh(information)
-    out: FloatArray = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    roots = np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    out: FloatArray = (vectors * roots) @ vectors.transpose(0, 2, 1)
     return out
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from topobatch.topology.posegraph.graph import PoseGraph
@@ -10,6 +12,7 @@ from topobatch.topology.posegraph.samples import (
     MOST_DRAWN,
     SampledMarginals,
     of_unit_variance,
+    square_root,
     white,
 )
 from topobatch.topology.posegraph.solve import solve
@@ -35,6 +38,22 @@ def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
     scale = np.sqrt(np.einsum("kii,kjj->kij", want, want))
     assert np.abs((found - want) / scale).max() < 4 * np.sqrt(2 / count)
     assert np.array_equal(found, SampledMarginals.of(graph, solution, count).relative(a, b))
+
+
+def test_samples_do_not_hang_on_rounding() -> None:
+    """Edges that know x as well as y have no axes of their own: rounding would choose them."""
+    graph = ring(12)
+    last = 1e-12 * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
+    rounded = replace(graph, information=graph.information + last)
+    one, other = (SampledMarginals.of(g, solve(graph)).error for g in (graph, rounded))
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+
+
+def test_the_root_of_singular_information_is_symmetric() -> None:
+    tells = np.array([[3.0, 4.0, 0.0]])
+    information = tells[:, :, None] * tells[:, None, :]
+    root = square_root(information)
+    np.testing.assert_allclose(root, information / 5, atol=1e-12)
 
 
 def test_errors_of_the_edges_alone_may_be_stated() -> None:
