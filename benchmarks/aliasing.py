@@ -1,11 +1,12 @@
 """Perceptual aliasing, in worlds that repeat themselves and one another.
 
-    python benchmarks/aliasing.py [--worlds N] [--first S] [--without RULE]
+    python benchmarks/aliasing.py [--worlds N] [--first S] [--without RULE] [--mixed]
 
 For every kind of world N worlds of RUNS runs each, merged in one batch, world by world, and two
-runs at a time. Right: pairs with at least FEWEST common junctions that end in one component, by the
-common share of the smaller map; wrong: pairs merged at a false placement, or of two worlds.
-Promised: number of these that the false-merge rate allows. --without disables one rule (ablation).
+runs at a time; with --mixed the worlds of all kinds in one batch, judged kind by kind. Right: pairs
+with at least FEWEST common junctions that end in one component, by the common share of the smaller
+map; wrong: pairs merged at a false placement, or of two worlds. Promised: number of these that the
+false-merge rate allows. --without disables one rule (ablation).
 """
 
 from __future__ import annotations
@@ -50,18 +51,20 @@ def batch(kind, worlds, first):
     for w in range(worlds):
         world = make_world(kind, KINDS[kind], first + w)
         for m, _ in scattered_maps(world, RUNS, SIZE, first + w, SEEING):
-            truth = {"world": w, "truth": m.info["truth"]}
-            out.append(replace(m, run=f"w{w:02d}-{m.run}", info=truth))
+            truth = {"world": (kind, w), "truth": m.info["truth"]}
+            out.append(replace(m, run=f"{kind}-w{w:02d}-{m.run}", info=truth))
     return sorted(out, key=lambda m: m.run)
 
 
-def score(maps):
-    """Counts over the pairs of one batch: right and possible (3,) by share, wrong, pairs."""
+def score(maps, told=None, kind=""):
+    """Counts over the pairs of one batch: right and possible (3,) by share, wrong, pairs. told: the
+    verdicts, if known; kind: only pairs with a run in a world of it."""
     by_run = {m.run: m for m in maps}
-    told = decide(maps)
+    told = decide(maps) if told is None else told
     accepted = [v for v in told if v.accepted]
     together = {run: k for k, part in enumerate(components_of(by_run, accepted)) for run in part}
     right, possible, wrong = np.zeros(3, int), np.zeros(3, int), 0
+    told = [v for v in told if v.a.startswith(kind) or v.b.startswith(kind)]
     for v in told:
         a, b = by_run[v.a], by_run[v.b]
         same = a.info["world"] == b.info["world"]
@@ -90,9 +93,17 @@ def rows(kind, worlds, first):
     """(name, score) of the three ways to judge the same maps."""
     maps = batch(kind, worlds, first)
     yield "one batch", score(maps)
-    alone = [[m for m in maps if m.info["world"] == w] for w in range(worlds)]
+    alone = [[m for m in maps if m.info["world"] == (kind, w)] for w in range(worlds)]
     yield "by world", added(score(part) for part in alone)
     yield "two runs", added(score(list(pair)) for pair in combinations(maps, 2))
+
+
+def mixed(kinds, worlds, first):
+    """(kind, name, score) of the worlds of all kinds in one batch."""
+    maps = [m for kind in sorted(kinds) for m in batch(kind, worlds, first)]
+    told = decide(maps)
+    for kind in kinds:
+        yield kind, "all kinds", score(maps, told, kind)
 
 
 def placements(kind, worlds, first):
@@ -157,6 +168,7 @@ def main():
     parser.add_argument("--first", type=int, default=0, help="seed of the first world")
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--without", choices=RULES)
+    parser.add_argument("--mixed", action="store_true", help="all kinds in one batch")
     parser.add_argument("--placements", action="store_true", help="right ones beside wrong ones")
     options = parser.parse_args()
     leave_out(options.without)
@@ -174,12 +186,14 @@ def main():
     shares = ("< 25 %", "25-50 %", "> 50 %")
     print(f"| world | judged | {' | '.join(f'right at {s}' for s in shares)} | wrong | promised |")
     print("| --- | --- | --- | --- | --- | --- | --- |")
-    for kind in options.kinds:
-        for name, (right, possible, wrong, pairs) in rows(kind, options.worlds, options.first):
-            cells = " | ".join(f"{r} of {p}" for r, p in zip(right, possible, strict=True))
-            batches = {"one batch": 1, "by world": options.worlds}.get(name, pairs)
-            promise = batches * DEFAULT_ROBUST.false_merge_rate
-            print(f"| {kind} | {name} | {cells} | {wrong} of {pairs} | {promise:.3g} |", flush=True)
+    known = options.worlds, options.first
+    alone = ((kind, *row) for kind in options.kinds for row in rows(kind, *known))
+    judged = mixed(options.kinds, *known) if options.mixed else alone
+    for kind, name, (right, possible, wrong, pairs) in judged:
+        cells = " | ".join(f"{r} of {p}" for r, p in zip(right, possible, strict=True))
+        batches = {"by world": options.worlds, "two runs": pairs}.get(name, 1)
+        promise = batches * DEFAULT_ROBUST.false_merge_rate
+        print(f"| {kind} | {name} | {cells} | {wrong} of {pairs} | {promise:.3g} |", flush=True)
 
 
 if __name__ == "__main__":

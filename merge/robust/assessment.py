@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from ...topology.topomap import TopoMap
 from ..result import Alignment, PairVerdict, Verdict
@@ -27,47 +30,87 @@ from .verdict import (
     threshold_for,
 )
 
+ANY = -1
+"""Stands for the connected component of a map of which the others are too few."""
+
+ThresholdOf = Callable[[Sequence[int], PairCount], Threshold]
+"""Gives the threshold for some maps (a pair, or the runs of two components) in a batch with a given
+count of pairs."""
+
 
 def thresholds(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
+    linked: Iterable[Pair] | None = None,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
     copies_of: Callable[[Samples], CopyModel] | None = None,
-) -> Callable[[Sequence[int], PairCount], Threshold]:
-    """A function that gives the threshold for some maps (a pair, or the runs of two components) in
-    a batch with a given count of pairs.
+) -> ThresholdOf:
+    """The thresholds in a batch of maps.
 
-    with_themselves: matches of each map with other parts of itself, if known; copies_of: replaces
-    `copy_model`.
+    How a building repeats itself is estimated from the maps of buildings like it: a folder may mix
+    offices, all of whose maps repeat themselves, with mazes, none of which do. linked: pairs with a
+    placement better than chance; maps that chains of these connect are of like buildings, unless
+    they are too few to tell. None: all maps are. with_themselves: matches of each map with other
+    parts of itself, if known; copies_of: replaces `copy_model`.
     """
     own = with_themselves or list(self_matches(prepared, settings))
-    samples = [(k, c) for k, found in enumerate(own) for c in found if c.bits > MATCH.lead_bits]
-    if copies_of is None:
-        copies = copy_model([(prepared[k], c) for k, c in samples], settings)
-    else:
-        copies = copies_of(samples)
-    copied = _copied(own, settings)
+    like = _like_buildings(len(own), linked, settings)
+    copied = _copied(own, like, settings)
 
-    @cache  # few differ: no map has less copied than most of the batch
-    def reached(count: PairCount, most: float) -> Threshold:
-        return threshold_for(count, copies, settings, copied=most)
+    @cache
+    def copies(of: frozenset[int]) -> CopyModel:
+        maps = (k for k in range(len(own)) if ANY in of or like[k] in of)
+        samples = [(k, c) for k in maps for c in own[k] if c.bits > MATCH.lead_bits]
+        if copies_of is not None:
+            return copies_of(samples)
+        return copy_model([(prepared[k], c) for k, c in samples], settings)
+
+    @cache  # few differ: no map has less copied than most of those of like buildings
+    def reached(of: frozenset[int], count: PairCount, most: float) -> Threshold:
+        return threshold_for(count, copies(of), settings, copied=most)
 
     def threshold(some: Sequence[int], count: PairCount) -> Threshold:
-        return reached(count, max(copied[k] for k in some))
+        return reached(frozenset(like[k] for k in some), count, max(copied[k] for k in some))
 
     return threshold
 
 
+def _like_buildings(
+    maps: int, linked: Iterable[Pair] | None, settings: RobustSettings
+) -> list[int]:
+    """For each of so many maps the number of its connected component in the graph of `linked`
+    pairs; `ANY` if the component has too few maps for the `copied_share` quantile, beyond which not
+    a single one would lie: 37 of 390 pairs of symmetric buildings are merged wrongly without that,
+    26 with it (`benchmarks/adversaries.py --only turned`)."""
+    if linked is None:
+        return [ANY] * maps
+    i, j = np.array([*linked], np.int64).reshape(-1, 2).T
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(maps, maps))
+    number = connected_components(graph, directed=False)[1]
+    few = np.bincount(number) * (1 - settings.copied_share) < 1
+    like: list[int] = np.where(few[number], ANY, number).tolist()
+    return like
+
+
 def _copied(
-    with_themselves: Sequence[tuple[Candidate, ...]], settings: RobustSettings
+    with_themselves: Sequence[tuple[Candidate, ...]],
+    like: Sequence[int],
+    settings: RobustSettings,
 ) -> list[float]:
-    """Number of junctions of every map's largest copy of a part of itself, at least that of the
-    batch's `copied_share` quantile; inf where the copy may extend beyond the map."""
+    """Number of junctions of every map's largest copy of a part of itself, at least the
+    `copied_share` quantile of the maps of like buildings; inf where the copy may extend beyond the
+    map. like: as by `_like_buildings`."""
     beyond = [list(filter(_beyond_chance, own)) for own in with_themselves]
-    seen = [max(map(len, own), default=0) for own in beyond]
-    batch = float(np.quantile(seen, settings.copied_share)) if seen else 0.0
+    seen: dict[int, list[int]] = defaultdict(list)
+    for building, own in zip(like, beyond, strict=True):
+        for of in {building, ANY}:
+            seen[of].append(max(map(len, own), default=0))
+    least = {of: float(np.quantile(most, settings.copied_share)) for of, most in seen.items()}
     need = needed_bits(1, settings)
-    return [max([batch, *(np.inf if _goes_on(c, need) else len(c) for c in own)]) for own in beyond]
+    return [
+        max([least[building], *(np.inf if _goes_on(c, need) else len(c) for c in own)])
+        for building, own in zip(like, beyond, strict=True)
+    ]
 
 
 def _goes_on(copy: Candidate, need_bits: float) -> bool:
@@ -123,15 +166,21 @@ class AssessedPair:
 
 
 def assess_pair(
-    maps: Sequence[TopoMap], pair: Pair, settings: RobustSettings, *, count: PairCount
+    maps: Sequence[TopoMap],
+    pair: Pair,
+    settings: RobustSettings,
+    *,
+    count: PairCount,
+    linked: Iterable[Pair] | None = None,
 ) -> AssessedPair:
     """Steps 1 to 3 of `decide` for one pair of a batch.
 
-    maps: those of the batch, sorted by run; pair: two of their indices, i < j; count: of the batch.
+    maps: those of the batch, sorted by run; pair: two of their indices, i < j; count: of the batch;
+    linked: see `thresholds`.
     """
     prepared = [prepare(m) for m in maps]
     i, j = pair
-    threshold = thresholds(prepared, settings)(pair, count)
+    threshold = thresholds(prepared, settings, linked)(pair, count)
     found = match(prepared[i], prepared[j], settings)
     view = assess(prepared[i], prepared[j], found, threshold)
     if view.verdict is Verdict.MERGED:

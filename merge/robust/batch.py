@@ -14,6 +14,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
 from ..result import Alignment, PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
+from .assessment import ThresholdOf
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .kept_verdicts import KeptVerdicts
 from .mirror import doubt_mirrored
@@ -29,15 +30,16 @@ from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, n
 class Batch:
     """The matches between the maps of a batch, and the verdicts on pairs by their two maps alone.
 
-    asked: pairs named by a lock. found: result of matching, in short. assessments: full assessments
-    of locked and discarded pairs, and of pairs that would be merged but for a rival or a mirror
-    image; joins: verdicts on pairs that are merged by themselves; alone: verdicts on all other
-    pairs, the majority of a large batch, of which nothing but the verdict in words (`worded`) is
-    kept.
+    thresholds_of: the thresholds, given the pairs with a placement better than chance
+    (`assessment.thresholds`). asked: pairs named by a lock. found: result of matching, in short.
+    assessments: full assessments of locked and discarded pairs, and of pairs that would be merged
+    but for a rival or a mirror image; joins: verdicts on pairs that are merged by themselves;
+    alone: verdicts on all other pairs, the majority of a large batch, of which nothing but the
+    verdict in words (`worded`) is kept.
     """
 
     matcher: Pairwise
-    threshold_of: Callable[[Sequence[int], PairCount], Threshold]
+    thresholds_of: Callable[[Iterable[Pair]], ThresholdOf]
     worded: Callable[[Pair, Assessment], PairVerdict]
     asked: Collection[Pair] = ()
     found: dict[Pair, Told] = field(default_factory=dict)
@@ -54,7 +56,13 @@ class Batch:
             need = needed_bits(pairs, self.matcher.settings)
             beyond = int(np.count_nonzero(self._against_chance >= need))
             self._count[pairs] = PairCount(pairs, beyond)
-        return self.threshold_of(some, self._count[pairs])
+        return self._threshold_of(some, self._count[pairs])
+
+    @cached_property
+    def _threshold_of(self) -> ThresholdOf:
+        """Given the pairs that were matched first."""
+        found = self.found.items()
+        return self.thresholds_of([p for p, t in found if t.against_chance > MATCH.lead_bits])
 
     @cached_property
     def _kept(self) -> KeptVerdicts | None:
@@ -194,7 +202,8 @@ class Batch:
             cases += [(maps.prepared[i], maps.prepared[j], c) for c in islice(chosen, 1)]
         if not cases:
             return []
-        return [same.bits for same in sameness_of(cases, self.threshold(pairs[0]).copies)]
+        copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies
+        return [same.bits for same in sameness_of(cases, copies)]
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
@@ -62,8 +63,14 @@ def decide(
         i, j = pair
         return Case(prepared[i], prepared[j], view).verdict()
 
-    threshold_of = thresholds(prepared, settings, matcher.with_themselves(), matcher.copies)
-    batch = Batch(matcher, threshold_of, alone, frozenset(locked))
+    thresholds_of = partial(
+        thresholds,
+        prepared,
+        settings,
+        with_themselves=matcher.with_themselves(),
+        copies_of=matcher.copies,
+    )
+    batch = Batch(matcher, thresholds_of, alone, frozenset(locked))
     wanted = wanted_pairs(matcher, [*locked, *gone])
     say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
     batch.look_at(wanted, gone)

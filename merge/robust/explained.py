@@ -28,6 +28,7 @@ from .assessment import AssessedPair, assess_pair, thresholds
 from .conflicts import one_by_one
 from .forced import forced_alignment
 from .growth import given_up
+from .pairing import Pair
 from .prepare import Prepared, prepare
 from .rematching import view_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
@@ -63,11 +64,25 @@ class Batch:
         if joined is not None and joined.accepted_by == "components" and joined.threshold_bits:
             least = joined.threshold_bits - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
             pairs = round(2.0**least * self.settings.false_merge_rate)
-        told = [v.extra.get("against_chance_bits", 0.0) for v in self.said.values()]
-        if not any(told):
+        if not self._against_chance:
             return PairCount(pairs, pairs)
         need = needed_bits(pairs, self.settings)
-        return PairCount(pairs, sum(bits >= need for bits in told))
+        return PairCount(pairs, sum(bits >= need for bits in self._against_chance.values()))
+
+    @property
+    def linked(self) -> list[Pair] | None:
+        """The pairs with a placement better than chance; None if there was no merge, or an earlier
+        version's without that entry."""
+        if not self._against_chance:
+            return None
+        beyond = (p for p, bits in self._against_chance.items() if bits > MATCH.lead_bits)
+        return [(self.row[a], self.row[b]) for a, b in beyond if {a, b} <= self.row.keys()]
+
+    @property
+    def _against_chance(self) -> dict[tuple[str, str], float]:
+        """Evidence against chance of the pairs for which the merge states any [bits]."""
+        told = {pair: v.extra.get("against_chance_bits", 0.0) for pair, v in self.said.items()}
+        return {pair: bits for pair, bits in told.items() if bits}
 
     def unlisted(self, a: str, b: str) -> bool:
         """Whether a pair is one of those that a large merge counted but did not list."""
@@ -77,7 +92,8 @@ class Batch:
 def explain(batch: Batch, a: str, b: str) -> Decision:
     """Why two runs a < b were merged or not. Raises KeyError if the map of one is missing."""
     pair = (a, b)
-    own = assess_pair(batch.maps, (batch.row[a], batch.row[b]), batch.settings, count=batch.count())
+    rows = (batch.row[a], batch.row[b])
+    own = assess_pair(batch.maps, rows, batch.settings, count=batch.count(), linked=batch.linked)
     alone = own.alone()
     unlisted = batch.unlisted(a, b)
     told = _unlisted(batch, alone) if unlisted else batch.said.get(pair, alone)
@@ -191,9 +207,8 @@ def _of_components(
 ) -> list[Shown]:
     """The placement of a pair that its components joined, with their evidence."""
     x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
-    threshold = thresholds([prepare(m) for m in batch.maps], batch.settings)(
-        (*x, *y), batch.count(told)
-    )
+    threshold_of = thresholds([prepare(m) for m in batch.maps], batch.settings, batch.linked)
+    threshold = threshold_of((*x, *y), batch.count(told))
     inside = {
         (batch.row[a], batch.row[b]): v.best
         for (a, b), v in batch.said.items()

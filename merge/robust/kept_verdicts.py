@@ -29,6 +29,7 @@ from ..digests import digested
 from ..document import EXTRA, entry_of
 from ..packs import LARGEST, Key, Kind, PackWriter, Store
 from ..result import Alignment, PairVerdict, Verdict
+from .repetition import CopyModel
 from .verdict import Threshold
 
 Pair = tuple[int, int]
@@ -251,7 +252,7 @@ class KeptVerdicts:
     digests: Sequence[bytes]
     threshold: Callable[[Pair], Threshold]
     keys: dict[PairVerdict, Key]
-    _thresholds: dict[tuple[float, bool], bytes] = field(default_factory=dict)
+    _thresholds: dict[tuple[float, CopyModel, bool], bytes] = field(default_factory=dict)
     _names: list[bytes] = field(init=False)
 
     def __post_init__(self) -> None:
@@ -301,7 +302,7 @@ class KeptVerdicts:
 
     def _threshold(self, threshold: Threshold, *, copies: bool) -> bytes:
         """Digest of the threshold; copies: whether the verdict depends on the copy model."""
-        key = threshold.copied, copies
+        key = threshold.copied, threshold.copies, copies
         if key not in self._thresholds:
             self._thresholds[key] = threshold_digest(threshold, copies=copies)
         return self._thresholds[key]

@@ -29,9 +29,11 @@ class RobustSettings:
     """The test for copies uses conservative rates: the share of copies that pass is below the
     promised one by this many bits (measured by `benchmarks/calibration.py`)."""
     copied_share: float = 0.75
-    """A batch is assumed to have copies as large as its map at this quantile shows: either most
-    maps repeat, or few do. Pairs are many more than maps, and meet larger copies than the two maps
-    show by themselves: without it `benchmarks/aliasing.py --kinds tiles` joins tunnels wrongly."""
+    """Like buildings are assumed to have copies as large as their map at this quantile shows:
+    either most maps repeat, or few do. Pairs are many more than maps, and meet larger copies than
+    the two maps show by themselves: without it `benchmarks/aliasing.py --kinds tiles` joins tunnels
+    wrongly. Taken of the whole batch, offices and rows keep mazes from being merged
+    (`benchmarks/aliasing.py --mixed`)."""
     size_sigmas: float = 2.5
     """Two maps are not of one place if one is larger throughout by more than this many standard
     deviations of their odometries' scales. Of 310 right pairs of simulated runs the most is 2.3

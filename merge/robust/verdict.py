@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
@@ -35,7 +36,7 @@ class Threshold:
 
     need_bits: against chance; need_copy_bits: against being a copy, for an alignment that is likely
     to be one; copied: junctions of the largest part of either map that matches another part of it;
-    copies: how copies differ in this batch.
+    copies: how copies differ in buildings like theirs.
     """
 
     need_bits: float
@@ -243,7 +244,7 @@ def assess(
 
 
 def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
-    """Verdicts on pairs of one batch from their candidate alignments.
+    """Verdicts on pairs from their candidate alignments.
 
     merged: enough evidence against chance, not a copy, and a lead over every other placement.
     ambiguous: beyond chance, but one of the three is missing, or too few junctions agree.
@@ -255,15 +256,15 @@ def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     """
     shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
     shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
-    cases = [
-        (a, b, c)
-        for (a, b, _, _), odd, share in zip(pairs, shown, shares, strict=True)
-        if max(share, default=0.0) > 0
-        for c in odd
-    ]
-    same = sameness_of(cases, pairs[0][3].copies) if cases else iter(())
+    cases: dict[CopyModel, list[tuple[Prepared, Prepared, Candidate]]] = defaultdict(list)
+    for (a, b, _, threshold), odd, share in zip(pairs, shown, shares, strict=True):
+        if max(share, default=0.0) > 0:
+            cases[threshold.copies] += [(a, b, c) for c in odd]
+    same = {copies: sameness_of(some, copies) for copies, some in cases.items()}
     told = zip(pairs, shown, shares, strict=True)
-    return [_assess(pair, odd, share, same) for pair, odd, share in told]
+    return [
+        _assess(pair, odd, share, same.get(pair[3].copies, iter(()))) for pair, odd, share in told
+    ]
 
 
 def _repetitions(

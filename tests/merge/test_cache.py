@@ -80,6 +80,12 @@ def test_only_pairs_with_the_new_map_are_matched(fleet, tmp_path):
     assert nothing.fresh == []
 
 
+def test_a_folder_of_several_buildings_merges_anew_as_it_grew(mixed, tmp_path):
+    for count in (2, 3, 4, 7, len(mixed)):
+        out, _ = merged_with(tmp_path, mixed[:count])
+    assert out == text(mixed)
+
+
 def test_a_run_by_another_name_is_not_matched_again(fleet, tmp_path):
     from dataclasses import replace
 

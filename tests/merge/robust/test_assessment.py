@@ -1,6 +1,6 @@
 """What pairs of a batch must reach."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -73,7 +73,7 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
         heard.extend((k, len(c)) for k, c in samples)
         return COPIES
 
-    asked = thresholds([None] * 4, SETTINGS, own, copies)
+    asked = thresholds([None] * 4, SETTINGS, None, own, copies)
     count = PairCount(6, 2)
     most = np.quantile([0, 6, 8, 0], SETTINGS.copied_share)
     assert [asked([k], count).copied for k in range(4)] == [most, most, 8.0, most]
@@ -82,11 +82,37 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
     assert heard == [(1, 6), (1, 4), (2, 8)]
 
 
+def test_maps_that_nothing_links_say_nothing_of_each_other():
+    own = [(Repetition(n),) if n else () for n in (0, 0, 0, 0, 6, 7, 8, 9, 10, 12)]
+    heard = []
+
+    def copies(samples):
+        heard.append([k for k, _ in samples])
+        return replace(COPIES, change_rate=0.01 * len(samples))
+
+    links = [(0, 1), (2, 1), (2, 3), (5, 6), (7, 8), (6, 8)]
+    asked = thresholds([None] * 10, SETTINGS, links, own, copies)
+    count = PairCount(45, 2)
+    most = np.quantile([7, 8, 9, 10], SETTINGS.copied_share)
+    # Of the two that nothing links there are too few: they are held to all maps.
+    whole = np.quantile([0, 0, 0, 0, 6, 7, 8, 9, 10, 12], SETTINGS.copied_share)
+    expected = [0.0, 0.0, 0.0, 0.0, whole, most, most, most, 10.0, 12.0]
+    assert [asked([k], count).copied for k in range(10)] == expected
+    assert [asked([k], count).copies.change_rate for k in (0, 4, 5)] == [0.0, 0.06, 0.04]
+    # Buildings of one kind are learned from once; of two, both count.
+    assert heard == [[], [4, 5, 6, 7, 8, 9], [5, 6, 7, 8]]
+    both = asked([2, 5], count)
+    assert (both.copied, both.copies.change_rate) == (most, 0.04)
+    assert asked([5, 2], count) is both
+    turned = thresholds([None] * 10, SETTINGS, [(j, i) for i, j in links[::-1]], own, copies)
+    assert all(turned([k], count) == asked([k], count) for k in range(10))
+
+
 def test_what_half_a_turn_says_twice_is_no_copy_unless_once_is_beyond_chance():
     tested = Repetition(8).tested_bits
     enough = 2 * (MATCH.lead_bits + tested) - tested
     own = [(Repetition(8, bits, back=True),) for bits in (enough - 0.1, enough + 0.1)]
-    asked = thresholds([None] * 2, SETTINGS, own, lambda _: COPIES)
+    asked = thresholds([None] * 2, SETTINGS, None, own, lambda _: COPIES)
     most = np.quantile([0, 8], SETTINGS.copied_share)
     assert [asked([k], PairCount(1, 1)).copied for k in range(2)] == [most, 8.0]
 
@@ -101,7 +127,7 @@ def test_a_copy_that_nothing_ends_may_go_on():
         # A few junctions tell little, whatever they seem to tell.
         Repetition(3, 99.0),
     ]
-    asked = thresholds([None] * 5, SETTINGS, [(c,) for c in copies], lambda _: COPIES)
+    asked = thresholds([None] * 5, SETTINGS, None, [(c,) for c in copies], lambda _: COPIES)
     # The other maps of the batch are held to what was seen.
     assert [asked([k], PairCount(10, 2)).copied for k in range(5)] == [np.inf, 6.0, 6.0, 6.0, 6.0]
 

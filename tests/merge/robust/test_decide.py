@@ -210,6 +210,24 @@ def test_locks_that_cannot_be(halves):
     assert only(halves, locks=[Lock("left", "elsewhere", "never")]).accepted
 
 
+def test_a_folder_of_several_buildings_is_judged_building_by_building(mixed):
+    """What offices share with other parts of themselves is no reason to doubt a maze."""
+    maze, office = mixed[:4], mixed[4:]
+    told = {(v.a, v.b): v for v in decide(sorted(mixed, key=lambda m: m.run))}
+    both = told["left", "right"]
+    assert both.accepted
+    assert "same_place_bits" not in both.extra
+    alone = {
+        (v.a, v.b): v for part in (maze, office) for v in decide(sorted(part, key=lambda m: m.run))
+    }
+    assert both.evidence_bits == alone["left", "right"].evidence_bits
+    assert "same_place_bits" in told["o-0", "o-1"].extra
+    assert all(told[pair].extra == v.extra for pair, v in alone.items())
+    # Three runs of a building do not tell that it does not repeat itself.
+    fewer = {(v.a, v.b): v for v in decide(sorted([*maze[:3], *office], key=lambda m: m.run))}
+    assert "same_place_bits" in fewer["left", "right"].extra
+
+
 def test_wings_built_alike_are_not_taken_for_each_other(see):
     """One run in each of two wings of one plan: beyond chance, but perhaps another copy."""
     world = make_world("office", 200, 8)

@@ -68,6 +68,16 @@ def test_every_pair_of_a_batch_is_explained_as_it_was_decided(halves, other_maze
         assert lines(apart)
 
 
+def test_pairs_of_a_folder_of_several_buildings_are_explained_as_they_were_decided(mixed):
+    batch = documented(mixed)
+    assert explained(batch, "left", "right").said.accepted
+    decision = explained(batch, "o-0", "o-1")
+    told = decision.said.extra["same_place_bits"]
+    assert told == pytest.approx(decision.requirement.same_place_bits, abs=0.01)
+    # Without a merge nothing is known of which buildings are alike.
+    assert Batch(batch.maps, {}).linked is None
+
+
 def test_the_settings_of_the_merge_are_those_of_the_explanation(halves):
     bits = documented(halves).said["left", "right"].evidence_bits
     batch = documented(halves, RobustSettings(false_merge_rate=2.0 ** -(bits + 5)))

@@ -153,6 +153,18 @@ def test_a_verdict_is_known_by_all_that_it_hangs_on(pair, new_store):
             assert bool(changed.find([(0, 1)])) != matters
 
 
+def test_verdicts_of_one_merge_hang_on_their_own_buildings(pair, new_store):
+    """As large a part is copied in both, but the copies differ."""
+    shelf, unclear = new_store(), verdicts(*pair)[1]
+    other = threshold_for(COUNT, replace(COPIES, change_rate=0.2), DEFAULT_ROBUST)
+    kept = kept_by(shelf, pair)
+    own = kept.threshold((0, 1))
+    kept.keep({(0, 1): unclear})
+    turning = iter([own, other, own])
+    kept.threshold = lambda _: next(turning)
+    assert [bool(kept.find([(0, 1)])) for _ in range(3)] == [True, False, True]
+
+
 def test_what_is_kept_says_where_its_entry_is(pair, new_store):
     shelf, left, found = new_store(), {}, {}
     verdict = verdicts(*pair)[1]

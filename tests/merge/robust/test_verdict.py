@@ -15,6 +15,7 @@ from topobatch.merge.robust.verdict import (
     PairCount,
     _missing,
     assess,
+    assess_all,
     counted_bits,
     falls_short,
     in_steps,
@@ -95,6 +96,18 @@ def test_what_tells_much_less_than_it_could_is_asked_whether_it_is_a_copy(drawn)
     assert asked.need_same == pytest.approx(0.8 * threshold.need_copy_bits)
     (less,) = assess(a, b, [replace(told, bits=0.6 * most)], threshold).answers
     assert less.repetition == uniformity(a, b) < 0.5
+
+
+def test_pairs_are_asked_how_copies_differ_in_their_own_buildings(drawn):
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    found, count = match(a, b, SETTINGS), PairCount(1, 1)
+    thresholds = [
+        threshold_for(count, replace(COPIES, change_rate=rate), SETTINGS, copied=copied)
+        for rate, copied in ((0.05, np.inf), (0.4, np.inf), (0.2, 0.0), (0.05, np.inf))
+    ]
+    told = [view.same_bits for view in assess_all([(a, b, found, t) for t in thresholds])]
+    assert told == [assess(a, b, found, t).same_bits for t in thresholds]
+    assert told[0] == told[3] < told[1]
 
 
 def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
