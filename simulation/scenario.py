@@ -207,7 +207,7 @@ def _world_with_regions(
         if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
             return world, regions
     raise UsageError(
-        f"no room for {s.runs} runs of {size} junctions in a {s.world} of {len(world)} junctions: "
+        f"no room for {s.runs} runs of {size} junctions in a world of {len(world)} junctions: "
         "ask for fewer or smaller runs, or a larger world"
     )
 
