@@ -57,13 +57,15 @@ def _side_by_side(
     if not jobs:
         return
     context = _context()
-    counter, begin = context.Value("q", 0), context.Event()
+    counter, begin = context.Value("q", 0), context.Semaphore(0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter, begin)) as pool:
         try:
             with _interrupts_deferred():  # a worker stopped half-started would complain
                 futures = dict(_submitted(pool, jobs))
-            # A process that dies while others are started can block the pool for good.
-            begin.set()
+            # A process that dies while others are started can block the pool for good; one that
+            # dies waiting for an Event, who sets it.
+            for _ in range(workers):
+                begin.release()
             yield from ((job, None) for job in jobs[len(futures) :])
             waiting = set(futures)
             while waiting:
@@ -86,7 +88,7 @@ def _start_worker(counter: Any, begin: Any) -> None:
     global _bytes_done  # noqa: PLW0603 - set once per worker process
     _bytes_done = counter
     start_worker()
-    begin.wait()
+    begin.acquire()
 
 
 def _counted(job: IngestJob) -> IngestOutcome:

@@ -109,7 +109,8 @@ from concurrent.futures import ProcessPoolExecutor
 from topobatch.cli.ingest_pool import _context, _start_worker
 context = _context()
 {before}
-with ProcessPoolExecutor(1, context, _start_worker, (context.Value("q", 0),)) as pool:
+known = context.Value("q", 0), context.Semaphore(1)
+with ProcessPoolExecutor(1, context, _start_worker, known) as pool:
     print(pool.submit(abs, -7).result(), flush=True)
     {after}
 """
