@@ -289,11 +289,10 @@ def placing_error(truth, a, b, labels, poses):
     return None if off > 5.0 or turn > 0.3 else (off, turn)
 
 
-def judged(truth, runs, seed, headings=None):
-    """[(quantity, k, [within 68, 95, 99.7])] of the maps of some runs and their merge; headings: as
-    of `judge_map`, those of the world's corridors where they are left out."""
+def judged(truth, whole, merged, seed, headings=None):
+    """[(quantity, k, [within 68, 95, 99.7])] of what `mapped` gives; headings: as of `judge_map`,
+    those of the world's corridors where they are left out."""
     headings = headings or {name: world.branches for name, world in truth.worlds.items()}
-    whole, merged = mapped(runs)
     rows = []
     for topomap, errors in whole:
         rows += judge_map(truth, topomap, errors, seed, headings).items()
@@ -302,10 +301,9 @@ def judged(truth, runs, seed, headings=None):
     return [(name, len(w), w.sum(axis=0).tolist()) for name, w in rows if len(w)]
 
 
-def drawn(truth, runs, seed):
-    """[{quantity: (DRAWS, 3) within}] of errors drawn as the maps and their merge state them."""
+def drawn(truth, whole, merged, seed):
+    """[{quantity: (DRAWS, 3) within}] of errors drawn as what `mapped` gives states them."""
     rng = np.random.default_rng(seed)
-    whole, merged = mapped(runs)
     # Samples of two maps may come of the same random numbers.
     maps = [drawn_map(truth, m, errors, seed) for m, errors in whole]
     mixed = [{k: rng.choice(w, DRAWS) for k, w in found.items()} for found in maps]
@@ -324,7 +322,7 @@ def simulated(task):
     scenario, seed = scenario_of(task)
     if scenario is None:
         return task[:3], []
-    return task[:3], judged(scenario.truth, by_logs(scenario), seed)
+    return task[:3], judged(scenario.truth, *mapped(by_logs(scenario)), seed)
 
 
 def scenario_of(task):
@@ -558,10 +556,11 @@ def main():
                     parser.error(f"{folder}: only runs with detections are cut")
                 print("\n".join(own_errors(folder, truth)))
             for count in args.parts or [None]:
-                told = (truth, runs) if count is None else cut(truth, runs, count)
+                true, parts = (truth, runs) if count is None else cut(truth, runs, count)
+                built = mapped(parts)
                 name = folder.name + (f", {count} parts" if count else "")
-                found = judged(*told, args.first, headings)
-                results.append((name, found, drawn(*told, args.first)))
+                found = judged(true, *built, args.first, headings)
+                results.append((name, found, drawn(true, *built, args.first)))
         print("\n".join(recorded_table(results)))
     else:
         seeds = range(args.first, args.first + args.seeds)

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from ...topology.connected import connected
 from ...topology.topomap import TopoMap
 from ..result import Alignment, PairVerdict, Verdict
 from .alignment import Candidate, match, self_matches
@@ -84,9 +83,8 @@ def _like_buildings(
     26 with it (`benchmarks/adversaries.py --only turned`)."""
     if linked is None:
         return [ANY] * maps
-    i, j = np.array([*linked], np.int64).reshape(-1, 2).T
-    graph = coo_array((np.ones(len(i)), (i, j)), shape=(maps, maps))
-    number = connected_components(graph, directed=False)[1]
+    one, other = np.array([*linked], np.int64).reshape(-1, 2).T
+    number = connected(one, other, maps)
     few = np.bincount(number) * (1 - settings.copied_share) < 1
     like: list[int] = np.where(few[number], ANY, number).tolist()
     return like
