@@ -27,6 +27,9 @@ from ..topology.topomap import (
 
 T = TypeVar("T")
 
+ROUNDING = np.sqrt(np.finfo(float).eps)
+"""Share of a variance below which a difference of variances is rounding error."""
+
 
 class Verdict(StrEnum):
     """The three answers to the question whether, and where, two runs share places."""
@@ -156,8 +159,9 @@ class Spread:
 
     def relative(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
         """(k, 3, 3) covariances of the position of the second map's middle relative to the first
-        map, and of the rotation between them, in the axes of the common frame [m, rad]. Raises
-        KeyError for pairs without a cross-covariance."""
+        map, and of the rotation between them, in the axes of the common frame [m, rad]; 0 up to
+        rounding, and so 0, for maps of the same places alone, as of one recording under two
+        names. Raises KeyError for pairs without a cross-covariance."""
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
         # What is seen is A e_i + e_j, of the errors of the two.
@@ -165,7 +169,9 @@ class Spread:
         A[:, 0, 2], A[:, 1, 2] = y, -x
         both = A @ self._cross(i, j)
         whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
-        return np.asarray(whole + self.own[j])
+        whole += self.own[j]
+        told = np.einsum("kii->ki", whole) > ROUNDING * np.einsum("kii->ki", self.own[j])
+        return np.asarray(whole * told[:, :, None] * told[:, None, :])
 
     def sigmas(
         self, pairs: Sequence[tuple[str, str]], share: float = ONE_SIGMA

@@ -10,7 +10,7 @@ from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.joint_graph import JOINT, SOLVER, pass_counts, settle
 from topobatch.merge.fusion.uncertainty import spread
 from topobatch.merge.fusion.vertex_partition import Pool
-from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.merge.result import Alignment, PairVerdict, Spread, Verdict
 from topobatch.topology.posegraph.graph import SharedErrors
 from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
@@ -82,6 +82,15 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
     assert metres == pytest.approx(np.quantile(both, 0.6827), rel=0.15)
     assert radians == pytest.approx(np.sqrt(sampled[2, 2]), rel=0.15)
     assert found.sigmas([("c", "a")])[0] == pytest.approx((metres, radians))
+
+
+@pytest.mark.parametrize("rounding", [-3e-15, 0.0, 3e-15])
+def test_maps_of_the_same_places_are_not_apart_however_their_covariance_is_rounded(rounding):
+    own = np.diag([0.01, 0.01, 1e-5])
+    two, middle = np.array([own, own]), np.array([[3.0, 4.0], [3.0, 4.0]])
+    found = Spread(("a", "b"), middle, two, np.array([1]), (1 + rounding) * own[None])
+    assert found.sigmas([("a", "b")]) == [(0.0, 0.0)]
+    assert not found.relative([("a", "b")]).any()
 
 
 def test_maps_that_do_not_bend_err_by_what_the_rest_of_them_saw_otherwise(draw):
