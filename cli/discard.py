@@ -30,11 +30,11 @@ def discard(
 ) -> None:
     """Take back runs, or matches of two runs.
 
-    What depends on them goes with them. RUN: its map, recordings and locks are removed; its log,
-    ingested again, makes it anew. A:B: what was found between the two is not counted any more, in
-    this merge and in later ones; other runs may still join them (to keep them apart whatever is
-    found: topobatch lock A B --never). The last merge is made anew without it. Without arguments,
-    lists the matches that were taken back.
+    What depends on them goes with them. RUN: its map, recordings, exports and locks are removed;
+    its log, ingested again, makes it anew. A:B: what was found between the two is not counted any
+    more, in the merges that there are and in later ones; other runs may still join them (to keep
+    them apart whatever is found: topobatch lock A B --never). Merges that hold any of the runs are
+    made anew without it. Without arguments, lists the matches that were taken back.
 
     \b
       topobatch discard run1:run2
@@ -128,9 +128,6 @@ def _discard_run(place: Workspace, run: str) -> None:
     kept = frozenset(pair for pair in discards if run not in pair)
     if len(kept) < len(discards):
         place.write_discards(kept)
-    for other in place.runs():
-        for method in ("robust", "paper"):
-            a, b = sorted((run, other))
-            place.explain_rrd(a, b, method=method).unlink(missing_ok=True)
-    for path in (place.ingest_record(run), place.map_rrd(run), place.map_json(run)):
+    made = (*place.recordings_of(run), *place.exports_of(run))
+    for path in (place.ingest_record(run), *made, place.map_json(run)):
         path.unlink(missing_ok=True)

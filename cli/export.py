@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -85,7 +87,8 @@ def export(
     """Write a map in a format that others load.
 
     The merged map has components that share no frame: each becomes a file of its own, numbered like
-    the components of topobatch merge. Trajectories (tum) are read from the run's log again.
+    the components of topobatch merge; files of components that are no more go from exports/.
+    Trajectories (tum) are read from the run's log again.
 
     \b
       topobatch export merged --format nav2 --output site.geojson
@@ -100,9 +103,13 @@ def export(
     if output == STDOUT:
         _to_stdout(texts, sources)
         return
-    for path, text in _paths(place, output, texts, sources).items():
+    paths = _paths(place, output, texts, sources)
+    for path, text in paths.items():
         _write(path, text)
         screen.line(str(path))
+    if output is None and component is None and sources[0].document is not None:
+        for path in _superseded(place, what, form, paths):
+            path.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -272,6 +279,22 @@ def _paths(
         own = name.removeprefix(shared).removesuffix(output.suffix)
         out[output.with_name(f"{output.stem}{own}{output.suffix}")] = text
     return out
+
+
+def _superseded(
+    place: Workspace, merge: str, form: Format, written: Collection[Path]
+) -> Iterator[Path]:
+    """What the last export of a merge wrote and this one did not, as the components are others."""
+    from ..viz.exports import ENDINGS
+
+    endings = "|".join(map(re.escape, ENDINGS[form]))
+    run = r"\..+" if form == "tum" else ""
+    own = re.compile(rf"{re.escape(merge)}(-[0-9]+)?{run}({endings})")
+    named = (*place.runs(), *(each.merge for each in place.merges()))
+    others = tuple(f"{name}." for name in named if name != merge)
+    for path in place.exports.iterdir():
+        if own.fullmatch(path.name) and path not in written and not path.name.startswith(others):
+            yield path
 
 
 def _write(path: Path, text: str) -> None:

@@ -197,23 +197,30 @@ def merge_again(
     screen: Screen,
     new: Mapping[str, str] | None = None,
 ) -> None:
-    """Repeat the last merge with the runs that still exist, if it had one of the affected ones;
+    """Repeat the merges that had one of the affected runs, each with the runs that still exist;
     new: new names of runs. The caller holds the workspace's lock."""
+    for each in place.merges():
+        _repeat(each, affected, screen, new or {})
+
+
+def _repeat(
+    place: Workspace, affected: Collection[str], screen: Screen, new: Mapping[str, str]
+) -> None:
+    """Repeat one merge; see `merge_again`."""
     from ..merge.document import read_merged
     from .unchanged import contents
 
-    if not os.path.lexists(place.merged_json):
-        return
     try:
         graph = read_merged(place.merged_json).graph
         settings = _settings_of(graph)
     except (DocumentError, ValueError) as error:
-        screen.warn(f"{error}; merge again: topobatch merge --all")
+        how = "--all" if place.merge == MERGED else f"… --output {place.merge} --replace"
+        screen.warn(f"{error}; merge again: topobatch merge {how}")
         return
     before = set(graph.home)
     if not before & set(affected):
         return
-    runs = sorted({(new or {}).get(run, run) for run in before} & set(place.runs()))
+    runs = sorted({new.get(run, run) for run in before} & set(place.runs()))
     if not runs:
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
@@ -223,7 +230,8 @@ def merge_again(
     everything = runs == place.runs()
     result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen, store)
     _write(place, result, maps, documents)
-    screen.line(f"merged again: {counted(len(maps), 'run')}, {_counts(result)}")
+    name = "" if place.merge == MERGED else f", {place.merge}"
+    screen.line(f"merged again{name}: {counted(len(maps), 'run')}, {_counts(result)}")
 
 
 def _settings_of(graph: MergedGraph) -> MergeSettings:

@@ -27,9 +27,9 @@ def rename(
 ) -> None:
     """Give a run another name.
 
-    In its map, in locks and in the last merge. Its pieces (RUN#2 and so on) are renamed with it.
-    Its log, ingested again, goes by the new name. The recording of its map shows the old name until
-    then.
+    In its map, in locks and in the merges. Its pieces (RUN#2 and so on) are renamed with it. Its
+    log, ingested again, goes by the new name. The recording of its map shows the old name until
+    then; those of explanations are to be made anew, and exports stay as they are.
 
     \b
       topobatch rename run1 monday
@@ -84,7 +84,7 @@ def _rename(place: Workspace, old: str, new: str) -> None:
         write_json(place.ingest_record(new), moved)
         # Told by its old name, the log is known to be this run (`ingest_worker`).
         write_json(place.ingest_record(old), {"renamed": new})
-    for path in (place.map_rrd(old), place.map_json(old)):
+    for path in (*place.recordings_of(old), place.map_json(old)):
         path.unlink(missing_ok=True)
 
 

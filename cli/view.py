@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -113,8 +114,8 @@ def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]
 def _open(recordings: list[Path]) -> None:
     """Open recordings in the viewer, or print how to without a display."""
     if not _has_display():
-        names = " ".join(r.name for r in recordings)
-        paths = " ".join(map(str, recordings))
+        names = shlex.join(r.name for r in recordings)
+        paths = shlex.join(map(str, recordings))
         say(f"{recordings[0]}: there is no display here. To look at it:")
         say(f"  on a machine with a screen:  rerun {names}   (pip install rerun-sdk)")
         say(f"  in a browser, served by this machine:  rerun --web-viewer {paths}")

@@ -126,6 +126,20 @@ class Workspace:
         """Folder of exported maps."""
         return self.root / "exports"
 
+    def recordings_of(self, run: str) -> Iterator[Path]:
+        """The recordings in which a run may be: of its map, also with its log, and of pairs."""
+        yield from (self.map_rrd(run), self.raw_log_rrd(run), self.raw_log_views_rrd(run))
+        for other in self.runs():
+            for method in ("robust", "paper"):
+                yield self.explain_rrd(*sorted((run, other)), method=method)
+
+    def exports_of(self, run: str) -> Iterator[Path]:
+        """The files that exports of a run's map go to."""
+        from ..viz.exports import ENDINGS
+
+        for endings in ENDINGS.values():
+            yield from (self.exports / f"{plain_name(run)}{ending}" for ending in endings)
+
     def ingest_record(self, run: str) -> Path:
         """The record of how a run's map was made; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
@@ -218,6 +232,15 @@ class Workspace:
             return named if named.merged_json.is_file() else None
         except UsageError:  # no name that a merge could have
             return None
+
+    def merges(self) -> list[Workspace]:
+        """This workspace with each of its merges, the one with the default name first."""
+        usual = Workspace(self.root)
+        others = {p.stem for p in (self.locks_json, self.discards_json, usual.merged_json)}
+        named = sorted({path.stem for path in self.root.glob("*.json")} - others)
+        # A document without a recording beside it is none of topobatch's.
+        written = [m for m in map(self.merge_named, named) if m and m.merged_rrd.is_file()]
+        return [usual, *written] if os.path.lexists(usual.merged_json) else written
 
     def no_maps(self) -> DataError:
         """What to say of a workspace without maps, or of none."""

@@ -75,6 +75,28 @@ def test_components_go_to_files_of_their_own(topobatch, filled, tmp_path) -> Non
     assert one.err == ""
 
 
+@pytest.mark.parametrize(("form", "gone"), [("nav2", ".geojson"), ("tum", ".x.recorded.tum")])
+def test_files_of_components_that_are_no_more_go(topobatch, filled, tmp_path, form, gone) -> None:
+    root = tmp_path / "ws"
+    shutil.copytree(filled.root, root)
+    out, run = root / "exports", run_of(filled)
+    for name in ("merged-1", "rest"):  # a run and a merge of such names have exports of their own
+        assert topobatch("merge", run, "--output", name, "-q", "-w", root).code == 0
+    of_others = {f"{run}{gone}", f"merged-1{gone}", "rest-7.geojson", "merged-7.svg"}
+    left = of_others | {f"merged-7{gone}", f"merged-8{gone}"}
+    out.mkdir(exist_ok=True)
+    for name in left:
+        (out / name).touch()
+    call = ("export", "merged", "-f", form, "-w", root)
+    assert topobatch(*call, "-o", tmp_path / f"elsewhere{gone}").code == 0
+    assert topobatch(*call, "--component", 0).code == 0
+    assert left <= {path.name for path in out.iterdir()}
+    shown = topobatch(*call)
+    assert shown.code == 0
+    assert {p.name for p in out.iterdir()} >= {Path(p).name for p in shown.out.split()} | of_others
+    assert not {f"merged-7{gone}", f"merged-8{gone}"} & {p.name for p in out.iterdir()}
+
+
 def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
     run, w = run_of(filled), ("-w", filled.root)
     for call, told in (

@@ -99,6 +99,13 @@ def test_a_discarded_run_leaves_nothing(topobatch, merged, building_maps, tmp_pa
     gone = accepted_pair(merged)[0]
     other = next(p.stem for p in (merged / "maps").glob("*.json") if p.stem != gone)
     topobatch("lock", gone, other, "--never", "-w", merged)
+    assert topobatch("explain", gone, other, "-w", merged).code == 0
+    assert topobatch("export", gone, "-f", "csv", "-w", merged).code == 0
+    assert topobatch("export", gone, "-f", "g2o", "-w", merged).code == 0
+    for ending in ("log.rrd", "views.rrd"):
+        path = merged / "cache" / "log" / f"{gone}.{ending}"
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
     done = topobatch("discard", gone, "-w", merged)
     assert done.code == 0, done
     never = tmp_path / "never"
@@ -126,6 +133,29 @@ def test_a_discarded_match_is_as_if_it_was_not_found(topobatch, merged):
     assert done.code == 0, done
     assert (merged / "merged.json").read_bytes() == before
     assert not (merged / "discards.json").exists()
+
+
+def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
+    gone, kept = accepted_pair(merged)
+    runs = {row["run"] for row in json.loads(topobatch("list", "--json", "-w", merged).out)}
+    rest = sorted(runs - {gone})
+    for name, some in (("two", (gone, kept)), ("rest", rest), ("alone", (gone,))):
+        assert topobatch("merge", *some, "--output", name, "-q", "-w", merged).code == 0
+    (merged / "mine.json").write_text("{}")
+    untouched = (merged / "rest.json").read_bytes()
+    done = topobatch("discard", gone, "-w", merged)
+    assert done.code == 0, done
+    assert "\nmerged again: 6 runs" in done.out
+    assert "\nmerged again, two: 1 run" in done.out
+    assert gone.encode() not in (merged / "two.json").read_bytes()
+    assert (merged / "rest.json").read_bytes() == untouched
+    assert not (merged / "alone.json").exists()
+    assert (merged / "mine.json").read_text() == "{}"
+    assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
+    for name in ("two", "rest", "merged"):
+        text = (merged / f"{name}.json").read_text()
+        assert '"new name"' in text
+        assert f'"{kept}"' not in text
 
 
 def test_a_run_that_rests_on_a_discarded_match_falls_with_it(topobatch, merged):

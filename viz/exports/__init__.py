@@ -20,6 +20,7 @@ from .tmap2 import tmap2_yaml
 from .tum import corrected_tum, recorded_tum
 
 __all__ = [
+    "ENDINGS",
     "MAP_FORMATS",
     "MAX_ERROR_M",
     "RouteGraph",
@@ -46,3 +47,9 @@ MAP_FORMATS: Mapping[str, Mapping[str, MapFormat]] = MappingProxyType(
 )
 """Formats that need a map only: for each file's suffix the function that returns its text, given
 the map and the largest distance [m] of a path from its straight pieces."""
+
+ENDINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {form: tuple(texts) for form, texts in MAP_FORMATS.items()}
+    | {"g2o": (".g2o",), "tum": (".recorded.tum", ".corrected.tum")}
+)
+"""The suffixes of the files of every format."""
