@@ -15,6 +15,7 @@ from ..topology.arrays import FloatArray
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Start, Term, TermKind, rounded_terms
+from .discards import REASON, discarded
 from .result import PairVerdict, Verdict, shown_bits
 from .wording import decimals
 
@@ -70,7 +71,8 @@ def headline(decision: Decision) -> str:
     if said.through:
         alone = f"by itself {said.verdict}, {decision_bits(decision)} bits"
         return f"{pair}: joined through {listed(said.through)}: {alone}"
-    return f"{pair}: {said.standing}: {bits}, {need}"
+    by = "locked apart" if said.locked == "never" else said.standing
+    return f"{pair}: {by}: {bits}, {need}"
 
 
 def listed(runs: Sequence[str], most: int = 3) -> str:
@@ -96,8 +98,8 @@ def digits_of(decision: Decision) -> int:
 def because(decision: Decision) -> str:
     """The reason in one sentence."""
     said = decision.said
-    if said.locked == "never":
-        return "Locked apart by a person."
+    if decided := _by_a_person(said):
+        return decided
     if not decision.placements:
         return "Nothing that chance would not offer: no corridor of one is like one of the other."
     if decision.start is not None:
@@ -110,6 +112,16 @@ def because(decision: Decision) -> str:
     if said.verdict is Verdict.UNRELATED:
         return f"Nothing that chance would not offer: {agree}; that is too little."
     return f"{agree}; {said.reason.rsplit('; ', 1)[-1]}."
+
+
+def _by_a_person(said: PairVerdict) -> str:
+    """What a person decided against a pair; "" where nobody did."""
+    if said.locked == "never":
+        return "Locked apart by a person."
+    if discarded(said):
+        undo = "topobatch discard A:B --undo lets it count"
+        return f"{REASON[0].upper()}{REASON[1:]}: what is shown does not count ({undo})."
+    return ""
 
 
 def _given_up(said: PairVerdict, start: Start) -> str:
@@ -289,6 +301,8 @@ def sum_told(decision: Decision) -> str:
     """Label of the sum of the terms, with the lead over the next best placement."""
     if decision.start is not None:
         return "what the hypothesis had, not counted"
+    if discarded(decision.said):
+        return "what the match had, not counted"
     margin = decision.said.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"

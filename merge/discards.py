@@ -12,6 +12,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from ..topology.map_schema import Model, validated
+from .result import PairVerdict
 
 DISCARDS_SCHEMA: Literal["topobatch.discards/1"] = "topobatch.discards/1"
 
@@ -49,3 +50,8 @@ def discards_to_document(pairs: Iterable[Names]) -> dict[str, Any]:
 def discards_from_document(doc: Any, name: str = "discards document") -> frozenset[Names]:
     """The pairs of runs, by name; DocumentError if the document follows no such schema."""
     return frozenset((e.a, e.b) for e in validated(DiscardsDocument, doc, name).discarded)
+
+
+def discarded(verdict: PairVerdict) -> bool:
+    """Whether a person discarded the match of a pair."""
+    return REASON in verdict.reason

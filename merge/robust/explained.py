@@ -18,7 +18,7 @@ from ...topology.se2 import between
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
-from ..discards import REASON
+from ..discards import discarded
 from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
@@ -44,7 +44,8 @@ class Batch:
 
     maps: of all its runs that can still be read, sorted by run; said: its verdict on every pair,
     empty if there was no merge: these maps are then taken to be a batch; settings: of the merge;
-    locks: present ones; poses: (3,) of every run in its component; row: index of each map by run.
+    locks: present ones; poses: (3,) of every run in its component; row: index of each map by run;
+    against_chance: evidence against chance of the pairs for which the merge states any [bits].
     """
 
     maps: Sequence[TopoMap]
@@ -53,9 +54,13 @@ class Batch:
     locks: Sequence[Lock] = ()
     poses: Mapping[str, FloatArray] = field(default_factory=dict)
     row: Mapping[str, int] = field(init=False)
+    against_chance: Mapping[tuple[str, str], float] = field(init=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "row", {m.run: i for i, m in enumerate(self.maps)})
+        told = {pair: v.extra.get("against_chance_bits", 0.0) for pair, v in self.said.items()}
+        stated = {pair: bits for pair, bits in told.items() if bits}
+        object.__setattr__(self, "against_chance", stated)
 
     def count(self, joined: PairVerdict | None = None) -> PairCount:
         """The pairs that shared the false-merge rate, or those that still did when components
@@ -64,25 +69,19 @@ class Batch:
         if joined is not None and joined.accepted_by == "components" and joined.threshold_bits:
             least = joined.threshold_bits - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
             pairs = round(2.0**least * self.settings.false_merge_rate)
-        if not self._against_chance:
+        if not self.against_chance:
             return PairCount(pairs, pairs)
         need = needed_bits(pairs, self.settings)
-        return PairCount(pairs, sum(bits >= need for bits in self._against_chance.values()))
+        return PairCount(pairs, sum(bits >= need for bits in self.against_chance.values()))
 
     @property
     def linked(self) -> list[Pair] | None:
         """The pairs with a placement better than chance; None if there was no merge, or an earlier
         version's without that entry."""
-        if not self._against_chance:
+        if not self.against_chance:
             return None
-        beyond = (p for p, bits in self._against_chance.items() if bits > MATCH.lead_bits)
+        beyond = (p for p, bits in self.against_chance.items() if bits > MATCH.lead_bits)
         return [(self.row[a], self.row[b]) for a, b in beyond if {a, b} <= self.row.keys()]
-
-    @property
-    def _against_chance(self) -> dict[tuple[str, str], float]:
-        """Evidence against chance of the pairs for which the merge states any [bits]."""
-        told = {pair: v.extra.get("against_chance_bits", 0.0) for pair, v in self.said.items()}
-        return {pair: bits for pair, bits in told.items() if bits}
 
     def unlisted(self, a: str, b: str) -> bool:
         """Whether a pair is one of those that a large merge counted but did not list."""
@@ -115,8 +114,8 @@ def _notes(
     batch: Batch, told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
 ) -> tuple[str, ...]:
     """Notes on a pair of the last merge."""
-    if REASON in told.reason:
-        return (f"{REASON}: what is shown does not count (topobatch discard A:B --undo)",)
+    if discarded(told):  # nothing of it was counted, so that nothing can differ
+        return ()
     return (*_lock_notes(batch, told), *_changed(told, alone, placements))
 
 

@@ -22,6 +22,7 @@ from topobatch.merge.decision import (
     to_document,
 )
 from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
+from topobatch.merge.discards import REASON
 from topobatch.merge.merged_schema import MergeEntry
 from topobatch.merge.result import (
     AcceptedBy,
@@ -221,6 +222,16 @@ def test_what_others_and_people_say_stands_in_the_headline():
         assert words in headline(told)
     never = replace(UNRELATED, said=replace(UNRELATED.said, locked="never"))
     assert because(never) == "Locked apart by a person."
+    assert headline(never).startswith("left and right: locked apart: 0.0 bits of evidence")
+
+
+def test_a_match_that_a_person_took_back_is_not_called_chance():
+    said = replace(UNRELATED.said, reason=REASON, evidence_bits=0.0)
+    taken = replace(MERGED, said=said)
+    assert because(taken).startswith("The match was discarded by a person: what is shown does not")
+    text = "\n".join(lines(taken))
+    assert "what the match had, not counted" in text
+    assert "chance would not offer" not in text
 
 
 def sums(told):
