@@ -225,6 +225,7 @@ def _repeat(
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
         return
+    settings = _about(settings, new, runs)
     documents, store = contents(place, runs), _store(place, settings, screen)
     maps, _ = read_maps(place, runs, screen, store)
     everything = runs == place.runs()
@@ -232,6 +233,16 @@ def _repeat(
     _write(place, result, maps, documents)
     name = "" if place.merge == MERGED else f", {place.merge}"
     screen.line(f"merged again{name}: {counted(len(maps), 'run')}, {_counts(result)}")
+
+
+def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:
+    """Settings with the meetings of these runs alone; new: new names of runs."""
+    met = (
+        replace(m, run_a=new.get(m.run_a, m.run_a), run_b=new.get(m.run_b, m.run_b))
+        for m in settings.paper.meetings
+    )
+    kept = tuple(m for m in met if {m.run_a, m.run_b} <= set(runs))
+    return replace(settings, paper=replace(settings.paper, meetings=kept))
 
 
 def _settings_of(graph: MergedGraph) -> MergeSettings:

@@ -158,6 +158,23 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
         assert f'"{kept}"' not in text
 
 
+def test_meetings_of_a_run_go_by_its_name_and_with_it(topobatch, merged):
+    a, b = accepted_pair(merged)
+    paths = [merged / "maps" / f"{run}.json" for run in (a, b)]
+    at = [read_json(path)["nodes"][0]["observations"][0]["time_ns"] for path in paths]
+    met = ("--met", f"{a}@{at[0]},{b}@{at[1]}")
+    done = topobatch("merge", "--all", "--method", "paper", *met, "-j", 1, "-q", "-w", merged)
+    assert done.code == 0, done
+
+    def meetings():
+        return document(merged)["graph"]["settings"]["meetings"]
+
+    assert topobatch("rename", a, "zz", "-w", merged).code == 0
+    assert [(m["run_a"], m["time_a_ns"], m["run_b"]) for m in meetings()] == [("zz", at[0], b)]
+    assert topobatch("discard", "zz", "-w", merged).code == 0
+    assert meetings() == []
+
+
 def test_a_run_that_rests_on_a_discarded_match_falls_with_it(topobatch, merged):
     """Without all its matches a run is alone, whatever the merged maps of others would say."""
     pairs = [pair for pair, entry in entries(merged).items() if entry["accepted"]]
