@@ -5,7 +5,7 @@ Nothing here prints, exits, or writes a file. All deliberate errors are Topobatc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +71,8 @@ def ingest(
     DataError
         What it holds makes no map: no junction was passed, or the odometry does not move.
     UsageError
-        The log has several topics to choose from, or an option makes no sense.
+        The log has several topics to choose from, an option makes no sense, or a folder holds
+        several logs.
 
     Examples
     --------
@@ -86,8 +87,17 @@ def ingest(
     from ..ingest.remote.path import log_path
     from ..ingest.scans.slicing import SliceSettings
     from ..merge.pieces import joined_pieces
+    from ..topology.errors import UsageError
+    from ..topology.wording import listed
+    from .log_paths import logs_at
     from .workspace import checked_run_name
 
+    place = log_path(log, allow_scan=allow_scan)
+    logs = logs_at(place)
+    if len(logs) > 1:
+        raise UsageError(
+            f"{place}: holds {len(logs)} logs; name one: {listed([str(each) for each in logs], 3)}"
+        )
     settings = ReadSettings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
@@ -102,7 +112,7 @@ def ingest(
         strict=strict,
     )
     with _on_one_thread():
-        found = read_log(log_path(log, allow_scan=allow_scan), settings)
+        found = read_log(logs[0], settings)
         if name is not None:
             found = replace(found, name=checked_run_name(name))
         return joined_pieces(map_of_log(found, MappingSettings(closure=closure)))
@@ -137,7 +147,7 @@ def read_map(path: str | Path) -> TopoMap:
 
 
 def merge(
-    maps: Sequence[TopoMap],
+    maps: Iterable[TopoMap],
     *,
     false_merge_rate: float | None = None,
     locks: Sequence[Lock] = (),
@@ -163,7 +173,8 @@ def merge(
     DataError
         Two maps are of the same run.
     UsageError
-        The rate makes no sense.
+        The rate makes no sense, two locks contradict each other, or one names a junction that its
+        map does not have.
 
     Examples
     --------
@@ -184,7 +195,7 @@ def merge(
         robust = replace(settings.robust, false_merge_rate=false_merge_rate)
         settings = replace(settings, robust=robust)
     with _on_one_thread():
-        return merge_maps(maps, settings, locks=locks)
+        return merge_maps(list(maps), settings, locks=locks)
 
 
 def to_networkx(graph: TopoMap | MergeResult) -> Any:

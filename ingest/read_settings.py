@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from ..topology.errors import UsageError
+from ..topology.errors import UsageError, check_choice
 from .logs.fields import JunctionFields
 from .odometry.track import TrackSettings
 from .scans.slicing import SliceSettings
@@ -48,10 +48,12 @@ class ReadSettings:
     sightings: SightingSettings = field(default_factory=SightingSettings)
 
     def __post_init__(self) -> None:
-        if self.time not in ("header", "log"):
-            raise UsageError(f"--time is {self.time!r}, expected header or log")
-        if self.laser_pose is not None and not np.isfinite(self.laser_pose).all():
-            raise UsageError(f"--laser-pose is {self.laser_pose}, which is no place")
+        check_choice("--time", self.time, get_args(Clock))
+        check_choice("--scan-stamp", self.scan_stamp, get_args(Stamp))
+        check_choice("--junctions-from", self.junctions_from, (*get_args(Way), None))
+        pose = self.laser_pose
+        if pose is not None and (np.shape(pose) != (3,) or not np.isfinite(pose).all()):
+            raise UsageError(f"--laser-pose is {pose}, which is no place X, Y, YAW")
         if self.junction_fields is not None:
             JunctionFields.parse(self.junction_fields)
             named = self.odometry_topic

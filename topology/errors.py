@@ -12,6 +12,8 @@ these into text on the screen and an exit code.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 
 class TopobatchError(Exception):
     """Base of everything that this library raises on purpose."""
@@ -31,3 +33,9 @@ class LogError(DataError):
 
 class DocumentError(DataError):
     """A map or merged document cannot be read or does not follow its schema."""
+
+
+def check_choice(option: str, value: object, among: Sequence[object]) -> None:
+    """UsageError if an option's value is none of a few."""
+    if value not in among:
+        raise UsageError(f"{option} is {value!r}, expected {' or '.join(map(str, among))}")

@@ -48,8 +48,9 @@ class SliceSettings:
     nearest_m: float = 0.3
 
     def __post_init__(self) -> None:
-        if self.band_m is not None and not self.band_m[0] < self.band_m[1]:
-            raise UsageError(f"--cloud-band: heights must come lowest first, not {self.band_m}")
+        band = self.band_m
+        if band is not None and (np.shape(band) != (2,) or not band[0] < band[1]):
+            raise UsageError(f"--cloud-band: heights must come lowest first, not {band}")
 
     def band(self, sensor_z_m: float) -> tuple[float, float]:
         """Lowest and highest z for a sensor at the given height."""

@@ -9,6 +9,7 @@ import pydoc
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -119,11 +120,41 @@ def test_linear_algebra_is_held_to_one_thread() -> None:
     assert done.stdout.strip() == "{1} {2}"
 
 
+@pytest.mark.parametrize(
+    "option",
+    [
+        {"closure": "most"},
+        {"scan_stamp": "last"},
+        {"junctions_from": "sonar"},
+        {"time": "now"},
+        {"laser_pose": (1.0, 2.0)},
+        {"laser_pose": (1.0, 2.0, np.nan)},
+        {"cloud_band": (1.0,)},
+        {"cloud_band": (2.0, 1.0)},
+    ],
+    ids=str,
+)
+def test_options_that_make_no_sense_are_refused(option) -> None:
+    from topobatch.topology.errors import UsageError
+
+    named = f"--{next(iter(option)).replace('_', '-')}"
+    with pytest.raises(UsageError, match=named):
+        topobatch.ingest(ROOT / "sample_logs" / "maze-1.mcap", **option)
+
+
+def test_maps_may_come_one_by_one() -> None:
+    (topomap,) = topobatch.ingest(ROOT / "sample_logs" / "maze-1.mcap")
+    runs = (replace(topomap, run=run) for run in ("a", "b"))
+    assert [sorted(c.poses) for c in topobatch.merge(runs).components] == [["a", "b"]]
+
+
 def test_calls_that_cannot_be(tmp_path) -> None:
     from topobatch.topology.errors import LogError, TopobatchError, UsageError
 
     with pytest.raises(LogError, match="nowhere"):
         topobatch.ingest(tmp_path / "nowhere.mcap")
+    with pytest.raises(UsageError, match="holds 5 logs; name one: "):
+        topobatch.ingest(ROOT / "sample_logs")
     with pytest.raises(UsageError, match="false_merge_rate"):
         topobatch.merge([], false_merge_rate=2.0)
     with pytest.raises(TopobatchError):
