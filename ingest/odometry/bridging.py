@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -35,23 +36,18 @@ def bridged(
 
     reckoning_of: dead reckoning of an odometry; close: loop closure, without the grid of the
     building, whose right angles fit every quarter turn. A jump that is small beside the distances
-    of places and branches is left as it is, with its uncertainty. A larger one is measured twice,
-    as if the robot had driven on and as if it had moved as the odometry says
-    (`Odometry.jump_other`): places seen on both sides determine the step. If they do not, or the
-    two results disagree, the odometry is broken there. Closes the loops twice if there are large
-    jumps.
+    of places and branches is left as it is, with its uncertainty. Of a larger one several cases are
+    tried (`_cases`), in which places seen on both sides determine the step. If they do so in none,
+    or the results disagree, the odometry is broken there. Closes the loops up to four times if
+    there are large jumps.
     """
     reckoning = reckoning_of(odometry)
     leg = _legs(odometry, reckoning)
     open_ = _unclear(odometry, reckoning, leg)
     if not open_.any():
         return odometry
-    # The two cases differ by the whole jump: each covers half of it (1 sigma).
-    sigma = np.where(open_[:, None], 0.5 * odometry.jump_sigma, odometry.jump_sigma)
-    driven_on = replace(odometry, jump_sigma=sigma)
-    moved = _driven(driven_on, open_, odometry.jump_other[open_])
-    found = [_steps(case, reckoning_of, close, open_) for case in (driven_on, moved)]
-    told = {row: step for row in {*found[0], *found[1]} if (step := _agreed(found, row))}
+    found = [_steps(case, reckoning_of, close, open_) for case in _cases(odometry, open_)]
+    told = {row: step for row in {*chain(*found)} if (step := _agreed(found, row))}
     rows = np.array(sorted(told), np.int64)
     known = np.isin(odometry.jumps, rows) if len(rows) else np.zeros(len(open_), bool)
     steps = np.array([told[row].step for row in rows.tolist()]).reshape(-1, 3)
@@ -138,6 +134,29 @@ def _clear_m(reckoning: DeadReckoning) -> float:
     return CLEAR_LEGS * float(np.median(known)) if len(known) else 0.0
 
 
+def _cases(odometry: Odometry, open_: BoolArray) -> Iterator[Odometry]:
+    """The odometry with the open jumps as if the robot had driven on, had moved as the odometry
+    says (`Odometry.jump_other`), or had moved half of that, its frame having jumped by the rest.
+
+    Half of a turn goes either way round: the odometry shows turns up to whole ones only. The longer
+    way is tried if it is no larger than the jump itself.
+    """
+    # The cases lie half of the jump apart. Each covers a quarter of its turn to either side (1
+    # sigma), but half of its way, which need not be straight.
+    sigma = np.where(open_[:, None], [0.5, 0.25] * odometry.jump_sigma, odometry.jump_sigma)
+    rows = odometry.jumps[open_]
+    on = between(odometry.pose[rows - 1], odometry.pose[rows])
+    off = odometry.jump_other[open_] - on
+    off[:, 2] = wrap(off[:, 2])
+    half, turn = on + off / 2, np.abs(off[:, 2])
+    steps = [on, on + off, half]
+    longer = np.pi - turn / 2 <= turn
+    if longer.any():
+        steps.append(half + np.outer(longer, [0.0, 0.0, np.pi]))
+    for step in steps:
+        yield _driven(replace(odometry, jump_sigma=sigma), open_, step)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Step:
     """A jump as measured by places: step: (3,) of the robot [m, m, rad]; sigma: (2,) [m per axis,
@@ -189,11 +208,10 @@ def _steps(
 
 
 def _agreed(found: list[dict[int, _Step]], row: int) -> _Step | None:
-    """The step measured in both cases, that of more places; None if they contradict each other."""
-    steps = sorted((case[row] for case in found if row in case), key=lambda s: -s.places)
-    if len(steps) == 2 and not steps[0].fits(steps[1].step, 3 * steps[1].sigma):
-        return None
-    return steps[0]
+    """The step measured in several cases, that of most places; None if another one contradicts
+    it."""
+    best, *others = sorted((case[row] for case in found if row in case), key=lambda s: -s.places)
+    return best if all(best.fits(other.step, 3 * other.sigma) for other in others) else None
 
 
 def _shared(place: IntArray, leg: int) -> int:

@@ -56,12 +56,11 @@ def test_a_jump_costs_no_revisit(metres, degrees):
     assert told["split"] is False
 
 
-def test_a_robot_that_went_where_its_odometry_leaps_is_found_as_well():
-    """The other half of the truth: nothing tells beforehand whether robot or odometry jumped."""
-    truth, run = simulated()
+def moved_at_once(truth, run, slip=(0.0, 0.0, 0.0)):
+    """Truth and run whose fastest turn, about the middle of the run, passes at once; slip: jump [m,
+    m, rad] of the odometry's frame meanwhile."""
     odometry = run.odometry
     turned = np.abs(wrap(np.diff(odometry.pose[:, 2])))
-    # The fastest second of turning, about the middle of the run, passes at once.
     rows = np.arange(len(turned) // 3, 2 * len(turned) // 3)
     first = int(rows[np.argmax(np.convolve(turned, np.ones(20))[rows + 19])])
     last = first + 20
@@ -72,17 +71,32 @@ def test_a_robot_that_went_where_its_odometry_leaps_is_found_as_well():
     hidden = run.detections.time_ns
     assert not np.any((hidden > odometry.time_ns[first]) & (hidden < odometry.time_ns[last]))
     keep = np.delete(np.arange(len(odometry)), np.arange(first + 1, last))
-    time_ns = clock(odometry.time_ns)[keep]
-    track = sane_track(time_ns, odometry.pose[keep], "odom", "base_link")
-    assert np.degrees(track.jumps.turn.max()) > 30
+    time_ns, pose = clock(odometry.time_ns)[keep], odometry.pose.copy()
+    pose[last:] = compose(compose(pose[last], slip), between(pose[last], pose[last:]))
+    track = sane_track(time_ns, pose[keep], "odom", "base_link")
     seen = replace(run.detections, time_ns=clock(run.detections.time_ns))
     moved = replace(run, odometry=without_jumps(track.odometry, track.jumps), detections=seen)
-    topomap = build_map(moved)
-    assert topomap.pieces == 1
     of_run = truth.runs[run.name]
     times = {name: clock(getattr(of_run, name)) for name in ("start_ns", "end_ns")}
-    there = replace(truth, runs={run.name: replace(of_run, **times)})
-    assert split_and_mixed(there, run, topomap) == (0, 0)
+    return replace(truth, runs={run.name: replace(of_run, **times)}), moved
+
+
+def test_a_robot_that_went_where_its_odometry_leaps_is_found_as_well():
+    """The other half of the truth: nothing tells beforehand whether robot or odometry jumped."""
+    truth, run = moved_at_once(*simulated())
+    assert np.degrees(np.abs(wrap(run.odometry.jump_other[:, 2])).max()) > 30
+    topomap = build_map(run)
+    assert topomap.pieces == 1
+    assert split_and_mixed(truth, run, topomap) == (0, 0)
+
+
+def test_a_robot_that_was_moved_while_its_odometry_jumped_is_found_as_well():
+    """It turned by 58 degrees, its odometry by 148: neither the one case nor the other."""
+    truth, run = moved_at_once(*simulated(), slip=(1.0, 0.5, -np.pi / 2))
+    assert np.degrees(run.odometry.jump_other[0, 2]) == pytest.approx(-148, abs=1)
+    topomap = build_map(run)
+    assert topomap.pieces == 1
+    assert split_and_mixed(truth, run, topomap) == (0, 0)
 
 
 def unrevisited(truth, run):
