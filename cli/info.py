@@ -61,8 +61,9 @@ def info(
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
-    hold. To find out, logs of up to 64 MB on this machine are read whole; of others that have an
-    index only the index is read, and a line says so. Options about reading are those of ingest.
+    hold. To find out, and what ingest would warn of, logs of up to 64 MB on this machine are read
+    whole; of others that have an index only the index is read, and a line says so. Options about
+    reading are those of ingest.
 
     \b
       topobatch info run1.mcap
@@ -98,11 +99,11 @@ def info(
             for line in described(found):
                 say(line)
         if not found.problems and _read_whole(found):
-            found = replace(found, problems=_refused(each, replace(settings, strict=True)))
+            found = _tried(found, each, replace(settings, strict=True))
         if as_json:
             told.append(_as_json(found))
         else:
-            _show_problems(found)
+            _show_faults(found)
         failed |= bool(found.problems)
     if as_json:
         say_lines(json.dumps(told))
@@ -131,9 +132,11 @@ def _as_json(found: LogInfo) -> dict[str, Any]:
     return asdict(found) | {"path": path}
 
 
-def _show_problems(found: LogInfo) -> None:
+def _show_faults(found: LogInfo) -> None:
     for problem in found.problems:
         say(f"problem: {problem}")
+    for warning in found.warnings:
+        say(f"warning: {warning}")
     if not _read_whole(found):
         say("not read whole: messages may still be damaged, or be refused by ingest")
 
@@ -142,8 +145,8 @@ def _read_whole(found: LogInfo) -> bool:
     return isinstance(found.path, Path) and found.bytes <= WHOLE_BYTES
 
 
-def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
-    """Why ingest with these settings would reject a log; empty if it would not."""
+def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
+    """The contents of a log with why ingest with these settings would reject it, or warn of it."""
     from ..ingest.reading import log_size, read_log
 
     done = 0
@@ -155,10 +158,10 @@ def _refused(log: LogPath, settings: ReadSettings) -> tuple[str, ...]:
             advance(done)
 
         try:
-            read_log(log, settings, on_bytes=on_bytes)
+            run = read_log(log, settings, on_bytes=on_bytes)
         except (LogError, UsageError) as error:
-            return (str(error),)
-    return ()
+            return replace(found, problems=(str(error),))
+    return replace(found, warnings=run.warnings)
 
 
 def described(found: LogInfo) -> list[str]:

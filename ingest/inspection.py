@@ -36,7 +36,8 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """The contents of a log. problems: one sentence each, empty for a whole, usable log."""
+    """The contents of a log. problems: one sentence each, empty for a whole, usable log; warnings:
+    those of reading it whole, if it was."""
 
     path: LogPath
     name: str
@@ -46,6 +47,7 @@ class LogInfo:
     duration_s: float
     topics: tuple[TopicInfo, ...]
     problems: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
 
 
 def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo:

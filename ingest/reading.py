@@ -20,6 +20,7 @@ from .logs.recording import Recording, find_logs, log_fingerprint, log_size, rec
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
 from .mounting import transforms_about
+from .odometry.conventions import disagreements
 from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
 from .odometry.reading import because, described, driven, odometry_topic, poses_of
@@ -140,6 +141,8 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     track = driven(odometry, clock, read)
     sightings = _sightings(read, junction.choice, junctions, clock, track.recorded)
     warnings += [*track.warnings, *sightings.warnings]
+    topics = odometry.choice.topic, junction.choice.topic
+    warnings += disagreements(track.recorded, sightings.detections, *topics)
     split, carried = split_where_carried(track.odometry, sightings.detections)
     if carried:
         warnings.append(

@@ -6,6 +6,7 @@ import json
 import re
 import shlex
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.writing import write_run
 
 PAGE = (Path(__file__).parents[2] / "docs" / "detections.md").read_text()
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -293,6 +295,28 @@ def test_info_tells_of_degrees_for_radians_beside_the_topics(topobatch, run, tmp
     (found,) = json.loads(told.out)
     assert told.code == 1
     assert "add unit=deg" in found["problems"][0]
+
+
+def test_positions_in_millimetres_are_warned_of_as_the_page_shows(topobatch, tmp_path):
+    settings = ScenarioSettings(runs=1, junctions_per_run=30, odometry_hz=10, seed=7)
+    (simulated,) = simulate_scenario(settings).simulated
+    seen = simulated.run.detections
+    run = replace(simulated.run, detections=replace(seen, centre=1000 * seen.centre))
+    path = write_run(tmp_path, replace(simulated, run=run))
+    (shown,) = re.findall(r"^warning: (.*)$", section("When the numbers mean something else"), re.M)
+    sentence = re.sub(r"0\.001 \(± [\d.]+ %\)", "NUMBER", shown)
+    assert "NUMBER" in sentence
+    told = re.compile(re.escape(sentence).replace("NUMBER", r"[\d.]+ \(± [\d.]+ %\)"))
+    done = topobatch("info", path)
+    assert done.code == 0
+    assert any(told.fullmatch(line.removeprefix("warning: ")) for line in done.out.splitlines())
+    (found,) = json.loads(topobatch("info", path, "--json").out)
+    assert any(map(told.fullmatch, found["warnings"]))
+    done = topobatch("ingest", path, "-w", tmp_path / "ws")
+    assert done.code == 0
+    assert told.search(" ".join(done.err.split()))
+    document = json.loads((tmp_path / "ws" / "maps" / "run1.json").read_text())
+    assert any(map(told.fullmatch, document["graph"]["warnings"]))
 
 
 # The detector: a stand-in for rclpy that hands it scans, and keeps what it publishes.

@@ -1,0 +1,179 @@
+"""Logs in which detections and odometry mean different things, and logs in which all is well."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.odometry.conventions import disagreements
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.run import Detections
+from topobatch.topology.se2 import apply, wrap
+
+Log = tuple[Odometry, Detections]
+
+
+@cache
+def log(world: str = "maze", drift: str = "mid", faults: str = "mild", **others: float) -> Log:
+    """The odometry and detections of a simulated run."""
+    settings = ScenarioSettings(
+        world=world, runs=1, junctions_per_run=30, drift=drift, faults=faults, seed=7, **others
+    )
+    run = simulate_scenario(settings).runs["run1"]
+    return run.odometry, run.detections
+
+
+def told(odometry: Odometry, detections: Detections) -> list[str]:
+    return disagreements(odometry, detections, "/odom", "/junctions")
+
+
+def positions(to: float | list[float]) -> Log:
+    odometry, detections = log()
+    return odometry, replace(detections, centre=detections.centre * to)
+
+
+def headings(seen: Detections, factor: float, turn: np.ndarray | float = 0.0) -> Detections:
+    branches = seen.branches
+    values = factor * branches.values + np.broadcast_to(turn, len(seen))[branches.owner]
+    return replace(seen, branches=Ragged(branches.offsets, wrap(values)))
+
+
+def yaw(factor: float, to: str = "unwrapped") -> Log:
+    odometry, detections = log(odometry_hz=100)
+    heading = odometry.pose[:, 2]
+    heading = factor * (np.unwrap(heading) if to == "unwrapped" else heading)
+    return replace(
+        odometry, pose=np.column_stack([odometry.pose[:, :2], wrap(heading)])
+    ), detections
+
+
+def late(by_s: float) -> Log:
+    odometry, detections = log()
+    return odometry, replace(detections, time_ns=detections.time_ns + round(by_s * 1e9))
+
+
+def in_odometry_frame(log: Log) -> Log:
+    """Detections in the frame of the odometry that say that they are in the robot's."""
+    odometry, seen = log
+    pose = odometry.at(seen.time_ns)
+    return odometry, headings(replace(seen, centre=apply(pose, seen.centre)), 1.0, pose[:, 2])
+
+
+def clockwise() -> Log:
+    odometry, detections = log()
+    return odometry, headings(detections, -1.0)
+
+
+def not_turned() -> Log:
+    odometry, detections = log()
+    return odometry, headings(detections, 1.0, odometry.at(detections.time_ns)[:, 2])
+
+
+def quarter_turn() -> Log:
+    odometry, detections = log()
+    return odometry, replace(detections, centre=detections.centre[:, ::-1] * [-1, 1])
+
+
+def odometry_in(per_m: float) -> Log:
+    odometry, detections = log()
+    return replace(odometry, pose=odometry.pose * [per_m, per_m, 1]), detections
+
+
+MISREAD = {
+    "millimetres": (lambda: positions(1000), "their positions are 0.00", "in millimetres?"),
+    "centimetres": (lambda: positions(100), "their positions are 0.0", "in centimetres?"),
+    "odometry in feet": (lambda: odometry_in(1 / 0.3048), "positions of /odom are 0.3", "in feet?"),
+    "odometry in centimetres": (
+        lambda: odometry_in(100),
+        "positions of /odom are 0.0",
+        "centimetres?",
+    ),
+    "no unit": (lambda: positions(9), "their positions are 0.11", "in another unit?"),
+    "y to the right": (lambda: positions([1, -1]), "the y axis of their positions", "to the left"),
+    "no transform": (quarter_turn, "the frame of their positions is turned by", "/tf_static"),
+    "late": (lambda: late(3.0), "they are stamped 3 s (± 0.25 s) late beside /odom", "--time log"),
+    "early": (lambda: late(-5.0), "they are stamped 5 s (± 0.25 s) early beside", "stamp="),
+    "yaw in degrees": (lambda: yaw(180 / np.pi), "headings of /odom are 1/57.3", "degrees taken"),
+    "yaw in ±180 degrees": (lambda: yaw(180 / np.pi, "wrapped"), "of /odom are 1/57.3", "degrees"),
+    "yaw converted twice": (lambda: yaw(np.pi / 180), "/odom are 57.3 times", "radians taken"),
+    "clockwise yaw": (lambda: yaw(-1), "headings of /odom run the other way", "counter-clockwise"),
+    "no yaw": (lambda: yaw(0), "headings of /odom are those in which it moves", "quaternions"),
+    "clockwise branches": (clockwise, "branches of /junctions", "run the other way"),
+    "branches not turned": (not_turned, "branches of /junctions", "a frame fixed to the world"),
+    "another frame": (lambda: in_odometry_frame(log()), "junctions of /junctions", "fixed to the"),
+}
+
+
+@pytest.mark.parametrize("name", MISREAD)
+def test_what_is_misread_is_told(name: str) -> None:
+    make, finding, advice = MISREAD[name]
+    (sentence,) = told(*make())
+    assert finding in sentence
+    assert advice in sentence
+    assert sentence.endswith("; see docs/detections.md")
+
+
+def test_all_that_is_misread_is_told() -> None:
+    odometry, detections = positions([1000, -1000])
+    first, second, third = told(odometry, headings(detections, -1.0))
+    assert "the y axis" in first
+    assert "millimetres" in second
+    assert "branches of /junctions" in third
+
+
+@pytest.mark.parametrize("world", ["maze", "office", "organic", "rows"])
+@pytest.mark.parametrize(
+    ("drift", "faults"), [("none", "none"), ("high", "harsh"), ("real", "mild")]
+)
+def test_good_logs_are_silent(world: str, drift: str, faults: str) -> None:
+    assert told(*log(world, drift, faults)) == []
+
+
+@pytest.mark.parametrize("hz", [1.0, 3.0, 30.0])
+def test_slow_and_fast_detectors_are_silent(hz: float) -> None:
+    assert told(*log(detector_hz=hz)) == []
+
+
+def test_degrees_turn_too_far_between_two_rows_of_a_slow_odometry() -> None:
+    """So that what they were is lost, but not that they are wrong."""
+    odometry, detections = yaw(180 / np.pi)
+    slow = Odometry(odometry.time_ns[::10], odometry.pose[::10], np.zeros(0, np.int64))
+    (sentence,) = told(slow, detections)
+    assert "the headings of /odom are those in which it moves" in sentence
+    assert "degrees taken for radians" in sentence
+
+
+def test_a_lag_that_the_calibration_finds_is_left_to_it() -> None:
+    assert told(*late(0.5)) == []
+
+
+def test_positions_that_say_nothing_are_no_disagreement_but_headings_tell() -> None:
+    """As of the detector in docs/detections.md, which reports junctions where the robot is."""
+    odometry, detections = log()
+    here = replace(detections, centre=np.zeros_like(detections.centre))
+    assert told(odometry, here) == []
+    (sentence,) = told(odometry, replace(here, time_ns=here.time_ns + 3 * 10**9))
+    assert "they are stamped 3 s" in sentence
+    (sentence,) = told(odometry, headings(here, -1.0))
+    assert "run the other way" in sentence
+
+
+def test_few_drive_bys_tell_nothing() -> None:
+    odometry, detections = positions(1000)
+    first = np.arange(100)
+    few = Detections(
+        detections.time_ns[first], detections.centre[first], detections.branches.take(first)
+    )
+    assert told(odometry, few) == []
+
+
+def test_a_robot_that_stands_tells_nothing() -> None:
+    odometry, detections = log()
+    stands = replace(odometry, pose=np.zeros_like(odometry.pose))
+    still = replace(detections, centre=np.ones_like(detections.centre))
+    assert told(stands, headings(still, 0.0)) == []
