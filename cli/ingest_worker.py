@@ -123,7 +123,9 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run is finished only when all of its files exist.
     doc = {"key": key, "log": _origin(job.log), "runs": runs, "read": _read_how(job.read)}
-    doc |= {"version": VERSION, "bytes": job_size(job)}
+    # Of a log of several files the size of the one that is named, by which `list` goes.
+    own = job.log.stat().st_size if isinstance(job.log, Path) and job.log.is_file() else None
+    doc |= {"version": VERSION, "bytes": job_size(job) if own is None else own}
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"

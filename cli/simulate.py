@@ -25,19 +25,32 @@ def simulate(
             "of crops or racks, or tunnels of standard tiles that all such worlds share."
         ),
     ] = "maze",
-    runs: Annotated[int, typer.Option(metavar="N", help="Runs in the one world.")] = 3,
+    runs: Annotated[
+        int, typer.Option(metavar="N", min=1, max=10_000, help="Runs in the one world.")
+    ] = 3,
     unrelated: Annotated[
-        int, typer.Option(metavar="N", help="Further runs, each in a world of its own.")
+        int,
+        typer.Option(
+            metavar="N", min=0, max=10_000, help="Further runs, each in a world of its own."
+        ),
     ] = 0,
     overlap: Annotated[
         float,
         typer.Option(
             metavar="SHARE",
+            min=0.0,
+            max=0.9,
             help="Share of its junctions that a run has in common with the previous one.",
         ),
     ] = 0.4,
     junctions: Annotated[
-        int, typer.Option(metavar="N", help="Approximate number of junctions that a run visits.")
+        int,
+        typer.Option(
+            metavar="N",
+            min=5,
+            max=100_000,
+            help="Approximate number of junctions that a run visits.",
+        ),
     ] = 50,
     drift: Annotated[
         Literal["none", "low", "mid", "high", "real"], typer.Option(help="Odometry's error.")
@@ -91,7 +104,8 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(metavar="N", help="The same seed writes the same messages.")
+        int,
+        typer.Option(metavar="N", min=0, help="The same seed writes the same messages."),
     ] = 0,
     force: Annotated[bool, typer.Option("--force", help="Write into a folder in use.")] = False,
     quiet: QuietOption = False,

@@ -13,6 +13,7 @@ from ..topology.connected import connected
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
+from ..topology.wording import counted
 from .member_times import member_times
 from .merging import merge_maps
 from .result import FusedMap, PairVerdict, Verdict, fused_confidence, fused_of, graph_part
@@ -73,8 +74,9 @@ def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
     if len(names) > 1:
         text += f"; on their own: {', '.join(names[1:])}"
     if small:
-        passes = sum(map(_passes, small))
-        text += f"; {len(small)} too small to be placed are left out ({passes} junction passes)"
+        passes = counted(sum(map(_passes, small)), "junction pass", "junction passes")
+        are = "is" if len(small) == 1 else "are"
+        text += f"; {len(small)} too small to be placed {are} left out ({passes})"
     return text
 
 

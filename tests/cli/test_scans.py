@@ -108,6 +108,8 @@ def test_a_saved_map_is_a_map_like_any_other(topobatch, tmp_path):
     assert sum(node["kind"] == "junction" for node in nodes) == 8, "one is a corner"
     assert "junctions from the grid floor.png" in done.out
     assert (tmp_path / "ws" / "maps" / "floor.rrd").is_file()
+    (listed,) = json.loads(topobatch("list", "--json", "-w", tmp_path / "ws").out)
+    assert listed["stale"] == []
     (tmp_path / "floor.png").unlink()
     error = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws").error(1)
     assert "floor.png is missing" in error

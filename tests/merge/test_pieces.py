@@ -102,7 +102,7 @@ def test_what_is_too_small_for_any_merge_is_counted_and_left_out(drawn, halves):
     assert len(whole) == len(halves[0])
     assert whole.info["warnings"][-1] == (
         "the odometry broke: 2 pieces, none of which could be joined to another for sure; "
-        "1 too small to be placed are left out (9 junction passes)"
+        "1 too small to be placed is left out (9 junction passes)"
     )
     (alone,) = joined_pieces(in_pieces(speck, drawn("other", [(0, 0), (3, 0)], [(0, 1)])))
     assert len(alone) == 3
