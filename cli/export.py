@@ -98,8 +98,10 @@ def export(
     sources = _sources(place, what, component, screen)
     texts: dict[str, str] = {}
     for source in sources:
-        for ending, text in _texts(place, source, form, tolerance, log).items():
+        for ending, text in _texts(place, source, form, tolerance, log, screen).items():
             texts[f"{source.name}{ending}"] = text
+    if not texts:
+        raise DataError(f"{what}: nobody drove its maps, which are of grids: no trajectories")
     if output == STDOUT:
         _to_stdout(texts, sources)
         return
@@ -188,14 +190,19 @@ def _component(
 
 
 def _texts(
-    place: Workspace, source: _Source, form: Format, tolerance: float, log: Path | None
+    place: Workspace,
+    source: _Source,
+    form: Format,
+    tolerance: float,
+    log: Path | None,
+    screen: Screen,
 ) -> dict[str, str]:
     """The texts to write by the suffix of their files."""
     from ..topology.turning_vertices import with_turning_points
     from ..viz.exports import MAP_FORMATS
 
     if form == "tum":
-        return _trajectories(place, source, log)
+        return _trajectories(place, source, log, screen)
     if log is not None:
         raise UsageError("--log goes with --format tum")
     if form == "g2o":
@@ -221,8 +228,11 @@ def _pose_graph(source: _Source) -> str:
     return pose_graph_g2o(component_pose_graph(source.document, source.component, source.maps))
 
 
-def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[str, str]:
-    """The odometry of every run, as recorded and corrected, from its log."""
+def _trajectories(
+    place: Workspace, source: _Source, log: Path | None, screen: Screen
+) -> dict[str, str]:
+    """The odometry of every run, as recorded and corrected, from its log; maps of grids have
+    none."""
     from ..merge.document import poses_from_document
     from ..viz.exports import corrected_tum, recorded_tum
 
@@ -231,6 +241,10 @@ def _trajectories(place: Workspace, source: _Source, log: Path | None) -> dict[s
     poses = {} if source.document is None else poses_from_document(source.document)
     out = {}
     for run, topomap in sorted(source.maps.items()):
+        if len(topomap.observation_time_ns) == 0:
+            if source.document is not None:
+                screen.warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
+            continue
         odometry = _odometry(place, run, log)
         corrected = corrected_tum(topomap, odometry, poses.get(run))
         if corrected is None:

@@ -7,7 +7,9 @@ import re
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from topobatch.topology.files import read_json, write_json
 
@@ -130,6 +132,26 @@ def test_a_log_that_is_gone_is_asked_for(topobatch, filled, logs, tmp_path) -> N
         assert fine.code == 0
     finally:
         record.write_text(kept)
+
+
+def test_maps_of_grids_have_no_trajectories_and_cost_others_none(topobatch, filled, tmp_path):
+    root, run = tmp_path / "ws", run_of(filled)
+    shutil.copytree(filled.root, root)
+    cells = np.zeros((200, 200), np.uint8)
+    cells[40:60, 20:180] = cells[120:140, 20:180] = cells[20:180, 90:110] = 254
+    Image.fromarray(cells).save(tmp_path / "floor.png")
+    yaml = "image: floor.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+    (tmp_path / "floor.yaml").write_text(yaml)
+    assert topobatch("ingest", tmp_path / "floor.yaml", "-q", "-w", root).code == 0
+    assert topobatch("merge", "floor", run, "--output", "two", "-q", "-w", root).code == 0
+    shown = topobatch("export", "two", "-f", "tum", "-w", root)
+    assert shown.code == 0, shown
+    assert "floor: is the map of a grid, which nobody drove" in shown.err
+    assert [Path(p).name.partition(".")[2] for p in shown.out.split()] == [
+        f"{run}.recorded.tum",
+        f"{run}.corrected.tum",
+    ]
+    assert "nobody drove" in topobatch("export", "floor", "-f", "tum", "-w", root).error(1)
 
 
 def test_maps_that_changed_since_the_merge_cost_the_times_only(topobatch, filled) -> None:
