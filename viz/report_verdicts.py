@@ -154,9 +154,9 @@ def _swatch(standing: Standing) -> str:
 def pair_told(pair: PairVerdict) -> str:
     """Why the pair was decided so, as HTML paragraphs."""
     lines = [text(pair.reason)]
-    for alignment in (pair.best, pair.runner_up):
+    for what, alignment in (("it", pair.best), ("the next best placement", pair.runner_up)):
         if alignment is not None:
-            lines += [text(f"Against it: {c}") for c in alignment.contradictions[:3]]
+            lines += [text(f"Against {what}: {c}") for c in alignment.contradictions[:3]]
     if pair.advice:
         lines.append(f"To settle it: {text(pair.advice)}")
     if pair.locked:

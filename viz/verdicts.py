@@ -241,7 +241,7 @@ def _placement(a: Alignment) -> str:
     x, y, theta = a.transform
     told = (
         f"{len(a.matched)} junctions and {a.corridors} corridors "
-        f"matched, {a.rmse_m:.2f} m apart on average, at ({x:.2f}, {y:.2f}) m, "
+        f"matched, {a.rmse_m:.2f} m apart (rms), at ({x:.2f}, {y:.2f}) m, "
         f"{np.degrees(theta):.1f}°"
     )
     against = "; ".join(plain(c) for c in a.contradictions[:3])

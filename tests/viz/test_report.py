@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.merge.result import Standing, Unlisted
+from topobatch.merge.result import Alignment, PairVerdict, Standing, Unlisted, Verdict
 from topobatch.viz.report import Report, report_page
 from topobatch.viz.report_style import VERDICT_COLOURS
-from topobatch.viz.report_verdicts import STANDINGS
+from topobatch.viz.report_verdicts import STANDINGS, pair_told
 from topobatch.viz.verdicts import MergeLayers, merge_summary
 
 BROWSER = next(
@@ -197,6 +197,22 @@ def test_pairs_that_a_large_merge_only_counts_are_counted(merge_of) -> None:
     assert data["counted"] is True
     assert len(set(data["homes"][:3])) == 1 != len(set(data["homes"]))
     assert "pairs more" not in page_of(result, maps)
+
+
+def test_what_speaks_against_the_next_best_placement_is_not_said_of_the_best() -> None:
+    def placed(*against):
+        matched = np.array([[0, 0]])
+        return Alignment(np.zeros(3), 9.0, matched, 0.1, contradictions=against)
+
+    told = pair_told(
+        PairVerdict(
+            *("a", "b", Verdict.AMBIGUOUS, False, 9.0, "0 contradict"),
+            best=placed(),
+            runner_up=placed("one lies in the other"),
+        )
+    )
+    assert "<p>Against the next best placement: one lies in the other</p>" in told
+    assert "Against it" not in told
 
 
 def test_colours_stand_for_standings() -> None:
