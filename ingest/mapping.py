@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.closure.alternatives import most_likely_closure
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
@@ -17,7 +18,7 @@ from ..topology.closure.incremental import Closed, closure_without_grid, full_cl
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
-from ..topology.closure.variance_components import fitted_noise
+from ..topology.closure.variance_components import Fitted, fitted_noise
 from ..topology.digits import significant
 from ..topology.errors import DataError
 from ..topology.mapbuilding import build_topomap
@@ -63,10 +64,11 @@ def build_map_with_errors(
     source = pass_source(run, settings)
     odometry, reckoning, calibration = dead_reckoned(run, source, settings)
     if len(odometry.jumps) and settings.closure == "full":
-        odometry, reckoning, closed = _with_jumps_measured(odometry, reckoning, source, settings)
+        odometry, reckoning, closed, fit = _with_jumps_measured(
+            odometry, reckoning, source, settings
+        )
     else:
-        closed = _identified(reckoning, settings)
-    fit = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
+        closed, fit = _identified(reckoning, odometry, settings)
     corrected = correct_detections(
         closed.reckoning,
         odometry,
@@ -153,31 +155,43 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
 
 def _with_jumps_measured(
     recorded: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
-) -> tuple[Odometry, DeadReckoning, Closed]:
+) -> tuple[Odometry, DeadReckoning, Closed, Fitted]:
     """The odometry with its jumps measured by the places seen on both sides, or broken there; its
-    passes, and their places."""
+    passes, their places, and the noise that these show."""
 
     def reckoning_of(track: Odometry) -> DeadReckoning:
         return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
 
     odometry = bridged(recorded, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
     driven = reckoning_of(odometry)
-    closed = _identified(driven, settings)
+    closed, fit = _identified(driven, odometry, settings)
     sure = confirmed(recorded, odometry, driven, closed.place)
     if len(sure.breaks) > len(odometry.breaks):
         driven = reckoning_of(sure)
-        closed = _identified(driven, settings)
-    return sure, driven, closed
+        closed, fit = _identified(driven, sure, settings)
+    return sure, driven, closed, fit
 
 
-def _identified(reckoning: DeadReckoning, settings: MappingSettings) -> Closed:
-    """The places of the passes, by the chosen kind of loop closure."""
+def _identified(
+    reckoning: DeadReckoning, odometry: Odometry, settings: MappingSettings
+) -> tuple[Closed, Fitted]:
+    """The places of the passes, by the chosen kind of loop closure, and the noise that these
+    show."""
+
+    def fitted(closed: Closed) -> Fitted:
+        return fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
+
     if settings.closure == "full":
-        return full_closure(reckoning, settings.rounds)
+        first = full_closure(reckoning, settings.rounds)
+        fit = fitted(first)
+        closed = most_likely_closure(reckoning, first, fit.reckoning, settings.rounds)
+        return closed, fit if closed is first else fitted(closed)
     if settings.closure == "gated":
-        return gated_closure(reckoning, settings.rounds)
-    place = np.arange(len(reckoning), dtype=np.int64)
-    return Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
+        closed = gated_closure(reckoning, settings.rounds)
+    else:
+        place = np.arange(len(reckoning), dtype=np.int64)
+        closed = Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
+    return closed, fitted(closed)
 
 
 def _measured(

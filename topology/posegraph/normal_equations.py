@@ -214,6 +214,11 @@ class Factor:
             return right
         return np.asarray(self.lu.solve(np.ascontiguousarray(right)), np.float64)
 
+    def log_determinant(self) -> float:
+        """ln of the determinant of the whole matrix, border included."""
+        sparse_part = 0.0 if self.lu is None else float(np.log(self.lu.U.diagonal()).sum())
+        return sparse_part + float(np.linalg.slogdet(self.schur)[1])
+
 
 def linearise(graph: PoseGraph, pattern: Pattern, at: Point) -> NormalEquations:
     """Normal equations at a point, with information scaled by the weights there. O(m).
