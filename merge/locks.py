@@ -20,8 +20,9 @@ class Lock:
     """A decision on runs `a < b`.
 
     "same": the two runs are joined, by their best alignment; with `at` (vertex of a, vertex of b)
-    by the best one that identifies these two vertices. "never": they never share a component, not
-    even through other runs; `at` must be None then. Raises UsageError otherwise.
+    by the best one that identifies these two vertices, if any has more for it than against it.
+    "never": they never share a component, not even through other runs; `at` must be None then.
+    Raises UsageError otherwise.
     """
 
     # Documents allow keys that nobody knows; values have no room for them.

@@ -205,10 +205,18 @@ def best_seed(
     _, _, found, tested = _hypotheses(a, b, candidate_links(a, b), settings)
     if not found:
         return None
-    lanes = _lanes([(a, b, found[:1], tested)])
-    (told,) = _judged(ungrown(lanes, found[:1]), np.log2(np.array([tested]) + 1.0))
-    assert told is not None
+    lanes, (told,) = as_sown(a, b, found[:1], tested)
     return lanes, found[0], told, len(found)
+
+
+def as_sown(
+    a: Prepared, b: Prepared, hypotheses: Sequence[Seed], tested: int
+) -> tuple[Lanes, list[Candidate]]:
+    """Hypotheses of two junctions or more as candidates, without growth, and their lanes; `tested`
+    is the number of links that they were chosen from."""
+    lanes = _lanes([(a, b, hypotheses, tested)])
+    told = _judged(ungrown(lanes, hypotheses), np.full(len(hypotheses), np.log2(tested + 1.0)))
+    return lanes, [candidate for candidate in told if candidate is not None]
 
 
 def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:

@@ -1,12 +1,14 @@
-"""Constrained alignment: the best placement that a "same" lock allows, whatever its evidence."""
+"""Constrained alignment: the best placement that a "same" lock allows."""
 
 from __future__ import annotations
+
+from collections.abc import Iterable
 
 import numpy as np
 
 from ..locks import Lock
-from .alignment import Candidate, best_of
-from .links import Seed
+from .alignment import Candidate, as_sown, best_of
+from .links import Links, Seed, candidate_links, seeds
 from .prepare import Prepared
 from .settings import RobustSettings
 
@@ -21,17 +23,44 @@ def forced_alignment(
     """The best alignment that satisfies a "same" lock; None if there is none.
 
     Without a vertex pair: the best candidate. With one: the best candidate that matches the two
-    vertices, else the best match grown from them with any rotation that aligns a branch of one with
-    a branch of the other. Raises IndexError if a vertex does not exist.
+    vertices, else the best match with more evidence for it than against it that corridors at both
+    suggest, as it is or grown, or that is grown from the two with any rotation that aligns a branch
+    of one with a branch of the other. Raises IndexError if a vertex does not exist.
     """
     if lock.at is None:
         return candidates[0] if candidates else None
-    va, vb = lock.at
-    fitting = [c for c in candidates if np.any((c.a == va) & (c.b == vb))]
-    if fitting:
-        return fitting[0]
+    fitting = _with(lock.at, candidates)
+    if not fitting:
+        turned, along = _turned(a, b, *lock.at), _along_corridors(a, b, *lock.at)
+        tested = len(turned) + len(along)
+        found = best_of(a, b, [*along, *turned], tested=tested, settings=settings)
+        # Growth gives up where too little agrees, which is no reason to place the two elsewhere.
+        sown = as_sown(a, b, along, tested)[1] if along else []
+        likely = [c for c in (*found, *sown) if c.bits > 0]
+        fitting = sorted(_with(lock.at, likely), key=lambda c: -c.bits)
+    return next(iter(fitting), None)
+
+
+def _with(at: tuple[int, int], candidates: Iterable[Candidate]) -> list[Candidate]:
+    """The candidates that match two vertices."""
+    return [c for c in candidates if np.any((c.a == at[0]) & (c.b == at[1]))]
+
+
+def _along_corridors(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
+    """Hypotheses of the two vertices and others at the ends of like corridors."""
+    links = candidate_links(a, b)
+    tails = (a.tail[links.a_row] == va) & (b.tail[links.b_row] == vb)
+    heads = (a.head[links.a_row] == va) & (b.head[links.b_row] == vb)
+    mine = np.flatnonzero(tails | heads)
+    here = Links(links.a_row[mine], links.b_row[mine], links.theta[mine], links.bits[mine])
+    return seeds(a, b, here, len(here))
+
+
+def _turned(a: Prepared, b: Prepared, va: int, vb: int) -> list[Seed]:
+    """Hypotheses of the two vertices alone, with every rotation that aligns two of their
+    branches."""
     turns = a.heading[va, : a.count[va], None] - b.heading[vb, : b.count[vb]]
-    seeds = [
+    return [
         Seed(
             np.array([va]),
             np.array([vb]),
@@ -41,5 +70,3 @@ def forced_alignment(
         )
         for turn in turns.reshape(-1).tolist()
     ]
-    grown = best_of(a, b, seeds, tested=len(seeds), settings=settings)
-    return next((c for c in grown if np.any((c.a == va) & (c.b == vb))), None)

@@ -181,6 +181,25 @@ def test_same_joins_what_the_evidence_would_not(side_by_side):
     assert "locked as the same" in v.reason
 
 
+def test_a_lock_on_a_junction_counts_on_the_corridor_that_both_drove_from_there(see):
+    world = make_world("tiles", 60, 306)
+    across = np.sort(world.xy[:, 0])
+    seen = {"missed": 0.03, "branch_fault": 0.05, "bend_m": 0.3, "centre_m": 0.06}
+    half = len(across) // 2
+    a = see(world, np.flatnonzero(world.xy[:, 0] <= across[half + 1]).tolist(), 6, "a", **seen)
+    b = see(world, np.flatnonzero(world.xy[:, 0] >= across[half - 1]).tolist(), 56, "b", **seen)
+    truth = a.info["truth"], b.info["truth"]
+    common = sorted(set(truth[0]) & set(truth[1]))
+    assert len(common) == 5
+    for vertex in common:
+        at = (truth[0].index(vertex), truth[1].index(vertex))
+        found = only([a, b], locks=[Lock("a", "b", "same", at)])
+        assert found.accepted
+        assert [truth[0][i] for i, _ in found.best.matched] == [
+            truth[1][j] for _, j in found.best.matched
+        ]
+
+
 def test_a_lock_that_no_alignment_honours_is_said_to_be_so(halves, drawn):
     assert only(halves).accepted
     crossing = next(v for v in range(len(halves[0])) if halves[0].degree[v] == 4)
