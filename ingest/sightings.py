@@ -112,7 +112,7 @@ def robot_frame_sightings(
             np.ones(len(centre), bool),
             np.hypot(*centre.T) <= settings.farthest_m,
             warnings,
-            f"lie more than {settings.farthest_m:.0f} m from the robot",
+            f"lie more than {settings.farthest_m:.0f} m from the robot (are positions in metres?)",
         )
     )
     seen = Detections(time[near], centre[near], branches.take(near))

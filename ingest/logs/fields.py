@@ -4,10 +4,11 @@
     each=detections[],center=bbox.center.position,branches=results[].pose.pose.orientation
     center=data.at,branches=data.headings,unit=deg      (std_msgs/String that holds JSON)
 
-`center` is a point or a pose; `branches` are angles (`unit` rad or deg), quaternions, poses, or
-points (whose direction is seen from the centre). `each` names a list of which every item is one
-junction; the other paths then begin at the item. `stamp` and `frame` name a time and a frame, of
-the item or of the message, the header's by default. docs/detections.md has an example of each.
+`center` is a point or a pose (`length` m, cm, mm, in or ft); `branches` are angles (`unit` rad or
+deg), quaternions, poses, or points (whose direction is seen from the centre). `each` names a list
+of which every item is one junction; the other paths then begin at the item. `stamp` and `frame`
+name a time and a frame, of the item or of the message, the header's by default. docs/detections.md
+has an example of each.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
 from dataclasses import fields as members_of
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -35,7 +37,10 @@ from .messages import Channel, DamageError
 from .poses import Frames, Row
 from .schema import object_decoder
 
-_KEYS = ("center", "branches", "each", "stamp", "frame", "unit")
+_PATHS = ("center", "branches", "each", "stamp", "frame")
+
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+"""Units of lengths [m]."""
 
 _WHOLE_TURN = 2 * np.pi * (1 + 1e-6)
 """Limit of headings in radians; in degrees few junctions stay below."""
@@ -55,7 +60,8 @@ class FieldPath(NamedTuple):
 class JunctionFields:
     """Where in a message a junction is; see the module's docstring.
 
-    unit: of angles; None: taken for radians, and then refused beyond a whole turn.
+    unit: of angles; None: taken for radians, and then refused beyond a whole turn; length_m: the
+    unit of centres [m].
     """
 
     center: FieldPath
@@ -64,6 +70,7 @@ class JunctionFields:
     stamp: FieldPath | None = None
     frame: FieldPath | None = None
     unit: Literal["rad", "deg"] | None = None
+    length_m: float = 1.0
 
     @classmethod
     def parse(cls, mapping: str) -> JunctionFields:
@@ -72,13 +79,15 @@ class JunctionFields:
         for part in mapping.split(","):
             key, equals, value = (piece.strip() for piece in part.partition("="))
             key = "center" if key == "centre" else key
-            if not equals or key not in _KEYS or key in found:
+            name = "length_m" if key == "length" else key
+            if not equals or key not in (*_PATHS, "unit", "length") or name in found:
                 raise UsageError(
                     f"--junction-fields: {part.strip()!r} is not one of "
-                    f"{', '.join(f'{k}=PATH' for k in _KEYS[:-1])} and unit=rad or unit=deg, "
-                    "each once"
+                    f"{', '.join(f'{k}=PATH' for k in _PATHS)}, unit=rad or unit=deg, and "
+                    f"length={'|'.join(LENGTHS)}, each once"
                 )
-            found[key] = _unit(value) if key == "unit" else _path(key, value)
+            read = {"unit": _unit, "length": _length}.get(key, partial(_path, key))
+            found[name] = read(value)
         for key in ("center", "branches"):
             if key not in found:
                 raise UsageError(f"--junction-fields {mapping!r} lacks {key}=PATH")
@@ -107,7 +116,7 @@ class JunctionFields:
             ways = _values(item, self.branches)
             self._check_degrees(ways)
             turns = [self._orientation(value, center) for value in ways]
-        poses = [(*center, *turn) for turn in turns]
+        poses = [(*(self.length_m * axis for axis in center), *turn) for turn in turns]
         headers = [h for h in (get(item, "header"), get(message, "header")) if h is not None]
         headers = headers or [message]
         # Items of a list often have headers that nobody filled in.
@@ -180,6 +189,12 @@ def _unit(value: str) -> str:
     if value not in ("rad", "deg"):
         raise UsageError(f"--junction-fields: unit={value} is neither unit=rad nor unit=deg")
     return value
+
+
+def _length(value: str) -> float:
+    if value not in LENGTHS:
+        raise UsageError(f"--junction-fields: length={value} is none of {', '.join(LENGTHS)}")
+    return LENGTHS[value]
 
 
 def _path(key: str, value: str) -> FieldPath:

@@ -16,6 +16,7 @@ from scipy.special import bdtrc
 from ...topology.arrays import FloatArray
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
+from ..logs.fields import LENGTHS
 from .stationary import AS_READ, DriveBys, Fit, Reading
 
 
@@ -41,12 +42,12 @@ class ConventionSettings:
 
 CONVENTIONS = ConventionSettings()
 
-UNITS = {"millimetres": 1000.0, "centimetres": 100.0, "inches": 1 / 0.0254, "feet": 1 / 0.3048}
-"""How many make a metre."""
+UNITS = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "ft": "feet"}
+"""Units of lengths that are told of (`LENGTHS`)."""
 UNIT_TOLERANCE = 0.1
 """Relative error up to which a unit is named: ten sigmas of odometries in general
 (`NoiseSettings.scale_prior`)."""
-LEAST_SCALE = float(UNITS["feet"] ** 0.5)
+LEAST_SCALE = float(LENGTHS["ft"] ** -0.5)
 """Scales beyond are nearer to feet than to metres."""
 LEAST_TURN_RAD = np.pi / 4
 """Frames turned by more have another axis nearer to their own."""
@@ -65,7 +66,8 @@ YAW = {
 """Factors on the headings of the odometry (`Reading.yaw`), and what they are then."""
 HEADINGS = {
     -1: "run the other way: they are expected counter-clockwise",
-    0: f"are in a frame fixed to the world, not to the robot: {FRAME} must name it",
+    0: "do not turn against the robot: are they rounded, or in a frame fixed to the world, which "
+    f"{FRAME} must name?",
 }
 """Factors on the rotation of the robot by which headings of branches stay, and what they are then;
 1 is expected."""
@@ -198,13 +200,13 @@ def _of_positions(fit: Fit | None, odometry_topic: str) -> Iterator[str]:
         )
     scale = abs(fit.slope)
     if not 1 / LEAST_SCALE < scale < LEAST_SCALE:
-        whose, times = (
-            ("their positions", scale)
-            if scale > 1
-            else (f"the positions of {odometry_topic}", 1 / scale)
-        )
-        unit = [n for n, per_m in UNITS.items() if abs(np.log(times / per_m)) < UNIT_TOLERANCE]
+        times = max(scale, 1 / scale)
+        unit = next((u for u in UNITS if abs(np.log(times * LENGTHS[u])) < UNIT_TOLERANCE), None)
+        whose, expected = f"the positions of {odometry_topic}", "metres"
+        if scale > 1:
+            whose = "their positions"
+            expected += f", or length={unit} of --junction-fields" if unit else ""
         yield (
             f"{whose} are {1 / times:.3g} (± {100 * fit.sigma / scale:.1g} %) of what the messages "
-            f"say: are they in {unit[0] if unit else 'another unit'}? Metres are expected"
+            f"say: are they in {UNITS[unit] if unit else 'another unit'}? Expected: {expected}"
         )

@@ -317,6 +317,10 @@ def test_positions_in_millimetres_are_warned_of_as_the_page_shows(topobatch, tmp
     assert told.search(" ".join(done.err.split()))
     document = json.loads((tmp_path / "ws" / "maps" / "run1.json").read_text())
     assert any(map(told.fullmatch, document["graph"]["warnings"]))
+    (mapping,) = re.findall(r"`(center=\S+length=mm)`", PAGE)
+    done = topobatch("info", path, "--junction-fields", mapping)
+    assert done.code == 0
+    assert "warning" not in done.out
 
 
 # The detector: a stand-in for rclpy that hands it scans, and keeps what it publishes.

@@ -82,7 +82,7 @@ def places(ground: Ground, rng: random.Random, folder: Path) -> Tried:
 
 
 PATHS = ("poses[]", "poses", "header.frame_id", "pose.position", "a", "poses[].position.x", "data")
-KEYS = ("center", "centre", "branches", "each", "stamp", "frame", "unit", "x")
+KEYS = ("center", "centre", "branches", "each", "stamp", "frame", "unit", "length", "x")
 
 
 def _mapping(rng: random.Random) -> str:

@@ -134,6 +134,22 @@ def test_units_that_are_none(unit):
         settings(f"center=a,branches=b,{unit}")
 
 
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+@pytest.mark.parametrize(("length", "metres"), [("mm", 0.001), ("ft", 0.3048), ("m", 1.0)])
+def test_lengths_have_a_unit(logs, tmp_path, encoding, length, metres):
+    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding=encoding)
+    plain = read_run(folder, settings(f"{CENTER},branches=ways")).detections
+    scaled = read_run(folder, settings(f"{CENTER},branches=ways,length={length}")).detections
+    np.testing.assert_allclose(scaled.centre, metres * plain.centre, rtol=1e-12)
+    np.testing.assert_array_equal(scaled.branches.values, plain.branches.values)
+
+
+@pytest.mark.parametrize("length", ["length=km", "length=", "length=mm,length=mm"])
+def test_lengths_that_are_none(length):
+    with pytest.raises(UsageError, match="length="):
+        settings(f"center=a,branches=b,{length}")
+
+
 WRONG = {
     "center=positon,branches=ways": "`center=positon`: a/Seen has header, at, corners, ways, note,",
     "center=at.pose.positon,branches=ways": (

@@ -85,7 +85,7 @@ def odometry_in(per_m: float) -> Log:
 
 
 MISREAD = {
-    "millimetres": (lambda: positions(1000), "their positions are 0.00", "in millimetres?"),
+    "millimetres": (lambda: positions(1000), "their positions are 0.00", "length=mm"),
     "centimetres": (lambda: positions(100), "their positions are 0.0", "in centimetres?"),
     "odometry in feet": (lambda: odometry_in(1 / 0.3048), "positions of /odom are 0.3", "in feet?"),
     "odometry in centimetres": (
