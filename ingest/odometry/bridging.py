@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -46,16 +46,20 @@ def bridged(
     open_ = _unclear(odometry, reckoning, leg)
     if not open_.any():
         return odometry
-    found = [_steps(case, reckoning_of, close, open_) for case in _cases(odometry, open_)]
+    # The cases lie half of the jump apart. Each covers a quarter of its turn to either side (1
+    # sigma), but half of its way, which need not be straight.
+    covered = np.where(open_[:, None], [0.5, 0.25] * odometry.jump_sigma, odometry.jump_sigma)
+    cases = _cases(replace(odometry, jump_sigma=covered), open_)
+    found = [_steps(case, reckoning_of, close, open_) for case in cases]
     told = {row: step for row in {*chain(*found)} if (step := _agreed(found, row))}
     rows = np.array(sorted(told), np.int64)
     known = np.isin(odometry.jumps, rows) if len(rows) else np.zeros(len(open_), bool)
     steps = np.array([told[row].step for row in rows.tolist()]).reshape(-1, 3)
     bridged = _driven(odometry, known, steps)
-    # The measured steps get the largest usable sigma, because the identifications that they rest
-    # on are made again.
+    # The measured steps keep the sigma of their case, as far as it is usable, because the
+    # identifications that they rest on are made again.
     same_leg = np.isin(leg, leg[known])
-    clear = np.minimum(odometry.jump_sigma, [_clear_m(reckoning), CLEAR_RAD])
+    clear = np.minimum(covered, [_clear_m(reckoning), CLEAR_RAD])
     sigma = np.where(same_leg[:, None], clear, odometry.jump_sigma)
     breaks = np.union1d(odometry.breaks, odometry.jumps[open_ & ~same_leg])
     return replace(bridged, jump_sigma=sigma, breaks=breaks)
@@ -134,16 +138,13 @@ def _clear_m(reckoning: DeadReckoning) -> float:
     return CLEAR_LEGS * float(np.median(known)) if len(known) else 0.0
 
 
-def _cases(odometry: Odometry, open_: BoolArray) -> Iterator[Odometry]:
+def _cases(odometry: Odometry, open_: BoolArray) -> list[Odometry]:
     """The odometry with the open jumps as if the robot had driven on, had moved as the odometry
     says (`Odometry.jump_other`), or had moved half of that, its frame having jumped by the rest.
 
     Half of a turn goes either way round: the odometry shows turns up to whole ones only. The longer
     way is tried if it is no larger than the jump itself.
     """
-    # The cases lie half of the jump apart. Each covers a quarter of its turn to either side (1
-    # sigma), but half of its way, which need not be straight.
-    sigma = np.where(open_[:, None], [0.5, 0.25] * odometry.jump_sigma, odometry.jump_sigma)
     rows = odometry.jumps[open_]
     on = between(odometry.pose[rows - 1], odometry.pose[rows])
     off = odometry.jump_other[open_] - on
@@ -153,8 +154,7 @@ def _cases(odometry: Odometry, open_: BoolArray) -> Iterator[Odometry]:
     longer = np.pi - turn / 2 <= turn
     if longer.any():
         steps.append(half + np.outer(longer, [0.0, 0.0, np.pi]))
-    for step in steps:
-        yield _driven(replace(odometry, jump_sigma=sigma), open_, step)
+    return [_driven(odometry, open_, step) for step in steps]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
