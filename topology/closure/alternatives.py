@@ -9,7 +9,6 @@ run best stands (`marginal_likelihood.py`).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -32,16 +31,20 @@ def most_likely_closure(
     settings: RoundSettings,
 ) -> Closed:
     """The closure that explains the run best: `first`, unless corridors of its map cross and
-    another one leads by as much as any answer must (`EvidenceSettings.lead`), on a map that does
+    another one leads by the odds that identifications need by stricter rules, on a map that does
     not repeat itself.
 
     reckoning: with the noise known before closure; fitted: with that shown by `first`.
     """
     if not corridors_cross(first):
         return first
+    strict = replace(settings, wrong_share=settings.strict_wrong_share)
     best, best_odds = first, _log_likelihood(fitted, first, settings)
-    best_odds += settings.candidates.evidence.lead
-    for other in _alternatives(fitted, first, settings):
+    best_odds += strict.least_odds(len(reckoning))
+    others = [full_closure(fitted, settings), full_closure(fitted, strict)]
+    if first.grid is not None:
+        others.append(closure_without_grid(fitted, settings))
+    for other in others:
         odds = _log_likelihood(fitted, other, settings)
         if odds > best_odds and not _repeats(other, settings):
             best, best_odds = other, odds
@@ -49,15 +52,6 @@ def most_likely_closure(
         return first
     # Matching counts with the noise known before closure, as after any other closure.
     return replace(best, reckoning=scale_noise(reckoning, settings.caution))
-
-
-def _alternatives(
-    fitted: DeadReckoning, first: Closed, settings: RoundSettings
-) -> Iterator[Closed]:
-    yield full_closure(fitted, settings)
-    yield full_closure(fitted, replace(settings, wrong_share=settings.strict_wrong_share))
-    if first.grid is not None:
-        yield closure_without_grid(fitted, settings)
 
 
 def _repeats(closed: Closed, settings: RoundSettings) -> bool:
