@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -33,6 +35,15 @@ def test_one_identification_counts_as_its_gaussian_over_the_density_of_places():
     level = -0.5 * (told + 3) * (np.log(told / (told + 3)) + 1) + 0.5 * told
     expected = gaussian - np.log(DENSITY / (2 * np.pi)) + level
     assert one - apart == pytest.approx(expected, abs=0.02)
+
+
+def test_positions_that_are_hardly_known_are_measured_all_the_same():
+    """As of detections in millimetres: their factors measure no less than there are unknowns."""
+    odometry, passes, truth = record(grid_world(2, 2), [(0, 0), (0, 1), (1, 1), (1, 0), (0, 0)])
+    estimate = optimise(dead_reckoning(odometry, passes, NOISE), partition(truth))
+    rough = estimate.graph.information * np.array([1e-5, 1e-5, 1]) * [[1e-5], [1e-5], [1]]
+    graph = replace(estimate.graph, information=rough)
+    assert np.isfinite(log_marginal_likelihood(replace(estimate, graph=graph), DENSITY))
 
 
 @pytest.mark.parametrize("seed", range(4))
