@@ -141,6 +141,10 @@ def candidates(
     sure = odds > least
     pairs, odds, ground, fits = take(pairs, sure), odds[sure], ground[sure], fits[sure]
     found = _surroundings(state, pairs, settings)
+    # Branches that no rotation within reach aligns are those of two places.
+    known = found.branches > -np.inf
+    pairs, odds, ground, fits = take(pairs, known), odds[known], ground[known], fits[known]
+    found = take(found, known)
     alike = found.sum()
     slack = settings.evidence.lead if common.lattice.repeats else 0.0
     aliasing_penalty = np.maximum(alike - calibrated_odds(alike, null_pairs, slack), 0.0)
