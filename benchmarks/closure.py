@@ -41,9 +41,11 @@ from topobatch.simulation import (
     true_vertex_of_passes,
 )
 from topobatch.simulation.drift import DRIFTS
+from topobatch.topology.closure.alternatives import most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
-from topobatch.topology.closure.incremental import full_closure
+from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import correct_detections
+from topobatch.topology.closure.variance_components import fitted_noise
 from topobatch.topology.se2 import apply, between, compose, fit_rigid
 
 WORLDS = ("maze", "office", "organic", "city")
@@ -361,12 +363,12 @@ def spoil(factor):
     pass_source.estimate_noise = wrong
 
 
-def growth(first):
+def growth(seed):
     """CPU seconds of the steps against the number of passes."""
-    steps = ("calibration", "noise", "closure", "settling")
+    steps = ("calibration", "noise", "closure", "its noise", "alternatives", "settling")
     print(f"{'passes':>7} {'places':>7} " + " ".join(f"{s:>12}" for s in steps))
     for junctions in (100, 300, 750, 2250):
-        _, run = simulated("maze", "mid", "mild", first, junctions)
+        _, run = simulated("maze", "mid", "mild", seed, junctions)
         clock = [time.process_time()]
         odometry = apply_calibration(run.odometry, calibrate(run.odometry, run.detections))
         clock.append(time.process_time())
@@ -374,7 +376,11 @@ def growth(first):
         noise = estimate_noise(odometry, run.detections, passes)
         clock.append(time.process_time())
         reckoning = dead_reckoning(odometry, passes, noise)
-        closed = full_closure(reckoning)
+        first = full_closure(reckoning)
+        clock.append(time.process_time())
+        fit = fitted_noise(reckoning, odometry, first.place, first.estimate, grid=first.grid)
+        clock.append(time.process_time())
+        closed = most_likely_closure(reckoning, first, fit.reckoning, RoundSettings())
         clock.append(time.process_time())
         corrected = correct_detections(reckoning, odometry, closed.place, closed.estimate)
         clock.append(time.process_time())

@@ -23,7 +23,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from topobatch.ingest.mapping import build_map, dead_reckoned
+from topobatch.ingest.mapping import build_map, dead_reckoned, identified
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
 from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import (
@@ -38,8 +38,6 @@ from topobatch.simulation import (
 from topobatch.topology.closure.certainty import place_errors
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
-from topobatch.topology.closure.incremental import full_closure
-from topobatch.topology.closure.variance_components import fitted_noise
 from topobatch.topology.passes import Passes
 from topobatch.topology.run import Run
 from topobatch.topology.topomap import RunNoise
@@ -89,10 +87,9 @@ def rows_of(kind: str, run: Run, truth: Truth) -> list[Row]:
     known = np.unique(vertex[vertex >= 0])
     place = np.where(vertex >= 0, np.searchsorted(known, vertex), -1)
     told = dead_reckoning(odometry, passes, true_noise(passes), reckoning.systematic)
-    closed = full_closure(reckoning, DEFAULT_MAPPING.rounds)
-    grid = fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid).grid
-    ideal = optimise(told, place, closed.estimate.pose, grid=grid)
-    errors = place_errors(told, ideal, place, np.arange(len(known)), grid)
+    closed, fit = identified(reckoning, odometry, DEFAULT_MAPPING)
+    ideal = optimise(told, place, closed.estimate.pose, grid=fit.grid)
+    errors = place_errors(told, ideal, place, np.arange(len(known)), fit.grid)
     between: dict[frozenset[int], list[int]] = {}
     for edge, ends in enumerate(zip(world.source.tolist(), world.target.tolist(), strict=True)):
         between.setdefault(frozenset(ends), []).append(edge)

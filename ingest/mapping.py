@@ -68,7 +68,7 @@ def build_map_with_errors(
             odometry, reckoning, source, settings
         )
     else:
-        closed, fit = _identified(reckoning, odometry, settings)
+        closed, fit = identified(reckoning, odometry, settings)
     corrected = correct_detections(
         closed.reckoning,
         odometry,
@@ -164,15 +164,15 @@ def _with_jumps_measured(
 
     odometry = bridged(recorded, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
     driven = reckoning_of(odometry)
-    closed, fit = _identified(driven, odometry, settings)
+    closed, fit = identified(driven, odometry, settings)
     sure = confirmed(recorded, odometry, driven, closed.place)
     if len(sure.breaks) > len(odometry.breaks):
         driven = reckoning_of(sure)
-        closed, fit = _identified(driven, sure, settings)
+        closed, fit = identified(driven, sure, settings)
     return sure, driven, closed, fit
 
 
-def _identified(
+def identified(
     reckoning: DeadReckoning, odometry: Odometry, settings: MappingSettings
 ) -> tuple[Closed, Fitted]:
     """The places of the passes, by the chosen kind of loop closure, and the noise that these

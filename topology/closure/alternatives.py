@@ -30,13 +30,13 @@ def most_likely_closure(
     fitted: DeadReckoning,
     settings: RoundSettings,
 ) -> Closed:
-    """The closure that explains the run best: `first`, unless corridors of its map cross and
-    another one leads by the odds that identifications need by stricter rules, on a map that does
+    """The closure that explains the run best: `first`, unless many corridors of its map cross
+    and another one leads by the odds that identifications need by stricter rules, on a map that does
     not repeat itself.
 
     reckoning: with the noise known before closure; fitted: with that shown by `first`.
     """
-    if not corridors_cross(first):
+    if crossing_share(first) < settings.most_crossing:
         return first
     strict = replace(settings, wrong_share=settings.strict_wrong_share)
     best, best_odds = first, _log_likelihood(fitted, first, settings)
@@ -69,21 +69,21 @@ def _log_likelihood(fitted: DeadReckoning, closed: Closed, settings: RoundSettin
     return log_marginal_likelihood(estimate, density)
 
 
-def corridors_cross(closed: Closed) -> bool:
-    """Whether two corridors between different places cross as the crow flies: a sign that the map
-    lies over itself, or has bridges. O(corridors²), until the first crossing."""
+def crossing_share(closed: Closed) -> float:
+    """How many corridors between different places cross each other as the crow flies, beside the
+    number of corridors: many in a map that lies over itself. O(corridors²)."""
     legs = np.flatnonzero(np.isfinite(closed.reckoning.leg))
     ends = np.sort(np.stack([closed.place[legs], closed.place[legs + 1]], axis=1), axis=1)
     ends = np.unique(ends[ends[:, 0] != ends[:, 1]], axis=0)
     a, b = closed.estimate.xy[ends.T]
+    both_ways = 0
     for begin in range(0, len(ends), _STRIP):
         some = slice(begin, begin + _STRIP)
         p, q = a[some, None], b[some, None]
         crossing = (_side(p, q, a) * _side(p, q, b) < 0) & (_side(a, b, p) * _side(a, b, q) < 0)
         apart = (ends[some, None, :, None] != ends[None, :, None, :]).all(axis=(2, 3))
-        if np.any(crossing & apart):
-            return True
-    return False
+        both_ways += int(np.count_nonzero(crossing & apart))
+    return both_ways / 2 / max(len(ends), 1)
 
 
 def _side(a: FloatArray, b: FloatArray, p: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import pytest
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.topology.closure import alternatives
-from topobatch.topology.closure.alternatives import corridors_cross, most_likely_closure
+from topobatch.topology.closure.alternatives import crossing_share, most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning, scale_noise
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.incremental import Closed, RoundSettings, full_closure
@@ -40,7 +40,7 @@ def walk(seed):
 def test_a_map_that_lies_over_itself_gives_way_to_the_closure_that_explains_the_run(seed):
     odometry, passes, truth = walk(seed)
     reckoning, first = unclosed(odometry, passes, LOUD)
-    assert corridors_cross(first)
+    assert crossing_share(first) > ROUNDS.most_crossing
     closed = most_likely_closure(reckoning, first, reckoning, ROUNDS)
     assert closed.place.tolist() == partition(truth).tolist()
     assert closed.reckoning.noise == scale_noise(reckoning, ROUNDS.caution).noise
@@ -48,7 +48,7 @@ def test_a_map_that_lies_over_itself_gives_way_to_the_closure_that_explains_the_
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_right_closure_stands(seed, monkeypatch):
-    monkeypatch.setattr(alternatives, "corridors_cross", lambda _: True)  # as bridges do
+    monkeypatch.setattr(alternatives, "crossing_share", lambda _: 1.0)  # as bridges do
     odometry, passes, truth = walk(seed)
     reckoning = dead_reckoning(odometry, passes, LOUD)
     right = partition(truth)
@@ -60,7 +60,7 @@ def test_a_map_that_repeats_itself_is_not_closed_anew():
     # One row off explains the run as well.
     odometry, passes, _ = record(aisles(8), to_and_fro(8), np.random.default_rng(1))
     reckoning, first = unclosed(odometry, passes, NOISE)
-    assert corridors_cross(first)
+    assert crossing_share(first) > ROUNDS.most_crossing
     assert len(np.unique(full_closure(reckoning).place)) < len(first.place)
     assert most_likely_closure(reckoning, first, reckoning, ROUNDS) is first
 
@@ -71,11 +71,11 @@ def test_corridors_that_meet_do_not_cross(route):
     reckoning = dead_reckoning(odometry, passes, NOISE)
     place = partition(truth)
     closed = Closed(reckoning, place, optimise(reckoning, place), [], None)
-    assert not corridors_cross(closed)
+    assert crossing_share(closed) == 0
     # Two passes taken for each other: the loop becomes a bow tie.
     if len(route) > 4:
         xy = closed.estimate.xy[[0, 2, 1, 3]]
-        assert corridors_cross(replace(closed, estimate=replace(closed.estimate, xy=xy)))
+        assert crossing_share(replace(closed, estimate=replace(closed.estimate, xy=xy))) == 0.25
 
 
 def test_crossings_are_found_anywhere_in_a_long_run():
@@ -86,10 +86,11 @@ def test_crossings_are_found_anywhere_in_a_long_run():
     odometry, passes, _ = record((world, {v: way[max(v[1] - 1, 0) : v[1] + 2] for v in way}), way)
     reckoning = dead_reckoning(odometry, passes, NOISE)
     closed = Closed(reckoning, np.arange(count), optimise(reckoning, np.arange(count)), [], None)
-    assert not corridors_cross(closed)
+    assert crossing_share(closed) == 0
     xy = closed.estimate.xy.copy()
     xy[-2:] = xy[5] + [[2.5, 1.0], [2.5, -1.0]]
-    assert corridors_cross(replace(closed, estimate=replace(closed.estimate, xy=xy)))
+    crossed = replace(closed, estimate=replace(closed.estimate, xy=xy))
+    assert crossing_share(crossed) == pytest.approx(1 / (count - 1))
 
 
 @pytest.mark.parametrize("seed", [3097295113, 2584209121])
