@@ -30,8 +30,8 @@ def most_likely_closure(
     fitted: DeadReckoning,
     settings: RoundSettings,
 ) -> Closed:
-    """The closure that explains the run best: `first`, unless many corridors of its map cross
-    and another one leads by the odds that identifications need by stricter rules, on a map that does
+    """The closure that explains the run best: `first`, unless many corridors of its map cross and
+    another one leads by the odds that identifications need by stricter rules, on a map that does
     not repeat itself.
 
     reckoning: with the noise known before closure; fitted: with that shown by `first`.
