@@ -298,7 +298,7 @@ def test_info_tells_of_degrees_for_radians_beside_the_topics(topobatch, run, tmp
 
 
 def test_positions_in_millimetres_are_warned_of_as_the_page_shows(topobatch, tmp_path):
-    settings = ScenarioSettings(runs=1, junctions_per_run=30, odometry_hz=10, seed=7)
+    settings = ScenarioSettings(runs=1, junctions_per_run=9, odometry_hz=10, seed=7)
     (simulated,) = simulate_scenario(settings).simulated
     seen = simulated.run.detections
     run = replace(simulated.run, detections=replace(seen, centre=1000 * seen.centre))
