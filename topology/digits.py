@@ -7,6 +7,7 @@ carry meaning, so that they, and all that is derived from them, are the same eve
 * Branches: 0.1 mrad, a hundredth of the error of one pass.
 * Transforms: also microradians, which move a point a kilometre away by a millimetre.
 * Evidence: 0.01 bit, odds to 1 %.
+* What all lengths are multiplied by: 10⁻⁵, a millimetre in 100 m.
 * Sigmas, rates and the calibration: four significant digits, more than 10⁷ readings could support.
 """
 
@@ -20,6 +21,7 @@ METRES = 3
 BRANCH = 4
 TURN = 6
 BITS = 2
+LENGTH_SCALE = 5
 SIGNIFICANT = 4
 """Decimals; for sigmas, rates and the calibration significant digits. Reasons: see above."""
 

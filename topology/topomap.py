@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -221,3 +221,29 @@ class TopoMap(Graph):
         noise = self.measured
         own = noise.centre_m**2 / np.maximum(self.passes, 1) + noise.shared_centre_m**2
         return np.asarray(own)
+
+
+def stretched_map(topomap: TopoMap, factor: float, about: FloatArray) -> TopoMap:
+    """The map enlarged by a factor about a point (2,), with its sigmas, but not the noise of its
+    sensors."""
+    return replace(
+        topomap,
+        xy=about + factor * (topomap.xy - about),
+        position_sigma=None if topomap.position_sigma is None else topomap.position_sigma * factor,
+        turning_points=replace(
+            topomap.turning_points,
+            position_sigma=topomap.turning_points.position_sigma * factor,
+            **_stretched_ways(topomap.turning_points, factor, about),
+        ),
+        **_stretched_ways(topomap, factor, about),
+    )
+
+
+def _stretched_ways(
+    ways: TopoMap | TurningPoints, factor: float, about: FloatArray
+) -> dict[str, Any]:
+    return {
+        "length": ways.length * factor,
+        "length_sigma": ways.length_sigma * factor,
+        "paths": tuple(about + factor * (path - about) for path in ways.paths),
+    }

@@ -117,22 +117,30 @@ def test_rates_do_not_see_the_direction_of_passes() -> None:
     assert there.branch_rad == pytest.approx(here.branch_rad, rel=1e-6)
 
 
-def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
+def test_lengths_are_corrected_as_far_as_passes_show_them_to_be_wrong() -> None:
     scenario = simulated("maze", "low", "none", 5)
     run, noise = scenario.runs["run1"], estimated(scenario)
     usual = NoiseSettings().prior
 
-    def stated(factor: float, detections: Detections = run.detections, along: float = 0.0) -> float:
-        """1 sigma for an odometry whose lengths are too long by a factor, and walk along."""
+    def stated(
+        factor: float, detections: Detections = run.detections, along: float = 0.0
+    ) -> tuple[float, float]:
+        """Share and 1 sigma for an odometry whose lengths are too long by a factor, and walk
+        along."""
         track = replace(run.odometry, pose=run.odometry.pose * [factor, factor, 1.0])
         told = replace(noise, along_m_per_sqrt_m=noise.along_m_per_sqrt_m + along)
         return refine_scale(track, detections, fuse_passes(track, detections), told)
 
-    assert 0.03 < stated(1.05) < 0.07
-    assert 0.03 < stated(0.95) < 0.07
-    errors = [stated(1 + error) for error in (0.005, 0.01, 0.02, 0.03)]
+    for factor in (0.92, 0.95, 0.97, 1.03, 1.05, 1.08):
+        found, sigma = stated(factor)
+        assert abs(found) > 0.5 * abs(1 - 1 / factor)
+        assert abs(found - (1 - 1 / factor)) < sigma < 0.03
+    errors = [stated(1 + error) for error in (0.0, 0.005, 0.01, 0.02, 0.03)]
     assert errors == sorted(errors)
-    assert stated(1.0) < usual.scale
+    assert [sigma for _, sigma in errors] == sorted(sigma for _, sigma in errors)
+    assert stated(1.0)[1] < usual.scale
+    # No odometry errs by half: the detector does.
+    assert abs(stated(1.5)[0]) < 0.01
     # Where passes show hardly anything it is what the headings let expect.
     way, turned = run.odometry.step_m.sum(), np.abs(run.odometry.turn_rad).sum()
     here, there = (
@@ -144,8 +152,8 @@ def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
     first = Detections(
         run.detections.time_ns[few], run.detections.centre[few], run.detections.branches.take(few)
     )
-    assert stated(1.0, first) == pytest.approx(expected, rel=0.2)
-    assert stated(1.05, along=10.0) == pytest.approx(expected, rel=0.2)
+    assert stated(1.0, first)[1] == pytest.approx(expected, rel=0.2)
+    assert stated(1.05, along=10.0)[1] == pytest.approx(expected, rel=0.2)
 
 
 def test_a_run_without_passes_has_the_usual_noise() -> None:
