@@ -74,6 +74,11 @@ _LEAST_BEND = 0.03
 """Lower bound of the share of a map's stated variances that bending explains: they are estimated
 from 256 samples, and known no better."""
 
+_STIFF = 1.1
+"""Where no grid holds the headings, what maps state of their own errors, carried through the joint
+graph, is this share of the variance across and of turns that it would state itself: 1.09 and 1.14
+at high drift (`benchmarks/transforms.py --worlds organic city`)."""
+
 SOLVER = SolverSettings(relative_tolerance=1e-5, max_iterations=25)
 """Cauchy kernels converge slowly; the remaining error is far below a millimetre."""
 
@@ -212,7 +217,8 @@ def bending(topomap: TopoMap) -> float:
     stretched = noise.scale**2 * reach / 2
     stated = topomap.position_sigma**2
     left = float((stated - seen - stretched).sum())
-    return max(left, _LEAST_BEND * float(stated.sum())) / max(float((bent**2).sum()), 1e-12)
+    share = max(left, _LEAST_BEND * float(stated.sum())) / max(float((bent**2).sum()), 1e-12)
+    return share if len(graph.priors) else _STIFF * share
 
 
 def _bridges(topomap: TopoMap, first: int) -> Measurements:
