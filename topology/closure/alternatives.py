@@ -42,7 +42,7 @@ def most_likely_closure(
     best, best_odds = first, _log_likelihood(fitted, first, settings)
     best_odds += strict.least_odds(len(reckoning))
     others = [full_closure(fitted, settings), full_closure(fitted, strict)]
-    if first.grid is not None:
+    if any(closed.grid is not None for closed in (first, *others)):
         others.append(closure_without_grid(fitted, settings))
     for other in others:
         odds = _log_likelihood(fitted, other, settings)
