@@ -51,10 +51,6 @@ class NoiseSettings:
     scale_prior: float = 0.01
     """Standard deviation of the relative length error of odometries in general, used before
     closure."""
-    scale_freedom: float = 1.5
-    """Degrees of freedom of Student's t for the relative length errors of odometries: with 1 what
-    lies within 68.3 and 95 % of 400 simulated runs at mid drift is 68 and 93 %, with 1.5 70 and 94,
-    with 2 71 and 96; two recorded robots err by four times the usual."""
     detector_scale: float = 0.003
     """By how much detectors see things too near or too far, 68.3 % of them: a third of what
     odometries err by. Simulated ones do not; at 0.005 maps at high drift err by a tenth more."""
@@ -268,19 +264,15 @@ def _posterior_scale(
 ) -> tuple[float, float]:
     """Mean and 68.3 % bound about it of x, given x + y + N(0, sigma²) = shown.
 
-    Priors: x Student's t with `scale_freedom` degrees of freedom, 68.3 % of which lie within
-    `expected`, cut off at `most_scale`; y with two, within `detector_scale`.
+    Priors: x Student's t with one degree of freedom, 68.3 % of which lie within `expected`, cut off
+    at `most_scale`; y with two, within `detector_scale`.
     """
     if not np.isfinite(sigma) or expected <= 0:
         return 0.0, expected
-    from scipy.special import stdtrit
-
     near, far = expected * _RATIOS, sigma * _RATIOS
     x = np.unique(np.concatenate([[0.0, shown], near, -near, shown + far, shown - far]))
     x = x[np.abs(x) <= settings.most_scale]
-    freedom = settings.scale_freedom
-    unit = expected / stdtrit(freedom, 0.5 + ONE_SIGMA / 2)
-    odometry = (1 + (x / unit) ** 2 / freedom) ** (-0.5 * (freedom + 1))
+    odometry = 1 / (1 + (x / expected * np.tan(0.5 * np.pi * ONE_SIGMA)) ** 2)
     # Student's t with two degrees of freedom is a mixture of normal distributions, with densities
     # exp(-1 / v) / v of the logarithm of the variance v.
     unit = settings.detector_scale**2 * (1 - ONE_SIGMA**2) / (2 * ONE_SIGMA**2)
