@@ -19,13 +19,13 @@ from ..topology.closure.missed_detections import CorrectedPlaces, correct_detect
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import Fitted, fitted_noise
-from ..topology.digits import LENGTH_SCALE, rounded, significant
+from ..topology.digits import significant
 from ..topology.errors import DataError
 from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
-from ..topology.topomap import Closure, TopoMap, stretched_map
+from ..topology.topomap import Closure, LengthScale, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from .driven_shares import ON_THE_WAY, driven_shares
@@ -77,7 +77,7 @@ def build_map_with_errors(
         settings.driven_by,
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
-    measured, alike, stretched = _measured(fit.reckoning, odometry, run, source, settings)
+    measured, alike, length_scale = _measured(fit.reckoning, odometry, run, source, settings)
     errors = place_errors(
         measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=alike
     )
@@ -106,15 +106,10 @@ def build_map_with_errors(
         turned = turning_points(topomap, odometry, corrected.visits, source.resolution_m, drawing)
     topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
     info = _info(run, settings, calibration, reckoning, odometry)
-    info["calibration"]["length_scale"] = {
-        "applied": stretched,
-        "estimate": stretched,
-        "sigma": measured.noise.scale,
-    }
     info["driven"] = driven_shares(topomap, odometry, turned)
     closures = _closures(closed, corrected, reckoning.passes)
-    topomap = replace(topomap, closures=closures, info=info)
-    return stretched_map(topomap, 1 + stretched, odometry.pose[0, :2]), errors
+    topomap = replace(topomap, closures=closures, info=info, length_scale=length_scale)
+    return topomap, errors
 
 
 def dead_reckoned(
@@ -206,17 +201,17 @@ def _measured(
     run: Run,
     source: PassSource,
     settings: MappingSettings,
-) -> tuple[DeadReckoning, FloatArray | None, float]:
+) -> tuple[DeadReckoning, FloatArray | None, LengthScale | None]:
     """Dead reckoning with the noise that closed loops do not show: the scale, and the error of
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
-    none; and the length to be added per metre driven."""
+    none; and what passes show of the scale."""
     passes, noise = fitted.passes, fitted.noise
-    longer, sigma = refine_scale(odometry, run.detections, passes, noise, settings.noise)
-    noise = replace(noise, scale=significant(sigma))
+    scale, shown = refine_scale(odometry, run.detections, passes, noise, settings.noise)
+    noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):
         noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))
-    return replace(fitted, noise=noise), alike, rounded(-longer, LENGTH_SCALE)
+    return replace(fitted, noise=noise), alike, shown
 
 
 def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:

@@ -7,7 +7,7 @@ carry meaning, so that they, and all that is derived from them, are the same eve
 * Branches: 0.1 mrad, a hundredth of the error of one pass.
 * Transforms: also microradians, which move a point a kilometre away by a millimetre.
 * Evidence: 0.01 bit, odds to 1 %.
-* What all lengths are multiplied by: 10⁻⁵, a millimetre in 100 m.
+* Shares by which all lengths are wrong: 10⁻⁵, a millimetre in 100 m.
 * Sigmas, rates and the calibration: four significant digits, more than 10⁷ readings could support.
 """
 

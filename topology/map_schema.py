@@ -171,6 +171,15 @@ class ClosureRecord(Model):
     revised: bool = Field(False, description="A later round answered otherwise.")
 
 
+class LengthScaleRecord(Model):
+    """How far passes by junctions show all lengths to be wrong."""
+
+    too_long: float = Field(
+        gt=-1, lt=1, allow_inf_nan=False, description="Share of all lengths that is too much."
+    )
+    sigma: Noise = Field(description="1 sigma of this share.")
+
+
 class MapGraph(Attributes):
     """Attributes of a whole map."""
 
@@ -194,6 +203,11 @@ class MapGraph(Attributes):
     )
     fitted_noise: dict[str, Noise] | None = Field(
         None, description="The same as the closed run itself shows it; sigmas come from this."
+    )
+    length_scale: LengthScaleRecord | None = Field(
+        None,
+        description="By how much all lengths seem to be wrong, as the robot passed its junctions. "
+        "Merged maps are corrected by it, the map itself is not.",
     )
     closures: list[ClosureRecord] = Field(
         default_factory=list, description="Every identification made, refused or taken back."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -54,6 +54,20 @@ class RunNoise:
     shared_centre_m: float = 0.0
     """Error of a junction centre, per axis, that all of its passes have in common (median): scans
     see the same walls at each pass, so that it does not average out."""
+
+
+@dataclass(frozen=True, slots=True)
+class LengthScale:
+    """How far passes by junctions show all lengths of a run to be wrong: by what share they are too
+    long, and 1 sigma. The map is as its odometry measured it: robots of one kind err alike, and are
+    matched by what they measured. Merged maps are corrected."""
+
+    too_long: float
+    sigma: float
+
+    def __post_init__(self) -> None:
+        if not (abs(self.too_long) < 1 and 0 <= self.sigma < np.inf):
+            raise ValueError("lengths are too long by a share below 1, known to a positive sigma")
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,15 +135,16 @@ class TopoMap(Graph):
     run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
     observation_vertex, observation_time_ns: (k,) one row per pass, by time. noise: used by loop
     closure and matching, conservative; fitted_noise: estimated from the closed run, None if it is
-    not known. position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, branch_sigma: n
-    rows, 1 sigma of each branch heading [rad], both with the map as a whole aligned to the truth;
-    None where not known. traversal_ns: m arrays (t, 2), by time: when the robot was at the edge's
-    source and at its target on each traversal (driven from target to source, the second is the
-    earlier one); None where not known. confidence: (n,) in (0, 1], probability that a vertex has
-    exactly its branches, or one number for all: 1 for maps from detections. shows_bends: whether
-    the detector reports places with two branches; those of scans and grids do not. turning_points:
-    dead ends of the track that are not vertices; `turning_vertices.with_turning_points` makes
-    vertices of them. Raises ValueError where shapes, indices or values do not fit.
+    not known. length_scale: as in `LengthScale`, None where nothing shows it. position_sigma: (n,)
+    1 sigma [m] of each coordinate of a vertex, branch_sigma: n rows, 1 sigma of each branch heading
+    [rad], both with the map as a whole aligned to the truth; None where not known. traversal_ns: m
+    arrays (t, 2), by time: when the robot was at the edge's source and at its target on each
+    traversal (driven from target to source, the second is the earlier one); None where not known.
+    confidence: (n,) in (0, 1], probability that a vertex has exactly its branches, or one number
+    for all: 1 for maps from detections. shows_bends: whether the detector reports places with two
+    branches; those of scans and grids do not. turning_points: dead ends of the track that are not
+    vertices; `turning_vertices.with_turning_points` makes vertices of them. Raises ValueError where
+    shapes, indices or values do not fit.
     """
 
     run: str
@@ -145,6 +160,7 @@ class TopoMap(Graph):
     confidence: FloatArray = field(default_factory=lambda: ALL_SURE)
     shows_bends: bool = True
     turning_points: TurningPoints = NO_TURNING_POINTS
+    length_scale: LengthScale | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     """Other entries of the document's `graph`: source, settings, warnings. JSON values only."""
 
@@ -221,29 +237,3 @@ class TopoMap(Graph):
         noise = self.measured
         own = noise.centre_m**2 / np.maximum(self.passes, 1) + noise.shared_centre_m**2
         return np.asarray(own)
-
-
-def stretched_map(topomap: TopoMap, factor: float, about: FloatArray) -> TopoMap:
-    """The map enlarged by a factor about a point (2,), with its sigmas, but not the noise of its
-    sensors."""
-    return replace(
-        topomap,
-        xy=about + factor * (topomap.xy - about),
-        position_sigma=None if topomap.position_sigma is None else topomap.position_sigma * factor,
-        turning_points=replace(
-            topomap.turning_points,
-            position_sigma=topomap.turning_points.position_sigma * factor,
-            **_stretched_ways(topomap.turning_points, factor, about),
-        ),
-        **_stretched_ways(topomap, factor, about),
-    )
-
-
-def _stretched_ways(
-    ways: TopoMap | TurningPoints, factor: float, about: FloatArray
-) -> dict[str, Any]:
-    return {
-        "length": ways.length * factor,
-        "length_sigma": ways.length_sigma * factor,
-        "paths": tuple(about + factor * (path - about) for path in ways.paths),
-    }

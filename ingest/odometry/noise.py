@@ -17,21 +17,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.digits import significant
+from ...topology.digits import LENGTH_SCALE, rounded, significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
 from ...topology.quadratic_forms import ONE_SIGMA
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
-from ...topology.topomap import RunNoise
+from ...topology.topomap import LengthScale, RunNoise
 from ...topology.track import walked_at
 from ...topology.walk_means import WalkMeans
 from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
 
-_RATIOS = np.geomspace(1e-3, 1e3, 1024)
-"""Grid for the error of lengths over the expected one."""
+_RATIOS = np.geomspace(1e-3, 1e3, 4096)
+"""Grid for the error of lengths over the expected one: 0.3 % apart, below the digits stated."""
 _VARIANCES = np.geomspace(1e-2, 1e14, 128)
 """Grid for the variances whose mixture of normal distributions is Student's t."""
 
@@ -236,40 +236,54 @@ def refine_scale(
     passes: Passes,
     noise: RunNoise,
     settings: NoiseSettings = NoiseSettings(),
-) -> tuple[float, float]:
-    """Share of all measured lengths that is too much, and 1 sigma, after loop closure has
-    estimated the heading's drift.
+) -> tuple[float, LengthScale | None]:
+    """Standard deviation of the relative length error, after loop closure has estimated the
+    heading's drift; and what is shown of it, None where nothing is.
 
     Loop closure does not determine it: loops close at any scale. But where the odometry's lengths
-    are wrong, junctions move along with the robot that passes them (`_shown_scale`), unless the
-    detector sees things nearer or farther than they are. Both have heavy-tailed priors about 0, so
-    that a large error is attributed to that of the two which is known less well: for the odometry
-    68.3 % lie within `prior.scale` times the ratio of this run's heading drift to the prior's (two
-    recorded robots err by four times that), for the detector within `detector_scale`. Returned are
-    the mean of the posterior and the bound about it that holds 68.3 %; without such passes 0 and
-    what the heading lets expect.
+    are wrong, junctions move along with the robot that passes them (`_shown_scale`). As the
+    detector may cause the same, the map's lengths are not corrected, and the standard deviation is
+    the bound about 0 that holds 68.3 % of the posterior. Prior: Student's t with two degrees of
+    freedom, of which 68.3 % lie within `prior.scale` times the ratio of this run's heading drift to
+    the prior's.
     """
     prior = settings.prior
     worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
     expected = float(prior.scale * worse)
     thirds = _WithinPasses.of(odometry, detections, passes, settings)
     if thirds is None:
-        return 0.0, expected
+        return expected, None
     shown, sigma = _shown_scale(thirds, noise.along_m_per_sqrt_m, settings)
-    return _posterior_scale(expected, shown, sigma, settings)
-
-
-def _posterior_scale(
-    expected: float, shown: float, sigma: float, settings: NoiseSettings
-) -> tuple[float, float]:
-    """Mean and 68.3 % bound about it of x, given x + y + N(0, sigma²) = shown.
-
-    Priors: x Student's t with one degree of freedom, 68.3 % of which lie within `expected`, cut off
-    at `most_scale`; y with two, within `detector_scale`.
-    """
     if not np.isfinite(sigma) or expected <= 0:
-        return 0.0, expected
-    near, far = expected * _RATIOS, sigma * _RATIOS
+        return expected, None
+    return _posterior_radius(expected, shown, sigma), _length_scale(
+        expected, shown, sigma, settings
+    )
+
+
+def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
+    """The bound r with P(|x| <= r) = 68.3 % under the posterior of x: prior Student's t with two
+    degrees of freedom, for which this bound is `expected`; likelihood x + N(0, sigma²) = shown."""
+    off = (expected * _RATIOS - np.array([[shown], [-shown]])) / sigma
+    likelihood = np.exp(-0.5 * (off**2 - (off**2).min())).sum(axis=0)
+    density = (1 + _RATIOS**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5
+    below = np.cumsum(likelihood * density * _RATIOS)  # steps are as wide as the ratio is large
+    return expected * float(np.interp(ONE_SIGMA * below[-1], below, _RATIOS))
+
+
+def _length_scale(
+    expected: float, shown: float, sigma: float, settings: NoiseSettings
+) -> LengthScale:
+    """Mean of the posterior of x and the bound about it that holds 68.3 %, given x + y + N(0,
+    sigma²) = shown.
+
+    x is the error of the odometry, y that of a detector that sees things nearer or farther than
+    they are. Priors have heavy tails, so that a large error is attributed to that of the two which
+    is known less well: x has Student's t with one degree of freedom, 68.3 % of which lie within
+    `expected` (two recorded robots err by four times that), cut off at `most_scale`; y with two,
+    within `detector_scale`.
+    """
+    near, far = expected * _RATIOS[::4], sigma * _RATIOS[::4]
     x = np.unique(np.concatenate([[0.0, shown], near, -near, shown + far, shown - far]))
     x = x[np.abs(x) <= settings.most_scale]
     odometry = 1 / (1 + (x / expected * np.tan(0.5 * np.pi * ONE_SIGMA)) ** 2)
@@ -286,7 +300,8 @@ def _posterior_scale(
     mean = float((weight * x).sum())
     away = np.abs(x - mean)
     order = np.argsort(away, kind="stable")
-    return mean, float(np.interp(ONE_SIGMA, np.cumsum(weight[order]), away[order]))
+    radius = float(np.interp(ONE_SIGMA, np.cumsum(weight[order]), away[order]))
+    return LengthScale(rounded(mean, LENGTH_SCALE), significant(radius))
 
 
 def _turned(odometry: Odometry, noise: RunNoise) -> float:

@@ -30,7 +30,7 @@ from topobatch.topology.passes import Passes
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections
 from topobatch.topology.se2 import wrap
-from topobatch.topology.topomap import RunNoise
+from topobatch.topology.topomap import LengthScale, RunNoise
 
 
 def simulated(world: str, drift: str, faults: str, seed: int) -> Scenario:
@@ -117,30 +117,22 @@ def test_rates_do_not_see_the_direction_of_passes() -> None:
     assert there.branch_rad == pytest.approx(here.branch_rad, rel=1e-6)
 
 
-def test_lengths_are_corrected_as_far_as_passes_show_them_to_be_wrong() -> None:
+def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
     scenario = simulated("maze", "low", "none", 5)
     run, noise = scenario.runs["run1"], estimated(scenario)
     usual = NoiseSettings().prior
 
-    def stated(
-        factor: float, detections: Detections = run.detections, along: float = 0.0
-    ) -> tuple[float, float]:
-        """Share and 1 sigma for an odometry whose lengths are too long by a factor, and walk
-        along."""
+    def stated(factor: float, detections: Detections = run.detections, along: float = 0.0) -> float:
+        """1 sigma for an odometry whose lengths are too long by a factor, and walk along."""
         track = replace(run.odometry, pose=run.odometry.pose * [factor, factor, 1.0])
         told = replace(noise, along_m_per_sqrt_m=noise.along_m_per_sqrt_m + along)
-        return refine_scale(track, detections, fuse_passes(track, detections), told)
+        return refine_scale(track, detections, fuse_passes(track, detections), told)[0]
 
-    for factor in (0.92, 0.95, 0.97, 1.03, 1.05, 1.08):
-        found, sigma = stated(factor)
-        assert abs(found - (1 - 1 / factor)) < min(sigma, 0.5 * abs(1 - 1 / factor))
-        assert sigma < 0.02
-    errors = [stated(1 + error) for error in (0.0, 0.005, 0.01, 0.02, 0.03)]
+    assert 0.03 < stated(1.05) < 0.07
+    assert 0.03 < stated(0.95) < 0.07
+    errors = [stated(1 + error) for error in (0.005, 0.01, 0.02, 0.03)]
     assert errors == sorted(errors)
-    assert [sigma for _, sigma in errors] == sorted(sigma for _, sigma in errors)
-    assert stated(1.0)[1] < usual.scale
-    # No odometry errs by half: then the detector does.
-    assert abs(stated(1.5)[0]) < 0.01
+    assert stated(1.0) < usual.scale
     # Where passes show hardly anything it is what the headings let expect.
     way, turned = run.odometry.step_m.sum(), np.abs(run.odometry.turn_rad).sum()
     here, there = (
@@ -152,8 +144,47 @@ def test_lengths_are_corrected_as_far_as_passes_show_them_to_be_wrong() -> None:
     first = Detections(
         run.detections.time_ns[few], run.detections.centre[few], run.detections.branches.take(few)
     )
-    assert stated(1.0, first)[1] == pytest.approx(expected, rel=0.2)
-    assert stated(1.05, along=10.0)[1] == pytest.approx(expected, rel=0.2)
+    assert stated(1.0, first) == pytest.approx(expected, rel=0.2)
+    assert stated(1.05, along=10.0) == pytest.approx(expected, rel=0.2)
+
+
+def test_what_passes_show_of_the_scale_is_told_beside_it() -> None:
+    scenario = simulated("maze", "low", "none", 5)
+    run, noise = scenario.runs["run1"], estimated(scenario)
+
+    def shown(factor: float, detections: Detections = run.detections) -> LengthScale:
+        """Of an odometry whose lengths are too long by a factor."""
+        track = replace(run.odometry, pose=run.odometry.pose * [factor, factor, 1.0])
+        found = refine_scale(track, detections, fuse_passes(track, detections), noise)[1]
+        assert found is not None
+        return found
+
+    for factor in (0.92, 0.95, 0.97, 1.03, 1.05, 1.08):
+        true, found = 1 - 1 / factor, shown(factor)
+        assert abs(found.too_long - true) < min(found.sigma, 0.5 * abs(true))
+        assert found.sigma < 0.02
+    told = [shown(1 + error) for error in (0.0, 0.005, 0.01, 0.02, 0.03)]
+    assert [x.too_long for x in told] == sorted(x.too_long for x in told)
+    assert [x.sigma for x in told] == sorted(x.sigma for x in told)
+    # No odometry errs by half: then the detector does, or its unit is another one.
+    assert abs(shown(1.5).too_long) < 0.01
+    seen = run.detections
+    feet = Detections(seen.time_ns, 3.28 * seen.centre, seen.branches)
+    assert abs(shown(1.0, feet).too_long) < 0.01
+    few = Detections(seen.time_ns[:3], seen.centre[:3], seen.branches.take(np.arange(3)))
+    track = run.odometry
+    assert refine_scale(track, few, fuse_passes(track, few), noise)[1] is None
+
+
+def test_a_detector_that_is_known_less_well_than_the_odometry_is_not_believed() -> None:
+    """It sees everything 3 % too near."""
+    scenario = simulated("maze", "none", "none", 5)
+    run = scenario.runs["run1"]
+    exact = replace(estimated(scenario), heading_rad_per_sqrt_m=1e-5, heading_rad_per_sqrt_rad=1e-5)
+    near = Detections(run.detections.time_ns, 0.97 * run.detections.centre, run.detections.branches)
+    found = refine_scale(run.odometry, near, fuse_passes(run.odometry, near), exact)[1]
+    assert found is not None
+    assert abs(found.too_long) < 0.003
 
 
 def test_a_run_without_passes_has_the_usual_noise() -> None:
