@@ -148,7 +148,9 @@ class Spread:
 
     middle: (r, 2) middles of their maps [m]; own: (r, 3, 3) covariance of x, y of the middle and of
     the rotation of each map [m, rad]; cross: (k, 3, 3) covariance of run i with run j for the pairs
-    i < j that were asked for; key: (k,) i r + j of each, ascending.
+    i < j that were asked for; key: (k,) i r + j of each, ascending. lean: (r, 3) where the
+    placements probably lie instead, less where they are, because lengths are as odometries measured
+    them (`LengthScale`): covariances are about there.
     """
 
     runs: tuple[str, ...]
@@ -156,6 +158,7 @@ class Spread:
     own: FloatArray
     key: IntArray
     cross: FloatArray
+    lean: FloatArray
 
     def relative(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
         """(k, 3, 3) covariances of the position of the second map's middle relative to the first
@@ -164,9 +167,7 @@ class Spread:
         names. Raises KeyError for pairs without a cross-covariance."""
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
-        # What is seen is A e_i + e_j, of the errors of the two.
-        A = np.zeros((len(i), 3, 3)) - np.eye(3)
-        A[:, 0, 2], A[:, 1, 2] = y, -x
+        A = _seen_from(x, y)
         both = A @ self._cross(i, j)
         whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
         whole += self.own[j]
@@ -182,12 +183,16 @@ class Spread:
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
         covariance = self.relative(pairs)
+        lean = np.einsum("kij,kj->ki", _seen_from(x, y), self.lean[i]) + self.lean[j]
+        lean = lean * (np.einsum("kii->ki", covariance) > 0)
         # Seen the other way round the middle is off by as much, less the turn about the step.
         back = np.zeros((len(i), 2, 3)) - np.eye(2, 3)
         back[:, 0, 2], back[:, 1, 2] = -y, x
         form = (np.diag([1.0, 1.0, 0.0]) + back.transpose(0, 2, 1) @ back) / 2
-        metres = np.sqrt(quadratic_quantile(covariance @ form, share))
-        return list(zip(metres.tolist(), np.sqrt(covariance[:, 2, 2]).tolist(), strict=True))
+        off = lean[:, :, None] * lean[:, None, :]
+        metres = np.sqrt(quadratic_quantile(covariance @ form, share, off @ form))
+        turn = np.sqrt(covariance[:, 2, 2] + off[:, 2, 2])
+        return list(zip(metres.tolist(), turn.tolist(), strict=True))
 
     def _rows(self, pairs: Sequence[tuple[str, str]]) -> tuple[IntArray, IntArray]:
         ends = [[bisect_left(self.runs, run) for run in pair] for pair in pairs]
@@ -205,6 +210,14 @@ class Spread:
             raise KeyError((self.runs[i[k]], self.runs[j[k]]))
         cross = self.cross[row]
         return np.where((i < j)[:, None, None], cross, cross.transpose(0, 2, 1))
+
+
+def _seen_from(x: FloatArray, y: FloatArray) -> FloatArray:
+    """(k, 3, 3) A, of which A e_i + e_j is the error of map j seen from map i; x, y: (k,) from the
+    middle of i to that of j [m]."""
+    A = np.zeros((len(x), 3, 3)) - np.eye(3)
+    A[:, 0, 2], A[:, 1, 2] = y, -x
+    return A
 
 
 @dataclass(frozen=True, slots=True, eq=False)

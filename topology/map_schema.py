@@ -206,8 +206,8 @@ class MapGraph(Attributes):
     )
     length_scale: LengthScaleRecord | None = Field(
         None,
-        description="By how much all lengths seem to be wrong, as the robot passed its junctions. "
-        "Merged maps are corrected by it, the map itself is not.",
+        description="By how much all lengths seem to be wrong, as the robot passed its junctions; "
+        "they are not corrected by it.",
     )
     closures: list[ClosureRecord] = Field(
         default_factory=list, description="Every identification made, refused or taken back."

@@ -58,9 +58,10 @@ class RunNoise:
 
 @dataclass(frozen=True, slots=True)
 class LengthScale:
-    """How far passes by junctions show all lengths of a run to be wrong: by what share they are too
-    long, and 1 sigma. The map is as its odometry measured it: robots of one kind err alike, and are
-    matched by what they measured. Merged maps are corrected."""
+    """By what share all lengths of a run seem to be too long, for junctions move along with the
+    robot that passes them, and 1 sigma of this measurement, errors of the detector included. Maps
+    are as their odometry measured them, merged or not: robots of one kind err alike. It tells how
+    far off they may be."""
 
     too_long: float
     sigma: float

@@ -32,8 +32,6 @@ from .square_branches import SquareBranches
 
 _RATIOS = np.geomspace(1e-3, 1e3, 4096)
 """Grid for the error of lengths over the expected one: 0.3 % apart, below the digits stated."""
-_VARIANCES = np.geomspace(1e-2, 1e14, 128)
-"""Grid for the variances whose mixture of normal distributions is Student's t."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +50,11 @@ class NoiseSettings:
     """Standard deviation of the relative length error of odometries in general, used before
     closure."""
     detector_scale: float = 0.003
-    """By how much detectors see things too near or too far, 68.3 % of them: a third of what
+    """1 sigma of the share by which detectors see things too near or too far: a third of what
     odometries err by. Simulated ones do not; at 0.005 maps at high drift err by a tenth more."""
     most_scale: float = 0.2
-    """Lengths are off by no larger a share than this: what seems to be more is the detector's
-    fault, or its unit."""
+    """No odometry's lengths are off by a larger share: what seems to be is the detector's fault, or
+    its unit."""
     match_rad: float = 0.35
     """Readings within this angle of a branch belong to it."""
     least_messages: int = 6
@@ -238,7 +236,7 @@ def refine_scale(
     settings: NoiseSettings = NoiseSettings(),
 ) -> tuple[float, LengthScale | None]:
     """Standard deviation of the relative length error, after loop closure has estimated the
-    heading's drift; and what is shown of it, None where nothing is.
+    heading's drift; and what passes show of it, None where nothing.
 
     Loop closure does not determine it: loops close at any scale. But where the odometry's lengths
     are wrong, junctions move along with the robot that passes them (`_shown_scale`). As the
@@ -254,54 +252,23 @@ def refine_scale(
     if thirds is None:
         return expected, None
     shown, sigma = _shown_scale(thirds, noise.along_m_per_sqrt_m, settings)
-    if not np.isfinite(sigma) or expected <= 0:
-        return expected, None
-    return _posterior_radius(expected, shown, sigma), _length_scale(
-        expected, shown, sigma, settings
-    )
+    scale = _posterior_radius(expected, shown, sigma)
+    if abs(shown) > settings.most_scale or not np.isfinite(sigma):
+        return scale, None
+    told = significant(float(np.hypot(sigma, settings.detector_scale)))
+    return scale, LengthScale(rounded(shown, LENGTH_SCALE), told)
 
 
 def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
     """The bound r with P(|x| <= r) = 68.3 % under the posterior of x: prior Student's t with two
     degrees of freedom, for which this bound is `expected`; likelihood x + N(0, sigma²) = shown."""
+    if not np.isfinite(sigma) or expected <= 0:
+        return expected
     off = (expected * _RATIOS - np.array([[shown], [-shown]])) / sigma
     likelihood = np.exp(-0.5 * (off**2 - (off**2).min())).sum(axis=0)
     density = (1 + _RATIOS**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5
     below = np.cumsum(likelihood * density * _RATIOS)  # steps are as wide as the ratio is large
     return expected * float(np.interp(ONE_SIGMA * below[-1], below, _RATIOS))
-
-
-def _length_scale(
-    expected: float, shown: float, sigma: float, settings: NoiseSettings
-) -> LengthScale:
-    """Mean of the posterior of x and the bound about it that holds 68.3 %, given x + y + N(0,
-    sigma²) = shown.
-
-    x is the error of the odometry, y that of a detector that sees things nearer or farther than
-    they are. Priors have heavy tails, so that a large error is attributed to that of the two which
-    is known less well: x has Student's t with one degree of freedom, 68.3 % of which lie within
-    `expected` (two recorded robots err by four times that), cut off at `most_scale`; y with two,
-    within `detector_scale`.
-    """
-    near, far = expected * _RATIOS[::4], sigma * _RATIOS[::4]
-    x = np.unique(np.concatenate([[0.0, shown], near, -near, shown + far, shown - far]))
-    x = x[np.abs(x) <= settings.most_scale]
-    odometry = 1 / (1 + (x / expected * np.tan(0.5 * np.pi * ONE_SIGMA)) ** 2)
-    # Student's t with two degrees of freedom is a mixture of normal distributions, with densities
-    # exp(-1 / v) / v of the logarithm of the variance v.
-    unit = settings.detector_scale**2 * (1 - ONE_SIGMA**2) / (2 * ONE_SIGMA**2)
-    variance = unit * _VARIANCES + sigma**2
-    share = np.exp(-1 / _VARIANCES) / (_VARIANCES * np.sqrt(variance))
-    off = (shown - x[:, None]) ** 2 / variance
-    # Relative to the most likely, so that not all of a far likelihood vanish.
-    detector = np.exp(-0.5 * (off - off.min())) @ share
-    weight = odometry * detector * np.gradient(x)
-    weight /= weight.sum()
-    mean = float((weight * x).sum())
-    away = np.abs(x - mean)
-    order = np.argsort(away, kind="stable")
-    radius = float(np.interp(ONE_SIGMA, np.cumsum(weight[order]), away[order]))
-    return LengthScale(rounded(mean, LENGTH_SCALE), significant(radius))
 
 
 def _turned(odometry: Odometry, noise: RunNoise) -> float:

@@ -29,7 +29,6 @@ from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
 from .joint_graph import Joint, fitted_poses, measured_within, pass_counts, run_poses, settle
 from .places import Place, fused_places
-from .shown_scale import at_shown_scale
 from .uncertainty import fused_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
 
@@ -149,8 +148,6 @@ def fuse_component(
 ) -> FusedComponent:
     """Fuse one component. inside: accepted verdicts between its runs, which connect them; sure:
     keys of its `spread`, None to compute no sigmas."""
-    if len(maps) > 1:
-        maps = [at_shown_scale(m) for m in maps]
     pool = Pool.of(maps)
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)

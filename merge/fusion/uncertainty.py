@@ -17,6 +17,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.corridor_lengths import LEAST_M, straightness
 from ...topology.posegraph.graph import PoseGraph, SharedErrors
 from ...topology.posegraph.marginals import Marginals
+from ...topology.posegraph.normal_equations import Factor
 from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, white
 from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
@@ -207,8 +208,35 @@ def spread(
             blocks[rows] = block[row[rows], column[rows] - start]
     seen = weight[:, :, :2] * marks.alone[:, None, None]
     np.add.at(own, pool.run, seen @ seen.transpose(0, 2, 1))
+    lean, gain, less = _shown_scales(pool, marginals.factor, fit, marks.solution.shared)
+    own -= np.einsum("iak,kl,ibl->iab", gain, less, gain)
+    both = np.einsum("iak,kl,ibl->iab", gain[first], less, gain[second])
     names = tuple(m.run for m in pool.maps)
-    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below))
+    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below) - both, lean)
+
+
+def _shown_scales(
+    pool: Pool, factor: Factor, fit: csr_array, found: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """What passes show of the runs' scales (`TopoMap.length_scale`), as further measurements: (r,
+    3) by how much they move the fits of the maps, (r, 3, k) covariances V of the fits with k
+    scales, and (k, k) W, with V W Vᵀ what the covariances of the fits are less by.
+
+    fit: (3 r, size) the fits, by the free variables of the joint graph; found: (k,) its scales.
+    """
+    count, k = len(pool.maps), len(found)
+    if k == 0:
+        return np.zeros((count, 3)), np.zeros((count, 3, 0)), np.zeros((0, 0))
+    shown = [m.length_scale for m in pool.maps]
+    known = np.array([0.0 if s is None else s.sigma**-2.0 for s in shown])
+    # A length that is too long by x is to be corrected by -x.
+    goal = np.array([0.0 if s is None else -s.too_long for s in shown])
+    scales = np.linalg.inv(factor.schur)
+    with_fits = -(fit @ (factor.solved_border @ scales))
+    beside = np.eye(k) + known[:, None] * scales
+    less = np.linalg.solve(beside, np.diag(known))
+    lean = with_fits @ np.linalg.solve(beside, known * (goal - found))
+    return lean.reshape(count, 3), with_fits.reshape(count, 3, k), less
 
 
 def _symmetric(one: FloatArray, other: FloatArray) -> FloatArray:

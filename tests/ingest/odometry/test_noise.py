@@ -159,32 +159,16 @@ def test_what_passes_show_of_the_scale_is_told_beside_it() -> None:
         assert found is not None
         return found
 
-    for factor in (0.92, 0.95, 0.97, 1.03, 1.05, 1.08):
-        true, found = 1 - 1 / factor, shown(factor)
-        assert abs(found.too_long - true) < min(found.sigma, 0.5 * abs(true))
-        assert found.sigma < 0.02
-    told = [shown(1 + error) for error in (0.0, 0.005, 0.01, 0.02, 0.03)]
-    assert [x.too_long for x in told] == sorted(x.too_long for x in told)
-    assert [x.sigma for x in told] == sorted(x.sigma for x in told)
+    for factor in (0.92, 0.95, 0.97, 1.0, 1.03, 1.05, 1.08):
+        found = shown(factor)
+        assert abs(found.too_long - (1 - 1 / factor)) < 2 * found.sigma
+        assert 0.003 < found.sigma < 0.01
     # No odometry errs by half: then the detector does, or its unit is another one.
-    assert abs(shown(1.5).too_long) < 0.01
-    seen = run.detections
+    seen, track = run.detections, run.odometry
     feet = Detections(seen.time_ns, 3.28 * seen.centre, seen.branches)
-    assert abs(shown(1.0, feet).too_long) < 0.01
+    assert refine_scale(track, feet, fuse_passes(track, feet), noise)[1] is None
     few = Detections(seen.time_ns[:3], seen.centre[:3], seen.branches.take(np.arange(3)))
-    track = run.odometry
     assert refine_scale(track, few, fuse_passes(track, few), noise)[1] is None
-
-
-def test_a_detector_that_is_known_less_well_than_the_odometry_is_not_believed() -> None:
-    """It sees everything 3 % too near."""
-    scenario = simulated("maze", "none", "none", 5)
-    run = scenario.runs["run1"]
-    exact = replace(estimated(scenario), heading_rad_per_sqrt_m=1e-5, heading_rad_per_sqrt_rad=1e-5)
-    near = Detections(run.detections.time_ns, 0.97 * run.detections.centre, run.detections.branches)
-    found = refine_scale(run.odometry, near, fuse_passes(run.odometry, near), exact)[1]
-    assert found is not None
-    assert abs(found.too_long) < 0.003
 
 
 def test_a_run_without_passes_has_the_usual_noise() -> None:

@@ -88,7 +88,8 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
 def test_maps_of_the_same_places_are_not_apart_however_their_covariance_is_rounded(rounding):
     own = np.diag([0.01, 0.01, 1e-5])
     two, middle = np.array([own, own]), np.array([[3.0, 4.0], [3.0, 4.0]])
-    found = Spread(("a", "b"), middle, two, np.array([1]), (1 + rounding) * own[None])
+    nothing = np.zeros((2, 3))
+    found = Spread(("a", "b"), middle, two, np.array([1]), (1 + rounding) * own[None], nothing)
     assert found.sigmas([("a", "b")]) == [(0.0, 0.0)]
     assert not found.relative([("a", "b")]).any()
 
