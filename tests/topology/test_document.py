@@ -20,7 +20,7 @@ from topobatch.topology.document import map_from_document, map_to_document, read
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.map_schema import MapDocument, validated
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.topomap import Closure, RunNoise, TopoMap
+from topobatch.topology.topomap import Closure, LengthScale, RunNoise, TopoMap
 
 
 def small_map(run: str = "run1") -> TopoMap:
@@ -50,6 +50,7 @@ def small_map(run: str = "run1") -> TopoMap:
             2**62,
             2**62 + 1,
         ],
+        length_scale=LengthScale(0.0123, 0.0045),
         closures=(
             Closure(1, 2, True, 12.5, "same branches", round=2),
             Closure(1, 3, False, 4.5, "taken back", round=5, accepted_round=3, revised=True),

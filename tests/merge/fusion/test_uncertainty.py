@@ -14,7 +14,7 @@ from topobatch.merge.result import Alignment, PairVerdict, Spread, Verdict
 from topobatch.topology.posegraph.graph import SharedErrors
 from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
-from topobatch.topology.topomap import RunNoise
+from topobatch.topology.topomap import LengthScale, RunNoise
 
 
 def verdict(a, b, matched):
@@ -117,6 +117,47 @@ def test_maps_that_do_not_bend_err_by_what_the_rest_of_them_saw_otherwise(draw):
     ]
     sigma = maps[0].measured.centre_m / np.sqrt(pass_counts(pool)[0])
     assert radians == pytest.approx(sigma * np.sqrt(2 * about[0] - about[1] - about[2]), rel=0.01)
+
+
+def test_what_passes_show_of_lengths_tells_where_maps_probably_lie(draw):
+    """As if the scales had been known so before; the placements are where they were."""
+    shown = {"a": LengthScale(0.03, 0.01), "b": None, "c": LengthScale(-0.01, 0.02)}
+    maps = [
+        replace(along(draw, n, s, s + 8), fitted_noise=RunNoise(scale=0.02))
+        for n, s in (("a", 0), ("b", 6), ("c", 12))
+    ]
+    pool = Pool.of(maps)
+    label = np.concatenate([np.arange(s, s + 9) for s in (0, 6, 12)])
+    start = {n: np.array([6.0 * k, 0.0, 0.0]) for n, k in (("a", 0), ("b", 6), ("c", 12))}
+    joint, key = settle(pool, label, start), np.array([1, 2, 5])
+    plain = spread(pool, label, joint.graph, joint.solution, key)
+    assert not plain.lean.any()
+    told = Pool.of([replace(m, length_scale=shown[m.run]) for m in maps])
+    found = spread(told, label, joint.graph, joint.solution, key)
+    known = np.array([0.0 if s is None else s.sigma**-2.0 for s in shown.values()])
+    seen = np.array([0.0 if s is None else -s.too_long for s in shown.values()])
+    sigma = (0.02**-2.0 + known) ** -0.5
+    scale = 1 + (sigma**2 * known * seen)[pool.run[joint.graph.source]]
+    within = pool.run[joint.graph.source] == pool.run[joint.graph.target]
+    measurement = joint.graph.measurement.copy()
+    measurement[within, :2] *= scale[within, None]
+    before = replace(
+        joint.graph,
+        measurement=measurement,
+        shared=SharedErrors(joint.graph.shared.sensitivity, sigma),
+    )
+    other = spread(pool, label, before, solve(before, SOLVER), key)
+    pairs = [("a", "b"), ("a", "c"), ("b", "c")]
+    np.testing.assert_allclose(found.relative(pairs), other.relative(pairs), rtol=0.05, atol=2e-3)
+    apart = [np.diff(s.middle, axis=0) for s in (plain, other)]
+    moved = found.lean[:, :2] - found.lean[0, :2]
+    # Middles move against each other as the solution does, up to its rotation as a whole.
+    np.testing.assert_allclose(
+        np.hypot(*(apart[0] + np.diff(moved, axis=0)).T), np.hypot(*apart[1].T), atol=0.01
+    )
+    assert np.hypot(*apart[1].T).sum() < np.hypot(*apart[0].T).sum() - 0.3
+    for own, bound in zip(plain.sigmas(pairs[:2]), found.sigmas(pairs[:2]), strict=True):
+        assert bound[0] > own[0]
 
 
 def test_only_what_is_asked_for_is_held_and_it_is_the_same(chain, monkeypatch):
