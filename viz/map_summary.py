@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..topology.topomap import TopoMap
+from ..topology.topomap import LengthScale, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
 from .drawing import driven_branches
@@ -196,17 +196,25 @@ def _source(topomap: TopoMap) -> str:
     return "## Made from\n\n" + bulleted(lines) if lines else ""
 
 
+def _seem_too_long(told: LengthScale) -> tuple[str, str]:
+    shown = f"{100 * told.too_long:.2f} ± {100 * told.sigma:.2f} %"
+    return "its lengths seem too long by", shown
+
+
 def _noise(topomap: TopoMap) -> str:
     n = topomap.noise
     degrees = np.degrees([n.heading_rad_per_sqrt_m, n.branch_rad])
     per_sqrt_degree = np.sqrt(np.degrees(1.0)) * n.heading_rad_per_sqrt_rad
     alike = topomap.measured.shared_centre_m
     shared = [("junction centre, all passes alike", f"{alike:.3f} m")] if alike else []
+    told = topomap.length_scale
+    seem = [] if told is None else [_seem_too_long(told)]
     rows = [
         ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),
         ("odometry, heading", f"{degrees[0]:.2f} °/√m"),
         ("odometry, turning", f"{per_sqrt_degree:.2f} °/√°"),
         ("odometry, scale", f"{100 * n.scale:.2f} %"),
+        *seem,
         ("junction centre", f"{n.centre_m:.3f} m"),
         *shared,
         ("branch heading", f"{degrees[1]:.1f} °"),
