@@ -177,7 +177,9 @@ class LengthScaleRecord(Model):
     too_long: float = Field(
         gt=-1, lt=1, allow_inf_nan=False, description="Share of all lengths that is too much."
     )
-    sigma: Noise = Field(description="1 sigma of this share.")
+    sigma: float = Field(
+        ge=10.0**-6, le=LARGEST_NOISE, allow_inf_nan=False, description="1 sigma of this share."
+    )
 
 
 class MapGraph(Attributes):

@@ -67,7 +67,7 @@ class LengthScale:
     sigma: float
 
     def __post_init__(self) -> None:
-        if not (abs(self.too_long) < 1 and 0 <= self.sigma < np.inf):
+        if not (abs(self.too_long) < 1 and 0 < self.sigma < np.inf):
             raise ValueError("lengths are too long by a share below 1, known to a positive sigma")
 
 

@@ -166,6 +166,10 @@ def test_other_versions_are_refused_with_the_way_out(model, version, told):
         (["nodes", 0, "id"], 5, "node ids"),
         (["graph", "pieces"], 0, "graph.pieces"),
         (["graph", "pieces"], "several", "graph.pieces"),
+        (["graph", "length_scale", "sigma"], 0.0, "graph.length_scale.sigma"),
+        (["graph", "length_scale", "sigma"], 1e-300, "graph.length_scale.sigma"),
+        (["graph", "length_scale", "too_long"], 1, "graph.length_scale.too_long"),
+        (["graph", "length_scale"], 0.1, "graph.length_scale"),
     ],
 )
 def test_errors_name_the_place(path, value, place):
