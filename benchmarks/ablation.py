@@ -26,11 +26,12 @@ import numpy as np
 from closure import simulated
 from uncertainty import recorded
 
-from topobatch.ingest.mapping import dead_reckoned
+from topobatch.ingest.mapping import dead_reckoned, identified
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
 from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import true_vertex_of_passes
 from topobatch.topology.closure import (
+    alternatives,
     candidates,
     growth,
     incremental,
@@ -40,6 +41,7 @@ from topobatch.topology.closure import (
 from topobatch.topology.closure.dead_reckoning import DeadReckoning
 from topobatch.topology.closure.incremental import RoundSettings, full_closure
 from topobatch.topology.closure.missed_detections import DrivenBySettings, correct_detections
+from topobatch.topology.closure.pieces import set_apart
 from topobatch.topology.odometry import Odometry
 
 WORLDS = ("maze", "office", "organic", "city", "rows")
@@ -71,6 +73,7 @@ OUT = {
     "growth: known gaps": {"candidates.growth.line_m": 0.0},
     "measured rates": {"rates.prior_passes": ALWAYS},
     "grid kernel": {"estimate.grid_kernel": ALWAYS},
+    "closed again": {"most_crossing": ALWAYS},
     "phantoms": {"driven_by.least_odds": ALWAYS},
     "phantoms: straight": {"driven_by.straight_gain": 0.0},
     "phantoms: least miss rate": {"driven_by.least_miss_rate": 1e-6},
@@ -104,6 +107,8 @@ REPLACED = {
         lambda ground, shift, *args: np.zeros(len(shift)),
     ),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),
+    "closed again: grid off": (alternatives, "closure_without_grid", full_closure),
+    "closed again: no repeats": (alternatives, "_repeats", lambda *args: False),
 }
 """Mechanisms without such a field: module, function, and its replacement."""
 
@@ -124,14 +129,14 @@ def case(kind, truth, run):
     return Case(kind, reckoning, odometry, true_vertex_of_passes(truth, run.name, times))
 
 
-def cases(worlds, seeds, first, junctions, real):
-    """All walks, by kind of world."""
-    for world in worlds:
-        for drift, faults in CELLS:
-            for seed in range(first, first + seeds):
-                scenario, run = simulated(world, drift, faults, seed, junctions)
+def cases(args):
+    """All walks that the command asks for, by kind of world."""
+    for world in args.worlds:
+        for drift, faults in (cell for cell in CELLS if cell[0] in args.drifts):
+            for seed in range(args.first, args.first + args.seeds):
+                scenario, run = simulated(world, drift, faults, seed, args.junctions)
                 yield case(world, scenario.truth, run)
-    for folder in real:
+    for folder in args.real:
         truth, runs = recorded(folder)
         for run in runs.values():
             yield case("real", truth, run)
@@ -168,10 +173,10 @@ def replaced(name):
 
 def closed(one, rounds, driven_by):
     """(p,) place of every pass, negative for phantoms."""
-    found = full_closure(one.reckoning, rounds)
-    return correct_detections(
-        found.reckoning, one.odometry, found.place, found.estimate, driven_by
-    ).place
+    settings = replace(DEFAULT_MAPPING, rounds=rounds)
+    found, fit = identified(one.reckoning, one.odometry, settings)
+    apart = set_apart(one.reckoning, found.place, fit.estimate)
+    return correct_detections(found.reckoning, one.odometry, found.place, apart, driven_by).place
 
 
 def judged(one, place):
@@ -201,6 +206,7 @@ def line(name, kinds, total, otherwise, spent):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--worlds", nargs="*", default=WORLDS)
+    parser.add_argument("--drifts", nargs="*", default=sorted({drift for drift, _ in CELLS}))
     parser.add_argument("--seeds", type=int, default=5, help="runs per world and cell")
     parser.add_argument("--first", type=int, default=1, help="first seed")
     parser.add_argument("--junctions", type=int, default=60, help="junctions per run")
@@ -211,7 +217,7 @@ def main():
     if args.list:
         print("\n".join([*OUT, *REPLACED]))
         return
-    all_cases = list(cases(args.worlds, args.seeds, args.first, args.junctions, args.real))
+    all_cases = list(cases(args))
     kinds = list(dict.fromkeys(one.kind for one in all_cases))
     print(f"{'without':<26} runs  recall  " + " ".join(f"{kind:^12}" for kind in kinds) + "  CPU s")
     usual = None

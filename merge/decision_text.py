@@ -103,7 +103,7 @@ def because(decision: Decision) -> str:
     if not decision.placements:
         return "Nothing that chance would not offer: no corridor of one is like one of the other."
     if decision.start is not None:
-        return _given_up(said, decision.start)
+        return _given_up(said, decision.start, decision.placements[0])
     agree = agreement(decision.placements[0])
     if said.accepted or decision.why:
         but = f", but {decision.why}" if decision.why else ""
@@ -124,14 +124,15 @@ def _by_a_person(said: PairVerdict) -> str:
     return ""
 
 
-def _given_up(said: PairVerdict, start: Start) -> str:
-    """Why the best hypothesis was given up."""
+def _given_up(said: PairVerdict, start: Start, shown: Placement) -> str:
+    """Why the best hypothesis was given up; shown: what it began with."""
+    count = counted(start.hypotheses, "hypothesis", "hypotheses")
+    begun = counted(len(shown.alignment.matched), "junction")
+    found = f"{start.found} of them {'is' if start.found == 1 else 'are'} there"
     return (
-        f"Nothing that chance would not offer: the best of "
-        f"{counted(start.hypotheses, 'hypothesis', 'hypotheses')} lays "
-        f"{counted(start.expected, 'junction')} of {short(said.b)} where {short(said.a)} has been, "
-        f"and {start.found} of them {'is' if start.found == 1 else 'are'} there, where "
-        f"{start.needed} must be. It was given up, and counts as 0 bits."
+        f"Nothing that chance would not offer: the best of {count}, begun with the {begun} shown, "
+        f"lays {start.expected} of {short(said.b)} where {short(said.a)} has been, and {found}, "
+        f"where {start.needed} must be. It was given up, and counts as 0 bits."
     )
 
 

@@ -203,7 +203,9 @@ def test_an_ambiguous_pair_says_what_is_missing():
 
 def test_an_unrelated_pair_says_why_the_best_there_was_is_nothing():
     told = because(UNRELATED)
-    assert "lays 7 junctions of right where left has been, and 1 of them is there" in told
+    assert "lays 7 of right where left has been, and 1 of them is there" in told
+    count = len(UNRELATED.placements[0].alignment.matched)
+    assert f"begun with the {count} junction" in told
     assert "no corridor of one is like one of the other" in because(NOTHING)
     faint = replace(UNRELATED, start=None, said=replace(UNRELATED.said, evidence_bits=1.5))
     assert "that is too little" in because(faint)
