@@ -49,6 +49,14 @@ class UnlistedPairs(Model):
     )
 
 
+class Layer(Model):
+    """A run by the layers of maps around another one."""
+
+    run: str = Field(description="The run.")
+    layer: Index = Field(description="0: the run in the middle; else one more than depends_on.")
+    depends_on: str | None = Field(description="The run that it was matched to in the layer below.")
+
+
 class MergedGraph(Attributes):
     """Attributes of the whole merge."""
 
@@ -64,6 +72,12 @@ class MergedGraph(Attributes):
     settings: dict[str, Any] | None = Field(
         None, description="What the method was tuned to; false_merge_rate and others."
     )
+    layers: dict[str, list[Layer]] | None = Field(
+        None,
+        description="Of every component of several runs, by its first run: all of them by layers "
+        "(§4.1 of the paper).",
+    )
+    warnings: list[str] | None = Field(None, description="What is odd about the runs.")
 
     @property
     def home(self) -> dict[str, int]:
@@ -208,7 +222,11 @@ class MergeEntry(Contradicted):
         description="Of two runs that only others join: the runs between them in the shortest "
         "chain of accepted pairs.",
     )
-    transform: Pose | None = Field(None, description=f"{_TRANSFORM} Absent of unrelated pairs.")
+    transform: Pose | None = Field(
+        None,
+        description=f"{_TRANSFORM} The fit of these two alone; by the poses of graph.components "
+        "all maps fit together. Absent of unrelated pairs.",
+    )
     matched: list[tuple[Index, Index]] | None = Field(None, description=_MATCHED)
     corridors: Index = Field(0, description=_CORRIDORS)
     rmse_m: Finite = Field(0.0, description=_RMSE)
@@ -216,10 +234,14 @@ class MergeEntry(Contradicted):
         None, description="The next best alignment that places b elsewhere."
     )
     placed: Placed | None = Field(
-        None, description="How surely other runs place the two, where only others join them."
+        None,
+        description="How surely the poses of graph.components place the two, where only others "
+        "join them.",
     )
     transform_sigma: Placed | None = Field(
-        None, description="How surely all maps of the component together place an accepted pair."
+        None,
+        description="How surely all maps of the component together place an accepted pair: by the "
+        "poses of graph.components, not by its own transform.",
     )
     advice: str | None = Field(None, description="What would settle an ambiguous pair.")
     locked: str | None = Field(None, description="same or never, where a person decided.")

@@ -20,6 +20,7 @@ from .digits import BITS, BRANCH, METRES, rounded, significant
 from .errors import DocumentError
 from .files import read_json, write_json
 from .map_schema import (
+    ABOUT,
     LONGEST_M,
     LONGEST_TOGETHER_M,
     MAP_SCHEMA,
@@ -159,7 +160,7 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     if [node.id for node in d.nodes] != list(range(len(d.nodes))):
         raise DocumentError(f"{name}: node ids must be 0, 1, 2, … in order")
     seen = sorted((o.time_ns, node.id) for node in d.nodes for o in node.observations)
-    known = set(MapGraph.model_fields) - {"pieces"}
+    known = set(MapGraph.model_fields) - ABOUT
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
     scale = d.graph.length_scale

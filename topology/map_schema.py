@@ -147,7 +147,8 @@ class MapEdge(Model):
         None,
         description="For every time that it was driven, when the robot was at the source and when "
         "at the target (nanoseconds since 1970): driven from target to source, the second is the "
-        "earlier one. Standing and turning round at the ends is not counted. Absent where unknown.",
+        "earlier one. Standing and turning round at the ends is not counted. Absent where unknown, "
+        "and of fused corridors.",
     )
 
 
@@ -214,6 +215,30 @@ class MapGraph(Attributes):
     closures: list[ClosureRecord] = Field(
         default_factory=list, description="Every identification made, refused or taken back."
     )
+    source: dict[str, Any] | None = Field(
+        None,
+        description="What it was made from: log, topics and their types, clock, tool; of scans how "
+        "well they matched.",
+    )
+    settings: dict[str, Any] | None = Field(None, description="What mapping was tuned to.")
+    warnings: list[str] | None = Field(
+        None, description="What was wrong with the log, and what was done about it."
+    )
+    calibration: dict[str, Any] | None = Field(
+        None,
+        description="Constant errors of the odometry by name: the estimate, its sigma, and what of "
+        "it was applied.",
+    )
+    driven: dict[str, Any] | None = Field(
+        None, description="Shares of the way that the map covers, in scans and along corridors."
+    )
+    jumps: list[Any] | None = Field(
+        None, description="Where the odometry jumped, and by how much, as places seen again tell."
+    )
+
+
+ABOUT = frozenset({"pieces", "source", "settings", "warnings", "calibration", "driven", "jumps"})
+"""Fields of `MapGraph` that tell how a map was made: `TopoMap.info`."""
 
 
 def _as_false(value: Any) -> Any:
