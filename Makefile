@@ -3,7 +3,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 DEMO := topobatch-workspace
-# posegraph.py is not among them: it wants the names of public graph files.
+# Not among them: what wants files to be named or hours; benchmarks/README.md lists them.
 BENCHMARKS := startup paper merging aliasing adversaries calibration odometry uncertainty transforms closure chain fleet \
 	exports transfer changes ingest soak remote audit
 # What the program needs, and that with the tools of its tests.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -64,7 +65,8 @@ def explain(
     link, in bits; the threshold and what it is made of; the next best placement and its distance.
     With --method paper the figures of Huang & Beevers instead: the table of vertex pairs with the
     hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The same as a
-    recording in explain/A+B.rrd, which topobatch view A:B opens.
+    recording: explain/A+B.rrd, which topobatch view A:B opens, or of the paper's method
+    explain/A+B.paper.rrd, for rerun.
 
     The paper's method takes the settings of the last merge by it; its options given here take the
     place of those.
@@ -234,7 +236,10 @@ def _by_paper(
         for line in [*lines(found, rows or 20), "", *verdict]:
             say_lines(line)
     recording = place.explain_rrd(*pair, method="paper")
-    _record(recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json)
+    how = f"  (look at it: {shlex.join(('rerun', str(recording)))})"
+    _record(
+        recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json, how
+    )
 
 
 def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSettings | None:

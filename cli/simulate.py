@@ -91,9 +91,9 @@ def simulate(
         bool, typer.Option("--detections", help="With --laser: write the detections as well.")
     ] = False,
     corridor_m: Annotated[
-        float,
-        typer.Option(metavar="METRES", help="With --laser: width of the corridors."),
-    ] = 1.4,
+        float | None,
+        typer.Option(metavar="METRES", help="With --laser: width of the corridors; default 1.4."),
+    ] = None,
     formats: Annotated[
         list[str] | None,
         typer.Option(
@@ -123,12 +123,15 @@ def simulate(
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
     if not jumps and (jump_m is not None or jump_deg is not None):
         raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
+    if not laser and (detections or corridor_m is not None):
+        raise UsageError("--detections and --corridor-m are of runs with a laser; give --laser too")
     from ..simulation import DRIFTS, LASERS, ScenarioSettings, simulate_scenario
     from ..simulation.writing import write_scenario
 
     screen = Screen(quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
     asked = {name: value for name, value in how_far.items() if value is not None}
+    width = {} if corridor_m is None else {"corridor_m": corridor_m}
     settings = ScenarioSettings(
         world=world,
         runs=runs,
@@ -137,7 +140,7 @@ def simulate(
         junctions_per_run=junctions,
         drift=replace(DRIFTS[drift], jumps=jumps, **asked),
         faults=faults,
-        laser=replace(LASERS[faults], corridor_m=corridor_m) if laser else None,
+        laser=replace(LASERS[faults], **width) if laser else None,
         tells_junctions=detections or not laser,
         seed=seed,
     )

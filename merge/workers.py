@@ -18,7 +18,7 @@ Task = TypeVar("Task")
 Result = TypeVar("Result")
 
 TRIES = 4
-"""Executors that a stage may use up, as a task on a Dask cluster may use up three workers."""
+"""Executors that a stage may use up, as a task on a Dask cluster may use up workers."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -386,6 +386,11 @@ def test_the_size_of_jumps_goes_with_their_number(topobatch, tmp_path):
         assert "--jumps" in topobatch("simulate", tmp_path / "out", option, "1").error(2)
 
 
+def test_what_is_of_lasers_goes_with_a_laser(topobatch, tmp_path):
+    for options in (["--corridor-m", "2"], ["--detections"]):
+        assert "--laser" in topobatch("simulate", tmp_path / "out", *options).error(2)
+
+
 def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
     """It starts at 0, which is a time like any other."""
     path = tmp_path / "run.mcap"
