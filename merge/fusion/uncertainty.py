@@ -50,7 +50,9 @@ class Landmarks:
 
     node: (n,) node of each row: that of its place, or its own; seen: 0 for rows of places of
     several rows; shared: (n,) error common to all passes of a row [m]. Maps that share a place have
-    the same common error there: it moves the place but does not separate the maps.
+    the same common error there: it moves the place but does not separate the maps. known, beyond:
+    (k,) information of what passes show of the runs' scales (`TopoMap.length_scale`), 0 where
+    nothing, and what they show beyond the scales found, by which nothing is moved.
     """
 
     graph: PoseGraph
@@ -58,6 +60,8 @@ class Landmarks:
     node: IntArray
     seen: FloatArray
     shared: FloatArray
+    known: FloatArray
+    beyond: FloatArray
 
     @classmethod
     def of(cls, pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution) -> Landmarks:
@@ -92,7 +96,22 @@ class Landmarks:
         )
         edge_weight = np.concatenate([solution.edge_weight[own], weight[rows]])
         at = replace(solution, pose=pose, edge_weight=edge_weight)
-        return cls(told, at, node, np.where(node < n, sigma, 0.0), shared_sigma(pool))
+        alone = np.where(node < n, sigma, 0.0)
+        return cls(told, at, node, alone, shared_sigma(pool), *_shown_scales(pool, at.shared))
+
+    def with_shown_scales(self) -> PoseGraph:
+        """The graph with what passes show of the scales as a further measurement of each."""
+        shared = self.graph.shared
+        sigma = (shared.sigma**-2.0 + self.known) ** -0.5
+        return replace(self.graph, shared=replace(shared, sigma=sigma))
+
+    def lean(self, factor: Factor) -> tuple[FloatArray, FloatArray]:
+        """By how much these measurements would move the solution: (size,) its free variables, and
+        (k,) its scales. factor: of the normal matrix of `with_shown_scales`."""
+        if len(self.beyond) == 0:
+            return np.zeros(factor.pattern.size), self.beyond
+        scales = np.linalg.solve(factor.schur, self.known * self.beyond)
+        return -(factor.solved_border @ scales), scales
 
     @property
     def alone(self) -> FloatArray:
@@ -116,47 +135,61 @@ def fused_sigmas(
         return None
     marks = Landmarks.of(pool, label, graph, solution)
     first = np.unique(label, return_index=True)[1]
-    node = marks.node[first]
-    sampled = SampledMarginals.of(marks.graph, marks.solution, SAMPLES)
-    error = sampled.error[node]
+    xy, whole = marks.solution.pose[marks.node[first], :2], np.zeros(len(first), np.int64)
+    errors = _place_errors(marks, first, SampledMarginals.of(marks.graph, marks.solution, SAMPLES))
+    sigma = errors.as_a_whole(xy, whole).position_sigma()
+    return sigma, _length_sigmas(marks, first, xy, pool, corridors)
+
+
+def _place_errors(marks: Landmarks, first: IntArray, sampled: SampledMarginals) -> VertexErrors:
+    """Sampled errors of places, each with the row (p,) that is the first of it."""
+    error = sampled.error[marks.node[first]]
     (noise,) = white(20053, [(len(first), 2, SAMPLES)])
     off = np.hypot(marks.seen, marks.shared)[first]
     error[:, :2] += off[:, None, None] * of_unit_variance(noise)
     error[:, 2] = 0.0
-    errors, xy = VertexErrors(error), marks.solution.pose[node, :2]
-    whole = np.zeros(len(first), np.int64)
-    lengths = _length_sigmas(errors, xy, pool, sampled.shared, corridors)
-    return errors.as_a_whole(xy, whole).position_sigma(), lengths
+    return VertexErrors(error)
 
 
 def _length_sigmas(
-    errors: VertexErrors,
-    xy: FloatArray,
-    pool: Pool,
-    scale: FloatArray,
-    corridors: Sequence[Corridor],
+    marks: Landmarks, first: IntArray, xy: FloatArray, pool: Pool, corridors: Sequence[Corridor]
 ) -> FloatArray:
     """(c,) standard deviations of the lengths of corridors between places at xy (p, 2) [m].
 
     The paths of all runs end at the same places: a length has the error of their distance times the
     chord's share of the length, whichever runs drove there. The rest of the length has the scale
-    errors of the runs that drove it, and their other errors (`Corridor.way`).
+    errors of the runs that drove it, and their other errors (`Corridor.way`), which a path's bends
+    make larger than they are: together they are at most what the runs' maps state (`sigma`). To
+    this is added by how much lengths probably differ, by what passes show of the scales.
 
-    scale: (r, s) sampled scale errors of all runs, consistent with the places' samples; no rows if
-    there are more runs than scales are estimated for: then they are drawn independently.
+    The scales of more runs than they are estimated for are drawn independently.
     """
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
-    length, way = np.array([(c.length, c.way) for c in corridors], np.float64).reshape(-1, 2).T
+    columns = [(c.length, c.way, c.sigma) for c in corridors]
+    length, way, own = np.array(columns, np.float64).reshape(-1, 3).T
+    sampled = SampledMarginals.of(marks.with_shown_scales(), marks.solution, SAMPLES)
+    moved, shown = marks.lean(sampled.factor)
     _, straight = straightness(xy, ends[0], ends[1], length)
     rest = (1 - straight**2) * length
+    scale = sampled.shared
     if not len(scale):
         (drawn,) = white(20054, [(len(pool.maps), SAMPLES)])
         scale, rest = usual_scale(pool.maps) * of_unit_variance(drawn), length
+        shown = np.zeros(len(pool.maps))
     number = {m.run: k for k, m in enumerate(pool.maps)}
     drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
-    stretched = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, SAMPLES)
-    off = straight[:, None] * errors.distance_errors(xy, *ends) + rest[:, None] * stretched
-    return np.asarray(np.sqrt(np.mean(off**2, axis=1) + way**2 + LEAST_M**2))
+
+    def stretched(by: FloatArray) -> FloatArray:
+        return np.array([by[runs].mean(axis=0) for runs in drivers]).reshape(len(rest), -1)
+
+    distance = _place_errors(marks, first, sampled).distance_errors(xy, *ends)
+    off = straight[:, None] * distance + rest[:, None] * stretched(scale)
+    variance = np.minimum(np.mean(off**2, axis=1) + way**2 + LEAST_M**2, own**2)
+    variable = sampled.factor.pattern.variable[marks.node[first]]
+    lean = VertexErrors(np.where(variable >= 0, moved[variable], 0.0)[:, :, None])
+    further = straight[:, None] * lean.distance_errors(xy, *ends)
+    further = further + rest[:, None] * stretched(shown)
+    return np.asarray(np.sqrt(variance + further[:, 0] ** 2))
 
 
 def spread(
@@ -170,7 +203,7 @@ def spread(
     solves per run; memory: the blocks asked for, and CHUNK runs' columns.
     """
     marks = Landmarks.of(pool, label, graph, solution)
-    marginals = Marginals.of(marks.graph, marks.solution)
+    marginals = Marginals.of(marks.with_shown_scales(), marks.solution)
     pattern = marginals.factor.pattern
     count = len(pool.maps)
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)
@@ -208,35 +241,19 @@ def spread(
             blocks[rows] = block[row[rows], column[rows] - start]
     seen = weight[:, :, :2] * marks.alone[:, None, None]
     np.add.at(own, pool.run, seen @ seen.transpose(0, 2, 1))
-    lean, gain, less = _shown_scales(pool, marginals.factor, fit, marks.solution.shared)
-    own -= np.einsum("iak,kl,ibl->iab", gain, less, gain)
-    both = np.einsum("iak,kl,ibl->iab", gain[first], less, gain[second])
+    lean = (fit @ marks.lean(marginals.factor)[0]).reshape(count, 3)
     names = tuple(m.run for m in pool.maps)
-    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below) - both, lean)
+    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below), lean)
 
 
-def _shown_scales(
-    pool: Pool, factor: Factor, fit: csr_array, found: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What passes show of the runs' scales (`TopoMap.length_scale`), as further measurements: (r,
-    3) by how much they move the fits of the maps, (r, 3, k) covariances V of the fits with k
-    scales, and (k, k) W, with V W Vᵀ what the covariances of the fits are less by.
-
-    fit: (3 r, size) the fits, by the free variables of the joint graph; found: (k,) its scales.
-    """
-    count, k = len(pool.maps), len(found)
-    if k == 0:
-        return np.zeros((count, 3)), np.zeros((count, 3, 0)), np.zeros((0, 0))
-    shown = [m.length_scale for m in pool.maps]
+def _shown_scales(pool: Pool, found: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k,) information of what passes show of the runs' scales, and (k,) what they show beyond the
+    scales found (k,); 0 where nothing."""
+    shown = [m.length_scale for m in pool.maps[: len(found)]]
     known = np.array([0.0 if s is None else s.sigma**-2.0 for s in shown])
     # A length that is too long by x is to be corrected by -x.
-    goal = np.array([0.0 if s is None else -s.too_long for s in shown])
-    scales = np.linalg.inv(factor.schur)
-    with_fits = -(fit @ (factor.solved_border @ scales))
-    beside = np.eye(k) + known[:, None] * scales
-    less = np.linalg.solve(beside, np.diag(known))
-    lean = with_fits @ np.linalg.solve(beside, known * (goal - found))
-    return lean.reshape(count, 3), with_fits.reshape(count, 3, k), less
+    beyond = [0.0 if s is None else -s.too_long - x for s, x in zip(shown, found, strict=True)]
+    return known, np.array(beyond)
 
 
 def _symmetric(one: FloatArray, other: FloatArray) -> FloatArray:

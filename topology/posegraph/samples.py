@@ -117,6 +117,11 @@ class SampledMarginals:
     _z: FloatArray
     _z_known: FloatArray
 
+    @property
+    def factor(self) -> Factor:
+        """That of the normal matrix at the solution."""
+        return self._system.factor
+
     @cached_property
     def edge_residual(self) -> FloatArray:
         """(m, 3, count) sampled residuals of the edges after solving, in sigmas (Rᵀ e, R from

@@ -82,8 +82,8 @@ def test_two_maps_become_one(town):
 
 
 def test_what_runs_see_alike_is_no_surer_for_being_seen_twice(draw):
-    def sigmas(shared_m, asked=()):
-        maps = [part(draw, run, WEST) for run in ("one", "two")]
+    def sigmas(shared_m, asked=(), length_sigma=0.05):
+        maps = [part(draw, run, WEST, sigma=length_sigma) for run in ("one", "two")]
         maps = [replace(m, noise=replace(m.noise, shared_centre_m=shared_m)) for m in maps]
         _, fused = fuse(maps, [verdict(*maps, common(WEST, WEST))], asked=asked)
         return maps[0].length_sigma.min(), fused.length_sigma.min(), fused.position_sigma
@@ -92,7 +92,7 @@ def test_what_runs_see_alike_is_no_surer_for_being_seen_twice(draw):
     assert mean == pytest.approx(own / np.sqrt(2))
     assert sigmas(10.0, None)[1] == pytest.approx(own)
     assert sigmas(0.5)[2].max() > sigmas(0.0)[2].max()
-    assert sigmas(0.5)[1] == pytest.approx(np.sqrt(2) * 0.5, rel=0.4)
+    assert sigmas(0.5, length_sigma=1.0)[1] == pytest.approx(np.sqrt(2) * 0.5, rel=0.4)
 
 
 def test_lengths_are_combined_by_inverse_variance_with_provenance(draw):

@@ -218,12 +218,40 @@ def test_fused_vertices_say_how_sure_they_are(chain):
 def test_lengths_are_as_sure_as_all_runs_are_of_their_ends(draw):
     # Odometry that errs in nothing: where a junction lies is known by its sightings alone.
     exact = RunNoise(1e-6, 1e-6, 1e-6, scale=0.0, centre_m=0.1)
-    maps = [replace(along(draw, name, 0, 16), noise=exact) for name in "abcd"]
+    stated = np.full(16, 2 * exact.centre_m)
+    maps = [replace(along(draw, name, 0, 16), noise=exact, length_sigma=stated) for name in "abcd"]
     links = [verdict(maps[0], m, [(k, k) for k in range(17)]) for m in maps[1:]]
     for count in (2, 4):
         _, fused = fuse(maps[:count], links[: count - 1], asked=())
         sigma = np.sqrt(np.mean(fused.length_sigma**2))
         assert sigma == pytest.approx(np.sqrt(2 / count) * exact.centre_m, rel=0.1)
+    # No map is less sure of its lengths for being merged.
+    sure = [replace(m, length_sigma=stated / 10) for m in maps[:2]]
+    _, fused = fuse(sure, links[:1], asked=())
+    np.testing.assert_allclose(fused.length_sigma, stated[0] / 10 / np.sqrt(2), rtol=1e-6)
+
+
+def test_what_passes_show_of_lengths_makes_them_less_sure(draw):
+    noise = RunNoise(1e-4, 1e-4, 1e-4, scale=0.02, centre_m=1e-3)
+    pairs = [(k, k) for k in range(9)]
+
+    def fused_with(*shown):
+        maps = [
+            replace(along(draw, name, 0, 8), noise=noise, length_scale=told)
+            for name, told in zip("ab", shown, strict=True)
+        ]
+        maps = [replace(m, length_sigma=noise.scale * m.length) for m in maps]
+        return fuse(maps, [verdict(*maps, pairs)], asked=())[1]
+
+    wrong, right, unknown = (
+        fused_with(told, told) for told in (LengthScale(0.05, 0.001), LengthScale(0.0, 0.001), None)
+    )
+    assert wrong.length_sigma / wrong.length == pytest.approx(0.05, rel=0.05)
+    assert (right.length_sigma < 0.1 * wrong.length_sigma).all()
+    assert unknown.length_sigma / unknown.length == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
+    # Nothing else differs.
+    for field in ("xy", "length", "position_sigma"):
+        np.testing.assert_array_equal(getattr(wrong, field), getattr(unknown, field))
 
 
 def winding(draw, name, noise, **stated):
@@ -266,7 +294,8 @@ def test_what_a_map_is_not_sure_of_stays_unsure_until_another_run_measures_it(dr
 
 def test_the_scales_of_the_runs_stretch_all_of_a_way(draw, monkeypatch):
     stretched = RunNoise(1e-6, 1e-6, 1e-6, scale=0.1, centre_m=1e-3)
-    maps = [winding(draw, name, stretched, length_sigma=np.full(8, 1e-3)) for name in "ab"]
+    maps = [winding(draw, name, stretched) for name in "ab"]
+    maps = [replace(m, length_sigma=stretched.scale * m.length) for m in maps]
     link = verdict(*maps, [(k, k) for k in range(9)])
     for scaled_runs in (24, 1):  # estimated, and not
         monkeypatch.setattr(joint_graph, "JOINT", replace(JOINT, scaled_runs=scaled_runs))
