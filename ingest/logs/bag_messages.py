@@ -250,8 +250,9 @@ class MessageReader:
                 key = number(fields, b"conn")
                 if self.unwanted(key):
                     self.tally.passed(key, 1)
-                    return
-                self.tally.lost(key, 1)
+                else:
+                    self.tally.too_large(key)
+                return
         except DamageError:
             self.findings.unreadable_bytes += header
-        self.findings.too_large += 1
+        self.findings.too_large[""] += 1

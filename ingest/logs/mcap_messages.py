@@ -203,6 +203,7 @@ class MessageReader:
             number = int(head[RECORD_HEAD]) | int(head[RECORD_HEAD + 1]) << 8
             if self.tally.sink(number) == UNWANTED:
                 self.tally.passed(number, 1)
-                return
-            self.tally.lost(number, 1)
-        self.findings.too_large += 1
+            else:
+                self.tally.too_large(number)
+            return
+        self.findings.too_large[""] += 1

@@ -267,10 +267,10 @@ class _Reader:
         self._findings.broken_rows += len(rows) - len(good)
         whole = [row for row in good if row[4] <= MESSAGE_BYTES or not self._is_wanted(row[0])]
         if len(whole) < len(good):
-            self._findings.too_large += len(good) - len(whole)
             for row in good:
                 if row[4] > MESSAGE_BYTES and self._is_wanted(row[0]):
                     self._findings.lost[self._channels[row[0]].topic] += 1
+                    self._findings.too_large[self._channels[row[0]].topic] += 1
         topic = np.array([row[0] for row in whole], np.int64)
         time_ns = np.array([row[1] for row in whole], np.int64)
         self._count(topic, time_ns)

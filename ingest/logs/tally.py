@@ -154,6 +154,12 @@ class Tally:
         """The numbers of which messages were met."""
         return self._met[: self._end].nonzero()[0].tolist()
 
+    def too_large(self, number: int) -> None:
+        """Count a message that is left out because of its size."""
+        channel = self._channels.get(number)
+        self.lost(number, 1)
+        self._findings.too_large[channel.topic if channel else ""] += 1
+
     def lost(self, number: int, count: int) -> None:
         """Count messages known to be lost in a damaged place."""
         self._lost[number] = self._lost.get(number, 0) + count

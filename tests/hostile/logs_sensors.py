@@ -502,6 +502,46 @@ def _poses(rng: random.Random, folder: Path) -> Case:
     return Case(_log(folder / "run.mcap", topics), None, None, "poses of absurd numbers")
 
 
+def _apart(rng: random.Random, folder: Path) -> Case:
+    """Sound messages of a sensor in chunks of their own, of which some are broken."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    kind = rng.choice((LASER, CLOUD, GRID))
+    ring = b"".join(_floats(2 * math.cos(k / 100), 2 * math.sin(k / 100), 0.5) for k in range(628))
+    ways = range(80, 120)
+    cells = bytes(0 if k % 200 in ways or k // 200 in ways else 100 for k in range(200 * 200))
+    make = {
+        LASER: lambda t: _scan(t, _floats(2.0) * 620),
+        CLOUD: lambda t: _cloud(t, ring, height=1, width=628, step=12, row=len(ring)),
+        GRID: lambda t: _grid(cells, (200, 200)),
+    }[kind]
+    parts = [("/odom", "nav_msgs/msg/Odometry", list(_odometry(50 if kind == GRID else 300)))]
+    parts.append(("/sensor", kind, [(t, make(t)) for t in _times(10 if kind == GRID else 100)]))
+    path = folder / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=40_000)
+        writer.start("", "attack")
+        for topic, type_name, messages in rng.sample(parts, 2):
+            schema = writer.register_schema(type_name, "", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            for time_ns, payload in messages:
+                writer.add_message(channel, time_ns, payload, time_ns)
+        writer.finish()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    sensor = next(k for k, c in summary.channels.items() if c.topic == "/sensor")
+    found = [c for c in summary.chunk_indexes if [*c.message_index_offsets] == [sensor]]
+    raw = bytearray(path.read_bytes())
+    for chunk in rng.sample(found, rng.choice((1, 1, len(found)))):
+        at = chunk.chunk_start_offset + chunk.chunk_length - rng.randint(1, chunk.compressed_size)
+        raw[at] ^= rng.randint(1, 255)
+    path.write_bytes(raw)
+    like = "grid" if kind == GRID else "scans"
+    return Case(path, None, None, f"broken chunks of {kind} alone", like, "damaged chunk")
+
+
 def _wild_clock(rng: random.Random, folder: Path) -> Case:
     """Messages of a sound run under times that run backwards, jump by years, or stand."""
     logs, out = writers(), []
@@ -535,6 +575,7 @@ CASES: dict[str, Generator] = {
     "grid-sizes": _sensor(GRID, _grid_sizes, "grids of false sizes"),
     "grid-numbers": _sensor(GRID, _grid_numbers, "grids at absurd places, of absurd resolutions"),
     "grid-large": _sensor(GRID, _grid_large, "grids of up to 16 million cells"),
+    "sensor-apart": _apart,
     "map-saved": _saved_map,
     "tf-frames": _transforms,
     "odometry-absurd": _poses,
