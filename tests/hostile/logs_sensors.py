@@ -282,6 +282,15 @@ def _cloud_of_bytes(rng: random.Random) -> list[Message]:
     ]
 
 
+def _cloud_large(rng: random.Random) -> list[Message]:
+    """Clouds about as large as any that are read."""
+    step = rng.choice((16, 32, 40))
+    width = rng.choice((1 << 21, (1 << 26) // step, (1 << 26) // step - 100))
+    point = _floats(2.0, 1.0, 0.2) + bytes(step - 12)
+    size = {"height": 1, "width": min(width, 1 << 21), "step": step, "row": width * step}
+    return [(t, _cloud(t, point * width, **size)) for t in _times(2)]
+
+
 def _cloud_fields(rng: random.Random) -> list[Message]:
     numbers = (0, 1, 4, 8, 9, 11, 12, 1 << 31, (1 << 32) - 1)
     out = []
@@ -570,6 +579,7 @@ CASES: dict[str, Generator] = {
     "scan-json": _sensor("foxglove.LaserScan", _json_scans, "scans in JSON, or what looks like it"),
     "cloud-sizes": _sensor(CLOUD, _cloud_sizes, "clouds of false sizes and strides"),
     "cloud-bytes": _sensor(CLOUD, _cloud_of_bytes, "millions of points of one byte"),
+    "cloud-large": _sensor(CLOUD, _cloud_large, "clouds of up to 64 MiB, and above"),
     "cloud-fields": _sensor(CLOUD, _cloud_fields, "clouds of false fields"),
     "cloud-points": _sensor(CLOUD, _cloud_points, "points of absurd numbers"),
     "grid-sizes": _sensor(GRID, _grid_sizes, "grids of false sizes"),

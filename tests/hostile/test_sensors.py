@@ -23,7 +23,8 @@ from topobatch.topology.run import Grid
 STREAMED = sorted(
     name
     for name in logs_sensors.CASES
-    if name.startswith(("scan-", "cloud-")) and name not in ("scan-beams", "cloud-bytes")
+    if name.startswith(("scan-", "cloud-"))
+    and name not in ("scan-beams", "cloud-bytes", "cloud-large")
 )
 READ = ("grid-sizes", "grid-numbers", "map-saved", "tf-frames", "odometry-absurd", "clock-wild")
 

@@ -265,8 +265,9 @@ def room(x: float, y: float, yaw: float, beams: int) -> Any:
     """Ranges all around in a room of 10 m by 10 m."""
     way = yaw + np.linspace(-np.pi, np.pi, beams, endpoint=False)
     c, s = np.cos(way), np.sin(way)
+    sides = np.where(c > 0, 8 - x, -2 - x), np.where(s > 0, 6 - y, -4 - y)
     with np.errstate(divide="ignore"):
-        return np.minimum(np.where(c > 0, 8 - x, -2 - x) / c, np.where(s > 0, 6 - y, -4 - y) / s)
+        return np.minimum(np.abs(sides[0] / c), np.abs(sides[1] / s))
 
 
 def around(
@@ -289,12 +290,12 @@ def around(
     )
 
 
-def mcap(path: Path, rows: list[Row], encoding: str = "cdr", chunk_size: int = 4096) -> Path:
-    """An MCAP file of messages that are serialized already."""
+def mcap(path: Path, rows: list[Row], encoding: str = "cdr", **options: Any) -> Path:
+    """An MCAP file of messages that are serialized already; options go to mcap's Writer."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=chunk_size)
+        writer = Writer(file, **{"chunk_size": 4096} | options)
         writer.start(profile="ros2", library="test")
         channels: dict[str, int] = {}
         for number, (topic, type_name, log_ns, raw) in enumerate(rows):

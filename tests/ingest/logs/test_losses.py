@@ -6,10 +6,11 @@ import io
 import shutil
 import sqlite3
 
+import numpy as np
 import pytest
 
 from topobatch.ingest.grid_log import GridLog
-from topobatch.ingest.logs import messages, recording
+from topobatch.ingest.logs import bag_chunks, limits, messages, recording
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_log, read_run
 from topobatch.topology.errors import LogError
 
@@ -433,3 +434,87 @@ def test_a_damaged_chunk_of_grids_is_told(sensors, tmp_path):
     assert isinstance(found, GridLog)
     assert 0 < told_once(found.warnings, "/map") < 12
     refused(path, "damaged chunk")
+
+
+LONG = messages.MESSAGE_BYTES + 8192
+
+
+def clouded(logs, sensors, path, kind, long):
+    """Odometry and 10 clouds of a room; long: by the cloud's number, how much is behind it."""
+    encoding = "ros1" if kind.startswith("bag") else "cdr"
+    rows, ways = [], np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    odometry = [message for message in logs.drive() if message.topic == "/odom"]
+    for number, message in enumerate(odometry):
+        raw = logs.payload(message, encoding, logs.store_of(encoding == "ros1"))
+        rows.append(("/odom", message.type_name, message.log_ns, raw))
+        if number % 30 == 0:
+            x, y, *_, z, w = message.poses[0]
+            far = sensors.room(x, y, 2 * np.arctan2(z, w), len(ways))
+            xyz = np.stack([far * np.cos(ways), far * np.sin(ways), np.zeros(len(ways))], axis=1)
+            cloud = sensors.cloud(
+                xyz, encoding=encoding, frame="base_link", stamp_ns=message.stamp_ns
+            )
+            tail = bytes(long.get(number // 30, 0))
+            rows.append(("/points", sensors.CLOUD, message.log_ns + 1, cloud + tail))
+    if kind == "mcap":
+        return sensors.mcap(path, rows)
+    if kind == "mcap-unchunked":
+        return sensors.mcap(path, rows, use_chunking=False)
+    if kind == "db3":
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as FolderWriter
+
+        writer = FolderWriter(path, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    else:
+        from rosbags.rosbag1 import Writer
+
+        writer = Writer(path)
+        if kind == "bag-lz4":
+            writer.set_compression(Writer.CompressionFormat.LZ4)
+    with writer:
+        links = {}
+        for topic, type_name, time_ns, raw in rows:
+            if topic not in links:
+                store = sensors.store(encoding)
+                links[topic] = writer.add_connection(topic, type_name, typestore=store)
+            writer.write(links[topic], time_ns, raw)
+    return path
+
+
+CLOUD_LOGS = ("mcap", "mcap-unchunked", "db3", "bag", "bag-lz4")
+
+
+@pytest.mark.parametrize("kind", CLOUD_LOGS)
+def test_clouds_above_the_limit_of_other_messages_are_read(logs, sensors, tmp_path, kind):
+    short = read_run(clouded(logs, sensors, tmp_path / "short", kind, {}), STRICT)
+    run = read_run(clouded(logs, sensors, tmp_path / "run", kind, {3: LONG, 4: LONG}), STRICT)
+    assert run.warnings == short.warnings == ()
+    assert run.source == short.source
+    assert run.source["junctions"]["messages"] == 10
+    assert run.odometry.pose.tobytes() == short.odometry.pose.tobytes()
+
+
+@pytest.mark.parametrize("kind", CLOUD_LOGS)
+def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypatch, kind):
+    for module, name in ((limits, "CLOUD_BYTES"), (bag_chunks, "SPARSE_BYTES")):
+        monkeypatch.setattr(module, name, 17 << 20)
+    path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
+    run = read_run(path)
+    assert run.warnings == ("1 messages of /points above 17 MiB left out",)
+    assert run.source["junctions"]["messages"] == 9
+    refused(path, "1 messages of /points above 17 MiB")
+
+
+@pytest.mark.parametrize("storage", ["db3", "mcap"])
+def test_the_largest_grid_is_read(logs, sensors, tmp_path, storage):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    raw = sensors.grid(np.zeros((4096, 4096)))
+    assert len(raw) > messages.MESSAGE_BYTES
+    plugin = {"db3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
+    with Writer(tmp_path / "run", version=8, storage_plugin=plugin) as writer:
+        link = writer.add_connection("/map", sensors.GRID, typestore=sensors.ROS2)
+        writer.write(link, sensors.START_NS, raw)
+    found = read_log(tmp_path / "run", STRICT)
+    assert isinstance(found, GridLog)
+    assert found.grid.free.shape == (4096, 4096)
