@@ -39,7 +39,7 @@ class Laser:
     @classmethod
     def of(cls, read: LogRead, choice: Choice) -> Laser:
         """Read the first scans; LogError if none can be decoded."""
-        stream = ScanStream(read.recording, choice.topic, ANYWHERE)
+        stream = ScanStream(read.recording, choice.topic, ANYWHERE, on_walked=read.faults.add)
         frames: set[str] = set()
         stamp_ns, log_ns, scans = [], [], 0
         for timed in stream.raw():
@@ -79,7 +79,8 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
         return Lasers((first,), Joined({}, body or ""), ())
     warnings: list[str] = []
     found = [first, *_others(read, source, first, warnings.append)]
-    where = joined(read.recording, frozenset().union(*(laser.frames for laser in found)), body)
+    frames = frozenset().union(*(laser.frames for laser in found))
+    where = joined(read.recording, frames, body, read.faults.add)
     if where.fixed is not None:
         warnings += where.fixed.contradictions(where.body)
     found.sort(key=lambda laser: not where.knows(laser.frames))

@@ -11,6 +11,7 @@ from ..topology.arrays import FloatArray
 from ..topology.odometry import Odometry
 from .frames import NO_TRANSFORMS, NOWHERE_ELSE, FixedCollector, FixedTransforms
 from .logs.intake import Intake
+from .logs.messages import Findings
 from .logs.recording import Recording
 from .logs.topics import TRANSFORM_KINDS
 from .read_settings import ReadSettings
@@ -25,19 +26,28 @@ AHEAD = np.array(NOWHERE_ELSE)
 
 
 def transforms_about(
-    recording: Recording, frames: Iterable[str], odometry: Odometry
+    recording: Recording,
+    frames: Iterable[str],
+    odometry: Odometry,
+    on_walked: Callable[[Findings], object],
 ) -> FixedTransforms:
-    """The fixed transforms of a log; it is read again only if some frame is not of the odometry."""
+    """The fixed transforms of a log; it is read again only if some frame is not of the odometry.
+
+    on_walked: called with what was found in it.
+    """
     if all(side_of(name, odometry.frame, odometry.child_frame) != "foreign" for name in frames):
         return NO_TRANSFORMS
-    return fixed_transforms(recording)
+    return fixed_transforms(recording, on_walked)
 
 
-def fixed_transforms(recording: Recording) -> FixedTransforms:
-    """All constant transforms of a log. Reads the log again."""
+def fixed_transforms(
+    recording: Recording, on_walked: Callable[[Findings], object]
+) -> FixedTransforms:
+    """All constant transforms of a log. Reads the log again; on_walked is called with what was
+    found in it."""
     collector = FixedCollector()
     intake = Intake(lambda channel: channel.type_name in TRANSFORM_KINDS, collector.decoder_for)
-    walk(recording, intake, None)
+    on_walked(walk(recording, intake, None))
     for sink in intake.sinks:
         sink.flush()
     return collector.found
@@ -60,18 +70,23 @@ class Joined:
         return all(frame in self.known for frame in frames)
 
 
-def joined(recording: Recording, frames: Collection[str], body: str | None) -> Joined:
+def joined(
+    recording: Recording,
+    frames: Collection[str],
+    body: str | None,
+    on_walked: Callable[[Findings], object] = lambda _: None,
+) -> Joined:
     """The mounting of sensors with these frames, by the transforms of a log.
 
     body: the robot's frame, the odometry's child; None: one of the usual names. The log is read
-    again only if a frame is none of these.
+    again only if a frame is none of these; on_walked is called with what was found in it.
     """
     bodies = (body,) if body is not None else BODIES
     known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
     foreign = set(frames) - set(known)
     if not foreign:
         return Joined(known, bodies[0])
-    fixed = fixed_transforms(recording)
+    fixed = fixed_transforms(recording, on_walked)
     robot = next((b for b in bodies if foreign & set(fixed.joined_to(b))), bodies[0])
     return Joined(known | fixed.joined_to(robot), robot, fixed)
 

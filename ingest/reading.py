@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..topology.errors import LogError, UsageError
+from ..topology.errors import DataError, LogError, UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
@@ -27,7 +28,7 @@ from .odometry.reading import because, described, driven, odometry_topic, poses_
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
-from .survey import Index, LogRead, Progress, surveyed, walk
+from .survey import Faults, Index, LogRead, Progress, checked_damage, surveyed, walk
 from .topic_poses import Clock, TopicPoses, choose_clock, clock_without_jumps
 
 __all__ = [
@@ -80,15 +81,19 @@ def read_log(
     )
     intake, findings = _kept(recording, settings, progress, index)
     warnings = _damage(recording, findings, settings)
-    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
+    faults = Faults([findings])
+    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress, faults)
     try:
         source = junction_source(findings.counts, settings, log)
-        return READERS[source.way](read, source)
-    except LogError as error:
+        found = READERS[source.way](read, source)
+    except DataError as error:
         # The damage may be the reason.
-        raise LogError("; ".join([str(error), *warnings])) from error
+        kind = LogError if isinstance(error, LogError) else DataError
+        raise kind("; ".join([str(error), *warnings, *faults.sentences])) from error
     finally:
         progress.finish()
+    further = checked_damage(log, faults.sentences, settings)
+    return replace(found, warnings=(*found.warnings, *further))
 
 
 def _kept(
@@ -168,7 +173,11 @@ def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> Gr
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
     """The last grid of a topic."""
-    grid, failed = last_grid(read.recording, source.choice.topic)
+    findings = Findings()
+    try:
+        grid, failed = last_grid(read.recording, source.choice.topic, findings)
+    finally:
+        read.faults.add(findings)
     warnings = list(read.warnings)
     if failed:
         warnings.append(f"{source.choice.topic}: the last {failed} grids cannot be read; left out")
@@ -186,9 +195,7 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
     if findings.messages == 0:
         reason = "; ".join(damage) or "it holds no messages"
         raise LogError(f"{recording.path}: nothing can be read: {reason}")
-    if damage and settings.strict:
-        raise LogError(f"{recording.path}: damaged: {'; '.join(damage)}")
-    return damage
+    return checked_damage(str(recording.path), damage, settings)
 
 
 def _junctions(read: LogRead, choice: Choice) -> TopicPoses:
@@ -210,7 +217,7 @@ def _sightings(
         poses.time_ns(clock),
         frames,
         odometry,
-        fixed=transforms_about(read.recording, frames, odometry),
+        fixed=transforms_about(read.recording, frames, odometry, read.faults.add),
         settings=read.settings.sightings,
     )
     warnings = [*poses.warnings(choice.topic), *sightings.warnings]

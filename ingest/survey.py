@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
+from ..topology.errors import LogError
 from .logs.intake import Intake
 from .logs.messages import Channel, Container, Findings, Survey
 from .logs.recording import Recording, opened, run_name, sniff
@@ -115,9 +116,32 @@ class Progress:
             self.told = upto
 
 
+@dataclass(slots=True, eq=False)
+class Faults:
+    """The faults of a log that only passes after the first one found. known: the findings of
+    passes."""
+
+    known: list[Findings]
+    sentences: list[str] = field(default_factory=list)
+
+    def add(self, found: Findings) -> None:
+        """Count in a complete pass."""
+        further = found.beyond(self.known).damage
+        if further:
+            self.known.append(found)
+            self.sentences += further
+
+
+def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[str]:
+    """The faults of a log; LogError if there are any, in strict mode."""
+    if damage and settings.strict:
+        raise LogError(f"{log}: damaged: {'; '.join(damage)}")
+    return damage
+
+
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """The result of one pass over a log; warnings: damage; progress: for further passes."""
+    """The result of one pass over a log; warnings: damage; progress, faults: of further passes."""
 
     recording: Recording
     intake: Intake
@@ -125,6 +149,7 @@ class LogRead:
     settings: ReadSettings
     warnings: tuple[str, ...]
     progress: Progress
+    faults: Faults
 
     @property
     def log(self) -> str:

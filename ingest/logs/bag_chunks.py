@@ -29,7 +29,7 @@ from .walk import bag_records
 from .windows import SLAB_BYTES, Window
 
 SPARSE_BYTES = 1 << 26
-"""Largest chunk of which only the wanted messages are read into one buffer: four times the longest
+"""Largest chunk of which only the wanted messages are read into one buffer: as large as the longest
 message that is decoded, a fifth of the memory that any log may take (docs/reliability.md)."""
 
 

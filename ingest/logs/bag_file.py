@@ -233,8 +233,10 @@ class _Walk:
         record."""
         need = record.end - position
         if need > RECORD_BYTES:
-            self._messages.too_large(self._window.view(position, HEAD_BYTES))
-            return record.end
+            head = self._window.view(position, HEAD_BYTES)
+            if not self._messages.takes(head, need):
+                self._messages.too_large(head)
+                return record.end
         data = self._window.view(position, max(SLAB_BYTES, need))
         # The first record is sound: it always gets on.
         stop = max(self._led_on(data, position), need)

@@ -24,7 +24,7 @@ from .bag_wire import (
 )
 from .columns import MANY, column, gather, without_repeats, words
 from .described import TOO_MANY, Described, contradicts, short
-from .messages import UNWANTED, Block, Bytes, DamageError, Findings
+from .messages import MESSAGE_BYTES, UNWANTED, Block, Bytes, DamageError, Findings
 from .tally import NUMBERS, Tally
 from .walk import bag_listed, bag_records, inside, seamless
 
@@ -241,6 +241,14 @@ class MessageReader:
         """Whether the messages of that connection are not wanted."""
         return conn < NUMBERS and self.tally.sink(conn) == UNWANTED
 
+    def takes(self, head: Bytes, size: int) -> bool:
+        """Whether a record above the usual limit is to be read, by its first bytes and size."""
+        try:
+            fields = fields_of(head[4 : 4 + U32(head.data)[0]].tobytes())
+            return op_of(fields) == MESSAGE and self.tally.takes(number(fields, b"conn"), size)
+        except DamageError:
+            return False
+
     def too_large(self, head: Bytes) -> None:
         """Count a record that is too large to be processed, by its first bytes."""
         header = U32(head.data)[0]
@@ -250,8 +258,9 @@ class MessageReader:
                 key = number(fields, b"conn")
                 if self.unwanted(key):
                     self.tally.passed(key, 1)
-                    return
-                self.tally.lost(key, 1)
+                else:
+                    self.tally.too_large(key)
+                return
         except DamageError:
             self.findings.unreadable_bytes += header
-        self.findings.too_large += 1
+        self.findings.too_large["", MESSAGE_BYTES] += 1

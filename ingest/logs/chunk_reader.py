@@ -82,6 +82,9 @@ class Messages(Protocol):
     def blocks(self, data: Bytes, offsets: Sequence[IntArray] = ()) -> Iterator[Block]:
         """The wanted messages in a run of records; offsets: their positions by an index."""
 
+    def takes(self, head: Bytes, size: int) -> bool:
+        """Whether a record above the usual limit is to be read, by its first bytes and size."""
+
     def too_large(self, head: Bytes) -> None:
         """Count a record that is too large to be processed, by its first bytes."""
 
@@ -283,7 +286,8 @@ class ChunkReader(ABC):
         head = chunk.head
         size = self._check_pieces(head)
         self._allowance.again(head.compression, head.data_size, size)
-        for part in whole_records(self._pieces(head), self._records, self._record_length):
+        lengths = self._record_length, self._messages.takes
+        for part in whole_records(self._pieces(head), self._records, *lengths):
             if isinstance(part, Large):
                 self._messages.too_large(part.head)
             else:

@@ -32,7 +32,7 @@ FIELDS = 256
 
 MOST_POINTS = 1 << 21
 """Largest cloud: a depth image of 1920 by 1080 pixels, or ten turns of the scanner with the most
-beams."""
+beams. Of how many bytes it may be: `limits.CLOUD_BYTES`."""
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""
@@ -61,7 +61,7 @@ class _Layout(NamedTuple):
     row_step: int
 
 
-def wire_cloud(raw: bytes, ros1: bool) -> Cloud:
+def wire_cloud(raw: bytes | memoryview, ros1: bool) -> Cloud:
     """The cloud of a message in CDR or ROS 1's encoding; raises DamageError."""
     parser = WireParser(raw, ros1)
     stamp_at, frame = parser.header()

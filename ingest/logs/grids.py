@@ -21,7 +21,7 @@ FREE = 20
 """Occupancy below which a cell is free: map_server's threshold of 0.196, in percent."""
 
 
-def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
+def last_grid(recording: Recording, topic: str, findings: Findings) -> tuple[Grid, int]:
     """The last readable grid of a topic, and the number of unreadable ones after it.
 
     Raises LogError if there is none. Memory follows the largest message.
@@ -38,7 +38,7 @@ def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
     payloads: list[tuple[Channel, bytes]] = []
     for file in recording.files:
         with opened(file) as log:
-            for block in log.blocks(want, Findings(), None):
+            for block in log.blocks(want, findings, None):
                 for at, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
                     payloads.append((channels[block.sink], block.data[at : at + size].tobytes()))
                     # Some are kept in case that the last ones are broken.

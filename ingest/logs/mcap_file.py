@@ -200,8 +200,10 @@ class _Walk:
     def _slab(self, position: int, end: int) -> Walking:
         """Messages outside chunks, up to the next record of another kind; returns its position."""
         if end - position > RECORD_BYTES:
-            self._messages.too_large(self._window.view(position, HEAD_BYTES))
-            return end
+            record = self._window.view(position, HEAD_BYTES)
+            if not self._messages.takes(record, end - position):
+                self._messages.too_large(record)
+                return end
         data = self._window.view(position, max(SLAB_BYTES, end - position))
         where, stop = mcap_records(data, NOT_IN_CHUNKS)
         doubted = self._messages.define(data, where)
@@ -275,8 +277,10 @@ class _Walk:
         if head[0] not in IN_CHUNKS and head[0] != MESSAGE_INDEX:
             return (yield from self._record(position, head, end))
         if end - position > RECORD_BYTES:
-            self._messages.too_large(np.frombuffer(head, np.uint8))
-            return end
+            start = np.frombuffer(head, np.uint8)
+            if not self._messages.takes(start, end - position):
+                self._messages.too_large(start)
+                return end
         record = self._window.view(position, end - position).copy()
         record[: len(head)] = np.frombuffer(head, np.uint8)[: len(record)]
         if head[0] == MESSAGE_INDEX:

@@ -14,7 +14,7 @@ from .described import TOO_MANY
 from .mcap_heads import NOT_IN_CHUNKS, Heads
 from .mcap_mend import mended
 from .mcap_wire import CHANNEL, MESSAGE, MESSAGE_HEAD, RECORD_HEAD, SCHEMA, Definitions
-from .messages import UNWANTED, Block, Bytes, DamageError, Findings
+from .messages import MESSAGE_BYTES, UNWANTED, Block, Bytes, DamageError, Findings
 from .tally import Tally
 from .walk import inside, mcap_listed, mcap_records, seamless
 
@@ -197,12 +197,18 @@ class MessageReader:
                 self.tally.describe(*found, overrule)
         return messages
 
+    def takes(self, head: Bytes, size: int) -> bool:
+        """Whether a record above the usual limit is to be read, by its first bytes and size."""
+        number = int(head[RECORD_HEAD]) | int(head[RECORD_HEAD + 1]) << 8
+        return bool(head[0] == MESSAGE) and self.tally.takes(number, size)
+
     def too_large(self, head: Bytes) -> None:
         """Count a record that is too large to be read, from its first bytes."""
         if head[0] == MESSAGE:
             number = int(head[RECORD_HEAD]) | int(head[RECORD_HEAD + 1]) << 8
             if self.tally.sink(number) == UNWANTED:
                 self.tally.passed(number, 1)
-                return
-            self.tally.lost(number, 1)
-        self.findings.too_large += 1
+            else:
+                self.tally.too_large(number)
+            return
+        self.findings.too_large["", MESSAGE_BYTES] += 1

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from ...topology.errors import LogError
 from .checksum import crc32
 
 Bytes = NDArray[np.uint8]
+Key = TypeVar("Key")
 
 UNWANTED = -1
 """Sink number of a channel whose messages are not wanted."""
@@ -33,7 +34,8 @@ SCHEMA_BYTES = 1 << 20
 
 MESSAGE_BYTES = 1 << 24
 """Longest message that is decoded, 16 MiB: an odometry message has 700 bytes, an array of a
-thousand poses 56,000. Longer ones are skipped without being read."""
+thousand poses 56,000. Longer ones are skipped without being read, but for clouds and grids
+(`limits.longest_message`)."""
 
 
 class Channel(NamedTuple):
@@ -126,8 +128,9 @@ class Findings:
 
     counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
     damaged places; lost_at_least: there may be more; unknown: messages of undescribed channels;
-    repaired: record heads with one wrong bit; too_large: records left out as too large;
-    misdescribed: channels that the index describes differently from the data.
+    repaired: record heads with one wrong bit; too_large: records left out as too large, by topic
+    ("" if they are no messages of a known one) and limit [bytes]; misdescribed: channels that the
+    index describes differently from the data.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
@@ -140,7 +143,7 @@ class Findings:
     damaged_pages: int = 0
     damaged_chunks: Counter[str] = field(default_factory=Counter)
     repaired: int = 0
-    too_large: int = 0
+    too_large: Counter[tuple[str, int]] = field(default_factory=Counter)
     misdescribed: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
@@ -167,6 +170,30 @@ class Findings:
         broken = (self.unreadable_bytes, self.repaired, self.too_large, self.truncated)
         return not any(broken) and not self.damaged_chunks
 
+    def beyond(self, known: Sequence[Findings]) -> Findings:
+        """The faults that no other walk over the same log found, as far as their numbers tell."""
+
+        def more(own: int, others: Iterator[int]) -> int:
+            return max(own - max(others, default=0), 0)
+
+        def each(own: Counter[Key], others: list[Counter[Key]]) -> Counter[Key]:
+            return +Counter({k: more(n, (other[k] for other in others)) for k, n in own.items()})
+
+        return Findings(
+            lost=each(self.lost, [k.lost for k in known]),
+            lost_at_least=self.lost_at_least,
+            unknown=more(self.unknown, (k.unknown for k in known)),
+            truncated=self.truncated and not any(k.truncated for k in known),
+            unreadable_bytes=more(self.unreadable_bytes, (k.unreadable_bytes for k in known)),
+            broken_rows=more(self.broken_rows, (k.broken_rows for k in known)),
+            damaged_pages=more(self.damaged_pages, (k.damaged_pages for k in known)),
+            damaged_chunks=each(self.damaged_chunks, [k.damaged_chunks for k in known]),
+            repaired=more(self.repaired, (k.repaired for k in known)),
+            too_large=each(self.too_large, [k.too_large for k in known]),
+            misdescribed=more(self.misdescribed, (k.misdescribed for k in known)),
+            notes=[note for note in self.notes if not any(note in k.notes for k in known)],
+        )
+
     @property
     def messages(self) -> int:
         """All messages met."""
@@ -185,8 +212,11 @@ class Findings:
                 f"the index describes {self.misdescribed} channels otherwise than the data, which "
                 "are believed"
             )
-        if self.too_large:
-            out.append(f"{self.too_large} records above {MESSAGE_BYTES >> 20} MiB left out")
+        lost = self.lost.copy()
+        for (topic, limit), count in sorted(self.too_large.items()):
+            what = f"messages of {topic}" if topic else "records"
+            out.append(f"{count} {what} above {limit >> 20} MiB left out")
+            lost[topic] -= count
         if self.unreadable_bytes:
             out.append(f"{self.unreadable_bytes} bytes could not be read as messages")
         if self.damaged_pages:
@@ -197,7 +227,7 @@ class Findings:
             out.append("the log is cut short")
         if self.unknown:
             out.append(f"{self.unknown} messages belong to channels that the log does not describe")
-        for topic, count in sorted(self.lost.items()):
+        for topic, count in sorted((+lost).items()):
             told = f"at least {count}" if self.lost_at_least else str(count)
             out.append(f"{told} messages of {topic} are lost in damaged places")
         if out and self.first_ns is not None and self.last_ns is not None:

@@ -15,18 +15,23 @@ class OneByOne(Generic[T]):
     """Applies `parse` to each message; failed: messages with a DamageError, or too long; reason: of
     the first of them."""
 
+    LONGEST = MESSAGE_BYTES
+
     def __init__(self, parse: Callable[[bytes], T]) -> None:
         self._parse = parse
         self.failed = 0
         self.reason = ""
 
+    def _parsed(self, message: Bytes) -> T:
+        return self._parse(message.tobytes())
+
     def parsed(self, data: Bytes, start: IntArray, size: IntArray) -> Iterator[tuple[int, T]]:
         """Number and content of every message of a batch that can be decoded."""
         for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
             try:
-                if length > MESSAGE_BYTES:
+                if length > self.LONGEST:
                     raise DamageError("a message is implausibly long")
-                content = self._parse(data[at : at + length].tobytes())
+                content = self._parsed(data[at : at + length])
             except DamageError as damage:
                 self.failed += 1
                 self.reason = self.reason or str(damage)

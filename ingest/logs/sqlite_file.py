@@ -18,6 +18,7 @@ from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from .described import DEFINITION_BYTES
 from .inflate import keep_freed_memory
+from .limits import longest_message
 from .messages import (
     MESSAGE_BYTES,
     NAME_BYTES,
@@ -71,10 +72,10 @@ STEPS_AT_ONCE = 10_000
 """Virtual machine steps between two checks of the limit."""
 
 
-def _columns_of(wanted: str) -> str:
-    """Columns of a query; wanted: SQL condition for reading the payload. Its length is in the row's
-    head."""
-    fits = f"{_BLOB} AND length(data) <= {MESSAGE_BYTES}"
+def _columns_of(wanted: str, longest: int) -> str:
+    """Columns of a query; wanted: SQL condition for reading the payload, if it is not longer than
+    `longest`. Its length is in the row's head."""
+    fits = f"{_BLOB} AND length(data) <= {longest}"
     data = f"CASE WHEN {wanted} AND {fits} THEN data END"
     return f"topic_id, timestamp, {data}, typeof(data), CASE WHEN {_BLOB} THEN length(data) END"
 
@@ -176,11 +177,13 @@ class _Reader:
             if 0 <= key < _TOPICS:
                 self._sink[key] = sink
         self._wanted = np.unique(self._sink[self._sink >= 0]).tolist()
+        wanted = (c for key, c in channels.items() if self._is_wanted(key))
+        self._longest = max(map(longest_message, wanted), default=MESSAGE_BYTES)
 
     def by_library(self) -> Iterator[Block]:
         """All rows by the library; of unwanted ones only the heads are read."""
         wanted = ",".join(str(k) for k in np.flatnonzero(self._sink >= 0).tolist())
-        query = f"SELECT {_columns_of(f'topic_id IN ({wanted})')} FROM messages"
+        query = f"SELECT {_columns_of(f'topic_id IN ({wanted})', self._longest)} FROM messages"
         yield from self._asked(query)
 
     def _asked(self, query: str, values: Sequence[int] = ()) -> Iterator[Block]:
@@ -252,7 +255,7 @@ class _Reader:
         for first in range(0, len(wanted), 500):
             some = wanted[first : first + 500]
             marks = ",".join("?" * len(some))
-            query = f"SELECT {_columns_of('1')} FROM messages WHERE id IN ({marks})"
+            query = f"SELECT {_columns_of('1', self._longest)} FROM messages WHERE id IN ({marks})"
             before = self._handled
             try:
                 yield from self._asked(query, some)
@@ -265,12 +268,7 @@ class _Reader:
         self._handled += len(rows)
         good = [r for r in rows if type(r[0]) is type(r[1]) is int and r[3] == "blob"]
         self._findings.broken_rows += len(rows) - len(good)
-        whole = [row for row in good if row[4] <= MESSAGE_BYTES or not self._is_wanted(row[0])]
-        if len(whole) < len(good):
-            self._findings.too_large += len(good) - len(whole)
-            for row in good:
-                if row[4] > MESSAGE_BYTES and self._is_wanted(row[0]):
-                    self._findings.lost[self._channels[row[0]].topic] += 1
+        whole = [row for row in good if row[4] <= MESSAGE_BYTES or self._fits(row)]
         topic = np.array([row[0] for row in whole], np.int64)
         time_ns = np.array([row[1] for row in whole], np.int64)
         self._count(topic, time_ns)
@@ -286,6 +284,17 @@ class _Reader:
 
     def _is_wanted(self, topic: int) -> bool:
         return 0 <= topic < _TOPICS and self._sink[topic] >= 0
+
+    def _fits(self, row: _Row) -> bool:
+        """Whether a row with a message above the usual limit is kept; else it is counted."""
+        if not self._is_wanted(row[0]):
+            return True
+        channel = self._channels[row[0]]
+        longest = longest_message(channel)
+        if row[4] > longest:
+            self._findings.lost[channel.topic] += 1
+            self._findings.too_large[channel.topic, longest] += 1
+        return bool(row[4] <= longest)
 
     def _count(self, topic: IntArray, time_ns: IntArray) -> None:
         counts = np.bincount(np.clip(topic, 0, _TOPICS - 1))

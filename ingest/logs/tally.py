@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import BoolArray, IntArray
-from .messages import UNWANTED, Channel, Findings, Want
+from .limits import HEAD_BYTES, longest_message
+from .messages import MESSAGE_BYTES, UNWANTED, Channel, Findings, Want
 from .spelling import one_bit_apart
 
 NUMBERS = 1 << 16
@@ -153,6 +154,22 @@ class Tally:
     def _numbers(self) -> list[int]:
         """The numbers of which messages were met."""
         return self._met[: self._end].nonzero()[0].tolist()
+
+    def longest(self, number: int) -> int:
+        """Longest message of a channel that is decoded [bytes]."""
+        channel = self._channels.get(number)
+        return longest_message(channel) if channel is not None else MESSAGE_BYTES
+
+    def too_large(self, number: int) -> None:
+        """Count a message that is left out because of its size."""
+        channel = self._channels.get(number)
+        self.lost(number, 1)
+        self._findings.too_large[channel.topic if channel else "", self.longest(number)] += 1
+
+    def takes(self, number: int, size: int) -> bool:
+        """Whether a record above the usual limit holds a wanted message of a larger one."""
+        longest = self.longest(number) if number < NUMBERS and self._sink[number] >= 0 else 0
+        return longest > MESSAGE_BYTES and size <= longest + HEAD_BYTES
 
     def lost(self, number: int, count: int) -> None:
         """Count messages known to be lost in a damaged place."""

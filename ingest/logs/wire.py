@@ -65,7 +65,7 @@ class Template(NamedTuple):
 class WireParser:
     """Parses one message and records the offsets that a template needs."""
 
-    def __init__(self, raw: bytes, ros1: bool) -> None:
+    def __init__(self, raw: bytes | memoryview, ros1: bool) -> None:
         self._raw = raw
         self.ros1 = ros1
         self.fixed: list[tuple[int, int]] = []
@@ -111,7 +111,7 @@ class WireParser:
         at = self.advance(length)
         if length:
             self.fixed.append((at, at + length))
-        return text(self._raw[at : at + length].rstrip(b"\0"))
+        return text(bytes(self._raw[at : at + length]).rstrip(b"\0"))
 
     def stamp(self) -> int:
         """Offset of a time."""

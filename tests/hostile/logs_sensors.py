@@ -282,6 +282,15 @@ def _cloud_of_bytes(rng: random.Random) -> list[Message]:
     ]
 
 
+def _cloud_large(rng: random.Random) -> list[Message]:
+    """Clouds about as large as any that are read."""
+    step = rng.choice((16, 32, 40))
+    width = rng.choice((1 << 21, (1 << 26) // step, (1 << 26) // step - 100))
+    point = _floats(2.0, 1.0, 0.2) + bytes(step - 12)
+    size = {"height": 1, "width": min(width, 1 << 21), "step": step, "row": width * step}
+    return [(t, _cloud(t, point * width, **size)) for t in _times(2)]
+
+
 def _cloud_fields(rng: random.Random) -> list[Message]:
     numbers = (0, 1, 4, 8, 9, 11, 12, 1 << 31, (1 << 32) - 1)
     out = []
@@ -502,6 +511,46 @@ def _poses(rng: random.Random, folder: Path) -> Case:
     return Case(_log(folder / "run.mcap", topics), None, None, "poses of absurd numbers")
 
 
+def _apart(rng: random.Random, folder: Path) -> Case:
+    """Sound messages of a sensor in chunks of their own, of which some are broken."""
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    kind = rng.choice((LASER, CLOUD, GRID))
+    ring = b"".join(_floats(2 * math.cos(k / 100), 2 * math.sin(k / 100), 0.5) for k in range(628))
+    ways = range(80, 120)
+    cells = bytes(0 if k % 200 in ways or k // 200 in ways else 100 for k in range(200 * 200))
+    make = {
+        LASER: lambda t: _scan(t, _floats(2.0) * 620),
+        CLOUD: lambda t: _cloud(t, ring, height=1, width=628, step=12, row=len(ring)),
+        GRID: lambda t: _grid(cells, (200, 200)),
+    }[kind]
+    parts = [("/odom", "nav_msgs/msg/Odometry", list(_odometry(50 if kind == GRID else 300)))]
+    parts.append(("/sensor", kind, [(t, make(t)) for t in _times(10 if kind == GRID else 100)]))
+    path = folder / "run.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=40_000)
+        writer.start("", "attack")
+        for topic, type_name, messages in rng.sample(parts, 2):
+            schema = writer.register_schema(type_name, "", b"")
+            channel = writer.register_channel(topic, "cdr", schema)
+            for time_ns, payload in messages:
+                writer.add_message(channel, time_ns, payload, time_ns)
+        writer.finish()
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    assert summary is not None
+    sensor = next(k for k, c in summary.channels.items() if c.topic == "/sensor")
+    found = [c for c in summary.chunk_indexes if [*c.message_index_offsets] == [sensor]]
+    raw = bytearray(path.read_bytes())
+    for chunk in rng.sample(found, rng.choice((1, 1, len(found)))):
+        at = chunk.chunk_start_offset + chunk.chunk_length - rng.randint(1, chunk.compressed_size)
+        raw[at] ^= rng.randint(1, 255)
+    path.write_bytes(raw)
+    like = "grid" if kind == GRID else "scans"
+    return Case(path, None, None, f"broken chunks of {kind} alone", like, "damaged chunk")
+
+
 def _wild_clock(rng: random.Random, folder: Path) -> Case:
     """Messages of a sound run under times that run backwards, jump by years, or stand."""
     logs, out = writers(), []
@@ -530,11 +579,13 @@ CASES: dict[str, Generator] = {
     "scan-json": _sensor("foxglove.LaserScan", _json_scans, "scans in JSON, or what looks like it"),
     "cloud-sizes": _sensor(CLOUD, _cloud_sizes, "clouds of false sizes and strides"),
     "cloud-bytes": _sensor(CLOUD, _cloud_of_bytes, "millions of points of one byte"),
+    "cloud-large": _sensor(CLOUD, _cloud_large, "clouds of up to 64 MiB, and above"),
     "cloud-fields": _sensor(CLOUD, _cloud_fields, "clouds of false fields"),
     "cloud-points": _sensor(CLOUD, _cloud_points, "points of absurd numbers"),
     "grid-sizes": _sensor(GRID, _grid_sizes, "grids of false sizes"),
     "grid-numbers": _sensor(GRID, _grid_numbers, "grids at absurd places, of absurd resolutions"),
     "grid-large": _sensor(GRID, _grid_large, "grids of up to 16 million cells"),
+    "sensor-apart": _apart,
     "map-saved": _saved_map,
     "tf-frames": _transforms,
     "odometry-absurd": _poses,

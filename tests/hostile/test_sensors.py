@@ -14,7 +14,7 @@ from topobatch.ingest.grid_map import map_of_grid
 from topobatch.ingest.logs.clouds import MOST_POINTS, wire_cloud
 from topobatch.ingest.logs.messages import DamageError
 from topobatch.ingest.logs.recording import recording_at
-from topobatch.ingest.reading import read_log
+from topobatch.ingest.reading import ReadSettings, read_log
 from topobatch.ingest.scans.slicing import mount_of_camera
 from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.topology.errors import DataError, LogError
@@ -23,7 +23,8 @@ from topobatch.topology.run import Grid
 STREAMED = sorted(
     name
     for name in logs_sensors.CASES
-    if name.startswith(("scan-", "cloud-")) and name not in ("scan-beams", "cloud-bytes")
+    if name.startswith(("scan-", "cloud-"))
+    and name not in ("scan-beams", "cloud-bytes", "cloud-large")
 )
 READ = ("grid-sizes", "grid-numbers", "map-saved", "tf-frames", "odometry-absurd", "clock-wild")
 
@@ -50,6 +51,18 @@ def test_what_cannot_be_read_is_an_error_of_one_line(tmp_path, name, seed):
     except LogError as error:
         said = str(error)
     assert not said or (str(case.log) in said and len(said.splitlines()) == 1)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_broken_chunks_of_sensors_alone_are_told(tmp_path, seed):
+    case = logs_sensors.CASES["sensor-apart"](random.Random(seed), tmp_path)
+    try:
+        told = read_log(case.log).warnings
+    except DataError as error:
+        told = (str(error),)
+    assert any(case.says in text for text in told)
+    with pytest.raises(DataError, match=case.says):
+        read_log(case.log, ReadSettings(strict=True))
 
 
 @pytest.mark.parametrize(

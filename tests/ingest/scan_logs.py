@@ -261,12 +261,41 @@ def _fixed32(number: int, value: int) -> bytes:
     return _varint(number << 3 | 5) + struct.pack("<I", value)
 
 
-def mcap(path: Path, rows: list[Row], encoding: str = "cdr") -> Path:
-    """An MCAP file of messages that are serialized already."""
+def room(x: float, y: float, yaw: float, beams: int) -> Any:
+    """Ranges all around in a room of 10 m by 10 m."""
+    way = yaw + np.linspace(-np.pi, np.pi, beams, endpoint=False)
+    c, s = np.cos(way), np.sin(way)
+    sides = np.where(c > 0, 8 - x, -2 - x), np.where(s > 0, 6 - y, -4 - y)
+    with np.errstate(divide="ignore"):
+        return np.minimum(np.abs(sides[0] / c), np.abs(sides[1] / s))
+
+
+def around(
+    pose: tuple[float, ...], stamp_ns: int, frame: str = "base_link", encoding: str = "cdr"
+) -> bytes:
+    """A scan of that room by a laser at the robot's middle; pose: as of `log_writers`."""
+    x, y, *_, z, w = pose
+    beams = 720
+    step = 2 * np.pi / beams
+    return scan(
+        room(x, y, 2 * np.arctan2(z, w), beams),
+        stamp_ns,
+        frame,
+        encoding,
+        angle_min=-np.pi,
+        angle_max=np.pi - step,
+        angle_increment=step,
+        time_increment=0.0,
+        range_max=30.0,
+    )
+
+
+def mcap(path: Path, rows: list[Row], encoding: str = "cdr", **options: Any) -> Path:
+    """An MCAP file of messages that are serialized already; options go to mcap's Writer."""
     from mcap.writer import Writer
 
     with path.open("wb") as file:
-        writer = Writer(file, chunk_size=4096)
+        writer = Writer(file, **{"chunk_size": 4096} | options)
         writer.start(profile="ros2", library="test")
         channels: dict[str, int] = {}
         for number, (topic, type_name, log_ns, raw) in enumerate(rows):

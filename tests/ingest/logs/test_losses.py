@@ -6,10 +6,12 @@ import io
 import shutil
 import sqlite3
 
+import numpy as np
 import pytest
 
-from topobatch.ingest.logs import recording
-from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
+from topobatch.ingest.grid_log import GridLog
+from topobatch.ingest.logs import bag_chunks, limits, messages, recording
+from topobatch.ingest.reading import ReadSettings, inspect_log, read_log, read_run
 from topobatch.topology.errors import LogError
 
 MESSAGES = 330
@@ -271,3 +273,248 @@ def test_an_index_that_lies_about_images_loses_nothing(logs, tmp_path, change):
         at += 8 + header + size
     path.write_bytes(raw)
     assert count(read_run(path)) == MESSAGES
+
+
+SCANS = 60
+STRICT = ReadSettings(strict=True)
+
+
+def scanned_rows(logs, sensors, encoding="cdr", lasers=(("/scan", "base_link"),)):
+    """Odometry, and scans of a room in place of detections; lasers: their topics and frames."""
+    store, rows = logs.store_of(encoding == "ros1"), []
+    odometry = [message for message in logs.drive() if message.topic == "/odom"]
+    for number, message in enumerate(odometry):
+        raw = logs.payload(message, encoding, store)
+        rows.append(("/odom", message.type_name, message.log_ns, raw))
+        for topic, frame in lasers if number % 5 == 0 else ():
+            scan = sensors.around(message.poses[0], message.stamp_ns, frame, encoding)
+            rows.append((topic, sensors.SCAN, message.log_ns + 1, scan))
+    return rows
+
+
+def by_topic(rows):
+    """Sorted so that a chunk holds messages of one topic."""
+    return sorted(rows, key=lambda row: (row[0], row[2]))
+
+
+def chunks_of(path):
+    """Place, length and topics of every chunk."""
+    from mcap.reader import make_reader
+
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    names = {channel.id: channel.topic for channel in summary.channels.values()}
+    return [
+        (c.chunk_start_offset, c.chunk_length, {names[k] for k in c.message_index_offsets})
+        for c in summary.chunk_indexes
+    ]
+
+
+def hurt(path, topics):
+    """Break the last chunk that holds just these topics, if any does."""
+    found = [(at, length) for at, length, held in chunks_of(path) if held == topics]
+    raw = bytearray(path.read_bytes())
+    at = found[-1][0] + found[-1][1] // 2
+    raw[at : at + 2] = bytes(byte ^ 0xFF for byte in raw[at : at + 2])
+    path.write_bytes(raw)
+    return path
+
+
+def told_once(warnings, topic):
+    """How many messages of a topic are said to be lost; that there was damage is said once."""
+    assert sum("damaged chunk" in text for text in warnings) == 1, warnings
+    (lost,) = (text for text in warnings if f" messages of {topic} are lost" in text)
+    return int(lost.split()[0])
+
+
+def refused(path, match):
+    """What is damaged is refused by strict mode alone."""
+    with pytest.raises(LogError, match=f"damaged: .*{match}"):
+        read_log(path, STRICT)
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_damaged_chunks_of_scans_are_told_once(logs, sensors, tmp_path, together):
+    rows = scanned_rows(logs, sensors)
+    rows = rows if together else by_topic(rows)
+    path = sensors.mcap(tmp_path / "run.mcap", rows, chunk_size=40_000)
+    assert read_run(path, STRICT).warnings == ()
+    hurt(path, {"/odom", "/scan"} if together else {"/scan"})
+    run = read_run(path)
+    lost = told_once(run.warnings, "/scan")
+    assert run.source["junctions"]["messages"] == SCANS - lost < SCANS
+    assert (run.source["odometry"]["messages"] < 300) == together
+    refused(path, "damaged chunk")
+
+
+def test_damaged_chunks_of_scans_in_a_bag_are_told_once(logs, sensors, tmp_path):
+    from rosbags.rosbag1 import Writer
+
+    path = tmp_path / "run.bag"
+    writer = Writer(path)
+    writer.chunk_threshold = 40_000
+    writer.set_compression(Writer.CompressionFormat.BZ2)
+    with writer:
+        links = {}
+        for topic, kind, time_ns, raw in by_topic(scanned_rows(logs, sensors, "ros1")):
+            if topic not in links:
+                links[topic] = writer.add_connection(topic, kind, typestore=logs.store_of(True))
+            writer.write(links[topic], time_ns, raw)
+    assert read_run(path, STRICT).warnings == ()
+    raw, ends = bytearray(path.read_bytes()), whole_bag_chunks(path)
+    at = ends[-1][0] - 2000
+    raw[at : at + 100] = bytes(100)
+    path.write_bytes(raw)
+    run = read_run(path)
+    assert run.source["junctions"]["messages"] == SCANS - told_once(run.warnings, "/scan") < SCANS
+    refused(path, "damaged chunk")
+
+
+def test_a_second_laser_is_told_of_beside_the_first(logs, sensors, tmp_path):
+    lasers = ("/scan", "base_link"), ("/scan_behind", "behind")
+    rows = scanned_rows(logs, sensors, lasers=lasers)
+    mount = sensors.mount("behind", (0, 0, 0.1, 0, 0, 0, 1))
+    rows.append(("/tf_static", sensors.TF, logs.START_NS, mount))
+    path = sensors.mcap(tmp_path / "run.mcap", by_topic(rows), chunk_size=40_000)
+    assert read_run(path, STRICT).source["junctions"]["lasers"] == ["/scan", "/scan_behind"]
+    for topic, _ in lasers:
+        hurt(path, {topic})
+    lost = [text for text in read_run(path).warnings if "are lost" in text]
+    assert sorted(text.split()[3] for text in lost) == ["/scan", "/scan_behind"]
+
+
+def test_damaged_transforms_are_told(logs, sensors, tmp_path):
+    """Transforms are read only where a frame is unknown, apart from the odometry."""
+    rows = scanned_rows(logs, sensors, lasers=[("/scan", "laser")])
+    mounts = [sensors.mount(name, (0, 0, 0, 0, 0, 0, 1)) for name in ("laser", "x" * 500)]
+    rows += [("/tf_static", sensors.TF, logs.START_NS + k, mounts[k > 0]) for k in range(150)]
+    path = sensors.mcap(tmp_path / "run.mcap", by_topic(rows), chunk_size=40_000)
+    assert read_run(path, STRICT).warnings == ()
+    hurt(path, {"/tf_static"})
+    with pytest.raises(LogError, match=r"damaged: .* messages of /tf_static are lost"):
+        read_log(path, STRICT)
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_scans_that_are_too_large_are_told(logs, sensors, tmp_path, storage):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    path, numbers = tmp_path / "run", iter(range(1000))
+    with Writer(path, version=8, storage_plugin=StoragePlugin[storage]) as writer:
+        links = {}
+        for topic, kind, time_ns, raw in scanned_rows(logs, sensors):
+            if topic not in links:
+                links[topic] = writer.add_connection(topic, kind, typestore=logs.store_of(False))
+            long = topic == "/scan" and next(numbers) in (20, 40)
+            writer.write(links[topic], time_ns, raw + bytes((messages.MESSAGE_BYTES + 8192) * long))
+    run = read_run(path)
+    assert run.warnings == ("2 messages of /scan above 16 MiB left out",)
+    assert run.source["junctions"]["messages"] == SCANS - 2
+    refused(path, "2 messages of /scan above 16 MiB")
+
+
+def test_a_log_of_nothing_but_scans_too_large_says_so(logs, sensors, tmp_path):
+    rows = [
+        (topic, kind, time_ns, raw + bytes((messages.MESSAGE_BYTES + 8192) * (topic == "/scan")))
+        for topic, kind, time_ns, raw in scanned_rows(logs, sensors)[:7]
+    ]
+    path = sensors.mcap(tmp_path / "run.mcap", rows)
+    with pytest.raises(LogError, match=r"nothing can be made of /scan: .*/scan above 16 MiB"):
+        read_log(path)
+
+
+def test_a_damaged_chunk_of_grids_is_told(sensors, tmp_path):
+    ways = [[100] * 100] * 45 + [[0] * 100] * 10 + [[100] * 100] * 45
+    rows = [("/map", sensors.GRID, sensors.START_NS + k, sensors.grid(ways)) for k in range(12)]
+    rows += [("/other", sensors.GRID, sensors.START_NS, sensors.grid(ways))] * 5
+    path = sensors.mcap(tmp_path / "run.mcap", rows, chunk_size=40_000)
+    assert read_log(path, STRICT).warnings == ()
+    hurt(path, {"/map"})
+    found = read_log(path)
+    assert isinstance(found, GridLog)
+    assert 0 < told_once(found.warnings, "/map") < 12
+    refused(path, "damaged chunk")
+
+
+LONG = messages.MESSAGE_BYTES + 8192
+
+
+def clouded(logs, sensors, path, kind, long):
+    """Odometry and 10 clouds of a room; long: by the cloud's number, how much is behind it."""
+    encoding = "ros1" if kind.startswith("bag") else "cdr"
+    rows, ways = [], np.linspace(-np.pi, np.pi, 720, endpoint=False)
+    odometry = [message for message in logs.drive() if message.topic == "/odom"]
+    for number, message in enumerate(odometry):
+        raw = logs.payload(message, encoding, logs.store_of(encoding == "ros1"))
+        rows.append(("/odom", message.type_name, message.log_ns, raw))
+        if number % 30 == 0:
+            x, y, *_, z, w = message.poses[0]
+            far = sensors.room(x, y, 2 * np.arctan2(z, w), len(ways))
+            xyz = np.stack([far * np.cos(ways), far * np.sin(ways), np.zeros(len(ways))], axis=1)
+            cloud = sensors.cloud(
+                xyz, encoding=encoding, frame="base_link", stamp_ns=message.stamp_ns
+            )
+            tail = bytes(long.get(number // 30, 0))
+            rows.append(("/points", sensors.CLOUD, message.log_ns + 1, cloud + tail))
+    if kind == "mcap":
+        return sensors.mcap(path, rows)
+    if kind == "mcap-unchunked":
+        return sensors.mcap(path, rows, use_chunking=False)
+    if kind == "db3":
+        from rosbags.rosbag2 import StoragePlugin
+        from rosbags.rosbag2 import Writer as FolderWriter
+
+        writer = FolderWriter(path, version=8, storage_plugin=StoragePlugin.SQLITE3)
+    else:
+        from rosbags.rosbag1 import Writer
+
+        writer = Writer(path)
+        if kind == "bag-lz4":
+            writer.set_compression(Writer.CompressionFormat.LZ4)
+    with writer:
+        links = {}
+        for topic, type_name, time_ns, raw in rows:
+            if topic not in links:
+                store = sensors.store(encoding)
+                links[topic] = writer.add_connection(topic, type_name, typestore=store)
+            writer.write(links[topic], time_ns, raw)
+    return path
+
+
+CLOUD_LOGS = ("mcap", "mcap-unchunked", "db3", "bag", "bag-lz4")
+
+
+@pytest.mark.parametrize("kind", CLOUD_LOGS)
+def test_clouds_above_the_limit_of_other_messages_are_read(logs, sensors, tmp_path, kind):
+    short = read_run(clouded(logs, sensors, tmp_path / "short", kind, {}), STRICT)
+    run = read_run(clouded(logs, sensors, tmp_path / "run", kind, {3: LONG, 4: LONG}), STRICT)
+    assert run.warnings == short.warnings == ()
+    assert run.source == short.source
+    assert run.source["junctions"]["messages"] == 10
+    assert run.odometry.pose.tobytes() == short.odometry.pose.tobytes()
+
+
+@pytest.mark.parametrize("kind", CLOUD_LOGS)
+def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypatch, kind):
+    for module, name in ((limits, "CLOUD_BYTES"), (bag_chunks, "SPARSE_BYTES")):
+        monkeypatch.setattr(module, name, 17 << 20)
+    path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
+    run = read_run(path)
+    assert run.warnings == ("1 messages of /points above 17 MiB left out",)
+    assert run.source["junctions"]["messages"] == 9
+    refused(path, "1 messages of /points above 17 MiB")
+
+
+@pytest.mark.parametrize("storage", ["db3", "mcap"])
+def test_the_largest_grid_is_read(logs, sensors, tmp_path, storage):
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    raw = sensors.grid(np.zeros((4096, 4096)))
+    assert len(raw) > messages.MESSAGE_BYTES
+    plugin = {"db3": StoragePlugin.SQLITE3, "mcap": StoragePlugin.MCAP}[storage]
+    with Writer(tmp_path / "run", version=8, storage_plugin=plugin) as writer:
+        link = writer.add_connection("/map", sensors.GRID, typestore=sensors.ROS2)
+        writer.write(link, sensors.START_NS, raw)
+    found = read_log(tmp_path / "run", STRICT)
+    assert isinstance(found, GridLog)
+    assert found.grid.free.shape == (4096, 4096)
