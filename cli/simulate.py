@@ -131,7 +131,9 @@ def simulate(
     screen = Screen(quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
     asked = {name: value for name, value in how_far.items() if value is not None}
-    width = {} if corridor_m is None else {"corridor_m": corridor_m}
+    scanner = LASERS[faults] if laser else None
+    if scanner is not None and corridor_m is not None:
+        scanner = replace(scanner, corridor_m=corridor_m)
     settings = ScenarioSettings(
         world=world,
         runs=runs,
@@ -140,7 +142,7 @@ def simulate(
         junctions_per_run=junctions,
         drift=replace(DRIFTS[drift], jumps=jumps, **asked),
         faults=faults,
-        laser=replace(LASERS[faults], **width) if laser else None,
+        laser=scanner,
         tells_junctions=detections or not laser,
         seed=seed,
     )

@@ -111,7 +111,7 @@ class Landmarks:
         if len(self.beyond) == 0:
             return np.zeros(factor.pattern.size), self.beyond
         scales = np.linalg.solve(factor.schur, self.known * self.beyond)
-        return -(factor.solved_border @ scales), scales
+        return np.asarray(-(factor.solved_border @ scales)), np.asarray(scales)
 
     @property
     def alone(self) -> FloatArray:
