@@ -49,14 +49,6 @@ class UnlistedPairs(Model):
     )
 
 
-class Layer(Model):
-    """A run by the layers of maps around another one."""
-
-    run: str = Field(description="The run.")
-    layer: Index = Field(description="0: the run in the middle; else one more than depends_on.")
-    depends_on: str | None = Field(description="The run that it was matched to in the layer below.")
-
-
 class MergedGraph(Attributes):
     """Attributes of the whole merge."""
 
@@ -72,10 +64,11 @@ class MergedGraph(Attributes):
     settings: dict[str, Any] | None = Field(
         None, description="What the method was tuned to; false_merge_rate and others."
     )
-    layers: dict[str, list[Layer]] | None = Field(
+    layers: dict[str, list[dict[str, Any]]] | None = Field(
         None,
         description="Of every component of several runs, by its first run: all of them by layers "
-        "(§4.1 of the paper).",
+        "(§4.1 of the paper), layer 0 that run itself; depends_on: the run of the layer below that "
+        "one was matched to.",
     )
     warnings: list[str] | None = Field(None, description="What is odd about the runs.")
 
