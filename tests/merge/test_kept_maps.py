@@ -56,7 +56,7 @@ def full(plain):
             traversal_ns=(np.array([[1, 2], [4, 2**62]]), np.zeros((0, 2), np.int64)),
             time_ns=(np.array([[2]]), np.array([[5], [7]])),
         ),
-        info={"source": {"log": "a\\b"}, "warnings": ["x", None, 1e-300, 2**70]},
+        info={"source": {"log": "a\\b", "more": ["x", None, 1e-300, 2**70]}, "warnings": ["x"]},
     )
 
 
