@@ -254,6 +254,19 @@ def test_what_passes_show_of_lengths_makes_them_less_sure(draw):
         np.testing.assert_array_equal(getattr(wrong, field), getattr(unknown, field))
 
 
+def test_runs_that_drove_no_corridor_have_no_lengths(draw):
+    stubs = [(0, 0.0), (0, 1.5), (0, 3.0)]
+    maps = [draw(name, [(0.0, 0.0)], [], stubs) for name in "ab"]
+    best = Alignment(np.zeros(3), 30.0, np.array([(0, 0)]), 0.0)
+    link = PairVerdict("a", "b", Verdict.MERGED, True, 30.0, "by hand", best=best)
+    (component,), fused = fuse(maps, [link], asked=())
+    assert len(fused) == 1
+    assert len(fused.length_sigma) == 0
+    ((metres, radians),) = component.spread.sigmas([("a", "b")])
+    assert metres == 0
+    assert radians > 0
+
+
 def winding(draw, name, noise, **stated):
     """A run of doors, of which the corridor from the third to the fourth winds."""
     m = along(draw, name, 0, 8)
