@@ -162,7 +162,8 @@ def _length_sigmas(
     make larger than they are: together they are at most what the runs' maps state (`sigma`). To
     this is added by how much lengths probably differ, by what passes show of the scales.
 
-    The scales of more runs than they are estimated for are drawn independently.
+    The scales of more runs than they are estimated for are drawn independently, and what passes
+    show of them is not counted.
     """
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
     columns = [(c.length, c.way, c.sigma) for c in corridors]

@@ -231,7 +231,7 @@ def test_lengths_are_as_sure_as_all_runs_are_of_their_ends(draw):
     np.testing.assert_allclose(fused.length_sigma, stated[0] / 10 / np.sqrt(2), rtol=1e-6)
 
 
-def test_what_passes_show_of_lengths_makes_them_less_sure(draw):
+def test_what_passes_show_of_lengths_makes_them_less_sure(draw, monkeypatch):
     noise = RunNoise(1e-4, 1e-4, 1e-4, scale=0.02, centre_m=1e-3)
     pairs = [(k, k) for k in range(9)]
 
@@ -249,9 +249,12 @@ def test_what_passes_show_of_lengths_makes_them_less_sure(draw):
     assert wrong.length_sigma / wrong.length == pytest.approx(0.05, rel=0.05)
     assert (right.length_sigma < 0.1 * wrong.length_sigma).all()
     assert unknown.length_sigma / unknown.length == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
-    # Nothing else differs.
+    # Nothing else differs, and nothing where more runs drove than scales are estimated.
     for field in ("xy", "length", "position_sigma"):
         np.testing.assert_array_equal(getattr(wrong, field), getattr(unknown, field))
+    monkeypatch.setattr(joint_graph, "JOINT", replace(JOINT, scaled_runs=1))
+    many, plain = (fused_with(told, told) for told in (LengthScale(0.05, 0.001), None))
+    np.testing.assert_array_equal(many.length_sigma, plain.length_sigma)
 
 
 def test_runs_that_drove_no_corridor_have_no_lengths(draw):
