@@ -55,7 +55,7 @@ class NoiseSettings:
     it states (400 runs at high drift, where it is 0.005), which this covers."""
     most_scale: float = 0.2
     """No odometry's lengths are off by a larger share: what seems to be is the detector's fault, or
-    its unit."""
+    its unit. What is known no better shows nothing."""
     match_rad: float = 0.35
     """Readings within this angle of a branch belong to it."""
     least_messages: int = 6
@@ -254,7 +254,7 @@ def refine_scale(
         return expected, None
     shown, sigma = _shown_scale(thirds, noise.along_m_per_sqrt_m, settings)
     scale = _posterior_radius(expected, shown, sigma)
-    if abs(shown) > settings.most_scale or not np.isfinite(sigma):
+    if max(abs(shown), sigma) > settings.most_scale:
         return scale, None
     told = significant(float(np.hypot(sigma, settings.detector_scale)))
     return scale, LengthScale(rounded(shown, LENGTH_SCALE), told)

@@ -162,7 +162,8 @@ def _length_sigmas(
     make larger than they are: together they are at most what the runs' maps state (`sigma`). To
     this is added by how much lengths probably differ, by what passes show of the scales.
 
-    The scales of more runs than they are estimated for are drawn independently.
+    The scales of more runs than they are estimated for are drawn independently, and what passes
+    show of them is not counted.
     """
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
     columns = [(c.length, c.way, c.sigma) for c in corridors]
@@ -179,17 +180,16 @@ def _length_sigmas(
     number = {m.run: k for k, m in enumerate(pool.maps)}
     drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
 
-    def stretched(by: FloatArray) -> FloatArray:
-        return np.array([by[runs].mean(axis=0) for runs in drivers]).reshape(len(rest), -1)
+    def off_by(places: VertexErrors, scales: FloatArray) -> FloatArray:
+        mean = np.array([scales[runs].mean(axis=0) for runs in drivers])
+        stretched = rest[:, None] * mean.reshape(-1, scales.shape[1])
+        return np.asarray(straight[:, None] * places.distance_errors(xy, *ends) + stretched)
 
-    distance = _place_errors(marks, first, sampled).distance_errors(xy, *ends)
-    off = straight[:, None] * distance + rest[:, None] * stretched(scale)
+    off = off_by(_place_errors(marks, first, sampled), scale)
     variance = np.minimum(np.mean(off**2, axis=1) + way**2 + LEAST_M**2, own**2)
     variable = sampled.factor.pattern.variable[marks.node[first]]
     lean = VertexErrors(np.where(variable >= 0, moved[variable], 0.0)[:, :, None])
-    further = straight[:, None] * lean.distance_errors(xy, *ends)
-    further = further + rest[:, None] * stretched(shown)
-    return np.asarray(np.sqrt(variance + further[:, 0] ** 2))
+    return np.asarray(np.sqrt(variance + off_by(lean, shown[:, None])[:, 0] ** 2))
 
 
 def spread(

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import json
 
+import jsonschema
 import numpy as np
 import pytest
 
@@ -33,6 +35,13 @@ def _document(mazes):
 def test_it_is_written_again_as_it_was(document) -> None:
     assert len(document["graph"]["components"]) < 3
     assert merged_to_document(reread(document)) == document
+
+
+def test_it_follows_the_published_schema(document) -> None:
+    assert document["graph"]["layers"]
+    assert any("transform_sigma" in entry for entry in document["merges"])
+    read = json.loads(json.dumps(document))
+    jsonschema.validate(read, MergedDocument.model_json_schema(by_alias=True))
 
 
 def test_pairs_that_are_only_counted_stay_counted(document) -> None:

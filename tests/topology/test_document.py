@@ -221,6 +221,15 @@ def test_written_files_are_whole_and_the_same_each_time(tmp_path):
     assert read_map(path).run == "run1"
 
 
+def test_a_document_may_lack_or_leave_open_how_its_map_was_made():
+    doc = map_to_document(small_map())
+    del doc["graph"]["length_scale"]
+    doc["graph"] |= dict.fromkeys(("source", "settings", "warnings", "calibration", "jumps"))
+    kept = map_from_document(doc)
+    assert kept.length_scale is None
+    assert map_to_document(kept) == doc
+
+
 def test_what_is_kept_unread_can_be_written_again():
     doc = map_to_document(small_map())
     doc["graph"]["mine"] = {"deep": [1.5, "x", None]}

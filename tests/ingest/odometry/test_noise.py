@@ -169,6 +169,10 @@ def test_what_passes_show_of_the_scale_is_told_beside_it() -> None:
     assert refine_scale(track, feet, fuse_passes(track, feet), noise)[1] is None
     few = Detections(seen.time_ns[:3], seen.centre[:3], seen.branches.take(np.arange(3)))
     assert refine_scale(track, few, fuse_passes(track, few), noise)[1] is None
+    # Nor does what is no surer than that; documents could not even hold any sigma.
+    for along in (10.0, 1e8):
+        vague = replace(noise, along_m_per_sqrt_m=along)
+        assert refine_scale(track, seen, fuse_passes(track, seen), vague)[1] is None
 
 
 def test_a_run_without_passes_has_the_usual_noise() -> None:

@@ -79,6 +79,20 @@ def test_corridors_bend_a_map_as_much_as_it_states(draw):
     assert sure[4.0] == pytest.approx(4 * sure[2.0], rel=0.05)
 
 
+def test_a_map_without_a_grid_bends_a_tenth_more_than_it_states(draw, monkeypatch):
+    square = {k: (10.0 * (k % 3), 8.0 * (k // 3)) for k in range(9)}
+    crooked = {
+        k: (x + 4.0 * np.sin(5 * k), y + 3.0 * np.cos(3 * k)) for k, (x, y) in square.items()
+    }
+    edges = [(k, k + 1) for k in range(8) if k % 3 < 2] + [(k, k + 3) for k in range(6)]
+    for corners, more in ((square, 1.0), (crooked, 1.1)):
+        m = replace(draw("a", corners, edges), position_sigma=np.full(9, 2.0))
+        found = bending(m)
+        with monkeypatch.context() as patch:
+            patch.setattr(joint_graph, "_STIFF", 1.0)
+            assert found == pytest.approx(more * bending(m))
+
+
 @pytest.mark.parametrize("times", [1.0, 2.0])
 def test_what_a_map_bends_is_told_from_how_its_centres_were_seen(draw, times):
     corners = {k: (8.0 * (k % 4) + 3.0 * (k // 4), 6.0 * (k // 4)) for k in range(12)}
