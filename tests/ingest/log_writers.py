@@ -6,6 +6,7 @@ import json
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -60,7 +61,7 @@ def drive(odometry: int = 300, every: int = 10) -> list[Message]:
 # Payloads
 
 
-def store_of(ros1: bool) -> Any:
+def new_store(ros1: bool) -> Any:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
@@ -69,6 +70,10 @@ def store_of(ros1: bool) -> Any:
             get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/TFMessage")
         )
     return store
+
+
+store_of = cache(new_store)
+"""Shared by tests that add no types to it: what packs a type is compiled once for each store."""
 
 
 def ros_object(message: Message, store: Any, ros1: bool) -> Any:

@@ -247,7 +247,7 @@ def test_an_unusual_definition_is_decoded_by_its_schema(logs, tmp_path):
     store = logs.store_of(False)
     usual, _ = store.generate_msgdef(logs.ODOMETRY, ros_version=2)
     text = "float64 quality\n" + usual
-    fork = logs.store_of(False)
+    fork = logs.new_store(False)
     types = get_types_from_msg(text, "nav_msgs/msg/Odometry")
     del fork.fielddefs["nav_msgs/msg/Odometry"]
     fork.register({"nav_msgs/msg/Odometry": types["nav_msgs/msg/Odometry"]})

@@ -26,7 +26,7 @@ def written(logs, folder, angles, *, encoding="cdr", ros1=False, first=None, las
     the last. options: of both files' writers."""
     from rosbags.typesys import get_types_from_msg
 
-    store = logs.store_of(ros1)
+    store = logs.new_store(ros1)
     name = "a/msg/Seen"
     text = SEEN.replace("builtin_interfaces/Time", "time") if ros1 else SEEN
     store.register(get_types_from_msg(text, name))
