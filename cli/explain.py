@@ -174,7 +174,7 @@ def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: st
     if document is None:
         return "not merged yet (topobatch merge --all)"
     if document.graph.method == "paper":
-        return "merged by --method paper (see topobatch explain --method paper)"
+        return f"{name} is a merge by --method paper (see topobatch explain --method paper)"
     if not document.graph.home.keys() >= set(pair):
         return f"{name} does not hold both runs"
     return ""

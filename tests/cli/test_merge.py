@@ -115,6 +115,7 @@ def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
     assert (workspace / "maps" / "run1.json").exists()
     error = topobatch("merge", "--all", "--output", name, "-w", workspace).error(2)
     assert "cannot name a merge" in error
+    assert ("that is one without --output" in error) == (name == "merged")
 
 
 def test_explain_asks_the_merge_that_is_named(topobatch, workspace):
@@ -336,7 +337,8 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
         told = topobatch("explain", a, b, "-w", workspace).error(1)
         assert "merged.json: merges.0" in told
     topobatch("merge", "--all", "--method", "paper", "-w", workspace)
-    assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
+    told = " ".join(topobatch("explain", a, b, "-w", workspace).out.split())
+    assert "merged.json is a merge by --method paper" in told
     topobatch("merge", a, "--replace", "-w", workspace)
     assert "does not hold both runs" in topobatch("explain", a, b, "-w", workspace).out
     third.write_text("{}")

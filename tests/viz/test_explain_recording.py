@@ -93,6 +93,13 @@ def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMa
     for name in ("a.rrd", "b.rrd"):
         told = Readback(tmp_path / name).value("/summary", "TextDocument:text")[0]
         assert "no pair of junctions is compatible" in told
+        assert "**0** hypotheses, **0** clusters" in told
+    found = nothing(5)
+    found.candidate_a, found.candidate_b = np.array([1]), np.array([2])
+    write_explain_recording(tmp_path / "c.rrd", make_map("a"), make_map("b"), found)
+    told = Readback(tmp_path / "c.rrd").value("/summary", "TextDocument:text")[0]
+    assert "**1** compatible pair, each rotation counted, **0** hypotheses" in told
+    assert "none of them fits along its corridors" in told
 
 
 def test_the_table_is_in_the_order_of_branches(tmp_path: Path, make_map: Make) -> None:
