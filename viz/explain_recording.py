@@ -150,8 +150,8 @@ def _transform_space(recording: Recording, e: Explanation) -> None:
             colors=[_colour(int(k)) for k in c.of],
         ),
         rr.AnyValues(
-            hypothesis=np.arange(len(h.size)),
-            cluster=c.of,
+            hypothesis=np.arange(len(h.size)) + 1,
+            cluster=c.of + 1,  # 0: none
             vertices=h.size,
             corridors=h.corridors,
             error_m2=h.error,
@@ -225,7 +225,7 @@ def _told(a: TopoMap, b: TopoMap, e: Explanation) -> str:
         for k in range(min(len(c.vertices), MOST_ROWS))
     ]
     hypotheses = [
-        f"| {i} | {c.of[i] + 1 if c.of[i] >= 0 else ''} | {h.size[i]} | {h.corridors[i]} "
+        f"| {i + 1} | {c.of[i] + 1 if c.of[i] >= 0 else ''} | {h.size[i]} | {h.corridors[i]} "
         f"| {np.sqrt(h.error[i]):.2f} | {_pose(h.transform[i])} |"
         for i in range(min(len(h.size), MOST_ROWS))
     ]

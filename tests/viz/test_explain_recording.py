@@ -78,13 +78,15 @@ def test_what_was_found_is_written_and_read_back(tmp_path: Path, make_map: Make)
     assert got.identity == ("topobatch", "a/1 - b")
     assert got.blueprints == 1
     assert got.value("/transforms/hypotheses", "vertices") == [3, 1, 1]
+    assert got.value("/transforms/hypotheses", "hypothesis") == [1, 2, 3]  # as in the tables
+    assert got.value("/transforms/hypotheses", "cluster") == [1, 1, 2]
     assert got.value("/transforms/clusters", "Points3D:labels") == ["1: 4 vertices", "2: 1 vertex"]
     assert len(got.value("/placements/cluster\\ 1/matched", "Points2D:positions")) == 4
     assert "/placements/cluster\\ 2/a/a\\/1/corridors" in got.entities
     told = got.value("/summary", "TextDocument:text")[0]
     assert "**3** hypotheses, **2** clusters" in told
     assert "| 1 | 4 | 2 | 3 | 0.10 | (0.0, 0.0) m, 0° |" in told
-    assert "| 2 | 2 | 1 | 0 | 0.00 | (4.0, 2.0) m, 90° |" in told
+    assert "| 3 | 2 | 1 | 0 | 0.00 | (4.0, 2.0) m, 90° |" in told
 
 
 def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMap) -> None:

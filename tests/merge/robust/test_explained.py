@@ -39,6 +39,7 @@ def explained(batch, a, b):
         # A length that follows from others tells nothing; it fits all the same.
         assert all(t.bits < 0 for t in placement.terms if t.told == "misfit")
         assert all(t.bits >= 0 for t in placement.terms if t.told == "corridor")
+        assert all(t.bits < 0 for t in placement.terms if t.kind == "few")
         total = sum(term.bits for term in placement.terms)
         if decision.said.accepted_by != "components":
             assert total == pytest.approx(
