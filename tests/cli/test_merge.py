@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from types import SimpleNamespace
 
 import pytest
 
-from topobatch.cli.merge import _executor
+from topobatch.cli.merge import _counts, _executor
+from topobatch.merge.result import Standing
 
 
 @pytest.fixture(scope="module")
@@ -417,3 +419,12 @@ def test_settings_that_make_no_sense(topobatch, workspace):
     explain = ["explain", a, b, "-w", workspace]
     assert "graph.settings" in topobatch(*explain, "--method", "paper").error(1)
     assert "belong to --method paper" in topobatch(*explain, "--iterative").error(2)
+
+
+def test_many_pairs_are_counted_with_commas():
+    few = dict.fromkeys(Standing, 1200)
+    many = SimpleNamespace(components=[SimpleNamespace(poses=range(110))], standings=lambda: few)
+    told = (
+        "5,995 pairs: 1,200 merged, 1,200 joined through others, 1,200 ambiguous, 1,200 unrelated"
+    )
+    assert _counts(many) == f"{told}, 1,200 kept out; 1 component"
