@@ -294,6 +294,8 @@ class Workspace:
             return
         if self.merge != MERGED:
             how = f"`topobatch merge … --output {self.merge}` makes it"
+            if self.merge in self.runs():
+                how = "that is a run; --merge takes the --output NAME of a merge"
             raise UsageError(f"{self.merged_json}: is not there; {how}")
         if not self.runs():
             raise self.no_maps()

@@ -266,6 +266,10 @@ def test_explain_tells_of_locks(topobatch, workspace):
     topobatch("lock", a, b, "--clear", "-w", workspace)
     assert "unlocked since the merge" in topobatch("explain", a, b, "-w", workspace).out
     topobatch("lock", a, b, "--same", "-w", workspace)
+    locked = topobatch("discard", f"{a}:{b}", "-w", workspace).error(2)
+    assert locked.endswith(f"first: topobatch lock {a} {b} --clear -w {workspace}")
+    topobatch("lock", a, b, "--clear", "-w", workspace)
+    topobatch("lock", a, b, "--same", "-w", workspace)
     topobatch("merge", "--all", "-w", workspace)
     assert "Note" not in topobatch("explain", a, b, "-w", workspace).out
     document = json.loads((workspace / "merged.json").read_bytes())
@@ -283,7 +287,7 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
     assert shown.code == 0, shown
     assert "hypotheses" in shown.out
     assert "cluster" in shown.out
-    assert "not merged yet" in shown.out
+    assert f"not merged yet; topobatch merge --all -w {workspace}" in shown.out
     assert (workspace / "explain" / f"{a}+{b}.paper.rrd").stat().st_size > 1000
     topobatch("merge", "--all", "-w", workspace)
     options = ("--method", "paper", "--json", "-w", workspace)
