@@ -174,7 +174,7 @@ def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: st
     if document is None:
         return "not merged yet (topobatch merge --all)"
     if document.graph.method == "paper":
-        return "merged by --method paper (see topobatch explain --method paper)"
+        return f"{name} is a merge by --method paper (see topobatch explain --method paper)"
     if not document.graph.home.keys() >= set(pair):
         return f"{name} does not hold both runs"
     return ""
@@ -228,7 +228,7 @@ def _by_paper(
     else:
         how = "" if found.settings == merged_with else ", with the settings of that merge"
         how = " by another method" if merged_with is None else how
-        verdict = ["verdict: not merged yet; topobatch merge --all"]
+        verdict = [f"verdict: not merged yet; {call(place.root, 'merge', '--all')}"]
         if said is not None:
             verdict = _verdict_lines(said, f"{name}{how}")
         elif document is not None:

@@ -440,10 +440,10 @@ def _counts(result: MergeResult) -> str:
     count = result.standings()
     others, kept_out = count[Standing.JOINED], count[Standing.KEPT_OUT]
     return (
-        f"{counted(pairs_of(runs), 'pair')}: {count[Standing.MERGED]} merged, "
-        f"{f'{others} joined through others, ' if others else ''}"
-        f"{count[Standing.AMBIGUOUS]} ambiguous, "
-        f"{count[Standing.UNRELATED]} unrelated"
-        f"{f', {kept_out} kept out' if kept_out else ''}; "
+        f"{counted(pairs_of(runs), 'pair')}: {count[Standing.MERGED]:,} merged, "
+        f"{f'{others:,} joined through others, ' if others else ''}"
+        f"{count[Standing.AMBIGUOUS]:,} ambiguous, "
+        f"{count[Standing.UNRELATED]:,} unrelated"
+        f"{f', {kept_out:,} kept out' if kept_out else ''}; "
         f"{counted(len(result.components), 'component')}"
     )

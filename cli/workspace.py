@@ -87,7 +87,9 @@ class Workspace:
         """UsageError if the name of the merge is too long, or used for something else."""
         checked_file_name(self.merge, MERGE)
         folders = (self.maps.name, "cache", "explain", self.exports.name)
-        kept = (MERGED, self.locks_json.stem, self.discards_json.stem, *folders)
+        kept = (self.locks_json.stem, self.discards_json.stem, *folders)
+        if self.merge.casefold() == MERGED:
+            raise UsageError(f"{self.merge!r} cannot name a merge: that is one without --output")
         if self.merge.casefold() in kept or self.merge in self.runs():
             raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
 
@@ -292,6 +294,8 @@ class Workspace:
             return
         if self.merge != MERGED:
             how = f"`topobatch merge … --output {self.merge}` makes it"
+            if self.merge in self.runs():
+                how = "that is a run; --merge takes the --output NAME of a merge"
             raise UsageError(f"{self.merged_json}: is not there; {how}")
         if not self.runs():
             raise self.no_maps()

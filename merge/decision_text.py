@@ -307,8 +307,20 @@ def sum_told(decision: Decision) -> str:
     margin = decision.said.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
-    ahead = shown_bits(margin, decimals(margin, decision.requirement.lead_bits))
-    return f"evidence, {ahead} bits ahead of the next best"
+    digits = decimals(margin, decision.requirement.lead_bits)
+    lead = shown_bits(abs(margin), digits)
+    which = "behind" if other_name(decision) == OTHER else "ahead of"
+    return f"evidence, {lead} bits {which} the {other_name(decision)}"
+
+
+NEXT, OTHER = "next best", "other placement"
+
+
+def other_name(decision: Decision) -> str:
+    """What the second placement is called. It has more evidence than the first one where a person
+    or other runs chose that."""
+    margin = decision.said.margin_bits
+    return OTHER if margin is not None and float(shown_bits(margin)) < 0 else NEXT
 
 
 def matched(placement: Placement) -> str:
@@ -332,7 +344,8 @@ def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
     out = [*_folded(headline(decision)), *_folded(because(decision), "  ", most=2 if brief else 3)]
     out += _folded(lies(decision), "  ")
     if len(decision.placements) > 1:
-        out += _folded(f"the next best lays it at {pose(decision.placements[1])}", "  ")
+        second = f"the {other_name(decision)} lays it at {pose(decision.placements[1])}"
+        out += _folded(second, "  ")
     out += _table(decision, links)[brief:]
     if decision.placements and not brief:
         pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"

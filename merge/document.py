@@ -85,7 +85,8 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
         locked=pair.locked,
     )
     if pair.verdict is Verdict.UNRELATED:
-        return entry  # in short: most pairs of a fleet are unrelated
+        # In short: most pairs of a fleet are unrelated. Those that a person locked apart may fit.
+        return entry | {name: pair.extra[name] for name in EXTRA if name in pair.extra}
     if pair.best is not None:
         entry |= {**_alignment(pair.best), "evidence_bits": entry["evidence_bits"]}
     entry |= _known(

@@ -206,9 +206,10 @@ def _world_with_regions(
         regions = chain_of_regions(world, s.runs, size, s.overlap, chance)
         if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
             return world, regions
+    larger = ", or a larger world" if s.world_junctions else ""
     raise UsageError(
         f"no room for {s.runs} runs of {size} junctions in a world of {len(world)} junctions: "
-        "ask for fewer or smaller runs, or a larger world"
+        f"ask for fewer or smaller runs{larger}"
     )
 
 

@@ -156,7 +156,7 @@ class ClosureRecord(Model):
     """An identification that was made, refused, or taken back.
 
     round: of the loop closure, from 1 on; accepted_round: in which it had been accepted, where this
-    takes it back; revised: a later round answered otherwise.
+    takes it back; revised: another answer stands.
     """
 
     time_ns: tuple[Nanoseconds, Nanoseconds] = Field(
@@ -169,7 +169,11 @@ class ClosureRecord(Model):
     accepted_round: Index | None = Field(
         None, description="Round in which it had been accepted, where this takes it back."
     )
-    revised: bool = Field(False, description="A later round answered otherwise.")
+    revised: bool = Field(
+        False,
+        description="Another answer stands: the two passes were identified later, or their places "
+        "were asked about again, and it may have been no for another reason.",
+    )
 
 
 class LengthScaleRecord(Model):

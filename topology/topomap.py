@@ -76,8 +76,8 @@ class Closure:
     """The question whether two passes were by the same place, and its answer.
 
     round: of the loop closure in which it was answered, from 1 on; accepted_round: the round in
-    which it had been accepted, if this takes it back; revised: whether a later round answered
-    otherwise.
+    which it had been accepted, if this takes it back; revised: whether another answer on the
+    places of the two stands.
     """
 
     time_a_ns: int

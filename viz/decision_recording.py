@@ -17,6 +17,7 @@ from ..merge.decision_text import (
     lies,
     missing,
     needs,
+    other_name,
     pose,
     rows,
     short,
@@ -210,7 +211,8 @@ def told(decision: Decision) -> str:
     parts.append(_table(decision, LINKS_SHOWN))
     if len(decision.placements) > 1:
         other = decision.placements[1]
-        parts.append(plain(f"Next best: {agreement(other)}; at {pose(other)}."))
+        name = other_name(decision).capitalize()
+        parts.append(plain(f"{name}: {agreement(other)}; at {pose(other)}."))
     parts += [plain(f"Note: {note}.") for note in decision.notes]
     return "\n\n".join(parts) + "\n"
 

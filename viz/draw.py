@@ -264,6 +264,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     a, b = with_turning_points(a), with_turning_points(b)
     drawn = placements(a, b, decision)
     heading = [headline(decision), because(decision), missing(decision)]
+    heading += [f"Note: {note}" for note in decision.notes]
     if not drawn:
         return _side_by_side(a, b, heading, theme, "pair")
     laid = [(p.title, p.T_a_b) for p in drawn]

@@ -18,7 +18,7 @@ from ..topology.wording import counted
 from . import palette
 from .drawing import extent, pen_m
 from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
-from .map_summary import plain
+from .map_summary import plain, several
 from .recording import HAIR, UP, Recording, blueprint, markdown, write_recording
 from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
 
@@ -98,7 +98,7 @@ def _table(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> None
     classes.append((OTHER, "another cluster", palette.DIM))
     classes.append((DROPPED, "compatible, no hypothesis survived", palette.UNRELATED))
     recording.static((TABLE,), rr.AnnotationContext(classes))
-    # Sorted by number of branches: only vertices with the same number are compatible.
+    # Sorted by number of branches: compatible are vertices with the same number, or nearly.
     rows = np.argsort(e.degree_a, kind="stable")
     columns = np.argsort(e.degree_b, kind="stable")
     cells = pair_classes((len(a), len(b)), e)[np.ix_(rows, columns)]
@@ -150,8 +150,8 @@ def _transform_space(recording: Recording, e: Explanation) -> None:
             colors=[_colour(int(k)) for k in c.of],
         ),
         rr.AnyValues(
-            hypothesis=np.arange(len(h.size)),
-            cluster=c.of,
+            hypothesis=np.arange(len(h.size)) + 1,
+            cluster=c.of + 1,  # 0: none
             vertices=h.size,
             corridors=h.corridors,
             error_m2=h.error,
@@ -210,11 +210,14 @@ def _told(a: TopoMap, b: TopoMap, e: Explanation) -> str:
     h, c = e.hypotheses, e.clusters
     head = (
         f"# {plain(a.run)} - {plain(b.run)}\n\n{len(a)} by {len(b)} vertices, "
-        f"**{len(e.candidate_a)}** compatible pairs with their rotations, "
-        f"**{len(h.size)}** hypotheses, **{len(c.vertices)}** clusters"
+        f"{several(len(e.candidate_a), 'compatible pair')}, each rotation counted, "
+        f"{several(len(h.size), 'hypothesis', 'hypotheses')}, "
+        f"{several(len(c.vertices), 'cluster')}"
     )
     if len(c.vertices) == 0:
-        return f"{head}: no pair of junctions is compatible.\n"
+        fits = "none of them fits along its corridors"
+        none = "no pair of junctions is compatible"
+        return f"{head}: {fits if len(e.candidate_a) else none}.\n"
     rms = np.sqrt(c.squared_error / np.maximum(c.vertices, 1))
     clusters = [
         f"| {k + 1} | {c.vertices[k]} | {c.hypotheses[k]} | {c.largest[k]} | {rms[k]:.2f} "
@@ -222,7 +225,7 @@ def _told(a: TopoMap, b: TopoMap, e: Explanation) -> str:
         for k in range(min(len(c.vertices), MOST_ROWS))
     ]
     hypotheses = [
-        f"| {i} | {c.of[i] + 1 if c.of[i] >= 0 else ''} | {h.size[i]} | {h.corridors[i]} "
+        f"| {i + 1} | {c.of[i] + 1 if c.of[i] >= 0 else ''} | {h.size[i]} | {h.corridors[i]} "
         f"| {np.sqrt(h.error[i]):.2f} | {_pose(h.transform[i])} |"
         for i in range(min(len(h.size), MOST_ROWS))
     ]

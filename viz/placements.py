@@ -8,11 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..merge.decision import AGAINST, Decision, Placement, Term
-from ..merge.decision_text import listed
+from ..merge.decision_text import listed, other_name
 from ..merge.result import Alignment, shown_bits
 from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
+from ..topology.wording import counted
 from .sheet import upright_rad
 
 APART, ASIDE = 0.15, 0.2
@@ -44,13 +45,14 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
         T = placement.alignment.transform
         bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
         name = ("placement", "next best")[k]
-        title = f"{name}: {bits}" if decision.start is None else "best hypothesis, given up"
+        called = other_name(decision) if k else name
+        title = f"{called}: {bits}" if decision.start is None else "best hypothesis, given up"
         out.append(Picture(name, title, placement, T, tied=False))
         alone = len(decision.placements) == 1 or decision.said.accepted
         alone &= decision.by_others is None
         if k == 0 and alone and len(placement.alignment.matched):
             count = len(placement.alignment.matched)
-            title = f"the {count} matched junctions tied"
+            title = f"the {counted(count, 'matched junction')} tied"
             out.append(Picture("tied", title, placement, _apart(a, b, T), tied=True))
     return out
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
-from ..topology.wording import listed, to_turning_points
+from ..topology.wording import counted, listed, to_turning_points
 from .drawing import driven_branches
 from .map_summary import bulleted, plain, several
 from .steps import Step
@@ -161,9 +161,9 @@ def _components(result: MergeResult) -> str:
     size = Counter(result.fused.component[: result.fused.junctions].tolist())
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
     lines = [
-        f"component {c.id}: {size[c.id]} junctions from "
+        f"component {c.id}: {counted(size[c.id], 'junction')} from "
         + (
-            f"{len(c.poses)} runs ({listed([plain(run) for run in sorted(c.poses)])})"
+            f"{counted(len(c.poses), 'run')} ({listed([plain(run) for run in sorted(c.poses)])})"
             if len(c.poses) > 1
             else plain(*c.poses)
         )
@@ -193,13 +193,13 @@ def pairs_told(result: MergeResult) -> str:
     ):
         pairs, everyone = strongest(of_kind[standing]), count[standing]
         if everyone:
-            parts.append(f"## {title} ({everyone})")
+            parts.append(f"## {title} ({everyone:,})")
             told = _in_short if standing in (Standing.JOINED, Standing.UNRELATED) else _in_full
             parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
             if len(pairs) > MOST_PAIRS:
-                parts.append(f"… and {len(pairs) - MOST_PAIRS} more, in `merged.json`")
+                parts.append(f"… and {len(pairs) - MOST_PAIRS:,} more, in `merged.json`")
             if everyone > len(pairs):
-                parts.append(f"{everyone - len(pairs)} pairs that a large merge only counts")
+                parts.append(f"{everyone - len(pairs):,} pairs that a large merge only counts")
     if len(parts) == 1:
         parts.append("There is no pair: fewer than two runs.")
     return "\n\n".join(parts) + "\n"
@@ -240,7 +240,7 @@ def _in_full(pair: PairVerdict) -> str:
 def _placement(a: Alignment) -> str:
     x, y, theta = a.transform
     told = (
-        f"{len(a.matched)} junctions and {a.corridors} corridors "
+        f"{counted(len(a.matched), 'junction')} and {counted(a.corridors, 'corridor')} "
         f"matched, {a.rmse_m:.2f} m apart (rms), at ({x:.2f}, {y:.2f}) m, "
         f"{np.degrees(theta):.1f}°"
     )

@@ -135,6 +135,8 @@ def _cell(e: Explanation, u: int, v: int) -> str:
 
 def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
     c = e.clusters
+    if len(c) == 0:
+        return
     yield ""
     yield "cluster  junctions  hypotheses  largest  rms m        x        y  turn°    bits"
     for k in range(min(len(c), most)):

@@ -20,7 +20,7 @@ from pydantic import TypeAdapter
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.errors import UsageError
-from ...topology.matching.correspondence import DEFAULT_GROWTH, GrowthSettings
+from ...topology.matching.correspondence import DEFAULT_GROWTH, GrowthSettings, candidate_nodes
 from ...topology.matching.structure import Structure, prepare
 from ...topology.se2 import apply, between
 from ...topology.topomap import TopoMap
@@ -111,17 +111,24 @@ def prepare_map(topomap: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> Pr
 
 def match(a: PreparedMap, b: PreparedMap, settings: PaperSettings = DEFAULT_PAPER) -> Matching:
     """Hypotheses and their clusters, §2 and §3."""
-    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
     hypotheses = hypothesise(
         a.structure,
         b.structure,
         (a.xy, b.xy),
         settings.growth,
-        near=None if meeting is None else (a.near[meeting], b.near[meeting]),
+        near=_near(a, b, settings),
         alike=(a.alike, b.alike),
         weights=settings.clusters.weights,
     )
     return Matching(hypotheses, cluster(hypotheses, (a.xy, b.xy), settings.clusters))
+
+
+def _near(
+    a: PreparedMap, b: PreparedMap, settings: PaperSettings
+) -> tuple[IntArray, IntArray] | None:
+    """The vertices of both maps near a meeting of the two; None if they did not meet."""
+    meeting = next((m for m in settings.meetings if m in a.near and m in b.near), None)
+    return None if meeting is None else (a.near[meeting], b.near[meeting])
 
 
 def decide(
@@ -204,8 +211,11 @@ def judge(
     """
     found = match(a, b, settings)
     if len(found.clusters) == 0:
-        reason = "no pair of junctions is compatible"
-        return PairVerdict(a.run, b.run, Verdict.UNRELATED, False, 0.0, reason)
+        reason = _nothing(a, b, settings)
+        needed = settings.needed_bits(pairs)
+        return PairVerdict(
+            a.run, b.run, Verdict.UNRELATED, False, 0.0, reason, threshold_bits=needed
+        )
     ranked = np.argsort(-found.bits, kind="stable").tolist()
     best = alignment(a, b, found, ranked[0])
     rival = _rival(found, ranked, b, settings)
@@ -229,6 +239,18 @@ def judge(
         accepted_by="pair" if verdict is Verdict.MERGED else None,
         extra={"hypotheses": len(found.hypotheses), "clusters": len(found.clusters)},
     )
+
+
+def _nothing(a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> str:
+    """Why two maps have no hypothesis."""
+    near = _near(a, b, settings)
+    nodes = candidate_nodes(a.structure, b.structure, settings.growth, near)
+    pairs = len(set(zip(nodes.vertex_a.tolist(), nodes.vertex_b.tolist(), strict=True)))
+    where = "" if near is None else " near both robots"
+    if pairs == 0:
+        return f"no pair of junctions{where} is compatible"
+    told = f"{counted(pairs, 'compatible pair')} of junctions{where}"
+    return f"{told}, none of which fits along its corridors"
 
 
 def _verdict(bits: float, lead: float, needed: float) -> Verdict:

@@ -289,6 +289,13 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
 
 
+def same_matches(x: Candidate, y: Candidate) -> bool:
+    """Whether two candidates match the same vertices, as one that was found again does."""
+    return set(zip(x.a.tolist(), x.b.tolist(), strict=True)) == set(
+        zip(y.a.tolist(), y.b.tolist(), strict=True)
+    )
+
+
 def self_matches(
     maps: Iterable[Prepared], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:

@@ -11,7 +11,7 @@ from ..discards import REASON
 from ..locks import Lock
 from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
 from .advice import advice
-from .alignment import Candidate, same_placement
+from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
 from .prepare import Prepared
 from .rematching import Reunion
@@ -94,7 +94,7 @@ class Case:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
         replaces the braces in the reason."""
         view = self.view
-        known = (bits for c, bits in view.ranked if c is chosen)
+        known = (bits for c, bits in view.ranked if same_matches(c, chosen))
         bits = next(known, counted_bits(chosen))
         others = (r for r in view.ranked if not same_placement(r[0], chosen, self.b))
         second = next((alignment_of(c, self.a, self.b, bits) for c, bits in others), None)

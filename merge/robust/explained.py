@@ -13,7 +13,7 @@ from math import ceil
 import numpy as np
 
 from ...topology.arrays import FloatArray
-from ...topology.digits import BITS
+from ...topology.digits import BITS, rounded
 from ...topology.se2 import between
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
@@ -281,7 +281,7 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     copies = answers.bits - answers.carried
     terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
-    if few < 0:
+    if rounded(few, BITS) < 0:
         told = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
         terms.append(naming.term("few", few, told))
     if answers.same_place is not None:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from types import SimpleNamespace
 
 import pytest
 
-from topobatch.cli.merge import _executor
+from topobatch.cli.merge import _counts, _executor
+from topobatch.merge.result import Standing
 
 
 @pytest.fixture(scope="module")
@@ -115,6 +117,7 @@ def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
     assert (workspace / "maps" / "run1.json").exists()
     error = topobatch("merge", "--all", "--output", name, "-w", workspace).error(2)
     assert "cannot name a merge" in error
+    assert ("that is one without --output" in error) == (name == "merged")
 
 
 def test_explain_asks_the_merge_that_is_named(topobatch, workspace):
@@ -263,6 +266,10 @@ def test_explain_tells_of_locks(topobatch, workspace):
     topobatch("lock", a, b, "--clear", "-w", workspace)
     assert "unlocked since the merge" in topobatch("explain", a, b, "-w", workspace).out
     topobatch("lock", a, b, "--same", "-w", workspace)
+    locked = topobatch("discard", f"{a}:{b}", "-w", workspace).error(2)
+    assert locked.endswith(f"first: topobatch lock {a} {b} --clear -w {workspace}")
+    topobatch("lock", a, b, "--clear", "-w", workspace)
+    topobatch("lock", a, b, "--same", "-w", workspace)
     topobatch("merge", "--all", "-w", workspace)
     assert "Note" not in topobatch("explain", a, b, "-w", workspace).out
     document = json.loads((workspace / "merged.json").read_bytes())
@@ -280,7 +287,7 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
     assert shown.code == 0, shown
     assert "hypotheses" in shown.out
     assert "cluster" in shown.out
-    assert "not merged yet" in shown.out
+    assert f"not merged yet; topobatch merge --all -w {workspace}" in shown.out
     assert (workspace / "explain" / f"{a}+{b}.paper.rrd").stat().st_size > 1000
     topobatch("merge", "--all", "-w", workspace)
     options = ("--method", "paper", "--json", "-w", workspace)
@@ -336,7 +343,8 @@ def test_explain_tells_what_it_does_without(topobatch, workspace):
         told = topobatch("explain", a, b, "-w", workspace).error(1)
         assert "merged.json: merges.0" in told
     topobatch("merge", "--all", "--method", "paper", "-w", workspace)
-    assert "--method paper" in topobatch("explain", a, b, "-w", workspace).out
+    told = " ".join(topobatch("explain", a, b, "-w", workspace).out.split())
+    assert "merged.json is a merge by --method paper" in told
     topobatch("merge", a, "--replace", "-w", workspace)
     assert "does not hold both runs" in topobatch("explain", a, b, "-w", workspace).out
     third.write_text("{}")
@@ -415,3 +423,12 @@ def test_settings_that_make_no_sense(topobatch, workspace):
     explain = ["explain", a, b, "-w", workspace]
     assert "graph.settings" in topobatch(*explain, "--method", "paper").error(1)
     assert "belong to --method paper" in topobatch(*explain, "--iterative").error(2)
+
+
+def test_many_pairs_are_counted_with_commas():
+    few = dict.fromkeys(Standing, 1200)
+    many = SimpleNamespace(components=[SimpleNamespace(poses=range(110))], standings=lambda: few)
+    told = (
+        "5,995 pairs: 1,200 merged, 1,200 joined through others, 1,200 ambiguous, 1,200 unrelated"
+    )
+    assert _counts(many) == f"{told}, 1,200 kept out; 1 component"

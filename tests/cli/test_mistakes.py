@@ -125,6 +125,9 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
     assert "site-b" in error
     if "--merge" in call:
         assert "`topobatch merge … --output site-b` makes it" in error
+    if "--merge" in call:
+        error = topobatch(*call.replace("site-b", "run1").split()).error(2)
+        assert "run1.json: is not there; that is a run" in error
 
 
 @pytest.mark.parametrize(

@@ -188,6 +188,16 @@ def test_the_document_adds_up_too():
     assert to_document(UNRELATED)["start"]["expected"] == 7
 
 
+def test_another_placement_with_more_evidence_is_not_called_the_next_best():
+    """A person locked the pair where another placement fits better."""
+    told = decision(Verdict.MERGED, 4.0, [placement(4.0), placement(9.0)])
+    told = " ".join(" ".join(lines(told)).split())
+    assert "evidence, 5.0 bits behind the other placement" in told
+    assert "the other placement lays it at (1.00, -2.00) m, turned by 180.0°" in told
+    assert "next best" not in told
+    assert "evidence, 5.9 bits ahead of the next best" in " ".join(lines(AMBIGUOUS))
+
+
 def test_an_ambiguous_pair_says_what_is_missing():
     assert "repeat themselves" in because(AMBIGUOUS)
     assert missing(AMBIGUOUS).startswith("Missing: 2.7 bits of evidence. To settle it: record")

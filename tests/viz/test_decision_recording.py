@@ -67,6 +67,15 @@ def test_a_merged_pair_is_drawn_over_and_tied(tmp_path: Path, make_map) -> None:
     assert "+29.00" in got.value("/evidence", "TextDocument:text")[0]
 
 
+def test_a_placement_that_a_person_chose_may_have_less_evidence(tmp_path: Path, make_map) -> None:
+    told = decision(Verdict.MERGED, [placement(3.0), placement(9.0)])
+    got = written(tmp_path / "a.rrd", make_map, told)
+    assert got.value("/placements/titles", "Points2D:labels")[-1] == "other placement: 9.0 bits"
+    page = got.value("/decision", "TextDocument:text")[0]
+    assert "Other placement: 5 junctions" in page
+    assert "evidence, 6.0 bits behind the other placement" in page
+
+
 def test_what_falls_short_by_little_is_seen_to_do_so(tmp_path: Path, make_map) -> None:
     told = decision(Verdict.AMBIGUOUS, [placement(12.51)])
     near = replace(told, requirement=replace(NEED, threshold_bits=12.53))

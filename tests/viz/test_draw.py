@@ -108,6 +108,14 @@ def test_an_ambiguous_pair_shows_both_placements(make_map, merge_of) -> None:
     assert "link that speaks for it" not in texts
 
 
+def test_what_has_changed_since_the_merge_stands_in_the_drawing_of_a_pair(make_map) -> None:
+    merged = decision(Verdict.MERGED, [placement(30.0)])
+    for plain in (merged, decision(Verdict.UNRELATED, [])):
+        told = replace(plain, notes=("not merged yet", "merge again"))
+        texts, _ = seen(draw_decision(make_map("a"), make_map("b"), told, LIGHT))
+        assert {"Note: not merged yet", "Note: merge again"} <= set(texts)
+
+
 def test_a_pair_with_nothing_alike_is_drawn_side_by_side(make_map) -> None:
     told = decision(Verdict.UNRELATED, [])
     texts, _ = seen(draw_decision(make_map("a/1"), make_map("b"), told, LIGHT))

@@ -78,13 +78,15 @@ def test_what_was_found_is_written_and_read_back(tmp_path: Path, make_map: Make)
     assert got.identity == ("topobatch", "a/1 - b")
     assert got.blueprints == 1
     assert got.value("/transforms/hypotheses", "vertices") == [3, 1, 1]
+    assert got.value("/transforms/hypotheses", "hypothesis") == [1, 2, 3]  # as in the tables
+    assert got.value("/transforms/hypotheses", "cluster") == [1, 1, 2]
     assert got.value("/transforms/clusters", "Points3D:labels") == ["1: 4 vertices", "2: 1 vertex"]
     assert len(got.value("/placements/cluster\\ 1/matched", "Points2D:positions")) == 4
     assert "/placements/cluster\\ 2/a/a\\/1/corridors" in got.entities
     told = got.value("/summary", "TextDocument:text")[0]
     assert "**3** hypotheses, **2** clusters" in told
     assert "| 1 | 4 | 2 | 3 | 0.10 | (0.0, 0.0) m, 0° |" in told
-    assert "| 2 | 2 | 1 | 0 | 0.00 | (4.0, 2.0) m, 90° |" in told
+    assert "| 3 | 2 | 1 | 0 | 0.00 | (4.0, 2.0) m, 90° |" in told
 
 
 def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMap) -> None:
@@ -93,6 +95,13 @@ def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMa
     for name in ("a.rrd", "b.rrd"):
         told = Readback(tmp_path / name).value("/summary", "TextDocument:text")[0]
         assert "no pair of junctions is compatible" in told
+        assert "**0** hypotheses, **0** clusters" in told
+    found = nothing(5)
+    found.candidate_a, found.candidate_b = np.array([1]), np.array([2])
+    write_explain_recording(tmp_path / "c.rrd", make_map("a"), make_map("b"), found)
+    told = Readback(tmp_path / "c.rrd").value("/summary", "TextDocument:text")[0]
+    assert "**1** compatible pair, each rotation counted, **0** hypotheses" in told
+    assert "none of them fits along its corridors" in told
 
 
 def test_the_table_is_in_the_order_of_branches(tmp_path: Path, make_map: Make) -> None:

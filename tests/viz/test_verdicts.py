@@ -54,6 +54,14 @@ def test_pairs_beyond_those_that_are_told_are_counted(merge_of: Merge, monkeypat
     assert "… and 1 more, in `merged.json`" in pairs_told(result)
 
 
+def test_one_is_not_several(merge_of: Merge) -> None:
+    result, _ = merge_of([["a"], ["b"]], [("a", "b")])
+    (pair,) = result.verdicts
+    best = replace(pair.best, matched=pair.best.matched[:1], corridors=1)
+    told = pairs_told(replace(result, verdicts=(replace(pair, best=best),)))
+    assert "40.0 bits, 1 junction and 1 corridor matched" in told
+
+
 def test_summaries_count(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
     told = merge_summary(result, MergeLayers())

@@ -71,7 +71,8 @@ def note(answers: dict[Answer, Identification], given: Iterable[Identification])
 def revised_answers(
     place: IntArray, answers: Iterable[Identification], asked: list[Identification]
 ) -> list[Identification]:
-    """Refusals that later rounds changed: the last one of each reason, per pair of places.
+    """Refusals in whose place another answer stands: the last one of each reason, per pair of
+    places.
 
     asked: the answers that stand. Two passes that were later identified keep an entry of their own.
     """

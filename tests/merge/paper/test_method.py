@@ -1,4 +1,4 @@
-"""The method as a whole, on random mazes; the paper's own example is in test_paper_example.py."""
+"""The method as a whole, on random mazes; the paper's own example is in test_example.py."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import pytest
 
+from topobatch.merge.paper.explain import explain, lines
+from topobatch.merge.paper.meeting import Meeting
 from topobatch.merge.paper.method import PaperSettings, decide, judge, prepare_map
 from topobatch.merge.result import Verdict
 from topobatch.topology.matching.correspondence import GrowthSettings
@@ -60,4 +62,21 @@ def test_maps_with_nothing_in_common_are_unrelated(draw):
     (verdict,) = decide([b, a])
     assert verdict.verdict is Verdict.UNRELATED
     assert verdict.best is None
-    assert "no pair of junctions is compatible" in verdict.reason
+    assert verdict.threshold_bits == pytest.approx(10.0, abs=0.1)
+    assert (
+        verdict.reason == "4 compatible pairs of junctions, none of which fits along its corridors"
+    )
+    table = lines(explain(a, b))
+    assert "4 compatible pairs, 4 with their rotations; 0 hypotheses in 0 clusters" in table[0]
+    assert not any(line.startswith("cluster") for line in table)
+    bend = draw("c", {"p": (0, 0)}, [], stubs=[("p", 0.0), ("p", 1.5), ("p", 3.0)])
+    (verdict,) = decide([bend, a])
+    assert verdict.reason == "no pair of junctions is compatible"
+
+
+def test_runs_that_met_and_share_nothing_there(draw):
+    a = draw("a", {"p": (0, 0), "q": (5, 0)}, [("p", "q")])
+    b = draw("b", {"p": (0, 0), "q": (9, 0)}, [("p", "q")])
+    met = PaperSettings(meetings=(Meeting("a", 0, "b", 0, range_m=1.0),))
+    (verdict,) = decide([a, b], met)
+    assert verdict.reason.startswith("1 compatible pair of junctions near both robots, none of ")

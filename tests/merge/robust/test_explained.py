@@ -13,6 +13,7 @@ from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict, shown_bits
 from topobatch.merge.robust.explained import Batch, explain
 from topobatch.merge.robust.settings import RobustSettings, settings_from_document
+from topobatch.simulation import make_world
 from topobatch.topology.digits import BITS, rounded
 from topobatch.topology.se2 import between
 
@@ -38,6 +39,7 @@ def explained(batch, a, b):
         # A length that follows from others tells nothing; it fits all the same.
         assert all(t.bits < 0 for t in placement.terms if t.told == "misfit")
         assert all(t.bits >= 0 for t in placement.terms if t.told == "corridor")
+        assert all(t.bits < 0 for t in placement.terms if t.kind == "few")
         total = sum(term.bits for term in placement.terms)
         if decision.said.accepted_by != "components":
             assert total == pytest.approx(
@@ -116,6 +118,24 @@ def test_what_a_person_locked_is_explained(side_by_side):
     decision = explained(documented([a, b], locks=[Lock("a", "b", "same", at)]), "a", "b")
     assert "locked as the same" in headline(decision)
     assert list(at) in decision.placements[0].alignment.matched.tolist()
+
+
+def test_locks_among_runs_of_like_buildings_change_no_number_of_other_pairs(see):
+    """Whom the second question is asked of counts also the pairs that a person locked."""
+    office = make_world("office", 200, 8)
+    parts = [list(range(150)), list(range(150)), list(range(20, 170)), list(range(40, 190))]
+    maps = [see(office, part, k, "abcd"[k]) for k, part in enumerate(parts)]
+    plain = documented(maps)
+    locks = [Lock("a", "b", "same"), Lock("a", "c", "never")]
+    locked = documented(maps, locks=locks)
+    asked = [pair for pair, said in plain.said.items() if "same_place_bits" in said.extra]
+    assert {("a", "b"), ("a", "c")} < set(asked)
+    assert locked.said["a", "b"].accepted_by == "lock"
+    assert locked.said["a", "c"].locked == "never"
+    for pair in asked:
+        assert explained(locked, *pair).requirement == explained(plain, *pair).requirement
+        assert locked.said[pair].evidence_bits == plain.said[pair].evidence_bits
+        assert locked.said[pair].extra == plain.said[pair].extra
 
 
 def test_what_components_say_together_is_explained(maze, see):
