@@ -74,7 +74,7 @@ def decide(
     wanted = wanted_pairs(matcher, [*locked, *gone])
     say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
     batch.look_at(wanted, gone)
-    forced = _forced(prepared, locked, settings)
+    forced = _forced(prepared, locked, batch.assessments, settings)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     best, order = _strongest_first(batch, forced)
@@ -135,13 +135,16 @@ def _locked_pairs(maps: Sequence[TopoMap], locks: Sequence[Lock]) -> dict[Pair, 
 def _forced(
     prepared: Sequence[Prepared],
     locked: dict[Pair, Lock],
+    views: Mapping[Pair, Assessment],
     settings: RobustSettings,
 ) -> dict[Pair, Candidate]:
-    """Alignments of the pairs that are locked as the same."""
+    """Alignments of the pairs that are locked as the same: as they are shown to who locks them,
+    also where copies are ranked otherwise than by chance."""
     out = {}
     for (i, j), lock in sorted(locked.items()):
         if lock.decision == "same":
-            candidates = match(prepared[i], prepared[j], settings)
+            shown = (candidate for candidate, _ in views[i, j].ranked)
+            candidates = (*shown, *match(prepared[i], prepared[j], settings))
             found = forced_alignment(prepared[i], prepared[j], candidates, lock, settings)
             if found is not None:
                 out[i, j] = found

@@ -22,10 +22,10 @@ def forced_alignment(
 ) -> Candidate | None:
     """The best alignment that satisfies a "same" lock; None if there is none.
 
-    Without a vertex pair: the best candidate. With one: the best candidate that matches the two
-    vertices, else the best match with more evidence for it than against it that corridors at both
-    suggest, as it is or grown, or that is grown from the two with any rotation that aligns a branch
-    of one with a branch of the other. Raises IndexError if a vertex does not exist.
+    candidates: best first. Without a vertex pair: the first. With one: the first that matches the
+    two vertices, else the best match with more evidence for it than against it that corridors at
+    both suggest, as it is or grown, or that is grown from the two with any rotation that aligns a
+    branch of one with a branch of the other. Raises IndexError if a vertex does not exist.
     """
     if lock.at is None:
         return candidates[0] if candidates else None

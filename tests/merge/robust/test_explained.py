@@ -11,7 +11,9 @@ from topobatch.merge.locks import Lock
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict, shown_bits
+from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.explained import Batch, explain
+from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import RobustSettings, settings_from_document
 from topobatch.simulation import make_world
 from topobatch.topology.digits import BITS, rounded
@@ -136,6 +138,23 @@ def test_locks_among_runs_of_like_buildings_change_no_number_of_other_pairs(see)
         assert explained(locked, *pair).requirement == explained(plain, *pair).requirement
         assert locked.said[pair].evidence_bits == plain.said[pair].evidence_bits
         assert locked.said[pair].extra == plain.said[pair].extra
+
+
+def test_a_pair_is_locked_as_it_is_shown(see):
+    """Not as chance ranks the placements, where the question whether they are copies ranks others
+    first."""
+    office = make_world("office", 120, 8)
+    parts = [list(range(60)), list(range(15, 80)), list(range(40, 110))]
+    maps = [see(office, part, 800 + k, "abc"[k]) for k, part in enumerate(parts)]
+    plain = documented(maps)
+    shown = plain.said["b", "c"].best
+    assert plain.said["b", "c"].verdict is Verdict.AMBIGUOUS
+    likely = match(prepare(maps[1]), prepare(maps[2]), plain.settings)[0]
+    assert not np.allclose(likely.transform, shown.transform, atol=1.0)
+    said = documented(maps, locks=[Lock("b", "c", "same")]).said["b", "c"]
+    assert said.accepted_by == "lock"
+    np.testing.assert_array_equal(said.best.matched, shown.matched)
+    assert said.evidence_bits == plain.said["b", "c"].evidence_bits
 
 
 def test_what_components_say_together_is_explained(maze, see):
