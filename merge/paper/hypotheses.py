@@ -9,13 +9,12 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
-from ...topology.matching.association import Growth, SingleMatches, grow, holding, single_matches
+from ...topology.matching.association import Growth, SingleMatches, grow, single_matches
 from ...topology.matching.correspondence import (
     GrowthSettings,
     Nodes,
     candidate_nodes,
     is_rectilinear,
-    node_codes,
     node_rotations,
     shared_branches,
 )
@@ -114,14 +113,12 @@ def _grown(
     settings: GrowthSettings,
     near: tuple[IntArray, IntArray] | None,
 ) -> tuple[Growth, SingleMatches]:
-    """All matches, or those that hold a pair of vertices near a meeting: growing from any pair of a
-    match gives all of it."""
-    growth = grow(a, b, settings)
+    """The matches with corridors, and those without; near: from pairs of these vertices only."""
     if near is None:
+        growth = grow(a, b, settings)
         return growth, single_matches(a, b, growth, settings)
     seeds = candidate_nodes(a, b, settings, near)
-    reached, asked = (node_codes(a, b, n, growth.rectilinear) for n in (growth.nodes, seeds))
-    growth = holding(growth, np.isin(reached, asked))
+    growth = grow(a, b, settings, seeds)
     untested = shared_branches(a, b, seeds, growth.rectilinear) == 0
     return growth, SingleMatches(take(seeds, untested), len(seeds))
 

@@ -32,6 +32,7 @@ from .correspondence import (
     encode,
     is_rectilinear,
     masks_agree,
+    node_codes,
     shared_branches,
 )
 from .structure import Structure
@@ -70,30 +71,30 @@ class Growth:
     rectilinear: bool
 
 
-def grow(a: Structure, b: Structure, settings: GrowthSettings = DEFAULT_GROWTH) -> Growth:
-    """Grow all matches between two maps (§2.2).
+def grow(
+    a: Structure,
+    b: Structure,
+    settings: GrowthSettings = DEFAULT_GROWTH,
+    seeds: Nodes | None = None,
+) -> Growth:
+    """Grow all matches between two maps (§2.2), or those from `seeds` only (§4.2): growing from any
+    node of a match gives all of it.
 
     O((m_a + m_b) log m_b + L log L) with L the compatible pairs of corridors. Deterministic.
     """
-    return _assembled(a, b, _find_links(a, b, settings), settings)
+    links = _find_links(a, b, settings)
+    if seeds is not None:
+        links = _reached(links, node_codes(a, b, seeds, is_rectilinear(a, b, settings)))
+    return _assembled(a, b, links, settings)
 
 
-def holding(growth: Growth, chosen: BoolArray) -> Growth:
-    """The matches that hold one of the `chosen` nodes (N,), renumbered in their order (§4.2)."""
-    kept = np.zeros(len(growth.rejected), np.bool_)
-    kept[growth.component[chosen]] = True
-    number = np.cumsum(kept) - 1
-    node, link = kept[growth.component], kept[growth.link_component]
-    return Growth(
-        nodes=take(growth.nodes, node),
-        component=number[growth.component[node]],
-        rejected=growth.rejected[kept],
-        tested=growth.tested[kept],
-        agreed=growth.agreed[kept],
-        links=Links(*(column[link] for column in growth.links)),
-        link_component=number[growth.link_component[link]],
-        rectilinear=growth.rectilinear,
-    )
+def _reached(links: Links, seeds: IntArray) -> Links:
+    """The links that lead, one after the other, to one of the nodes with the codes `seeds`."""
+    size = len(links.start)
+    code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
+    component = components(inverse[:size], inverse[size:], len(code))
+    reached = np.isin(component[inverse[:size]], component[np.isin(code, seeds)])
+    return Links(*(column[reached] for column in links))
 
 
 # --- links: compatible pairs of corridors ---------------------------------------------------------

@@ -9,11 +9,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from topobatch.topology.columns import take
 from topobatch.topology.errors import UsageError
 from topobatch.topology.matching.association import (
     Growth,
     grow,
-    holding,
     single_matches,
 )
 from topobatch.topology.matching.correspondence import (
@@ -458,14 +458,15 @@ def grown(growth: Growth, kept):
 
 
 @pytest.mark.parametrize("rectilinear", [True, False])
-def test_matches_that_hold_a_node_are_whole(rectilinear):
+def test_matches_grown_from_some_nodes_are_whole(rectilinear):
+    settings = GrowthSettings(world="auto" if rectilinear else "general")
     some = left_out = 0
     for seed in range(60):
         a, b = (prepare(m) for m in random_pair(seed, rectilinear))
-        whole = grow(a, b, GrowthSettings(world="auto" if rectilinear else "general"))
+        whole = grow(a, b, settings)
         chosen = np.random.default_rng(seed).random(len(whole.nodes)) < 0.2
         kept = np.isin(np.arange(len(whole.rejected)), whole.component[chosen])
-        part = holding(whole, chosen)
+        part = grow(a, b, settings, seeds=take(whole.nodes, chosen))
         assert grown(part, np.ones(len(part.rejected), bool)) == grown(whole, kept)
         some += np.count_nonzero(kept)
         left_out += np.count_nonzero(~kept)
