@@ -36,6 +36,7 @@ from .messages import (
     normal_type,
     one_line,
     printable,
+    several,
 )
 from .spelling import spelled
 from .sqlite_pages import Pages, Rows
@@ -219,10 +220,13 @@ class _Reader:
             yield from self._large(rows)
         if gaps:
             self._findings.note(
-                f"the numbers of the rows have {gaps} gaps: {missing or 'no'} rows are missing"
+                f"the numbers of the rows have {several(gaps, 'gap')}: {several(missing, 'row')} "
+                "missing"
             )
         if short:
-            self._findings.note(f"{short} pages of the database list fewer rows than they hold")
+            self._findings.note(
+                f"fewer rows than are there are listed by {several(short, 'page')} of the database"
+            )
 
     def by_every_page(self, pages: Pages) -> Iterator[Block]:
         """All rows of known topics on any page that looks like a leaf."""

@@ -162,7 +162,7 @@ def test_messages_of_channels_that_nobody_describes_are_counted(logs, tmp_path):
     raw[at - 4 : at - 2] = (77).to_bytes(2, "little")
     path.write_bytes(raw)
     info = inspect_log(path)
-    assert any("30 messages belong to channels that the log does not" in p for p in info.problems)
+    assert any("30 messages of channels that the log does not" in p for p in info.problems)
     with pytest.raises(LogError, match="no junction detections"):
         read_run(path)
 
@@ -500,9 +500,9 @@ def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypa
         monkeypatch.setattr(module, name, 17 << 20)
     path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
     run = read_run(path)
-    assert run.warnings == ("1 messages of /points above 17 MiB left out",)
+    assert run.warnings == ("1 message of /points above 17 MiB left out",)
     assert run.source["junctions"]["messages"] == 9
-    refused(path, "1 messages of /points above 17 MiB")
+    refused(path, "1 message of /points above 17 MiB")
 
 
 def overflow_pages(database):
@@ -526,8 +526,8 @@ def test_a_damaged_page_costs_one_cloud_of_a_database(logs, sensors, tmp_path):
     database.write_bytes(raw)
     run = read_run(path)
     assert run.source["junctions"]["messages"] == 9
-    assert "1 messages of /points are lost in damaged places" in run.warnings
-    refused(path, "1 messages of /points are lost")
+    assert "1 message of /points is lost in damaged places" in run.warnings
+    refused(path, "1 message of /points is lost")
 
 
 def test_clouds_of_a_database_that_is_cut_short_are_read(logs, sensors, tmp_path):
