@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..topology.errors import LogError, UsageError
+from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
 from .ingest import (
     AllowScan,
@@ -61,9 +61,9 @@ def info(
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
-    hold. To find out, and what ingest would warn of, logs of up to 64 MB on this machine are read
-    whole; of others that have an index only the index is read, and a line says so. Options about
-    reading are those of ingest.
+    hold, as where no junction shows. To find out, and what ingest would warn of, logs of up to 64
+    MB on this machine are read whole; of others that have an index only the index is read, and a
+    line says so. Options about reading are those of ingest.
 
     \b
       topobatch info run1.mcap
@@ -147,6 +147,7 @@ def _read_whole(found: LogInfo) -> bool:
 
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
     """The contents of a log with why ingest with these settings would reject it, or warn of it."""
+    from ..ingest.mapping import require_junctions
     from ..ingest.reading import log_size, read_log
 
     done = 0
@@ -159,7 +160,8 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
 
         try:
             run = read_log(log, settings, on_bytes=on_bytes)
-        except (LogError, UsageError) as error:
+            require_junctions(run)
+        except (DataError, UsageError) as error:
             return replace(found, problems=(str(error),))
     return replace(found, warnings=run.warnings)
 

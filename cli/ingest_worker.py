@@ -19,7 +19,7 @@ from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, RemotePath
 from ..topology.document import map_to_document
-from ..topology.errors import DocumentError, TopobatchError, UsageError
+from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
 from ..topology.made_from import junctions_told
 from ..topology.odometry import Odometry
@@ -102,7 +102,10 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
         return IngestOutcome(job.run, "unchanged", "unchanged, kept", maps=len(had))
     found = read_log(job.log, job.read, on_bytes=on_bytes)
     found = found if found.name == job.run else replace(found, name=job.run)
-    topomap = map_of_log(found, job.mapping)
+    try:
+        topomap = map_of_log(found, job.mapping)
+    except DataError as error:
+        raise DataError(f"{job.log}: {error}") from error
     if isinstance(found, GridLog):
         beside: dict[str, Any] = {"grid": found.grid}
     else:

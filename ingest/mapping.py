@@ -40,12 +40,29 @@ _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phant
 
 
 def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
-    """The map of a log: of a run by `build_map`, of a grid by its skeleton."""
-    if isinstance(log, GridLog):
-        from .grid_map import map_of_grid
+    """The map of a log: of a run by `build_map`, of a grid by its skeleton. Raises DataError, with
+    the faults of the log, which may be the reason."""
+    try:
+        return _map_of_grid(log) if isinstance(log, GridLog) else build_map(log, settings)
+    except DataError as error:
+        raise DataError("; ".join((str(error), *log.warnings))) from error
 
-        return map_of_grid(log)
-    return build_map(log, settings)
+
+def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> None:
+    """The errors of `map_of_log`, without closing loops."""
+    try:
+        if isinstance(log, GridLog):
+            _map_of_grid(log)
+        else:
+            dead_reckoned(log, pass_source(log, settings), settings)
+    except DataError as error:
+        raise DataError("; ".join((str(error), *log.warnings))) from error
+
+
+def _map_of_grid(log: GridLog) -> TopoMap:
+    from .grid_map import map_of_grid  # loads what most runs do without
+
+    return map_of_grid(log)
 
 
 def build_map(run: Run, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
@@ -120,8 +137,7 @@ def dead_reckoned(
     odometry = apply_calibration(run.odometry, calibration)
     passes = source.passes(odometry)
     if len(passes) == 0:
-        # The faults found may be the reason.
-        raise DataError("; ".join((f"run {run.name}: {why_none(run)}", *run.warnings)))
+        raise DataError(f"run {run.name}: {why_none(run)}")
     _require_motion(run, settings.passes.reach_m)
     noise = source.noise(odometry, passes)
     reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))

@@ -180,7 +180,8 @@ def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
         read.faults.add(findings)
     warnings = list(read.warnings)
     if failed:
-        warnings.append(f"{source.choice.topic}: the last {failed} grids cannot be read; left out")
+        last = "last grid" if failed == 1 else f"last {failed} grids"
+        warnings.append(f"{source.choice.topic}: the {last} cannot be read; left out")
     about = {"from": "grid", "topic": source.choice.topic, "type": source.choice.type_name}
     return GridLog(read.run, grid, {"junctions": about}, tuple(warnings))
 

@@ -127,7 +127,10 @@ class JunctionFields:
                 stamp = stamp_of({"stamp": _one(_holder(self.stamp, item, message), self.stamp)})
         if self.frame is not None:
             with _naming(self.frame):
-                frame = as_text(_one(_holder(self.frame, item, message), self.frame))
+                name = _one(_holder(self.frame, item, message), self.frame)
+                if not isinstance(name, str):
+                    raise DamageError("the name of a frame is no text")
+                frame = as_text(name)
         return stamp, frames.number(frame), poses
 
     def _orientation(self, value: Any, center: tuple[float, ...]) -> tuple[float, ...]:

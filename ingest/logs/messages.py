@@ -122,6 +122,11 @@ def one_line(error: object) -> str:
     return printable(" ".join(str(error).split()))[:200]
 
 
+def several(count: int, noun: str) -> str:
+    """ "1 message", "2 messages"; numbers as scripts read them."""
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 @dataclass(slots=True)
 class Findings:
     """What was found in a scan of a log: counts, and all faults.
@@ -204,36 +209,37 @@ class Findings:
         """Sentences about what is broken, empty for a whole log."""
         out = list(self.notes)
         for reason, count in sorted(self.damaged_chunks.items()):
-            out.append(f"{count} damaged chunk{'s' * (count > 1)} skipped: {reason}")
+            out.append(f"{several(count, 'damaged chunk')} skipped: {reason}")
         if self.repaired:
-            out.append(f"{self.repaired} damaged record heads set right")
+            out.append(f"{several(self.repaired, 'damaged record head')} set right")
         if self.misdescribed:
+            channels = several(self.misdescribed, "channel")
             out.append(
-                f"the index describes {self.misdescribed} channels otherwise than the data, which "
-                "are believed"
+                f"the index describes {channels} otherwise than the data, which are believed"
             )
         lost = self.lost.copy()
         for (topic, limit), count in sorted(self.too_large.items()):
-            what = f"messages of {topic}" if topic else "records"
-            out.append(f"{count} {what} above {limit >> 20} MiB left out")
+            what = f"{several(count, 'message')} of {topic}" if topic else several(count, "record")
+            out.append(f"{what} above {limit >> 20} MiB left out")
             lost[topic] -= count
         if self.unreadable_bytes:
-            out.append(f"{self.unreadable_bytes} bytes could not be read as messages")
+            out.append(f"{several(self.unreadable_bytes, 'byte')} could not be read as messages")
         if self.damaged_pages:
-            out.append(f"{self.damaged_pages} damaged pages of the database skipped")
+            out.append(f"{several(self.damaged_pages, 'damaged page')} of the database skipped")
         if self.broken_rows:
-            out.append(f"{self.broken_rows} rows of the database hold no message")
+            out.append(f"{several(self.broken_rows, 'row')} of the database without a message")
         if self.truncated:
             out.append("the log is cut short")
         if self.unknown:
-            out.append(f"{self.unknown} messages belong to channels that the log does not describe")
+            unknown = several(self.unknown, "message")
+            out.append(f"{unknown} of channels that the log does not describe")
         for topic, count in sorted((+lost).items()):
-            told = f"at least {count}" if self.lost_at_least else str(count)
-            out.append(f"{told} messages of {topic} are lost in damaged places")
+            told = f"{'at least ' * self.lost_at_least}{several(count, 'message')} of {topic}"
+            out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(
-                f"{self.messages} messages could be read, {seconds:.3f} s "
+                f"{several(self.messages, 'message')} could be read, {seconds:.3f} s "
                 f"from {self.first_ns} to {self.last_ns} ns log time"
             )
         return out

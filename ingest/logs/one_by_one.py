@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from ...topology.arrays import IntArray
 from .messages import MESSAGE_BYTES, Bytes, DamageError
@@ -17,7 +17,7 @@ class OneByOne(Generic[T]):
 
     LONGEST = MESSAGE_BYTES
 
-    def __init__(self, parse: Callable[[bytes], T]) -> None:
+    def __init__(self, parse: Callable[[Any], T]) -> None:
         self._parse = parse
         self.failed = 0
         self.reason = ""

@@ -14,7 +14,7 @@ from .inflate import ZSTD_MAGIC, inflate_message
 from .laser_wire import LaserDecoder
 from .limits import CLOUD_BYTES
 from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
-from .scan_objects import ObjectScanDecoder, json_scan, object_scan, protobuf_scan
+from .scan_objects import ObjectScanDecoder, OneScan, json_scan, object_scan, protobuf_scan
 from .scan_rows import RawScans, ScanDecoder
 from .schema import UnreadableError, as_expected, object_decoder
 from .topics import CLOUD_KINDS, SCAN_KINDS
@@ -64,13 +64,13 @@ def _cloud_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     if channel.encoding not in ("cdr", "ros1"):
         raise DamageError(f"clouds encoded as {channel.encoding[:40]!r} are not read")
     if not foxglove and as_expected(channel, "cloud"):
-        return CloudDecoder(slicer, ros1)
+        return CloudDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
     try:
         decode = object_decoder(channel)
     except UnreadableError:
         if foxglove:
             raise
-        return CloudDecoder(slicer, ros1)
+        return CloudDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
     return ObjectScanDecoder(lambda raw: slicer(object_cloud(decode(raw))))
 
 
@@ -79,12 +79,8 @@ class CloudDecoder(ObjectScanDecoder):
 
     LONGEST = CLOUD_BYTES
 
-    def __init__(self, slicer: Slicer, ros1: bool) -> None:
-        super().__init__(lambda raw: slicer(wire_cloud(raw, ros1)))
-        self._slicer, self._ros1 = slicer, ros1
-
-    def _parsed(self, message: Bytes) -> RawScans:
-        return self._slicer(wire_cloud(message.data, self._ros1))
+    def _parsed(self, message: Bytes) -> RawScans | OneScan:
+        return self._parse(message.data)
 
 
 class TimedScans(NamedTuple):

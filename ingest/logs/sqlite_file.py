@@ -36,6 +36,7 @@ from .messages import (
     normal_type,
     one_line,
     printable,
+    several,
 )
 from .spelling import spelled
 from .sqlite_pages import Pages, Rows
@@ -219,18 +220,20 @@ class _Reader:
             yield from self._large(rows)
         if gaps:
             self._findings.note(
-                f"the numbers of the rows have {gaps} gaps: {missing or 'no'} rows are missing"
+                f"the numbers of the rows have {several(gaps, 'gap')}: {several(missing, 'row')} "
+                "missing"
             )
         if short:
-            self._findings.note(f"{short} pages of the database list fewer rows than they hold")
+            self._findings.note(
+                f"fewer rows than are there are listed by {several(short, 'page')} of the database"
+            )
 
     def by_every_page(self, pages: Pages) -> Iterator[Block]:
         """All rows of known topics on any page that looks like a leaf."""
         for data in pages.batches(np.arange(1, pages.count + 1)):
             rows = pages.rows(data)
             yield from self._columns(rows.only(self._sinks(rows.topic) != _UNKNOWN))
-            wanted = (rows.elsewhere_topic >= 0) & (self._sinks(rows.elsewhere_topic) >= 0)
-            self._findings.broken_rows += int(wanted.sum())
+            yield from self._spilled(pages, rows)
 
     def _columns(self, rows: Rows) -> Iterator[Block]:
         """The wanted rows of those that lie in pages; all are counted."""
@@ -247,28 +250,48 @@ class _Reader:
                 yield number, rows
 
     def _large(self, rows: Rows) -> Iterator[Block]:
-        """Rows with overflow pages: unwanted ones are counted, the others fetched."""
-        topic = rows.elsewhere_topic
+        """Rows with overflow pages: unwanted ones are counted, the others fetched one by one, so
+        that a broken one costs no other."""
+        topic = rows.spilled.topic
         unwanted = (topic >= 0) & (self._sinks(topic) == UNWANTED)
         self._count(topic[unwanted], np.zeros(0, np.int64))
-        wanted = rows.elsewhere[~unwanted].tolist()
-        for first in range(0, len(wanted), 500):
-            some = wanted[first : first + 500]
-            marks = ",".join("?" * len(some))
-            query = f"SELECT {_columns_of('1', self._longest)} FROM messages WHERE id IN ({marks})"
+        query = f"SELECT {_columns_of('1', self._longest)} FROM messages WHERE id = ?"
+        wanted = (column[~unwanted].tolist() for column in (rows.elsewhere, topic))
+        for number, key in zip(*wanted, strict=True):
             before = self._handled
             try:
-                yield from self._asked(query, some)
+                yield from self._asked(query, [number])
             except _ERRORS as error:
                 self._findings.note(f"large rows cannot be read ({one_line(error)})")
-            self._findings.broken_rows += len(some) - (self._handled - before)
+            if self._handled == before:
+                self._lost(key)
+
+    def _spilled(self, pages: Pages, rows: Rows) -> Iterator[Block]:
+        """Rows of known topics with overflow pages, without the library."""
+        spilled = rows.spilled
+        sink = np.where(spilled.topic >= 0, self._sinks(spilled.topic), _UNKNOWN)
+        self._count(spilled.topic[sink == UNWANTED], np.zeros(0, np.int64))
+        for k in np.flatnonzero(sink >= 0).tolist():
+            topic, size = int(spilled.topic[k]), int(spilled.size[k])
+            if not self._fits(topic, size):
+                continue
+            try:
+                payload = pages.overflowing(
+                    rows.data, int(spilled.start[k]), int(spilled.end[k]), size
+                )
+            except DamageError:
+                self._lost(topic)
+                continue
+            time_ns = spilled.time_ns[k : k + 1]
+            self._count(spilled.topic[k : k + 1], time_ns)
+            yield Block(payload, int(sink[k]), time_ns, np.zeros(1, np.int64), np.array([size]))
 
     def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted rows of a query as a block; columns may hold any type in SQLite."""
         self._handled += len(rows)
         good = [r for r in rows if type(r[0]) is type(r[1]) is int and r[3] == "blob"]
         self._findings.broken_rows += len(rows) - len(good)
-        whole = [row for row in good if row[4] <= MESSAGE_BYTES or self._fits(row)]
+        whole = [row for row in good if self._fits(row[0], row[4])]
         topic = np.array([row[0] for row in whole], np.int64)
         time_ns = np.array([row[1] for row in whole], np.int64)
         self._count(topic, time_ns)
@@ -285,16 +308,23 @@ class _Reader:
     def _is_wanted(self, topic: int) -> bool:
         return 0 <= topic < _TOPICS and self._sink[topic] >= 0
 
-    def _fits(self, row: _Row) -> bool:
-        """Whether a row with a message above the usual limit is kept; else it is counted."""
-        if not self._is_wanted(row[0]):
+    def _fits(self, topic: int, size: int) -> bool:
+        """Whether a message is kept; else it is counted as too large."""
+        if size <= MESSAGE_BYTES or not self._is_wanted(topic):
             return True
-        channel = self._channels[row[0]]
+        channel = self._channels[topic]
         longest = longest_message(channel)
-        if row[4] > longest:
+        if size > longest:
             self._findings.lost[channel.topic] += 1
             self._findings.too_large[channel.topic, longest] += 1
-        return bool(row[4] <= longest)
+        return size <= longest
+
+    def _lost(self, topic: int) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            self._findings.broken_rows += 1
+        else:
+            self._findings.lost[channel.topic] += 1
 
     def _count(self, topic: IntArray, time_ns: IntArray) -> None:
         counts = np.bincount(np.clip(topic, 0, _TOPICS - 1))

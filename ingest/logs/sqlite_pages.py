@@ -37,13 +37,24 @@ _REAL = 8
 """Bytes of a timestamp (serial type 6)."""
 
 
+class Spilled(NamedTuple):
+    """Rows that go on in overflow pages: topic (k,), -1 if unknown; time_ns; start, size of the
+    payload, of which `data` holds that before `end`, where the first of these pages is named."""
+
+    topic: IntArray
+    time_ns: IntArray
+    start: IntArray
+    end: IntArray
+    size: IntArray
+
+
 class Rows(NamedTuple):
     """Rows of the messages table in one batch of pages.
 
     data: the pages; topic, time_ns (m,); start, size (m,): the payload in `data`. elsewhere: ids of
-    rows that do not lie in one page and must be fetched by the library; elsewhere_topic: their
-    topics, -1 if unknown. number: ids of all rows in page order. broken: number of pages that are
-    no leaf; short: number of pages that list fewer rows than they hold.
+    rows that do not lie in one page; spilled: these rows. number: ids of all rows in page order.
+    broken: number of pages that are no leaf; short: number of pages that list fewer rows than they
+    hold.
     """
 
     data: Bytes
@@ -52,7 +63,7 @@ class Rows(NamedTuple):
     start: IntArray
     size: IntArray
     elsewhere: IntArray
-    elsewhere_topic: IntArray
+    spilled: Spilled
     number: IntArray
     broken: int
     short: int
@@ -80,12 +91,35 @@ class Pages:
         self.usable = self.size - (0 if anyhow else unused[0])
         self.count = window.size // self.size
         self._window = window
+        self._taken = np.zeros(self.count + 1, bool)
 
     def page(self, number: int) -> Bytes:
         """Page `number`, from 1 on; raises DamageError if it does not exist."""
         if not 1 <= number <= self.count:
             raise DamageError("a page is missing")
         return self._window.view((number - 1) * self.size, self.size)
+
+    def overflowing(self, data: Bytes, start: int, end: int, size: int) -> Bytes:
+        """A payload that goes on in overflow pages, each of which belongs to one row only. Raises
+        DamageError."""
+        held = end - start
+        if not 0 <= held <= size <= held + self.count * (self.usable - 4):
+            raise DamageError("a row is larger than the database")
+        payload = np.empty(size, np.uint8)
+        payload[:held] = data[start:end]
+        following = int(_big(data, np.array([end]), 4)[0])
+        while held < size:
+            page = self.page(following)
+            if self._taken[following]:
+                raise DamageError("a page belongs to two rows")
+            self._taken[following] = True
+            part = page[4 : self.usable][: size - held]
+            payload[held : held + len(part)] = part
+            held += len(part)
+            following = int(_big(page, np.array([0]), 4)[0])
+        if following:
+            raise DamageError("a row goes on behind its end")
+        return payload
 
     def leaves(self, root: int) -> IntArray:
         """The leaf pages of a table in row order; raises DamageError."""
@@ -187,11 +221,23 @@ class Pages:
             start[whole],
             size[whole],
             row[other],
-            np.where(regular, topic, -1)[other],
+            Spilled(
+                np.where(regular, topic, -1)[other],
+                time_ns[other],
+                start[other],
+                (head + self._kept(payload))[other],
+                size[other],
+            ),
             row[whole | other],
             int((~leaf).sum()),
             short,
         )
+
+    def _kept(self, payload: IntArray) -> IntArray:
+        """How much of rows of that length their leaf page holds, if they have overflow pages."""
+        least = (self.usable - 12) * 32 // 255 - 23
+        kept = least + (payload - least) % (self.usable - 4)
+        return np.where(kept <= self.usable - 35, kept, least)
 
     def _short(self, data: Bytes, base: IntArray, cells: IntArray, pointer: IntArray) -> int:
         """Number of pages that list fewer rows than they hold.

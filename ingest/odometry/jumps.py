@@ -9,6 +9,7 @@ steps, with an uncertainty of the size of the jump. At a reset the motion is unk
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -42,6 +43,8 @@ class JumpSettings:
     """A jump exceeds normal deviations by this factor."""
     margin: float = 1.2
     """A rotation is fast if it exceeds the 99 % quantile of the turning rate by this factor."""
+    least_rad_per_s: float = 2.0
+    """Frequent rotations are told of from here on: robots turn about as fast indoors."""
     few_steps: int = 100
     """Shorter tracks do not show what is normal."""
     samples: int = 20_000
@@ -140,12 +143,20 @@ def _seldom(values: FloatArray) -> float:
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
+class Frequent(NamedTuple):
+    """A deviation that occurs too often to be told apart, where it exceeds all steps that deviate
+    little, else 0."""
+
+    way_m: float
+    turn_rad: float
+
+
 def spikes(
     time_ns: IntArray, pose: FloatArray, bounds: StepBounds, impossible: BoolArray
-) -> tuple[BoolArray, float]:
+) -> tuple[BoolArray, Frequent]:
     """(n - 1,) steps that deviate from their neighbours more than others of the run; and the
-    deviation [m] that occurs too often to be told apart, if it exceeds all steps that deviate
-    little, else 0. The latter leaves out `impossible` steps (n - 1,), which their speed shows.
+    deviation that occurs too often to be told apart. The latter leaves out `impossible` steps
+    (n - 1,), which their speed shows.
 
     Because of its inertia a robot makes no large step between two small ones. What is normal for
     this robot and odometry (sparse rows, jerky drives) is estimated from the run. Light robots turn
@@ -154,7 +165,7 @@ def spikes(
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
     if len(pose) <= JUMPS.few_steps or not _any_spike(pose, bounds):
-        return found, 0.0
+        return found, Frequent(0.0, 0.0)
     # Including smaller deviations, which show what is normal.
     rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
     steps = _Steps.of(pose, rows)
@@ -163,14 +174,27 @@ def spikes(
     step_m = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
     often = 1 + int(float(step_m.sum()) / JUMPS.usual_way_m)
     out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
-    fast = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
-    fast = fast > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
+    turned_rad = np.abs(wrap(np.diff(pose[:, 2])))
+    duration = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
+    fast = turned_rad[rows] > JUMPS.margin * usual.rate * duration
     out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
-    frequent_m = _at_rank(way[~impossible[rows]], often)
-    step_m[rows[way > JUMPS.least_m]] = 0.0
-    driven_m = max(JUMPS.least_m, _seldom(step_m))
-    return found, frequent_m if frequent_m > driven_m else 0.0
+    possible = ~impossible[rows]
+    hasty = possible & fast & (turned_rad[rows] > JUMPS.least_rad_per_s * duration)
+    return found, Frequent(
+        _beyond_usual(_at_rank(way[possible], often), way, step_m, rows, JUMPS.least_m),
+        _beyond_usual(_at_rank(turn[hasty], often), turn, turned_rad, rows, JUMPS.least_rad),
+    )
+
+
+def _beyond_usual(
+    frequent: float, off: FloatArray, step: FloatArray, rows: IntArray, least: float
+) -> float:
+    """A frequent deviation if it exceeds the steps (n - 1,) that deviate by less than `least`, else
+    0; off: the deviations of the steps `rows`."""
+    usual = step.copy()
+    usual[rows[off > least]] = 0.0
+    return frequent if frequent > max(least, _seldom(usual)) else 0.0
 
 
 def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:

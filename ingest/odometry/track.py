@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import JUMPS, Jumps, measured_jumps, no_jumps, spikes, times
+from .jumps import JUMPS, Frequent, Jumps, measured_jumps, no_jumps, spikes, times
 from .step_bounds import StepBounds
 
 SECOND_NS = 10**9
@@ -164,17 +164,22 @@ def _measured(
 ) -> tuple[IntArray, FloatArray, Jumps, StepBounds]:
     """The track without glitches (single poses off it), and its jumps and resets."""
     bounds = StepBounds.of(time_ns, pose)
-    leaps, frequent_m = _leaps(time_ns, pose, bounds, settings)
+    leaps, frequent = _leaps(time_ns, pose, bounds, settings)
     glitch = _glitches(time_ns, pose, leaps, settings)
     if glitch.any():
         count = int(glitch.sum())
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
         bounds = StepBounds.of(time_ns, pose)
-        leaps, frequent_m = _leaps(time_ns, pose, bounds, settings)
-    if frequent_m:
+        leaps, frequent = _leaps(time_ns, pose, bounds, settings)
+    if any(frequent):
+        off = (
+            f"{frequent.way_m:.2f} m"
+            if frequent.way_m
+            else f"{np.degrees(frequent.turn_rad):.0f} degrees"
+        )
         warnings.append(
-            f"odometry leaves its course by {frequent_m:.2f} m or more, more than it ever moves in "
+            f"odometry leaves its course by {off} or more, more than it ever moves in "
             f"a step, and more often than once per {JUMPS.usual_way_m:.0f} m: taken for its usual "
             "noise, not for jumps; the map may be wrong"
         )
@@ -192,12 +197,12 @@ def _measured(
 
 def _leaps(
     time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
-) -> tuple[BoolArray, float]:
+) -> tuple[BoolArray, Frequent]:
     """(n - 1,) steps that cannot have been driven, or stand out from all others; and as `spikes`
-    the deviation [m] that occurs too often."""
+    the deviation that occurs too often."""
     impossible = _teleports(time_ns, pose, bounds, settings)
-    found, frequent_m = spikes(time_ns, pose, bounds, impossible)
-    return impossible | found, frequent_m
+    found, frequent = spikes(time_ns, pose, bounds, impossible)
+    return impossible | found, frequent
 
 
 def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -106,6 +106,58 @@ def test_info_of_a_log_with_a_damaged_chunk_of_scans_alone_fails(topobatch, tmp_
     assert "messages of /scan are lost" in done.out
 
 
+def ringed(path, far_m):
+    """Scans of nothing but a ring around a laser that stands."""
+    zero = {"x": 0, "y": 0, "z": 0}
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("foxglove.LaserScan", "jsonschema", b"{}")
+        channel = writer.register_channel("/scan", "json", schema)
+        for second in range(1, 20):
+            scan = {
+                "timestamp": {"sec": second, "nsec": 0},
+                "frame_id": "base_link",
+                "pose": {"position": zero, "orientation": zero | {"w": 1}},
+                "start_angle": -3.1,
+                "end_angle": 3.1,
+                "ranges": [far_m] * 63,
+                "intensities": [],
+            }
+            time_ns = second * 10**9
+            writer.add_message(channel, time_ns, json.dumps(scan).encode(), time_ns)
+        writer.finish()
+    return path
+
+
+@pytest.mark.parametrize(("far_m", "why"), [(2.0, "no junction shows"), (2000.0, "beyond 100 m")])
+def test_info_does_not_pass_scans_that_ingest_refuses(topobatch, tmp_path, far_m, why):
+    path, sound = ringed(tmp_path / "ring.mcap", far_m), SAMPLES / "maze-1.mcap"
+    error = topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
+    assert f"{path}: " in error
+    assert why in error
+    told = topobatch("info", path, sound, "--json")
+    assert told.code == 1, told
+    refused, passed = json.loads(told.out)
+    assert error.endswith(refused["problems"][0].removeprefix(f"{path}: "))
+    assert passed["problems"] == []
+    out = topobatch("info", path, sound).out
+    assert "problem: " in out
+    assert "run maze-1" in out
+
+
+def test_info_does_not_pass_saved_maps_without_a_junction(topobatch, tmp_path):
+    cells = np.full((100, 100), 0, np.uint8)
+    cells[40:60, 10:90] = 254
+    Image.fromarray(cells).save(tmp_path / "floor.png")
+    path = tmp_path / "floor.yaml"
+    path.write_text("image: floor.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n")
+    assert f"error: {path}: " in topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
+    done = topobatch("info", path)
+    assert done.code == 1
+    assert "shows no junction" in done.out
+
+
 def test_ways_that_a_log_does_not_have(topobatch, tmp_path):
     error = topobatch("ingest", OFFICE, "--junctions-from", "topic", "-w", tmp_path).error(1)
     assert "no junction detections found" in error

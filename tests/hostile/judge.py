@@ -12,9 +12,9 @@ from sandbox import Outcome
 
 EXIT_CODES = (0, 1, 2)
 LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
-LOST = re.compile(r"(\d+) messages of (\S+|an unknown channel) (?:are lost|above \d+ MiB)")
-AT_LEAST = re.compile(r"at least \d+ messages of .+ are lost")
-UNKNOWN = re.compile(r"(\d+) messages belong to channels")
+LOST = re.compile(r"(\d+) messages? of (\S+|an unknown channel) (?:is lost|are lost|above \d+ MiB)")
+AT_LEAST = re.compile(r"at least \d+ messages? of .+ (?:is|are) lost")
+UNKNOWN = re.compile(r"(\d+) messages? of channels")
 UNDECODED = re.compile(r"(\d+) messages (?:could not be decoded|hold no pose)")
 
 

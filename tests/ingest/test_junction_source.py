@@ -330,7 +330,7 @@ def test_a_log_with_a_grid_alone(sensors: ModuleType, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.grid.free, cells == 0)
     assert found.grid.resolution_m == pytest.approx(0.2)
     np.testing.assert_allclose(found.grid.origin, (1.0, 2.0, 0.5))
-    assert found.warnings == ("/map: the last 1 grids cannot be read; left out",)
+    assert found.warnings == ("/map: the last grid cannot be read; left out",)
     with pytest.raises(LogError, match="no run"):
         read_run(tmp_path / "grid.mcap")
 

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.mapping import _without_phantoms, build_map
+from topobatch.ingest.grid_log import GridLog
+from topobatch.ingest.mapping import _without_phantoms, build_map, map_of_log, require_junctions
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.simulation import (
     MIXED,
@@ -22,7 +23,7 @@ from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned, ScanPasses
+from topobatch.topology.run import Detections, Grid, Run, Scanned, ScanPasses
 from topobatch.topology.se2 import apply, compose, fit_rigid
 from topobatch.topology.topomap import RunNoise
 
@@ -190,6 +191,26 @@ def test_a_parked_robot_is_told_that_it_does_not_move():
     )
     with pytest.raises(DataError, match="run parked: the odometry does not move"):
         build_map(Run("parked", still, seen))
+
+
+@pytest.mark.parametrize("mapped", [map_of_log, require_junctions])
+def test_what_gives_no_map_tells_the_faults_of_its_log(mapped):
+    """They may be the reason."""
+    moving = np.linspace(0.0, 9.0, 100)[:, None] * [1.0, 0.0, 0.0]
+    odometry = Odometry(np.arange(100) * 10**8, moving, np.zeros(0, np.int64))
+    late = Detections(
+        np.arange(20) * 10**8 + 10**12, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
+    )
+    faults = ("half of it is gone",)
+    with pytest.raises(DataError, match=r"check the clocks .*; half of it is gone"):
+        mapped(Run("late", odometry, late, {}, faults))
+    still = replace(odometry, pose=np.zeros((100, 3)))
+    seen = replace(late, time_ns=late.time_ns - 10**12)
+    with pytest.raises(DataError, match=r"does not move: .*; half of it is gone"):
+        mapped(Run("parked", still, seen, {}, faults))
+    closed = Grid(np.zeros((9, 9), bool), np.zeros((9, 9), bool), 0.05, (0.0, 0.0, 0.0), "map")
+    with pytest.raises(DataError, match=r"shows no junction; .*; half of it is gone"):
+        mapped(GridLog("floor", closed, {}, faults))
 
 
 def test_a_reset_is_no_drive():

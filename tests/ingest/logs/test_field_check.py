@@ -208,6 +208,7 @@ ONLY_MESSAGES_TELL = {
     "center=at.pose,branches=header": "branches=header: a number is missing",
     f"{CENTER},branches=ways,stamp=header.frame_id": "stamp=header.frame_id: a time is neither",
     f"{CENTER},branches=ways,stamp=header.stamp.nanoseconds": "1.7e+18 is no number of seconds",
+    f"{CENTER},branches=ways,frame=header.stamp": "frame=header.stamp: the name of a frame",
     f"{CENTER},branches=ways,frame=header.name": "frame=header.name: the message has frame_id",
     "center=none[],branches=ways": "center=none[]: the message has header, at, ways",
 }

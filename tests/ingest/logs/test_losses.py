@@ -162,7 +162,7 @@ def test_messages_of_channels_that_nobody_describes_are_counted(logs, tmp_path):
     raw[at - 4 : at - 2] = (77).to_bytes(2, "little")
     path.write_bytes(raw)
     info = inspect_log(path)
-    assert any("30 messages belong to channels that the log does not" in p for p in info.problems)
+    assert any("30 messages of channels that the log does not" in p for p in info.problems)
     with pytest.raises(LogError, match="no junction detections"):
         read_run(path)
 
@@ -500,9 +500,59 @@ def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypa
         monkeypatch.setattr(module, name, 17 << 20)
     path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
     run = read_run(path)
-    assert run.warnings == ("1 messages of /points above 17 MiB left out",)
+    assert run.warnings == ("1 message of /points above 17 MiB left out",)
     assert run.source["junctions"]["messages"] == 9
-    refused(path, "1 messages of /points above 17 MiB")
+    refused(path, "1 message of /points above 17 MiB")
+
+
+def overflow_pages(database):
+    """The overflow pages of every large row of a database, in the order of rows."""
+    with sqlite3.connect(database) as base:
+        ids = [k for (k,) in base.execute("SELECT id FROM messages WHERE length(data) > 4096")]
+        payloads = [
+            base.execute("SELECT data FROM messages WHERE id = ?", [k]).fetchone()[0] for k in ids
+        ]
+    raw = database.read_bytes()
+    # Its last bytes stand in its last page.
+    return [raw.index(data[-2000:]) // 4096 for data in payloads]
+
+
+def test_a_damaged_page_costs_one_cloud_of_a_database(logs, sensors, tmp_path):
+    path = clouded(logs, sensors, tmp_path / "run", "db3", {})
+    (database,) = path.glob("*.db3")
+    hurt = overflow_pages(database)[4]
+    raw = bytearray(database.read_bytes())
+    raw[4096 * (hurt - 1) : 4096 * hurt] = bytes(4096)
+    database.write_bytes(raw)
+    run = read_run(path)
+    assert run.source["junctions"]["messages"] == 9
+    assert "1 message of /points is lost in damaged places" in run.warnings
+    refused(path, "1 message of /points is lost")
+
+
+def test_clouds_of_a_database_that_is_cut_short_are_read(logs, sensors, tmp_path):
+    path = clouded(logs, sensors, tmp_path / "run", "db3", {})
+    (database,) = path.glob("*.db3")
+    last = overflow_pages(database)
+    database.write_bytes(database.read_bytes()[: 4096 * last[6]])
+    run = read_run(path)
+    assert run.source["junctions"]["messages"] == 6
+    assert "the log is cut short" in run.warnings
+    whole = read_run(clouded(logs, sensors, tmp_path / "whole", "db3", {}))
+    assert whole.source["junctions"]["messages"] == 10
+    refused(path, "the log is cut short")
+
+
+def test_pages_in_a_circle_cost_their_cloud(logs, sensors, tmp_path):
+    path = clouded(logs, sensors, tmp_path / "run", "db3", {})
+    (database,) = path.glob("*.db3")
+    last, raw = overflow_pages(database), bytearray(database.read_bytes())
+    first = last[4] - 1
+    raw[4096 * first : 4096 * first + 4] = first.to_bytes(4, "big")
+    database.write_bytes(raw[: 4096 * last[6]])
+    run = read_run(path)
+    assert run.source["junctions"]["messages"] == 5
+    assert "1 message of /points is lost in damaged places" in run.warnings
 
 
 @pytest.mark.parametrize("storage", ["db3", "mcap"])

@@ -70,6 +70,17 @@ def test_an_odometry_that_runs_well_has_no_jumps():
         assert len(odometry.jumps) == 0
 
 
+@pytest.mark.parametrize("turn", [0.35, -0.6])
+def test_turns_too_frequent_to_be_told_from_noise_are_said(turn):
+    time, pose = drive()
+    for row in range(300, 3900, 450):
+        pose = jumped(pose, row, (0.0, 0.0, turn))
+    (warning,) = read(time, pose)[1].warnings
+    degrees = round(abs(np.degrees(turn)))
+    told = int(warning.removeprefix("odometry leaves its course by ").split(" degrees or more")[0])
+    assert 0.8 * degrees < told <= degrees + 1
+
+
 def test_sparse_rows_that_leap_at_every_corner_do_not_jump():
     time, pose = drive()
     odometry, track = read(time[::30], pose[::30])
