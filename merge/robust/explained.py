@@ -285,10 +285,17 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
         told = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
         terms.append(naming.term("few", few, told))
     if answers.same_place is not None:
-        bits, need = told_bits(answers.same_place, answers.need_same).split(", ")
-        told = f"is it a copy? {bits} say no, {need}"
-        terms.append(naming.term("copies", copies, told))
+        terms.append(
+            naming.term("copies", copies, _copy_told(answers.same_place, answers.need_same))
+        )
     return tuple(terms)
+
+
+def _copy_told(same_place: float, need_same: float) -> str:
+    bits, need = told_bits(same_place, need_same).removesuffix(" needed").split(" bits, ")
+    if bits.startswith("-"):
+        return f"is it a copy? {bits[1:]} bits say yes, {need} for no needed"
+    return f"is it a copy? {bits} bits say no, {need} needed"
 
 
 def _chosen_from(c: Candidate) -> str:

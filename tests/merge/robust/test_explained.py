@@ -12,7 +12,7 @@ from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict, shown_bits
 from topobatch.merge.robust.alignment import match
-from topobatch.merge.robust.explained import Batch, explain
+from topobatch.merge.robust.explained import Batch, _copy_told, explain
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import RobustSettings, settings_from_document
 from topobatch.simulation import make_world
@@ -138,6 +138,11 @@ def test_locks_among_runs_of_like_buildings_change_no_number_of_other_pairs(see)
         assert explained(locked, *pair).requirement == explained(plain, *pair).requirement
         assert locked.said[pair].evidence_bits == plain.said[pair].evidence_bits
         assert locked.said[pair].extra == plain.said[pair].extra
+
+
+def test_what_speaks_for_a_copy_is_told_as_such():
+    assert _copy_told(5.94, 8.6) == "is it a copy? 5.9 bits say no, 8.6 needed"
+    assert _copy_told(-4.02, 2.5) == "is it a copy? 4.0 bits say yes, 2.5 for no needed"
 
 
 def test_a_pair_is_locked_as_it_is_shown(see):
