@@ -60,10 +60,10 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
     keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
-    way_m = float(whole.length.sum())
+    ways = topomap.turning_points
     told = (
-        f"{counted(len(topomap), 'junction')}, {counted(len(whole.source), 'corridor')}"
-        f"{to_turning_points(len(topomap.turning_points))}, {way_m:.0f} m; "
+        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
+        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
         f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
     )
     canvas.finish([topomap.run, told], [keys])
@@ -174,9 +174,10 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
         _fused(canvas, result.fused, part, rank, pen)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
+    corridors_m, ways_m = result.fused.lengths_m
     told = (
-        f"{counted(result.fused.junctions, 'junction')}, "
-        f"{float(result.fused.length.sum()):,.0f} m of corridors; {counted(pairs, 'pair')} of "
+        f"{counted(result.fused.junctions, 'junction')}, {corridors_m:,.0f} m of corridors"
+        f"{to_turning_points(result.fused.turned, ways_m)}; {counted(pairs, 'pair')} of "
         f"{sum(result.standings().values()):,} merged"
     )
     title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"

@@ -83,13 +83,16 @@ def _head(report: Report, runs: Sequence[str]) -> str:
     facts = [(len(runs), "run", "runs")]
     if result is not None:
         shared = sum(len(m) > 1 for m in result.fused.members[: result.fused.junctions])
-        way_m = round(float(result.fused.length.sum()))
+        corridors_m, ways_m = map(round, result.fused.lengths_m)
         facts += [
             (len(result.components), "component", "components"),
             (result.fused.junctions, "junction", "junctions"),
             (shared, "seen by several runs", "seen by several runs"),
-            (way_m, "m of corridors", "m of corridors"),
+            (corridors_m, "m of corridors", "m of corridors"),
         ]
+        if result.fused.turned:
+            beside = "m to turning points or ends of logs"
+            facts.append((ways_m, beside, beside))
         for standing, count in result.standings().items():
             if count or standing in (Standing.MERGED, Standing.AMBIGUOUS):
                 words = (f"pair {standing}", f"pairs {standing}")

@@ -68,6 +68,7 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     """A Markdown page: counts, legend, components, warnings."""
     count = result.standings()
     fused = result.fused
+    corridors_m, ways_m = fused.lengths_m
     shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
     runs = sum(len(c.poses) for c in result.components)
     out, others = count[Standing.KEPT_OUT], count[Standing.JOINED]
@@ -76,9 +77,8 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
         f"{several(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
-        f"{several(len(fused.source), 'corridor')}"
-        f"{to_turning_points(len(fused) - fused.junctions)}, "
-        f"{float(fused.length.sum()):,.0f} m in all",
+        f"{several(fused.corridors, 'corridor')}, {corridors_m:,.0f} m"
+        f"{to_turning_points(fused.turned, ways_m)}",
         f"pairs of runs: **{count[Standing.MERGED]:,}** merged, {joined}"
         f"**{count[Standing.AMBIGUOUS]:,}** ambiguous, "
         f"**{count[Standing.UNRELATED]:,}** unrelated{kept_out}",

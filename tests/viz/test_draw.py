@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 
 from topobatch.merge.result import Verdict
+from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.viz.draw import draw_decision, draw_map, draw_merged, draw_placements
 from topobatch.viz.theme import DARK, LIGHT
 
@@ -38,11 +39,19 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
-def test_corridors_to_turning_points_are_counted_and_drawn(make_map, turned) -> None:
+def test_ways_to_turning_points_are_drawn_and_are_no_corridors(make_map, turned, merge_of) -> None:
     texts, titles = seen(draw_map(turned(make_map("run")), LIGHT))
-    counted = "4 junctions, 5 corridors (1 to turning points or ends of the log), 38 m; 7 passes"
-    assert {"run", counted, "robot turned round"} <= set(texts)
+    ways = "1 way to turning points or ends of the log, 6 m"
+    assert {
+        "run",
+        f"4 junctions, 4 corridors, 32 m, {ways}; 7 passes",
+        "robot turned round",
+    } <= set(texts)
     assert "robot turned round, 6.00 m from junction 2" in titles
+    result, _ = merge_of([["a", "b"]])
+    fused = replace(result.fused, kind=(*result.fused.kind[:4], TURNING_POINT))
+    texts, _ = seen(draw_merged(replace(result, fused=fused), LIGHT))
+    assert f"4 junctions, 32 m of corridors, {ways}; 1 pair of 1 merged" in texts
 
 
 def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:

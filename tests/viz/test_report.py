@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Unlisted, Verdict
+from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.viz.report import Report, report_page
 from topobatch.viz.report_style import VERDICT_COLOURS
 from topobatch.viz.report_verdicts import STANDINGS, pair_told
@@ -66,6 +67,19 @@ def test_the_page_holds_summary_pictures_verdicts_health_settings_versions(merge
     assert page_of(result, maps, locks=["a + d: never"]) == page_of(
         result, list(reversed(maps)), locks=["a + d: never"]
     )
+
+
+def test_ways_to_turning_points_are_no_corridors(merge_of, make_map, turned) -> None:
+    result, _ = merge_of([["a", "b"]])
+    fused = replace(result.fused, kind=(*result.fused.kind[:4], TURNING_POINT))
+    html = page_of(replace(result, fused=fused), [turned(make_map(run)) for run in "ab"])
+    assert "<b>32</b>m of corridors" in html
+    assert "<b>6</b>m to turning points or ends of logs" in html
+    assert (
+        html.count("<td>4 (32 m)</td>") == html.count(">4 junctions, 4 corridors, 32 m, 1 way") == 2
+    )
+    page = merge_summary(replace(result, fused=fused), MergeLayers())
+    assert "**4** corridors, 32 m, 1 way to turning points or ends of the log, 6 m" in page
 
 
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
