@@ -1,14 +1,17 @@
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from topobatch.merge.result import Verdict
+from topobatch.merge.decision import Placement, Term
+from topobatch.merge.decision_text import lines
+from topobatch.merge.result import Alignment, Verdict
 from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.viz.draw import draw_decision, draw_map, draw_merged, draw_placements
 from topobatch.viz.theme import DARK, LIGHT
 
-from .test_decision_recording import decision, placement
+from .test_decision_recording import EVERY, decision, placement
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -104,6 +107,17 @@ def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
     assert {"matched junctions, tied", "link that speaks for it", "what speaks against it"} <= set(
         texts
     )
+
+
+def test_links_of_a_pair_read_as_explain_shows_them(make_map) -> None:
+    terms = [Term("corridor", 1.74, "corridor", ends, ends) for ends in ((0, 1), (1, 2))]
+    at = Alignment(np.array([1.0, 2.0, 0.3]), 3.48, EVERY, 0.1, 2)
+    told = decision(Verdict.AMBIGUOUS, [Placement(at, tuple(terms))])
+    explained = [line.split()[0] for line in lines(told) if line.rstrip().endswith(("0-1", "1-2"))]
+    assert explained == ["+1.8", "+1.7"]
+    _, titles = seen(draw_decision(make_map("a"), make_map("b"), told, LIGHT))
+    drawn = [t.split()[0] for t in titles if t.endswith("bits: corridor")]
+    assert list(dict.fromkeys(drawn)) == explained
 
 
 def test_an_ambiguous_pair_shows_both_placements(make_map, merge_of) -> None:
