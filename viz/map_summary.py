@@ -189,7 +189,11 @@ def _source(topomap: TopoMap) -> str:
         told = value
         if isinstance(value, Mapping):
             told = ", ".join(
-                v if isinstance(v, str) else f"{v} messages" if k == "messages" else f"{k} {v}"
+                v
+                if isinstance(v, str)
+                else counted(v, "message")
+                if k == "messages" and isinstance(v, int)
+                else f"{k} {v}"
                 for k, v in value.items()
             )
         lines.append(f"{plain(name)}: {plain(told)}")

@@ -127,6 +127,20 @@ def several(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
+_OF_ONE = {
+    "are": "is", "have": "has", "hold": "holds", "carry": "carries",
+    "go": "goes", "see": "sees", "lie": "lies", "point": "points",
+}  # fmt: skip
+"""Verbs of sentences on several things, and on one."""
+
+
+def several_that(count: int, noun: str, told: str) -> str:
+    """ "1 message is of another type", "2 messages are …"; told: of several, from its verb on."""
+    verb, space, rest = told.partition(" ")
+    verb = _OF_ONE.get(verb, verb) if count == 1 else verb
+    return f"{several(count, noun)} {verb}{space}{rest}"
+
+
 @dataclass(slots=True)
 class Findings:
     """What was found in a scan of a log: counts, and all faults.

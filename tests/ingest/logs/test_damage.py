@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from topobatch.ingest.logs.messages import several_that
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
 from topobatch.ingest.sightings import SightingSettings
 from topobatch.topology.errors import LogError
@@ -95,6 +96,13 @@ def test_a_flipped_byte_costs_its_chunk_and_is_counted(logs, tmp_path, name):
     assert sum(int(match[1]) for match in lost if match) == 330 - count
     with pytest.raises(LogError, match="damaged: 1 damaged chunk"):
         read_run(path, ReadSettings(strict=True))
+
+
+def test_one_thing_that_is_told_of_and_several() -> None:
+    told = [several_that(n, "message", "are of another type") for n in (1, 2)]
+    assert told == ["1 message is of another type", "2 messages are of another type"]
+    assert several_that(1, "pose", "have no frame") == "1 pose has no frame"
+    assert several_that(1, "message", "could not be decoded") == "1 message could not be decoded"
 
 
 def test_lost_messages_are_counted_without_a_summary(logs, tmp_path):
