@@ -144,7 +144,7 @@ def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
     named = ", ".join(told for standing, told in _COLOURS.items() if count[standing])
     lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
     if shown.numbers:
-        lines.append("Numbers above the diagonal: bits of evidence.")
+        lines.append(numbers_told(result))
     if shown.dots:
         where = "below the diagonal" if shown.numbers else "in a square"
         lines.append(f"A dot {where}: the larger, the more evidence; point at it for the reason.")
@@ -155,6 +155,17 @@ def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
     if result.threshold_bits is not None:
         lines.append(f"Merging needs {shown_bits(result.threshold_bits)} bits.")
     return " ".join(lines)
+
+
+LOCKED = "locked"
+"""Stands beside the evidence of pairs on which a person decided."""
+
+
+def numbers_told(result: MergeResult) -> str:
+    """What stands in the matrix."""
+    locked = any(pair.locked for pair in result.verdicts)
+    decided = f"; {LOCKED}: a person decided" if locked else ""
+    return f"Numbers above the diagonal: bits of evidence{decided}."
 
 
 def _components(result: MergeResult) -> str:

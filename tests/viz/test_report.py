@@ -97,6 +97,18 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     }
 
 
+def test_pairs_that_a_person_locked_are_marked_in_the_matrix(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    assert "locked" not in page_of(result, maps)
+    pair = replace(result.verdicts[1], evidence_bits=30.0, locked="never")
+    locked = replace(result, verdicts=(result.verdicts[0], pair, *result.verdicts[2:]))
+    html = page_of(locked, maps)
+    assert "bits of evidence; locked: a person decided." in html
+    assert html.count(">locked</text>") == 1
+    legend = merge_summary(locked, MergeLayers(numbers=True))
+    assert "bits of evidence; locked: a person decided." in legend
+
+
 def test_what_components_needed_is_not_what_two_runs_need(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]])
     first, *others = (replace(v, threshold_bits=12.6) for v in result.verdicts)
