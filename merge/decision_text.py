@@ -363,9 +363,16 @@ def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
 
 
 def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
-    """A text wrapped to several lines, cut after `most`."""
-    hanging = indent + "  "
-    found = wrap(text, WIDTH, initial_indent=indent, subsequent_indent=hanging)
+    """A text wrapped to several lines, cut after `most`. Long words, paths for instance, stay
+    whole."""
+    found = wrap(
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
     if len(found) > most:
         found = [*found[: most - 1], found[most - 1][: WIDTH - 2].rstrip() + " …"]
     return found
