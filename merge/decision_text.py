@@ -270,8 +270,11 @@ def _link(term: Term) -> Row:
 def needs(decision: Decision) -> str:
     """What the threshold is made of, and the other requirements."""
     need = decision.requirement
+    pairs = counted(need.pairs, "pair")
+    if need.unrounded_pairs is not None:
+        pairs = f"{need.pairs:,} for {counted(need.unrounded_pairs, 'pair')}"
     return (
-        f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
+        f"log2({pairs} / rate {need.false_merge_rate:g}), "
         f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
     )
 

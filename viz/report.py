@@ -181,7 +181,7 @@ def _health(report: Report, runs: Sequence[str]) -> str:
     head = (
         "run",
         "component",
-        "from (UTC)",
+        "first pass (UTC)",
         "lasts",
         "passes",
         "junctions",
@@ -211,11 +211,11 @@ def _health(report: Report, runs: Sequence[str]) -> str:
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
     note = (
-        '<p class="dim">Closures: visits recognised as the same place; refused: visits that were '
-        "not taken for it. Heading noise: random walk of the odometry's heading, 1 sigma after a "
-        "metre. Missed: share of passes in which a junction went unseen; wrong branches: in which "
-        "it was seen with one too many or too few. Jumps: steps of unknown size in the odometry."
-        "</p>"
+        '<p class="dim">A run lasts from its first pass of a junction to its last. Closures: '
+        "visits recognised as the same place; refused: visits that were not taken for it. Heading "
+        "noise: random walk of the odometry's heading, 1 sigma after a metre. Missed: share of "
+        "passes in which a junction went unseen; wrong branches: in which it was seen with one too "
+        "many or too few. Jumps: steps of unknown size in the odometry.</p>"
     )
     return f"<h2>Runs</h2>{note}{table}{_own_maps(report, runs)}"
 

@@ -52,6 +52,7 @@ def test_the_page_holds_summary_pictures_verdicts_health_settings_versions(merge
     html = page_of(result, maps, locks=["a + d: never"], warnings=["The map of x cannot be read"])
     for told in (
         "<b>4</b>runs",
+        "<th>first pass (UTC)</th>",
         "<b>1</b>pair ambiguous",
         "take care",
         "The map of x cannot be read",
