@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
 from ...topology.errors import LogError
+from ...topology.wording import utc
 from .checksum import crc32
 
 Bytes = NDArray[np.uint8]
@@ -253,8 +254,8 @@ class Findings:
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(
-                f"{several(self.messages, 'message')} could be read, {seconds:.3f} s "
-                f"from {self.first_ns} to {self.last_ns} ns log time"
+                f"{several(self.messages, 'message')} could be read, {seconds:.3f} s by log time, "
+                f"from {utc(self.first_ns)} to {utc(self.last_ns)} UTC"
             )
         return out
 

@@ -6,6 +6,7 @@ import re
 import sqlite3
 import struct
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import pytest
@@ -24,15 +25,17 @@ WRITERS = {
     "bag-bz2": lambda logs, path: logs.bag(path, logs.drive(), "bz2"),
     "bag-lz4": lambda logs, path: logs.bag(path, logs.drive(), "lz4"),
 }
-COUNT = re.compile(r"(\d+) messages could be read, ([\d.]+) s from (\d+) to (\d+) ns")
+COUNT = re.compile(
+    r"(\d+) messages could be read, ([\d.]+) s by log time, from ([^,]+) to ([^,]+) UTC$"
+)
 
 
 def said(run) -> int:
     """The number of messages that the report names."""
     found = [match for text in run.warnings if (match := COUNT.search(text))]
     assert len(found) == 1, run.warnings
-    first, last = int(found[0][3]), int(found[0][4])
-    assert float(found[0][2]) == pytest.approx((last - first) / 1e9, abs=1e-3)
+    first, last = (datetime.fromisoformat(found[0][k]) for k in (3, 4))  # to the second
+    assert float(found[0][2]) == pytest.approx((last - first).total_seconds(), abs=1.0)
     return int(found[0][1])
 
 
