@@ -10,7 +10,7 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import listed
 from .journal import note
 from .merge import merge_again
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, call, complete_run
+from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
 from .output import Screen
 from .workspace import Workspace, pairs_named
 
@@ -113,7 +113,7 @@ def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> 
     same = {(lock.a, lock.b) for lock in place.locks() if lock.decision == "same"}
     for a, b in pairs:
         if (a, b) in same:
-            first = call(place.root, "lock", a, b, "--clear")
+            first = place.call("lock", a, b, "--clear")
             raise UsageError(f"{a} and {b} are locked as the same; first: {first}")
 
 

@@ -11,7 +11,7 @@ import typer
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
 from . import paper_options
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, call, complete_run
+from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
 from .output import say, say_lines, warn
 from .workspace import MERGED, Workspace, pairs_named
 
@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
     from ..topology.topomap import TopoMap
+
+
+TO_MERGE = "topobatch merge --all"
+"""What gives runs a verdict."""
 
 
 def explain(
@@ -104,6 +108,8 @@ def _both(place: Workspace, named: str) -> tuple[str, str]:
 
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
     """Explain the decision of the robust method."""
+    from dataclasses import replace
+
     from ..merge.decision import to_document
     from ..merge.decision_text import lines
     from ..viz.decision_recording import write_decision_recording
@@ -112,15 +118,22 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     if as_json:
         say_lines(json.dumps(to_document(decision)))
     else:
-        for line in lines(decision, rows):
+        here = replace(decision, notes=tuple(_here(place, note) for note in decision.notes))
+        for line in lines(here, rows):
             say_lines(line)
     recording = place.explain_rrd(*pair)
     _record(
         recording,
         lambda: write_decision_recording(recording, a, b, decision),
         as_json,
-        f"  (look at it: {call(place.root, 'view', ':'.join(pair))})",
+        f"  (look at it: {place.call('view', ':'.join(pair))})",
     )
+
+
+def _here(place: Workspace, note: str) -> str:
+    """A note with the call that it suggests on this workspace. Pictures and recordings, which may
+    be moved, have it without."""
+    return note.replace(f"({TO_MERGE})", f"({place.call('merge', '--all')})")
 
 
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
@@ -172,7 +185,7 @@ def _last_merge(place: Workspace) -> MergedDocument | None:
 def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: str) -> str:
     """Why the workspace's merge has no verdict on a pair, "" if it has one."""
     if document is None:
-        return "not merged yet (topobatch merge --all)"
+        return f"not merged yet ({TO_MERGE})"
     if document.graph.method == "paper":
         return f"{name} is a merge by --method paper (see topobatch explain --method paper)"
     if not document.graph.home.keys() >= set(pair):
@@ -228,7 +241,7 @@ def _by_paper(
     else:
         how = "" if found.settings == merged_with else ", with the settings of that merge"
         how = " by another method" if merged_with is None else how
-        verdict = [f"verdict: not merged yet; {call(place.root, 'merge', '--all')}"]
+        verdict = [f"verdict: not merged yet; {place.call('merge', '--all')}"]
         if said is not None:
             verdict = _verdict_lines(said, f"{name}{how}")
         elif document is not None:

@@ -11,7 +11,7 @@ from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
 from .journal import note
 from .log_paths import logs_at, packed_below
-from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption, call
+from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
 from .workspace import Workspace, checked_run_name
@@ -293,7 +293,7 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
         same = f" ({unchanged} unchanged)" if unchanged else ""
         logs = counted(len(outcomes) - len(failed), "log")
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
-        screen.line(f"{told}; next: {call(place.root, 'merge', '--all')}")
+        screen.line(f"{told}; next: {place.call('merge', '--all')}")
     if failed and len(outcomes) > 1:
         screen.complain(
             f"{len(failed)} of {counted(len(outcomes), 'log')} failed: {listed(failed)}"

@@ -24,7 +24,7 @@ from ..topology.files import read_json, write_json, write_together
 from ..topology.made_from import junctions_told
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
-from ..topology.wording import counted
+from ..topology.wording import counted, to_turning_points
 from .version import VERSION
 from .workspace import Workspace, checked_run_name
 
@@ -202,8 +202,7 @@ def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     visits = sum(len(m.observation_vertex) for m in maps)
     found = ", and ".join(
         f"{counted(len(m), 'junction')}, {counted(len(m.source), 'corridor')}"
-        + (f", {counted(len(m.turning_points), 'turning point')}" if len(m.turning_points) else "")
-        + (f" ({m.run})" if len(maps) > 1 else "")
+        f"{to_turning_points(len(m.turning_points))}" + (f" ({m.run})" if len(maps) > 1 else "")
         for m in maps
     )
     if odometry is None:

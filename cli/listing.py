@@ -24,8 +24,8 @@ ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 @dataclass(frozen=True, slots=True)
 class Listed:
     """A run. health: "ok", warnings, or why its map cannot be read; component, runs: its component
-    in the last merge, and the number of runs in it; recorded: time of its first junction, ingested:
-    when its map was made, in UTC; stale: what changed since."""
+    in the last merge, and the number of runs in it; recorded: time of its first junction pass,
+    ingested: when its map was made, in UTC; stale: what changed since."""
 
     run: str
     junctions: int | None
@@ -45,9 +45,10 @@ def list_runs(
 ) -> None:
     """List the runs of the workspace.
 
-    How large each map is and what is wrong with it, its component in the last merge, when it was
-    recorded, and what is stale: maps that changed since the merge, logs that changed or were read
-    by another version. The exit code is 1 if a map cannot be read.
+    How large each map is and what is wrong with it, its component in the last merge, when the robot
+    first passed a junction (its log may begin earlier), and what is stale: maps that changed since
+    the merge, logs that changed or were read by another version. The exit code is 1 if a map cannot
+    be read.
 
     \b
       topobatch list
@@ -62,7 +63,7 @@ def list_runs(
         say_lines(json.dumps([asdict(row) for row in rows]))
         _fail_if_unreadable(rows)
         return
-    head = ("run", "junctions", "corridors", "component", "from (UTC)", "health", "stale")
+    head = ("run", "junctions", "corridors", "component", "first pass (UTC)", "health", "stale")
     for line in table(head, [_row(row) for row in rows], indent=""):
         say(line)
     gone = sorted(set(merged.home) - {row.run for row in rows})

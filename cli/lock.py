@@ -9,7 +9,7 @@ import typer
 
 from ..topology.errors import UsageError
 from .journal import note
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, call, complete_run
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say, warn
 from .workspace import Workspace
 
@@ -79,7 +79,7 @@ def lock(
         done = "clear" if clear else _decision(same)
         note(place, "lock", f"{min(a, b)} + {max(a, b)}: {done}", warn)
     _show(kept)
-    say(f"next: {call(place.root, 'merge', '--all')}")
+    say(f"next: {place.call('merge', '--all')}")
 
 
 def _decision(same: bool) -> Literal["same", "never"]:

@@ -22,7 +22,6 @@ from .options import (
     QuietOption,
     VerboseOption,
     WorkspaceOption,
-    call,
     complete_run,
 )
 from .output import Screen
@@ -214,8 +213,9 @@ def _repeat(
         graph = read_merged(place.merged_json).graph
         settings = _settings_of(graph)
     except (DocumentError, ValueError) as error:
-        how = "--all" if place.merge == MERGED else f"… --output {place.merge} --replace"
-        screen.warn(f"{error}; merge again: topobatch merge {how}")
+        how = f"topobatch merge … --output {place.merge} --replace"
+        how = place.call("merge", "--all") if place.merge == MERGED else how
+        screen.warn(f"{error}; merge again: {how}")
         return
     before = set(graph.home)
     if not before & set(affected):
@@ -421,7 +421,7 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
     yield "line", _counts(result)
     yield "line", f"{place.merged_json}"
     name = () if place.merge == MERGED else (place.merge,)
-    yield "line", f"{place.merged_rrd}  (look at it: {call(place.root, 'view', *name)})"
+    yield "line", f"{place.merged_rrd}  (look at it: {place.call('view', *name)})"
 
 
 def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-import shlex
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from ..topology.errors import TopobatchError
+from .workspace import MERGED, USUAL, Workspace
 
 WorkspaceOption = Annotated[
     Path,
@@ -21,15 +21,7 @@ WorkspaceOption = Annotated[
         file_okay=False,
     ),
 ]
-DEFAULT_WORKSPACE = Path("topobatch-workspace")
-
-
-def call(workspace: Path, *words: str) -> str:
-    """A call of topobatch on a workspace, as a shell takes it."""
-    usual = Path(os.environ.get("TOPOBATCH_WORKSPACE") or DEFAULT_WORKSPACE)
-    where = () if workspace == usual else ("-w", str(workspace))
-    return shlex.join(("topobatch", *words, *where))
-
+DEFAULT_WORKSPACE = USUAL
 
 QuietOption = Annotated[
     bool, typer.Option("--quiet", "-q", help="Show errors only: no progress, no summary.")
@@ -47,8 +39,6 @@ VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     """Runs of the workspace with this prefix, for shell completion."""
-    from .workspace import Workspace
-
     named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
     try:
         runs = Workspace(Path(named or DEFAULT_WORKSPACE)).runs()
@@ -59,7 +49,5 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
 
 def complete_map(ctx: typer.Context, incomplete: str) -> list[str]:
     """The same, and the merged map."""
-    from .workspace import MERGED
-
     merged = [MERGED] if MERGED.startswith(incomplete) else []
     return [*merged, *complete_run(ctx, incomplete)]

@@ -12,7 +12,6 @@ import typer
 from ..topology.errors import UsageError
 from ..topology.wording import counted
 from .matching import matching, read_maps
-from .options import call
 from .output import Screen
 from .workspace import Workspace
 
@@ -50,7 +49,7 @@ def match_share(
         done = match_shard(maps, settings.robust, share, means)
     screen.line(
         f"share {share[0]} of {share[1]}: {counted(done, 'pair')} in {place.pairs}; "
-        f"when all shares are done: {call(place.root, 'merge', '--all')}"
+        f"when all shares are done: {place.call('merge', '--all')}"
     )
     if broken:
         raise typer.Exit(1)

@@ -18,7 +18,6 @@ from typing import Any, Literal
 from ..topology.errors import DocumentError
 from ..topology.files import encoded, opened, read_json, write_json
 from ..topology.wording import listed
-from .options import call
 from .output import Screen, folded
 from .workspace import Workspace
 
@@ -72,7 +71,7 @@ def made_from(place: Workspace, documents: Mapping[str, str | None], options: ob
         (os.path.lexists(path), _content(path)) for path in (place.locks_json, place.discards_json)
     ]
     libraries = [sys.version, *map(version, LIBRARIES)]
-    where = [str(place.root), call(place.root, "view", place.merge)]  # which is said
+    where = [str(place.root), place.call("view", place.merge)]  # which is said
     every = [_program(), libraries, where, repr(options), dict(documents), spoken]
     return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
 

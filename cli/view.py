@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, call, complete_run
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
 from .workspace import Workspace, pairs_named
 
@@ -82,9 +82,7 @@ def _recording(place: Workspace, run: str | None) -> Path:
     for pair in pairs_named(run, place.runs()):
         recording = place.explain_rrd(*pair)
         if not recording.is_file():
-            raise DataError(
-                f"{recording}: is not there; {call(place.root, 'explain', *pair)} makes it"
-            )
+            raise DataError(f"{recording}: is not there; {place.call('explain', *pair)} makes it")
         return recording
     raise place.unknown([run], "run, merge or pair A:B named")
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -26,6 +27,9 @@ RUN, MERGE = "a run", "a merge"
 
 MERGED = "merged"
 """Default name of a merge."""
+
+USUAL = Path("topobatch-workspace")
+"""The folder where none is named."""
 
 NAME_BYTES = 200
 """Longest run name: file names have 255 bytes for it and suffixes."""
@@ -67,6 +71,12 @@ class Workspace:
 
             kept = f"where topobatch keeps a {name} of its own"
             raise DataError(f"{path}: is a {kind_of(path)}, {kept}; remove it")
+
+    def call(self, *words: str) -> str:
+        """A call of topobatch on this workspace, as a shell takes it."""
+        usual = Path(os.environ.get("TOPOBATCH_WORKSPACE") or USUAL)
+        where = () if self.root == usual else ("-w", str(self.root))
+        return shlex.join(("topobatch", *words, *where))
 
     @property
     def maps(self) -> Path:
@@ -286,7 +296,7 @@ class Workspace:
         try:
             return read_merged(self.merged_json)
         except DocumentError as error:
-            raise with_way_out(error, "merged") from error
+            raise with_way_out(error, "merged", self.call("merge", "--all")) from error
 
     def require_merge(self) -> None:
         """DataError where nothing was merged yet, UsageError where nothing of a given name was."""
@@ -299,9 +309,8 @@ class Workspace:
             raise UsageError(f"{self.merged_json}: is not there; {how}")
         if not self.runs():
             raise self.no_maps()
-        raise DataError(
-            f"{self.merged_json}: is not there yet; make it with `topobatch merge --all`"
-        )
+        how = self.call("merge", "--all")
+        raise DataError(f"{self.merged_json}: is not there yet; make it with `{how}`")
 
     def no_component(self, number: int, ids: Sequence[int]) -> UsageError:
         """What to say where a component is named that the merge does not have."""

@@ -18,6 +18,7 @@ from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
 from .coarse_grid import affordable
 from .grid_log import GridLog
+from .logs.messages import several_that
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 
 SMOOTH_M = 0.5
@@ -56,7 +57,8 @@ def map_of_grid(log: GridLog) -> TopoMap:
         )
     kept, used, left_out = _largest(places, corridors)
     if left_out:
-        warnings += (f"{left_out} junctions of the grid are apart from the largest part; left out",)
+        apart = several_that(left_out, "junction", "lie apart from the largest part of the grid")
+        warnings += (f"{apart}; left out",)
     number = {old: new for new, old in enumerate(kept)}
     rows = [_branches(places[k], grid) for k in kept]
     branches = Ragged.from_rows([sorted_ for sorted_, _ in rows])

@@ -16,7 +16,7 @@ from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, walks
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import Findings
+from .logs.messages import Findings, several
 from .logs.recording import Recording, find_logs, log_fingerprint, log_size, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
@@ -191,7 +191,8 @@ def _damage(recording: Recording, findings: Findings, settings: ReadSettings) ->
     damage = [*recording.notes, *findings.damage]
     if recording.declared is not None and findings.messages < recording.declared:
         damage.append(
-            f"metadata.yaml counts {recording.declared} messages, {findings.messages} were found"
+            f"metadata.yaml counts {several(recording.declared, 'message')}, "
+            f"{findings.messages} {'was' if findings.messages == 1 else 'were'} found"
         )
     if findings.messages == 0:
         reason = "; ".join(damage) or "it holds no messages"

@@ -15,6 +15,7 @@ from ..topology.run import Detections
 from ..topology.se2 import apply, inverse, wrap
 from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
 from .logs.intake import PoseColumns, in_plane
+from .logs.messages import several, several_that
 
 Side = Literal["robot", "odometry", "foreign"]
 
@@ -202,8 +203,8 @@ def _centres(
     apart = int((spread > settings.centre_m).sum())
     if apart:
         warnings.append(
-            f"{apart} detections spread their branches over more than {settings.centre_m} m; "
-            "their mean is taken as the centre"
+            f"the branches of {several(apart, 'detection')} spread over more than "
+            f"{settings.centre_m} m; their mean is taken as the centre"
         )
     return np.asarray(origin + np.add.reduceat(away, first, axis=0) / counts[:, None])
 
@@ -211,5 +212,5 @@ def _centres(
 def _leave_out(keep: BoolArray, good: BoolArray, warnings: list[str], why: str) -> BoolArray:
     bad = int((keep & ~good).sum())
     if bad:
-        warnings.append(f"{bad} detections {why}; left out")
+        warnings.append(f"{several_that(bad, 'detection', why)}; left out")
     return keep & good

@@ -12,6 +12,7 @@ from ..topology.arrays import BoolArray, IntArray
 from ..topology.columns import joined, take
 from ..topology.wording import listed
 from .logs.intake import PoseColumns, Sink, no_columns
+from .logs.messages import several_that
 from .odometry.jumps import times
 from .odometry.track import backward_jumps
 
@@ -83,16 +84,16 @@ class TopicPoses:
         """Warnings on messages that could not be used."""
         out = []
         because = f" ({self.reason})" if self.reason else ""
-        for count, what in (
-            (self.failed, f"messages could not be decoded{because}"),
-            (self.foreign, "messages are of another type"),
-            (self.empty, "messages hold no pose"),
-            (self.elsewhere, "poses are between other frames"),
-            (self.not_finite, "poses hold numbers that are not finite or absurdly large"),
-            (self.zero_quaternion, "poses have a quaternion of zero length"),
+        for count, noun, told in (
+            (self.failed, "message", f"could not be decoded{because}"),
+            (self.foreign, "message", "are of another type"),
+            (self.empty, "message", "hold no pose"),
+            (self.elsewhere, "pose", "are between other frames"),
+            (self.not_finite, "pose", "hold numbers that are not finite or absurdly large"),
+            (self.zero_quaternion, "pose", "have a quaternion of zero length"),
         ):
             if count:
-                out.append(f"{topic}: {count} {what}; left out")
+                out.append(f"{topic}: {several_that(count, noun, told)}; left out")
         if self.rivals:
             pairs = told_pairs(self.rivals)
             out.append(

@@ -101,7 +101,7 @@ class Requirement:
     least_junctions: that must agree; lead_bits: required lead over the next best placement, more if
     that has no more evidence against it; junction_bits: bound per matched junction; repetition: 0
     (certainly no copy) to 1; same_place_bits, same_place_needed: evidence that it is not a copy,
-    and its threshold, None if not tested.
+    and its threshold, None if not tested; unrounded_pairs: where `pairs` are rounded up.
     """
 
     threshold_bits: float
@@ -113,6 +113,7 @@ class Requirement:
     repetition: float
     same_place_bits: float | None = None
     same_place_needed: float | None = None
+    unrounded_pairs: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ Degrees and decimals for people; documents hold radians.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import wrap
 
 import numpy as np
@@ -192,7 +192,7 @@ def rows(decision: Decision, links: int) -> list[Row]:
         bits = tuple(column.get(kind) for column in columns)
         out.append(Row(_group_told(kind, decision.placements), bits))
         if kind in ("corridor", "unseen") and bits[0] is not None:
-            out += _parts(first.of(*_GROUPS[kind]), bits[0], links, digits)
+            out += _parts(itemised(first, kind, digits), links, digits)
     return out
 
 
@@ -244,28 +244,37 @@ def _against_told(placements: Sequence[Placement]) -> str:
     return f"{told}; next: {counted(others[0], 'contradiction')}" if any(others) else told
 
 
-def _parts(terms: Sequence[Term], total: float, most: int, digits: int) -> list[Row]:
-    """The terms of a group, evidence against it and the largest first, and the rest in one row.
-    They add up to the group's sum, and each reads alike however many are shown."""
+def itemised(placement: Placement, group: TermKind, digits: int) -> list[Term]:
+    """The terms of a group, evidence against it and the largest first, rounded so that they add up
+    to the group's sum: each reads alike wherever it is shown."""
+    terms = placement.of(*_GROUPS[group])
     ordered = sorted(terms, key=lambda t: (t.bits > -NOTABLE_BITS, -abs(t.bits)))
-    bits = rounded_terms([t.bits for t in ordered], digits, total)
-    count = len(ordered) if len(ordered) <= most else max(most - 1, 0)
+    bits = rounded_terms([t.bits for t in ordered], digits, _groups(placement, digits)[group])
+    return [replace(t, bits=told) for t, told in zip(ordered, bits, strict=True)]
+
+
+def _parts(terms: Sequence[Term], most: int, digits: int) -> list[Row]:
+    """The first terms of a group, and the rest in one row."""
+    count = len(terms) if len(terms) <= most else max(most - 1, 0)
     if count == 0:
         return []
-    out = [_link(t, part) for t, part in zip(ordered[:count], bits, strict=False)]
-    left = bits[count:]
+    out, left = list(map(_link, terms[:count])), [t.bits for t in terms[count:]]
     return [*out, Row(f"{len(left)} more", (round(sum(left), digits),), level=1)] if left else out
 
 
-def _link(term: Term, bits: float) -> Row:
-    return Row(term.with_size, (bits,), "-".join(map(str, term.a)), "-".join(map(str, term.b)), 1)
+def _link(term: Term) -> Row:
+    ends = ("-".join(map(str, term.a)), "-".join(map(str, term.b)))
+    return Row(term.with_size, (term.bits,), *ends, level=1)
 
 
 def needs(decision: Decision) -> str:
     """What the threshold is made of, and the other requirements."""
     need = decision.requirement
+    pairs = counted(need.pairs, "pair")
+    if need.unrounded_pairs is not None:
+        pairs = f"{need.pairs:,} for {counted(need.unrounded_pairs, 'pair')}"
     return (
-        f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
+        f"log2({pairs} / rate {need.false_merge_rate:g}), "
         f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
     )
 
@@ -357,9 +366,16 @@ def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
 
 
 def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
-    """A text wrapped to several lines, cut after `most`."""
-    hanging = indent + "  "
-    found = wrap(text, WIDTH, initial_indent=indent, subsequent_indent=hanging)
+    """A text wrapped to several lines, cut after `most`. Long words, paths for instance, stay
+    whole."""
+    found = wrap(
+        text,
+        WIDTH,
+        initial_indent=indent,
+        subsequent_indent=indent + "  ",
+        break_long_words=False,
+        break_on_hyphens=False,
+    )
     if len(found) > most:
         found = [*found[: most - 1], found[most - 1][: WIDTH - 2].rstrip() + " …"]
     return found

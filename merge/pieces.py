@@ -70,7 +70,8 @@ def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
     elif apart == pieces:
         text += "none of which could be joined to another for sure"
     else:
-        text += f"of which {pieces - apart} were joined to another by what they saw"
+        were = "was" if pieces - apart == 1 else "were"
+        text += f"of which {pieces - apart} {were} joined to another by what they saw"
     if len(names) > 1:
         text += f"; on their own: {', '.join(names[1:])}"
     if small:

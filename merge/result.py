@@ -293,6 +293,18 @@ class FusedMap(Graph):
         """Number of the other vertices."""
         return len(self) - self.turned
 
+    @property
+    def corridors(self) -> int:
+        """Number of the other edges, which come first."""
+        return len(self.source) - self.turned
+
+    @property
+    def lengths_m(self) -> tuple[float, float]:
+        """Length of all corridors, and of all ways to turning points."""
+        return float(self.length[: self.corridors].sum()), float(
+            self.length[self.corridors :].sum()
+        )
+
 
 def pairs_of(runs: int) -> int:
     """Number of pairs of so many runs."""

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Mapping
 from typing import Any
 
-LEAST_TOLD = 0.005
+LEAST_TOLD = 0.01
 """Smaller shares of the way are not mentioned."""
 
 
@@ -38,7 +38,7 @@ def junctions_told(info: Mapping[str, Any]) -> str:
     driven = _inside(info, "driven")
     shares = (
         (_number(junctions, "covered"), "of the way covered", 0.0),
-        (_number(driven, "corridors"), "of it along corridors", 0.0),
+        (_number(driven, "corridors"), "of it along corridors or to turning points", 0.0),
         (_number(driven, "out_and_back"), "out of a junction and back to it", LEAST_TOLD),
     )
     told += [f"{100 * s:.0f} % {what}" for s, what, least in shares if s is not None and s >= least]

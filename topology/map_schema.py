@@ -289,10 +289,13 @@ WAY_OUT = {
 """What makes a document anew, by its kind."""
 
 
-def with_way_out(error: DocumentError, kind: str) -> DocumentError:
-    """The error with what makes a document of this kind anew, said once."""
-    said = WAY_OUT[kind] in str(error)
-    return error if said else DocumentError(f"{error} (to make it anew: {WAY_OUT[kind]})")
+def with_way_out(error: DocumentError, kind: str, way: str | None = None) -> DocumentError:
+    """The error with what makes a document of this kind anew, said once. way: in place of the usual
+    one."""
+    usual, text = WAY_OUT[kind], str(error)
+    if usual in text:
+        return DocumentError(text.replace(usual, way or usual))
+    return DocumentError(f"{text} (to make it anew: {way or usual})")
 
 
 def validated(model: type[M], doc: Any, name: str) -> M:

@@ -29,7 +29,9 @@ def counted(number: int, noun: str, plural: str | None = None) -> str:
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
-def to_turning_points(number: int) -> str:
-    """Suffix after a count of corridors: how many of them lead to no other junction; empty for
-    none."""
-    return f" ({number:,} to turning points or ends of the log)" if number else ""
+def to_turning_points(number: int, length_m: float | None = None) -> str:
+    """What follows the corridors, which join two junctions: how many ways lead to none, and their
+    length; empty without any."""
+    length = "" if length_m is None else f", {length_m:,.0f} m"
+    ways = f", {counted(number, 'way')} to turning points or ends of the log{length}"
+    return ways if number else ""

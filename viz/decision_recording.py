@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ..merge.decision import LINKS, Decision, Placement, Term
+from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
 from ..merge.decision_text import (
     agreement,
     because,
@@ -176,7 +176,7 @@ def _contradictions(
     recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
 ) -> None:
     """Junctions that the other run drove past unseen, and corridors that cross, in red."""
-    found = list(against(placement, *xy))
+    found = list(against(placement.of(*AGAINST), *xy))
     spots = [(term, at[0]) for term, at in found if len(at) == 1]
     if spots:
         points = rr.Points2D(

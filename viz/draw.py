@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..merge.decision import LINKS, Decision, Placement
-from ..merge.decision_text import because, headline, missing, short
+from ..merge.decision import Decision, Term
+from ..merge.decision_text import because, digits_of, headline, itemised, missing, short
 from ..merge.result import (
     Alignment,
     FusedMap,
@@ -60,10 +60,10 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
     keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
-    way_m = float(whole.length.sum())
+    ways = topomap.turning_points
     told = (
-        f"{counted(len(topomap), 'junction')}, {counted(len(whole.source), 'corridor')}"
-        f"{to_turning_points(len(topomap.turning_points))}, {way_m:.0f} m; "
+        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
+        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
         f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
     )
     canvas.finish([topomap.run, told], [keys])
@@ -174,9 +174,10 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
         _fused(canvas, result.fused, part, rank, pen)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
+    corridors_m, ways_m = result.fused.lengths_m
     told = (
-        f"{counted(result.fused.junctions, 'junction')}, "
-        f"{float(result.fused.length.sum()):,.0f} m of corridors; {counted(pairs, 'pair')} of "
+        f"{counted(result.fused.junctions, 'junction')}, {corridors_m:,.0f} m of corridors"
+        f"{to_turning_points(result.fused.turned, ways_m)}; {counted(pairs, 'pair')} of "
         f"{sum(result.standings().values()):,} merged"
     )
     title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
@@ -270,12 +271,16 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     laid = [(p.title, p.T_a_b) for p in drawn]
     canvas, cells = _over(a, b, laid, theme, "pair")
     links = contradicted = matched = False
+    digits = digits_of(decision)
     for picture, cell in zip(drawn, cells, strict=True):
         T_b = compose(cell.T_sheet_map, picture.T_a_b)
         if picture.placement is not None:
             xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
-            links |= _links(canvas, picture.placement, xy, both=picture.tied)
-            contradicted |= _against(canvas, picture.placement, xy)
+            agreeing, others = (
+                itemised(picture.placement, k, digits) for k in ("corridor", "unseen")
+            )
+            links |= _links(canvas, agreeing, xy, digits, both=picture.tied)
+            contradicted |= _against(canvas, others, xy, digits)
             matched |= _ties(canvas, picture.placement.alignment, xy)
     keys = _pair_keys(theme, a.run, b.run, matched=matched, links=links, against=contradicted)
     canvas.finish(heading, [keys])
@@ -358,29 +363,36 @@ def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray
 
 
 def _links(
-    canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray], *, both: bool
+    canvas: Canvas,
+    links: Sequence[Term],
+    xy: tuple[FloatArray, FloatArray],
+    digits: int,
+    *,
+    both: bool,
 ) -> bool:
     """Draw every link between two junctions of a, and if `both` also between those of b; returns
     whether any was drawn."""
     drawn = False
     for side in (0, 1) if both else (0,):
-        for t in placement.of(*LINKS):
+        for t in links:
             ends = (t.a, t.b)[side]
             if len(ends) == 2 and t.bits > 0:
                 width = 2.0 + 0.5 * min(t.bits, 6.0)
-                told = f"{t.bits:+.1f} bits: {t.told}"
+                told = f"{t.bits:+.{digits}f} bits: {t.told}"
                 line = xy[side][list(ends)]
                 canvas.lines([line], canvas.theme["agrees"], width, order=Order.EVIDENCE, told=told)
                 drawn = True
     return drawn
 
 
-def _against(canvas: Canvas, placement: Placement, xy: tuple[FloatArray, FloatArray]) -> bool:
+def _against(
+    canvas: Canvas, terms: Sequence[Term], xy: tuple[FloatArray, FloatArray], digits: int
+) -> bool:
     """Mark junctions that the other run drove past without seeing them, and corridors that cross;
     returns whether there are any."""
-    found = list(against(placement, *xy))
+    found = list(against(terms, *xy))
     for term, at in found:
-        told = f"{term.bits:+.1f} bits: {term.told}"
+        told = f"{term.bits:+.{digits}f} bits: {term.told}"
         if len(at) == 1:
             _ring(canvas, at[0], told)
         else:

@@ -73,7 +73,7 @@ def _colour(rank: int) -> palette.Colour:
 
 
 def _title(e: Explanation, k: int) -> str:
-    return f"{k + 1}: {counted(int(e.clusters.vertices[k]), 'vertex', 'vertices')}"
+    return f"{k + 1}: {counted(int(e.clusters.vertices[k]), 'pair')}"
 
 
 def pair_classes(shape: tuple[int, int], e: Explanation) -> NDArray[np.uint8]:
@@ -232,7 +232,7 @@ def _told(a: TopoMap, b: TopoMap, e: Explanation) -> str:
     return "\n\n".join(
         [
             head,
-            "## Clusters\n\n| cluster | vertices | hypotheses | largest | rms, m | b over a |\n"
+            "## Clusters\n\n| cluster | pairs | hypotheses | largest | rms, m | b over a |\n"
             "| ---: | ---: | ---: | ---: | ---: | --- |\n" + "\n".join(clusters),
             "## Hypotheses\n\n| no. | cluster | vertices | corridors | rms, m | b over a |\n"
             "| ---: | ---: | ---: | ---: | ---: | --- |\n" + "\n".join(hypotheses),

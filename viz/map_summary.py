@@ -73,15 +73,15 @@ def bulleted(lines: Iterable[str], most: int = MOST_LINES) -> str:
 
 
 def _counts(topomap: TopoMap) -> str:
-    whole = with_turning_points(topomap)
+    whole, ways = with_turning_points(topomap), topomap.turning_points
     kinds = Counter(whole.kind)
     named = ", ".join(counted(n, kind.replace("_", " ")) for kind, n in sorted(kinds.items()))
     unseen = int((~driven_branches(whole)).sum())
     doubt = int(np.count_nonzero(topomap.confidence < 1))
     rows = [
         several(len(whole), "vertex", "vertices") + (f" ({plain(named)})" if named else ""),
-        f"{several(len(whole.source), 'corridor')}"
-        f"{to_turning_points(len(topomap.turning_points))}, {whole.length.sum():.0f} m in all",
+        f"{several(len(topomap.source), 'corridor')}, {topomap.length.sum():,.0f} m"
+        f"{to_turning_points(len(ways), ways.length.sum())}",
         several(len(topomap.observation_vertex), "pass", "passes") + _span(topomap),
         f"{several(unseen, 'branch', 'branches')} seen and never driven",
         f"{several(doubt, 'vertex', 'vertices')} that not all looks show so (confidence below 1)",
@@ -189,7 +189,11 @@ def _source(topomap: TopoMap) -> str:
         told = value
         if isinstance(value, Mapping):
             told = ", ".join(
-                v if isinstance(v, str) else f"{v} messages" if k == "messages" else f"{k} {v}"
+                v
+                if isinstance(v, str)
+                else counted(v, "message")
+                if k == "messages" and isinstance(v, int)
+                else f"{k} {v}"
                 for k, v in value.items()
             )
         lines.append(f"{plain(name)}: {plain(told)}")

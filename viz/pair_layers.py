@@ -24,7 +24,7 @@ from .map_sheet import (
 from .placements import contradiction_spots
 from .recording import HAIR, UP, Recording
 from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
-from .verdicts import CLASS, DIAGONAL, verdict_matrix
+from .verdicts import CLASS, DIAGONAL, LOCKED, verdict_matrix
 
 MATRIX, UNDECIDED = "verdicts", "undecided"
 """Entity roots of the two views."""
@@ -185,7 +185,7 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
     )
     recording.static((MATRIX, "evidence"), dots, info)
     if len(runs) <= MOST_NUMBERS:
-        labels = [shown_bits(b) for b in bits.tolist()]
+        labels = [shown_bits(p.evidence_bits) + f"\n{LOCKED}" * bool(p.locked) for p in pairs]
         _labels(recording, "bits", ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE], labels)
 
 

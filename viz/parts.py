@@ -8,6 +8,7 @@ import numpy as np
 
 from ..merge.result import Component, MergeResult
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.wording import counted
 from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
 
@@ -56,7 +57,7 @@ class Part:
         if len(runs) == 1:
             return (runs[0],)
         short = f"{self.component.id}: {len(runs)} runs"
-        junctions = f"{self.junctions} junctions"
+        junctions = counted(self.junctions, "junction")
         return (f"component {short} merged, {junctions}", f"component {short}", short)
 
 

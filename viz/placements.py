@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from ..merge.decision import AGAINST, Decision, Placement, Term
+from ..merge.decision import Decision, Placement, Term
 from ..merge.decision_text import listed, other_name
 from ..merge.result import Alignment, shown_bits
 from ..topology.arrays import FloatArray
@@ -69,12 +69,12 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
 
 
 def against(
-    placement: Placement, of_a: FloatArray, of_b: FloatArray
+    terms: Iterable[Term], of_a: FloatArray, of_b: FloatArray
 ) -> Iterator[tuple[Term, FloatArray]]:
-    """The terms against a placement, each with where it lies, from the positions of both maps'
-    junctions, (n, 2) each in one frame: (1, 2) a junction that the other run passed without seeing
-    it, or (2, 2) a corridor that crosses another."""
-    for term in placement.of(*AGAINST):
+    """The given terms against a placement, each with where it lies, from the positions of both
+    maps' junctions, (n, 2) each in one frame: (1, 2) a junction that the other run passed without
+    seeing it, or (2, 2) a corridor that crosses another."""
+    for term in terms:
         for of, ends in ((of_a, term.a), (of_b, term.b)):
             if len(ends) == 1 or (len(ends) == 2 and term.kind != "unseen"):
                 yield term, of[list(ends)]

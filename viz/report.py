@@ -83,13 +83,16 @@ def _head(report: Report, runs: Sequence[str]) -> str:
     facts = [(len(runs), "run", "runs")]
     if result is not None:
         shared = sum(len(m) > 1 for m in result.fused.members[: result.fused.junctions])
-        way_m = round(float(result.fused.length.sum()))
+        corridors_m, ways_m = map(round, result.fused.lengths_m)
         facts += [
             (len(result.components), "component", "components"),
             (result.fused.junctions, "junction", "junctions"),
             (shared, "seen by several runs", "seen by several runs"),
-            (way_m, "m of corridors", "m of corridors"),
+            (corridors_m, "m of corridors", "m of corridors"),
         ]
+        if result.fused.turned:
+            beside = "m to turning points or ends of logs"
+            facts.append((ways_m, beside, beside))
         for standing, count in result.standings().items():
             if count or standing in (Standing.MERGED, Standing.AMBIGUOUS):
                 words = (f"pair {standing}", f"pairs {standing}")
@@ -178,7 +181,7 @@ def _health(report: Report, runs: Sequence[str]) -> str:
     head = (
         "run",
         "component",
-        "from (UTC)",
+        "first pass (UTC)",
         "lasts",
         "passes",
         "junctions",
@@ -208,11 +211,11 @@ def _health(report: Report, runs: Sequence[str]) -> str:
         f"<tbody>{''.join(rows)}</tbody></table></div>"
     )
     note = (
-        '<p class="dim">Closures: visits recognised as the same place; refused: visits that were '
-        "not taken for it. Heading noise: random walk of the odometry's heading, 1 sigma after a "
-        "metre. Missed: share of passes in which a junction went unseen; wrong branches: in which "
-        "it was seen with one too many or too few. Jumps: steps of unknown size in the odometry."
-        "</p>"
+        '<p class="dim">A run lasts from its first pass of a junction to its last. Closures: '
+        "visits recognised as the same place; refused: visits that were not taken for it. Heading "
+        "noise: random walk of the odometry's heading, 1 sigma after a metre. Missed: share of "
+        "passes in which a junction went unseen; wrong branches: in which it was seen with one too "
+        "many or too few. Jumps: steps of unknown size in the odometry.</p>"
     )
     return f"<h2>Runs</h2>{note}{table}{_own_maps(report, runs)}"
 

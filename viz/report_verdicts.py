@@ -9,7 +9,7 @@ from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.wording import counted
 from .canvas import legible
 from .report_style import text
-from .verdicts import strongest
+from .verdicts import LOCKED, numbers_told, strongest
 
 STANDINGS = tuple(map(str, Standing))
 TOLD_FIRST = (Standing.AMBIGUOUS, Standing.KEPT_OUT, Standing.MERGED)
@@ -47,7 +47,7 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
         f"<span>{_swatch(kind)}{text(kind)}</span>" for kind in Standing if count[kind]
     )
     framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
-    numbered = " The numbers are bits of evidence." if n <= MOST_NUMBERS else ""
+    numbered = f" {numbers_told(result)}" if n <= MOST_NUMBERS else ""
     return (
         f"<h2>Verdicts</h2><p>Every pair of runs{framed}.{numbered}</p>"
         f'<div class="legend">{legend}</div>'
@@ -87,13 +87,15 @@ def _filled(paths: list[str], colour: str) -> str:
 
 
 def _numbers(result: MergeResult, row: Mapping[str, int]) -> list[str]:
-    """The evidence of every pair, above the diagonal."""
+    """The evidence of every pair, above the diagonal, and which of them a person locked."""
     out = []
     for pair in result.verdicts:
         i, j = sorted((row[pair.a], row[pair.b]))
         look = f"s{STANDINGS.index(str(pair.standing))}"
         bits = shown_bits(pair.evidence_bits)
         out.append(_label(j + 0.5, i + 0.6, bits, "middle", size=0.26, look=look))
+        if pair.locked:
+            out.append(_label(j + 0.5, i + 0.85, LOCKED, "middle", size=0.2, look=look))
     return out
 
 

@@ -68,6 +68,7 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     """A Markdown page: counts, legend, components, warnings."""
     count = result.standings()
     fused = result.fused
+    corridors_m, ways_m = fused.lengths_m
     shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
     runs = sum(len(c.poses) for c in result.components)
     out, others = count[Standing.KEPT_OUT], count[Standing.JOINED]
@@ -76,9 +77,8 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     rows = [
         f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
         f"{several(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
-        f"{several(len(fused.source), 'corridor')}"
-        f"{to_turning_points(len(fused) - fused.junctions)}, "
-        f"{float(fused.length.sum()):,.0f} m in all",
+        f"{several(fused.corridors, 'corridor')}, {corridors_m:,.0f} m"
+        f"{to_turning_points(fused.turned, ways_m)}",
         f"pairs of runs: **{count[Standing.MERGED]:,}** merged, {joined}"
         f"**{count[Standing.AMBIGUOUS]:,}** ambiguous, "
         f"**{count[Standing.UNRELATED]:,}** unrelated{kept_out}",
@@ -144,7 +144,7 @@ def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
     named = ", ".join(told for standing, told in _COLOURS.items() if count[standing])
     lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
     if shown.numbers:
-        lines.append("Numbers above the diagonal: bits of evidence.")
+        lines.append(numbers_told(result))
     if shown.dots:
         where = "below the diagonal" if shown.numbers else "in a square"
         lines.append(f"A dot {where}: the larger, the more evidence; point at it for the reason.")
@@ -155,6 +155,17 @@ def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
     if result.threshold_bits is not None:
         lines.append(f"Merging needs {shown_bits(result.threshold_bits)} bits.")
     return " ".join(lines)
+
+
+LOCKED = "locked"
+"""Stands beside the evidence of pairs on which a person decided."""
+
+
+def numbers_told(result: MergeResult) -> str:
+    """What stands in the matrix."""
+    locked = any(pair.locked for pair in result.verdicts)
+    decided = f"; {LOCKED}: a person decided" if locked else ""
+    return f"Numbers above the diagonal: bits of evidence{decided}."
 
 
 def _components(result: MergeResult) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
 from ...topology.errors import LogError
+from ...topology.wording import utc
 from .checksum import crc32
 
 Bytes = NDArray[np.uint8]
@@ -125,6 +126,20 @@ def one_line(error: object) -> str:
 def several(count: int, noun: str) -> str:
     """ "1 message", "2 messages"; numbers as scripts read them."""
     return f"{count} {noun}{'s' * (count != 1)}"
+
+
+_OF_ONE = {
+    "are": "is", "have": "has", "hold": "holds", "carry": "carries",
+    "go": "goes", "see": "sees", "lie": "lies", "point": "points",
+}  # fmt: skip
+"""Verbs of sentences on several things, and on one."""
+
+
+def several_that(count: int, noun: str, told: str) -> str:
+    """ "1 message is of another type", "2 messages are …"; told: of several, from its verb on."""
+    verb, space, rest = told.partition(" ")
+    verb = _OF_ONE.get(verb, verb) if count == 1 else verb
+    return f"{several(count, noun)} {verb}{space}{rest}"
 
 
 @dataclass(slots=True)
@@ -239,8 +254,8 @@ class Findings:
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(
-                f"{several(self.messages, 'message')} could be read, {seconds:.3f} s "
-                f"from {self.first_ns} to {self.last_ns} ns log time"
+                f"{several(self.messages, 'message')} could be read, {seconds:.3f} s by log time, "
+                f"from {utc(self.first_ns)} to {utc(self.last_ns)} UTC"
             )
         return out
 

@@ -8,6 +8,7 @@ from typing import Any
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
 from ..logs.intake import no_columns
+from ..logs.messages import several_that
 from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
 from ..survey import LogRead
 from ..topic_poses import (
@@ -116,7 +117,8 @@ def _track(topic: OdometryTopic, clock: Clock, settings: TrackSettings) -> Track
     time_ns = poses.time_ns(clock)
     if clock == "header" and not time_ns.all():
         zero = int((time_ns == 0).sum())
-        warnings.append(f"{topic.choice.topic}: {zero} messages carry no header time; left out")
+        told = several_that(zero, "message", "carry no header time")
+        warnings.append(f"{topic.choice.topic}: {told}; left out")
         poses.keep(time_ns != 0)
         time_ns = poses.time_ns(clock)
     pose = poses.columns.pose

@@ -14,7 +14,7 @@ from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import compose, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
-from ..logs.messages import LATEST_NS, Channel, Findings
+from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
 from ..logs.recording import Recording, opened, sniff
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
@@ -78,9 +78,12 @@ class Tally:
         because = f" ({self.reason})" if self.reason else ""
         out = []
         if self.failed:
-            out.append(f"{topic}: {self.failed} messages could not be decoded{because}; left out")
-        out += [f"{topic}: {n} scans {why}; left out" for why, n in sorted(self.left_out.items())]
-        return out + [f"{topic}: {n} scans {why}" for why, n in sorted(self.mended.items())]
+            failed = several(self.failed, "message")
+            out.append(f"{topic}: {failed} could not be decoded{because}; left out")
+        for counts, after in ((self.left_out, "; left out"), (self.mended, "")):
+            told = (several_that(n, "scan", why) for why, n in sorted(counts.items()))
+            out += [f"{topic}: {scans}{after}" for scans in told]
+        return out
 
 
 MOST_REASONS = 20

@@ -138,7 +138,7 @@ def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
     if len(c) == 0:
         return
     yield ""
-    yield "cluster  junctions  hypotheses  largest  rms m        x        y  turn°    bits"
+    yield "cluster      pairs  hypotheses  largest  rms m        x        y  turn°    bits"
     for k in range(min(len(c), most)):
         rms = np.sqrt(c.squared_error[k] / c.vertices[k])
         x, y, turn = c.transform[k].tolist()

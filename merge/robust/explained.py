@@ -349,6 +349,7 @@ def _requirement(
     return Requirement(
         threshold_bits=needed_bits(pairs, settings),
         pairs=in_steps(pairs),
+        unrounded_pairs=None if in_steps(pairs) == pairs else pairs,
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
         lead_bits=MATCH.lead_bits if told.accepted_by == "components" else view.lead_bits,

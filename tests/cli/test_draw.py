@@ -61,7 +61,12 @@ def test_a_merge_of_another_name_is_drawn(topobatch, merged, tmp_path) -> None:
 def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
     a, b = runs_of(workspace)
     out = tmp_path / "x.svg"
-    assert "topobatch merge --all" in topobatch("draw", "merged", out, "-w", workspace).error(1)
+    how = f"topobatch merge --all -w {workspace}"
+    assert f"make it with `{how}`" in topobatch("draw", "merged", out, "-w", workspace).error(1)
+    # A picture may be shown elsewhere.
+    pair = tmp_path / "pair.svg"
+    assert topobatch("draw", f"{a}:{b}", pair, "-w", workspace).code == 0
+    assert "not merged yet (topobatch merge --all)" in pair.read_text()
     error = topobatch("draw", "nobody", out, "-w", workspace).error(2)
     assert "no run, merge or pair A:B" in error
     assert a in error

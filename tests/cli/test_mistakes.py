@@ -158,6 +158,9 @@ def test_wrong_calls(topobatch, call, told):
 def test_a_damaged_merge(topobatch, own_site, call):
     (own_site / "topobatch-workspace" / "merged.json").write_text("{")
     assert "(to make it anew: topobatch merge --all)" in topobatch(*call.split()).error(1)
+    folder = str(own_site / "topobatch-workspace")
+    told = topobatch(*call.split(), "-w", folder).error(1)
+    assert f"(to make it anew: topobatch merge --all -w {folder})" in told
     shown = topobatch("list")
     assert "merged.json: is not JSON" in shown.err
     assert "3 runs" in shown.out

@@ -47,7 +47,7 @@ def test_list(topobatch, merged):
     assert shown.code == 0, shown
     lines = shown.out.splitlines()
     assert lines[0].split() == [
-        "run", "junctions", "corridors", "component", "from", "(UTC)", "health", "stale",
+        "run", "junctions", "corridors", "component", "first", "pass", "(UTC)", "health", "stale",
     ]  # fmt: skip
     assert len(lines) == 9
     assert lines[-1] == "7 runs"

@@ -63,10 +63,10 @@ def test_a_log_with_scans_becomes_a_map_and_says_how(topobatch, workspace):
     assert done.code == 0, done
     (line, _) = done.out.strip().splitlines()
     assert "junctions from /scan, drift in 20 m " in line
-    assert " corridors, 11 turning points (" in line
+    assert " corridors, 11 ways to turning points or ends of the log (" in line
     assert " before, " in line
     assert "% of the way covered, " in line
-    assert line.endswith("% out of a junction and back to it")
+    assert line.endswith("% of it along corridors or to turning points")
     doc = json.loads((workspace / "maps" / "office-1.json").read_text())
     ends = [node for node in doc["nodes"] if node["kind"] in ("turning_point", "track_end")]
     assert ends == doc["nodes"][-11:]

@@ -47,6 +47,7 @@ def test_what_explain_found_is_opened(topobatch, logs, tmp_path, monkeypatch) ->
     missing = topobatch("view", "run2:run1", "-w", ws).error(1)
     assert missing.endswith(f"is not there; topobatch explain run1 run2 -w {ws} makes it")
     said = topobatch("explain", "run1", "run2", "-w", ws)
+    assert f"not merged yet (topobatch merge --all -w {ws})" in " ".join(said.out.split())
     hint = f"(look at it: topobatch view run1:run2 -w {ws})"
     assert said.out.splitlines()[-1].endswith(hint)
     recording = ws / "explain" / "run1+run2.rrd"

@@ -15,7 +15,7 @@ LEFT_OVER = re.compile(r"\.topobatch-\w{8}\.tmp")
 LOST = re.compile(r"(\d+) messages? of (\S+|an unknown channel) (?:is lost|are lost|above \d+ MiB)")
 AT_LEAST = re.compile(r"at least \d+ messages? of .+ (?:is|are) lost")
 UNKNOWN = re.compile(r"(\d+) messages? of channels")
-UNDECODED = re.compile(r"(\d+) messages (?:could not be decoded|hold no pose)")
+UNDECODED = re.compile(r"(\d+) messages? (?:could not be decoded|holds? no pose)")
 
 
 def conduct(outcome: Outcome) -> str:

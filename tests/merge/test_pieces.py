@@ -92,7 +92,7 @@ def test_pieces_that_share_nothing_become_runs_of_their_own(halves, maze, other_
     assert other.xy == pytest.approx(elsewhere.xy + np.array([500.0, 0.0]))
     assert other.closures == (closure,)
     assert closure not in whole.closures
-    said = "the odometry broke: 3 pieces, of which 1 were joined to another by what they saw; "
+    said = "the odometry broke: 3 pieces, of which 1 was joined to another by what they saw; "
     assert other.info["warnings"][-1] == said + "on their own: run#2"
 
 

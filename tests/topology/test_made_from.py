@@ -18,11 +18,13 @@ def test_what_is_said_of_sources():
     assert junctions_told(map_info) == told
     driven = {"way_m": 100.0, "corridors": 0.68, "out_and_back": 0.3, "ends": 0.02}
     assert junctions_told(map_info | {"driven": driven}) == (
-        told + ", 68 % of it along corridors, 30 % out of a junction and back to it"
+        told + ", 68 % of it along corridors or to turning points, "
+        "30 % out of a junction and back to it"
     )
-    all_there = {"way_m": 100.0, "corridors": 0.996, "out_and_back": 0.004, "ends": 0.0}
+    all_there = {"way_m": 100.0, "corridors": 0.995, "out_and_back": 0.005, "ends": 0.0}
     assert (
-        junctions_told(map_info | {"driven": all_there}) == told + ", 100 % of it along corridors"
+        junctions_told(map_info | {"driven": all_there})
+        == told + ", 100 % of it along corridors or to turning points"
     )
 
 

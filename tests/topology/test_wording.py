@@ -17,9 +17,11 @@ def test_one_thing_and_several() -> None:
     assert counted(1234, "pair") == "1,234 pairs"
 
 
-def test_corridors_to_turning_points_are_told_where_there_are_any() -> None:
-    assert to_turning_points(0) == ""
-    assert to_turning_points(11) == " (11 to turning points or ends of the log)"
+def test_ways_to_turning_points_are_told_where_there_are_any() -> None:
+    assert to_turning_points(0, 0.0) == ""
+    assert to_turning_points(11) == ", 11 ways to turning points or ends of the log"
+    told = ", 1 way to turning points or ends of the log, 1,234 m"
+    assert to_turning_points(1, 1234.4) == told
 
 
 def test_times_are_told_by_the_calendar_or_beyond_it() -> None:

@@ -1,13 +1,17 @@
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
-from topobatch.merge.result import Verdict
+from topobatch.merge.decision import Placement, Term
+from topobatch.merge.decision_text import lines
+from topobatch.merge.result import Alignment, Verdict
+from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.viz.draw import draw_decision, draw_map, draw_merged, draw_placements
 from topobatch.viz.theme import DARK, LIGHT
 
-from .test_decision_recording import decision, placement
+from .test_decision_recording import EVERY, decision, placement
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -38,11 +42,19 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
-def test_corridors_to_turning_points_are_counted_and_drawn(make_map, turned) -> None:
+def test_ways_to_turning_points_are_drawn_and_are_no_corridors(make_map, turned, merge_of) -> None:
     texts, titles = seen(draw_map(turned(make_map("run")), LIGHT))
-    counted = "4 junctions, 5 corridors (1 to turning points or ends of the log), 38 m; 7 passes"
-    assert {"run", counted, "robot turned round"} <= set(texts)
+    ways = "1 way to turning points or ends of the log, 6 m"
+    assert {
+        "run",
+        f"4 junctions, 4 corridors, 32 m, {ways}; 7 passes",
+        "robot turned round",
+    } <= set(texts)
     assert "robot turned round, 6.00 m from junction 2" in titles
+    result, _ = merge_of([["a", "b"]])
+    fused = replace(result.fused, kind=(*result.fused.kind[:4], TURNING_POINT))
+    texts, _ = seen(draw_merged(replace(result, fused=fused), LIGHT))
+    assert f"4 junctions, 32 m of corridors, {ways}; 1 pair of 1 merged" in texts
 
 
 def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:
@@ -95,6 +107,17 @@ def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
     assert {"matched junctions, tied", "link that speaks for it", "what speaks against it"} <= set(
         texts
     )
+
+
+def test_links_of_a_pair_read_as_explain_shows_them(make_map) -> None:
+    terms = [Term("corridor", 1.74, "corridor", ends, ends) for ends in ((0, 1), (1, 2))]
+    at = Alignment(np.array([1.0, 2.0, 0.3]), 3.48, EVERY, 0.1, 2)
+    told = decision(Verdict.AMBIGUOUS, [Placement(at, tuple(terms))])
+    explained = [line.split()[0] for line in lines(told) if line.rstrip().endswith(("0-1", "1-2"))]
+    assert explained == ["+1.8", "+1.7"]
+    _, titles = seen(draw_decision(make_map("a"), make_map("b"), told, LIGHT))
+    drawn = [t.split()[0] for t in titles if t.endswith("bits: corridor")]
+    assert list(dict.fromkeys(drawn)) == explained
 
 
 def test_an_ambiguous_pair_shows_both_placements(make_map, merge_of) -> None:

@@ -80,7 +80,7 @@ def test_what_was_found_is_written_and_read_back(tmp_path: Path, make_map: Make)
     assert got.value("/transforms/hypotheses", "vertices") == [3, 1, 1]
     assert got.value("/transforms/hypotheses", "hypothesis") == [1, 2, 3]  # as in the tables
     assert got.value("/transforms/hypotheses", "cluster") == [1, 1, 2]
-    assert got.value("/transforms/clusters", "Points3D:labels") == ["1: 4 vertices", "2: 1 vertex"]
+    assert got.value("/transforms/clusters", "Points3D:labels") == ["1: 4 pairs", "2: 1 pair"]
     assert len(got.value("/placements/cluster\\ 1/matched", "Points2D:positions")) == 4
     assert "/placements/cluster\\ 2/a/a\\/1/corridors" in got.entities
     told = got.value("/summary", "TextDocument:text")[0]

@@ -116,6 +116,12 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
     assert "# run1" in got.value("/summary", "TextDocument:text")[0]
 
 
+def test_ways_to_turning_points_are_no_corridors(tmp_path: Path, make_map: Make, turned) -> None:
+    write_map_recording(tmp_path / "a.rrd", turned(make_map("a")))
+    page = Readback(tmp_path / "a.rrd").value("/summary", "TextDocument:text")[0]
+    assert "**4** corridors, 32 m, 1 way to turning points or ends of the log, 6 m" in page
+
+
 def test_times_stand_on_the_clocks_of_the_raw_log(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:

@@ -42,6 +42,17 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
     assert "two ways" in got.value("/pairs", "TextDocument:text")[0]
 
 
+def test_pairs_that_a_person_locked_are_marked_in_the_matrix(
+    tmp_path: Path, merge_of: Merge
+) -> None:
+    result, maps = merge_of([["a"], ["b"]])
+    (pair,) = result.verdicts
+    locked = replace(result, verdicts=(replace(pair, evidence_bits=30.0, locked="never"),))
+    write_merged_recording(tmp_path / "merged.rrd", locked, maps)
+    labels = Readback(tmp_path / "merged.rrd").value("/verdicts/bits", "Points2D:labels")
+    assert labels == ["30.0\nlocked"]
+
+
 def test_ways_to_turning_points_are_part_of_a_runs_own_map(
     tmp_path: Path, merge_of: Merge, turned
 ) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Unlisted, Verdict
+from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.viz.report import Report, report_page
 from topobatch.viz.report_style import VERDICT_COLOURS
 from topobatch.viz.report_verdicts import STANDINGS, pair_told
@@ -51,6 +52,7 @@ def test_the_page_holds_summary_pictures_verdicts_health_settings_versions(merge
     html = page_of(result, maps, locks=["a + d: never"], warnings=["The map of x cannot be read"])
     for told in (
         "<b>4</b>runs",
+        "<th>first pass (UTC)</th>",
         "<b>1</b>pair ambiguous",
         "take care",
         "The map of x cannot be read",
@@ -68,6 +70,19 @@ def test_the_page_holds_summary_pictures_verdicts_health_settings_versions(merge
     )
 
 
+def test_ways_to_turning_points_are_no_corridors(merge_of, make_map, turned) -> None:
+    result, _ = merge_of([["a", "b"]])
+    fused = replace(result.fused, kind=(*result.fused.kind[:4], TURNING_POINT))
+    html = page_of(replace(result, fused=fused), [turned(make_map(run)) for run in "ab"])
+    assert "<b>32</b>m of corridors" in html
+    assert "<b>6</b>m to turning points or ends of logs" in html
+    assert (
+        html.count("<td>4 (32 m)</td>") == html.count(">4 junctions, 4 corridors, 32 m, 1 way") == 2
+    )
+    page = merge_summary(replace(result, fused=fused), MergeLayers())
+    assert "**4** corridors, 32 m, 1 way to turning points or ends of the log, 6 m" in page
+
+
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
     data = json.loads(Page(page_of(result, maps)).data)
@@ -81,6 +96,18 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
         ("a", "c"): ("unrelated", -2.0, "nothing fits"),
         ("b", "c"): ("ambiguous", 39.0, "two ways"),
     }
+
+
+def test_pairs_that_a_person_locked_are_marked_in_the_matrix(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    assert "locked" not in page_of(result, maps)
+    pair = replace(result.verdicts[1], evidence_bits=30.0, locked="never")
+    locked = replace(result, verdicts=(result.verdicts[0], pair, *result.verdicts[2:]))
+    html = page_of(locked, maps)
+    assert "bits of evidence; locked: a person decided." in html
+    assert html.count(">locked</text>") == 1
+    legend = merge_summary(locked, MergeLayers(numbers=True))
+    assert "bits of evidence; locked: a person decided." in legend
 
 
 def test_what_components_needed_is_not_what_two_runs_need(merge_of) -> None:

@@ -6,10 +6,12 @@ import re
 import sqlite3
 import struct
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 
 import pytest
 
+from topobatch.ingest.logs.messages import several_that
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
 from topobatch.ingest.sightings import SightingSettings
 from topobatch.topology.errors import LogError
@@ -23,15 +25,17 @@ WRITERS = {
     "bag-bz2": lambda logs, path: logs.bag(path, logs.drive(), "bz2"),
     "bag-lz4": lambda logs, path: logs.bag(path, logs.drive(), "lz4"),
 }
-COUNT = re.compile(r"(\d+) messages could be read, ([\d.]+) s from (\d+) to (\d+) ns")
+COUNT = re.compile(
+    r"(\d+) messages could be read, ([\d.]+) s by log time, from ([^,]+) to ([^,]+) UTC$"
+)
 
 
 def said(run) -> int:
     """The number of messages that the report names."""
     found = [match for text in run.warnings if (match := COUNT.search(text))]
     assert len(found) == 1, run.warnings
-    first, last = int(found[0][3]), int(found[0][4])
-    assert float(found[0][2]) == pytest.approx((last - first) / 1e9, abs=1e-3)
+    first, last = (datetime.fromisoformat(found[0][k]) for k in (3, 4))  # to the second
+    assert float(found[0][2]) == pytest.approx((last - first).total_seconds(), abs=1.0)
     return int(found[0][1])
 
 
@@ -95,6 +99,13 @@ def test_a_flipped_byte_costs_its_chunk_and_is_counted(logs, tmp_path, name):
     assert sum(int(match[1]) for match in lost if match) == 330 - count
     with pytest.raises(LogError, match="damaged: 1 damaged chunk"):
         read_run(path, ReadSettings(strict=True))
+
+
+def test_one_thing_that_is_told_of_and_several() -> None:
+    told = [several_that(n, "message", "are of another type") for n in (1, 2)]
+    assert told == ["1 message is of another type", "2 messages are of another type"]
+    assert several_that(1, "pose", "have no frame") == "1 pose has no frame"
+    assert several_that(1, "message", "could not be decoded") == "1 message could not be decoded"
 
 
 def test_lost_messages_are_counted_without_a_summary(logs, tmp_path):

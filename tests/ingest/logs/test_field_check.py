@@ -251,7 +251,7 @@ def test_what_some_messages_lack_is_told_with_the_reason(logs, tmp_path):
     folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", last="none")
     run = read_run(folder, settings(f"{CENTER},branches=ways"))
     assert run.warnings == (
-        "/seen: 1 messages could not be decoded (branches=ways: a number is missing); left out",
+        "/seen: 1 message could not be decoded (branches=ways: a number is missing); left out",
     )
 
 

@@ -305,7 +305,7 @@ def test_ranges_without_echo_however_they_are_written(sensors: ModuleType, tmp_p
     np.testing.assert_array_equal(ranges[3], [1, 2, 3, 4, NAN])
     free = np.concatenate([batch.free_m for batch in batches])
     assert free.tolist() == [10.0, 10.0, 10.0, 0.0]
-    assert found.tally.warnings("/scan") == ["/scan: 1 scans hold no usable range"]
+    assert found.tally.warnings("/scan") == ["/scan: 1 scan holds no usable range"]
 
 
 @pytest.mark.parametrize(
@@ -335,7 +335,7 @@ def test_ranges_in_another_unit_are_asked_about(sensors: ModuleType, tmp_path: P
     assert len(batch) == 1
     (warning,) = found.tally.warnings("/scan")
     assert warning == (
-        "/scan: 1 scans see most things beyond 100 m (ranges are metres; are these millimetres?); "
+        "/scan: 1 scan sees most things beyond 100 m (ranges are metres; are these millimetres?); "
         "left out"
     )
 
@@ -358,8 +358,8 @@ def test_times_that_are_missing_or_go_back(sensors: ModuleType, tmp_path: Path) 
     found, batches = one(sensors, tmp_path, *payloads)
     assert sum(map(len, batches)) == 2
     told = " ".join(found.tally.warnings("/scan"))
-    assert "1 scans carry no header time" in told
-    assert "1 scans go back in time" in told
+    assert "1 scan carries no header time" in told
+    assert "1 scan goes back in time" in told
     by_log, batches = one(sensors, tmp_path, *payloads, clock="log")
     assert sum(map(len, batches)) == 4
     assert by_log.tally.left_out == {}

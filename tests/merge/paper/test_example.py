@@ -218,6 +218,7 @@ def test_explanation_as_text_and_json(example):
     found = explain(*example)
     text = "\n".join(lines(found))
     assert "73 with their rotations; 15 hypotheses" in text
+    assert "cluster      pairs  hypotheses" in text  # junctions may stand in several
     table = next(line for line in lines(found) if line.strip().startswith("a2 "))
     assert "H" in table
     half = replace(found, bits=np.full(len(found.bits), 3.846))  # 3.85 in documents

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.decision_text import agreement, headline, lines
+from topobatch.merge.decision_text import agreement, headline, lines, needs
 from topobatch.merge.document import merged_to_document, poses_from_document, verdict_from_entry
 from topobatch.merge.locks import Lock
 from topobatch.merge.merged_schema import MergedDocument
@@ -54,6 +54,14 @@ def explained(batch, a, b):
         decision.requirement.threshold_bits, abs=0.01
     )
     return decision
+
+
+def test_pairs_that_are_rounded_up_are_told_as_they_are_too(halves):
+    batch = documented(halves)
+    assert needs(explain(batch, "left", "right")).startswith("log2(1 pair / rate 0.001), ")
+    many = replace(batch, poses={f"run{k}": np.zeros(3) for k in range(50)})
+    told = needs(explain(many, "left", "right"))
+    assert told.startswith("log2(1,280 for 1,225 pairs / rate 0.001), ")
 
 
 def test_every_pair_of_a_batch_is_explained_as_it_was_decided(halves, other_maze, see):
