@@ -85,14 +85,14 @@ def put(place, kind, target):
 
 
 @pytest.mark.parametrize("kind", ["link", "FIFO", "folder"])
-def test_what_is_no_document_is_not_opened(logs, victim, tmp_path, kind):
+def test_what_is_no_document_is_not_opened(topobatch, logs, victim, tmp_path, kind):
     """In processes of their own, for what opens a FIFO waits."""
 
     def call(*arguments):
         command = [sys.executable, "-m", "topobatch.cli", *map(str, arguments), "-w", str(tmp_path)]
         return subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
 
-    assert call("ingest", logs["mcap"]).returncode == 0
+    assert topobatch("ingest", logs["mcap"], "-w", tmp_path).code == 0
     (good,) = (tmp_path / "maps").glob("*.json")
     put(tmp_path / "maps" / "bad.json", kind, victim / "x.json")
     done = call("merge", "--all")
