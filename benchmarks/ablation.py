@@ -124,7 +124,7 @@ class Case(NamedTuple):
 
 def case(kind, truth, run):
     """Dead reckoning that `build_map` closes."""
-    odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    run, odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
     times = reckoning.passes.time_ns
     return Case(kind, reckoning, odometry, true_vertex_of_passes(truth, run.name, times))
 

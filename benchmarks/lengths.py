@@ -81,7 +81,7 @@ def rows_of(kind: str, run: Run, truth: Truth) -> list[Row]:
     topomap = build_map(run)
     of = true_vertex_of_nodes(truth, topomap)
     world = truth.worlds[truth.runs[run.name].world]
-    odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    run, odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
     passes = reckoning.passes
     vertex = true_vertex_of_passes(truth, run.name, passes.time_ns)
     known = np.unique(vertex[vertex >= 0])

@@ -217,7 +217,6 @@ def drawn_merge(merged, draws, rng):
         error = rng.multivariate_normal(
             np.zeros(3 * count), whole.reshape(3 * count, -1), draws, check_valid="raise"
         ).reshape(draws, count, 3)
-        error += spread.lean
         found = defaultdict(lambda: np.zeros((draws, 3)))
         for v in pairs:
             i, j = own[v.a], own[v.b]

@@ -25,7 +25,7 @@ from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import Run
-from ..topology.topomap import Closure, LengthScale, TopoMap
+from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from .driven_shares import ON_THE_WAY, driven_shares
@@ -33,7 +33,7 @@ from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
-from .odometry.noise import refine_noise, refine_scale
+from .odometry.noise import motion_errors, refine_noise, refine_scale
 from .pass_source import PassSource, pass_source, why_none
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
@@ -79,7 +79,8 @@ def build_map_with_errors(
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
     source = pass_source(run, settings)
-    odometry, reckoning, calibration = dead_reckoned(run, source, settings)
+    run, odometry, reckoning, calibration = dead_reckoned(run, source, settings)
+    source = pass_source(run, settings)
     if len(odometry.jumps) and settings.closure == "full":
         odometry, reckoning, closed, fit = _with_jumps_measured(
             odometry, reckoning, source, settings
@@ -94,7 +95,9 @@ def build_map_with_errors(
         settings.driven_by,
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
-    measured, alike, length_scale = _measured(fit.reckoning, odometry, run, source, settings)
+    measured, alike = _measured(
+        fit.reckoning, odometry, run, source, settings, too_long=calibration.too_long
+    )
     errors = place_errors(
         measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=alike
     )
@@ -125,14 +128,15 @@ def build_map_with_errors(
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
     closures = _closures(closed, corrected, reckoning.passes)
-    topomap = replace(topomap, closures=closures, info=info, length_scale=length_scale)
+    topomap = replace(topomap, closures=closures, info=info)
     return topomap, errors
 
 
 def dead_reckoned(
     run: Run, source: PassSource, settings: MappingSettings = DEFAULT_MAPPING
-) -> tuple[Odometry, DeadReckoning, Calibration]:
-    """The calibrated odometry of a run, and its passes with the noise known before loop closure."""
+) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
+    """The run with detections seen from the point that its odometry refers to; its calibrated
+    odometry, and its passes with the noise known before loop closure."""
     calibration = source.calibration()
     odometry = apply_calibration(run.odometry, calibration)
     passes = source.passes(odometry)
@@ -140,8 +144,16 @@ def dead_reckoned(
         raise DataError(f"run {run.name}: {why_none(run)}")
     _require_motion(run, settings.passes.reach_m)
     noise = source.noise(odometry, passes)
+    motion = motion_errors(odometry, run.detections, passes, noise, settings.noise)
+    calibration = replace(calibration, motion=motion)
+    if calibration.moves:
+        run = replace(run, detections=run.detections.moved(calibration.offset_m))
+        source = pass_source(run, settings)
+        odometry = apply_calibration(run.odometry, calibration)
+        passes = source.passes(odometry)
+        noise = source.noise(odometry, passes)
     reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))
-    return odometry, reckoning, calibration
+    return run, odometry, reckoning, calibration
 
 
 def _require_motion(run: Run, reach_m: float) -> None:
@@ -217,17 +229,19 @@ def _measured(
     run: Run,
     source: PassSource,
     settings: MappingSettings,
-) -> tuple[DeadReckoning, FloatArray | None, LengthScale | None]:
+    *,
+    too_long: float,
+) -> tuple[DeadReckoning, FloatArray | None]:
     """Dead reckoning with the noise that closed loops do not show: the scale, and the error of
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
-    none; and what passes show of the scale."""
+    none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
-    scale, shown = refine_scale(odometry, run.detections, passes, noise, settings.noise)
+    scale = refine_scale(odometry, run.detections, passes, noise, settings.noise, too_long=too_long)
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):
         noise = replace(noise, shared_centre_m=significant(float(np.median(alike))))
-    return replace(fitted, noise=noise), alike, shown
+    return replace(fitted, noise=noise), alike
 
 
 def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
@@ -281,5 +295,6 @@ def _info(
                 "sigma": calibration.sigma[k] if np.isfinite(calibration.sigma[k]) else None,
             }
             for k, name in enumerate(("bias_rad_per_m", "turn_scale", "lag_s"))
-        },
+        }
+        | ({} if calibration.motion is None else asdict(calibration.motion)),
     }

@@ -18,7 +18,7 @@ from ..topology.arrays import IntArray
 from ..topology.document import map_from_document
 from ..topology.files import document_bytes, encoded, parsed
 from ..topology.ragged import Ragged, parted
-from ..topology.topomap import Closure, LengthScale, RunNoise, TopoMap
+from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.turning_points import ROWS, TurningPoints
 from .digests import digested
 from .packs import Kind, PackWriter, Store, arrays_from_bytes, arrays_to_bytes
@@ -72,8 +72,6 @@ class KeptMaps:
 def to_bytes(topomap: TopoMap) -> bytes:
     """A serialised map."""
     words: dict[str, Any] = {name: getattr(topomap, name) for name in WORDS}
-    scale = topomap.length_scale
-    words["length_scale"] = None if scale is None else astuple(scale)
     words["closures"] = [astuple(closure) for closure in topomap.closures]
     words["turning_points"] = {
         name: [one if isinstance(one, str) else one.tolist() for one in value]
@@ -112,7 +110,6 @@ def _map(words: Any, arrays: list[NDArray[Any]]) -> TopoMap:
     flat: dict[str, Any] = dict(zip(FLAT, arrays, strict=False))
     xy, degree, branches, steps, points, visits, times, noise, *sure = arrays[len(FLAT) :]
     fitted, sigma, turn = sure
-    scale = words["length_scale"]
     unknown, stops = words["unknown"], np.cumsum([0, *degree])
     return TopoMap(
         run=str(words["run"]),
@@ -120,7 +117,6 @@ def _map(words: Any, arrays: list[NDArray[Any]]) -> TopoMap:
         kind=tuple(map(str, words["kind"])),
         shows_bends=bool(words["shows_bends"]),
         info=dict(words["info"]),
-        length_scale=None if scale is None else LengthScale(*scale),
         closures=tuple(Closure(*closure) for closure in words["closures"]),
         xy=xy.reshape(-1, 2),
         branches=Ragged(stops, branches),

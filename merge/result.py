@@ -148,9 +148,7 @@ class Spread:
 
     middle: (r, 2) middles of their maps [m]; own: (r, 3, 3) covariance of x, y of the middle and of
     the rotation of each map [m, rad]; cross: (k, 3, 3) covariance of run i with run j for the pairs
-    i < j that were asked for; key: (k,) i r + j of each, ascending. lean: (r, 3) where the
-    placements probably lie instead, less where they are, because lengths are as odometries measured
-    them (`LengthScale`): covariances are about there.
+    i < j that were asked for; key: (k,) i r + j of each, ascending.
     """
 
     runs: tuple[str, ...]
@@ -158,7 +156,6 @@ class Spread:
     own: FloatArray
     key: IntArray
     cross: FloatArray
-    lean: FloatArray
 
     def relative(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
         """(k, 3, 3) covariances of the position of the second map's middle relative to the first
@@ -183,15 +180,12 @@ class Spread:
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
         covariance = self.relative(pairs)
-        lean = np.einsum("kij,kj->ki", _seen_from(x, y), self.lean[i]) + self.lean[j]
-        lean = lean * (np.einsum("kii->ki", covariance) > 0)
         # Seen the other way round the middle is off by as much, less the turn about the step.
         back = np.zeros((len(i), 2, 3)) - np.eye(2, 3)
         back[:, 0, 2], back[:, 1, 2] = -y, x
         form = (np.diag([1.0, 1.0, 0.0]) + back.transpose(0, 2, 1) @ back) / 2
-        off = lean[:, :, None] * lean[:, None, :]
-        metres = np.sqrt(quadratic_quantile(covariance @ form, share, off @ form))
-        turn = np.sqrt(covariance[:, 2, 2] + off[:, 2, 2])
+        metres = np.sqrt(quadratic_quantile(covariance @ form, share))
+        turn = np.sqrt(covariance[:, 2, 2])
         return list(zip(metres.tolist(), turn.tolist(), strict=True))
 
     def _rows(self, pairs: Sequence[tuple[str, str]]) -> tuple[IntArray, IntArray]:

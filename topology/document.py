@@ -33,7 +33,7 @@ from .map_schema import (
 )
 from .passes import NO_BRANCH
 from .ragged import Ragged, parted
-from .topomap import Closure, Graph, LengthScale, RunNoise, TopoMap
+from .topomap import Closure, Graph, RunNoise, TopoMap
 from .turning_vertices import with_turning_points, without_turning_points
 
 Number = TypeVar("Number", np.float64, np.int64)
@@ -65,8 +65,6 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     graph["noise"] = _noise_to_document(topomap.noise)
     if topomap.fitted_noise is not None:
         graph["fitted_noise"] = _noise_to_document(topomap.fitted_noise)
-    if topomap.length_scale is not None:
-        graph["length_scale"] = asdict(topomap.length_scale)
     if not topomap.shows_bends:
         graph["shows_bends"] = False
     graph["closures"] = [_closure_to_document(c) for c in topomap.closures]
@@ -163,7 +161,6 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
     known = set(MapGraph.model_fields) - ABOUT
     info = {k: v for k, v in d.graph.model_dump(exclude_unset=True).items() if k not in known}
     noise, fitted = _noise(d.graph.noise), d.graph.fitted_noise
-    scale = d.graph.length_scale
     edges = edge_fields(d.edges)
     lengths = _lengths(edges["paths"])
     for k, length in enumerate(lengths.tolist()):
@@ -187,7 +184,6 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             confidence=np.array([node.confidence for node in d.nodes], np.float64),
             shows_bends=d.graph.shows_bends,
-            length_scale=None if scale is None else LengthScale(scale.too_long, scale.sigma),
             closures=tuple(
                 Closure(
                     *c.time_ns,

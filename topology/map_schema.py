@@ -176,17 +176,6 @@ class ClosureRecord(Model):
     )
 
 
-class LengthScaleRecord(Model):
-    """How far passes by junctions show all lengths to be wrong."""
-
-    too_long: float = Field(
-        gt=-1, lt=1, allow_inf_nan=False, description="Share of all lengths that is too much."
-    )
-    sigma: float = Field(
-        ge=10.0**-6, le=LARGEST_NOISE, allow_inf_nan=False, description="1 sigma of this share."
-    )
-
-
 class MapGraph(Attributes):
     """Attributes of a whole map."""
 
@@ -211,11 +200,6 @@ class MapGraph(Attributes):
     fitted_noise: dict[str, Noise] | None = Field(
         None, description="The same as the closed run itself shows it; sigmas come from this."
     )
-    length_scale: LengthScaleRecord | None = Field(
-        None,
-        description="By how much all lengths seem to be wrong, as the robot passed its junctions; "
-        "they are not corrected by it.",
-    )
     closures: list[ClosureRecord] = Field(
         default_factory=list, description="Every identification made, refused or taken back."
     )
@@ -231,7 +215,7 @@ class MapGraph(Attributes):
     calibration: dict[str, Any] | None = Field(
         None,
         description="Constant errors of the odometry by name: the estimate, its sigma, and what of "
-        "it was applied.",
+        "it was applied; `length_scale` is the share by which lengths were recorded too long.",
     )
     driven: dict[str, Any] | None = Field(
         None, description="Shares of the way that the map covers, in scans and along corridors."

@@ -71,6 +71,13 @@ class Odometry:
         """The same poses, `by_s` seconds later."""
         return replace(self, time_ns=self.time_ns + round(by_s * 1e9))
 
+    def shortened(self, share: float) -> Odometry:
+        """The same track with all lengths, those of jumps too, shorter by a share; the first
+        position stays."""
+        pose = self.pose.copy()
+        pose[:, :2] -= share * (pose[:, :2] - pose[:1, :2])
+        return replace(self, pose=pose)
+
     def at(self, time_ns: IntArray) -> FloatArray:
         """(m, 3) poses at any times (m,), linearly interpolated, held at the ends. O(n + m log
         n)."""

@@ -40,6 +40,10 @@ class Detections:
     def __len__(self) -> int:
         return len(self.time_ns)
 
+    def moved(self, by_m: tuple[float, float]) -> Detections:
+        """The same, with centres moved in the robot's frame [m]."""
+        return Detections(self.time_ns, self.centre + np.array(by_m), self.branches)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPasses:

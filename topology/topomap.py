@@ -57,21 +57,6 @@ class RunNoise:
 
 
 @dataclass(frozen=True, slots=True)
-class LengthScale:
-    """By what share all lengths of a run seem to be too long, for junctions move along with the
-    robot that passes them, and 1 sigma of this measurement, errors of the detector included. Maps
-    are as their odometry measured them, merged or not: robots of one kind err alike. It tells how
-    far off they may be."""
-
-    too_long: float
-    sigma: float
-
-    def __post_init__(self) -> None:
-        if not (abs(self.too_long) < 1 and 0 < self.sigma < np.inf):
-            raise ValueError("lengths are too long by a share below 1, known to a positive sigma")
-
-
-@dataclass(frozen=True, slots=True)
 class Closure:
     """The question whether two passes were by the same place, and its answer.
 
@@ -136,7 +121,7 @@ class TopoMap(Graph):
     run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
     observation_vertex, observation_time_ns: (k,) one row per pass, by time. noise: used by loop
     closure and matching, conservative; fitted_noise: estimated from the closed run, None if it is
-    not known. length_scale: as in `LengthScale`, None where nothing shows it. position_sigma: (n,)
+    not known. position_sigma: (n,)
     1 sigma [m] of each coordinate of a vertex, branch_sigma: n rows, 1 sigma of each branch heading
     [rad], both with the map as a whole aligned to the truth; None where not known. traversal_ns: m
     arrays (t, 2), by time: when the robot was at the edge's source and at its target on each
@@ -161,7 +146,6 @@ class TopoMap(Graph):
     confidence: FloatArray = field(default_factory=lambda: ALL_SURE)
     shows_bends: bool = True
     turning_points: TurningPoints = NO_TURNING_POINTS
-    length_scale: LengthScale | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     """Other entries of the document's `graph`: source, settings, warnings. JSON values only."""
 

@@ -8,11 +8,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..topology.topomap import LengthScale, TopoMap
+from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
 from .drawing import driven_branches
 from .history import Question
+
+CORRECTIONS = {
+    "bias_rad_per_m": ("heading, turned on per metre", np.degrees(1.0), "°"),
+    "turn_scale": ("turns, larger by", 100.0, "%"),
+    "lag_s": ("stamps of the odometry, earlier by", 1.0, "s"),
+    "length_scale": ("lengths, shorter by", 100.0, "%"),
+    "lever_x_m": ("junctions, moved backward by", 1.0, "m"),
+    "lever_y_m": ("junctions, moved to the right by", 1.0, "m"),
+}
+"""Names, factors and units of what a document states of a run's `calibration`."""
 
 MOST_LINES = 40
 """Longer lists are cut; the JSON document has all entries."""
@@ -40,6 +50,7 @@ def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: MapLayers) -
         _closures(asked),
         _warnings(topomap),
         _source(topomap),
+        _corrected(topomap),
         _noise(topomap),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
@@ -200,9 +211,18 @@ def _source(topomap: TopoMap) -> str:
     return "## Made from\n\n" + bulleted(lines) if lines else ""
 
 
-def _seem_too_long(told: LengthScale) -> tuple[str, str]:
-    shown = f"{100 * told.too_long:.2f} ± {100 * told.sigma:.2f} %"
-    return "its lengths seem too long by", shown
+def _corrected(topomap: TopoMap) -> str:
+    """What the map was corrected by, by its document."""
+    told = topomap.info.get("calibration")
+    rows = []
+    for name, error in told.items() if isinstance(told, Mapping) else ():
+        applied = error.get("applied") if isinstance(error, Mapping) else None
+        if name in CORRECTIONS and isinstance(applied, (int, float)) and applied:
+            what, factor, unit = CORRECTIONS[name]
+            rows.append(f"| {what} | {factor * applied:.3f} {unit} |")
+    if not rows:
+        return ""
+    return "## Corrected\n\n| what | by |\n| --- | ---: |\n" + "\n".join(rows)
 
 
 def _noise(topomap: TopoMap) -> str:
@@ -211,14 +231,11 @@ def _noise(topomap: TopoMap) -> str:
     per_sqrt_degree = np.sqrt(np.degrees(1.0)) * n.heading_rad_per_sqrt_rad
     alike = topomap.measured.shared_centre_m
     shared = [("junction centre, all passes alike", f"{alike:.3f} m")] if alike else []
-    told = topomap.length_scale
-    seem = [] if told is None else [_seem_too_long(told)]
     rows = [
         ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),
         ("odometry, heading", f"{degrees[0]:.2f} °/√m"),
         ("odometry, turning", f"{per_sqrt_degree:.2f} °/√°"),
         ("odometry, scale", f"{100 * n.scale:.2f} %"),
-        *seem,
         ("junction centre", f"{n.centre_m:.3f} m"),
         *shared,
         ("branch heading", f"{degrees[1]:.1f} °"),

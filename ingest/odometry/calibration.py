@@ -60,17 +60,41 @@ class CalibrationSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class Shown:
+    """A constant error as passes by junctions show it, 1 sigma of this, and what of it is taken
+    off."""
+
+    estimate: float
+    sigma: float
+    applied: float
+
+
+@dataclass(frozen=True, slots=True)
+class MotionErrors:
+    """What passes show by how junctions seem to move.
+
+    length_scale: share by which all lengths are too long; lever_x_m, lever_y_m: by how much centres
+    are seen off, in the axes of the robot, as odometry and detector refer to different points.
+    """
+
+    length_scale: Shown
+    lever_x_m: Shown
+    lever_y_m: Shown
+
+
+@dataclass(frozen=True, slots=True)
 class Calibration:
     """Systematic errors of a run's odometry: estimates, 1 sigma, and which were applied.
 
     Each triple is (bias per metre [rad/m], scale of turns, lag [s]). `applied` values are zero
     where the data do not show the error at `apply_at_z` sigmas. `estimate` and `sigma` are those
-    of the fit with all three free.
+    of the fit with all three free. motion: None where passes show nothing.
     """
 
     applied: Terms = (0.0, 0.0, 0.0)
     estimate: Terms = (0.0, 0.0, 0.0)
     sigma: Terms = (0.035, 0.03, 0.3)
+    motion: MotionErrors | None = None
 
     @property
     def bias_rad_per_m(self) -> float:
@@ -81,6 +105,23 @@ class Calibration:
     def turn_scale(self) -> float:
         """Heading to be added per radian turned."""
         return self.applied[1]
+
+    @property
+    def too_long(self) -> float:
+        """Share to be taken off all lengths."""
+        return 0.0 if self.motion is None else self.motion.length_scale.applied
+
+    @property
+    def offset_m(self) -> tuple[float, float]:
+        """By how much centres are to be moved, in the axes of the robot."""
+        if self.motion is None:
+            return 0.0, 0.0
+        return -self.motion.lever_x_m.applied, -self.motion.lever_y_m.applied
+
+    @property
+    def moves(self) -> bool:
+        """Whether lengths or centres are to be corrected."""
+        return any((self.too_long, *self.offset_m))
 
     @property
     def lag_s(self) -> float:
@@ -159,7 +200,8 @@ def _fit(
     applied = total
     if not shown.all():
         applied = _without(model, [*starts, x], shown, already)[1] + already
-    return Calibration(*(_terms(v) for v in (np.where(shown, applied, 0.0), total, spread)))
+    applied = np.where(shown, applied, 0.0)
+    return Calibration(_terms(applied), _terms(total), _terms(spread))
 
 
 def _without(
@@ -218,8 +260,14 @@ def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
     A lag shifts the times of the rows. Every step is rotated by the mean correction at its two
     ends; jumps at breaks are rotated along. The first position stays. O(n).
     """
-    if not any(calibration.applied) or len(odometry) == 0:
+    if len(odometry) == 0:
         return odometry
+    odometry = _turned(odometry, calibration) if any(calibration.applied) else odometry
+    return odometry.shortened(calibration.too_long) if calibration.too_long else odometry
+
+
+def _turned(odometry: Odometry, calibration: Calibration) -> Odometry:
+    """The track with the applied errors of headings and stamps removed."""
     way, turned = np.cumsum(odometry.step_m), np.cumsum(odometry.turn_rad)
     correction = calibration.bias_rad_per_m * way + calibration.turn_scale * turned
     step = np.diff(odometry.pose[:, 0] + 1j * odometry.pose[:, 1])

@@ -17,15 +17,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.digits import LENGTH_SCALE, rounded, significant
+from ...topology.digits import LENGTH_SCALE, METRES, rounded, significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
 from ...topology.quadratic_forms import ONE_SIGMA
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
-from ...topology.topomap import LengthScale, RunNoise
+from ...topology.topomap import RunNoise
 from ...topology.track import walked_at
 from ...topology.walk_means import WalkMeans
+from .calibration import MotionErrors, Shown
 from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
@@ -61,7 +62,12 @@ class NoiseSettings:
     least_messages: int = 6
     """Passes with fewer messages are not used for drift."""
     straight_rad: float = 0.3
-    """Passes with a larger turn are not used for lengths."""
+    """Passes with a larger turn are not used for the random walk along the path."""
+    lever_at_z: float = 3.0
+    """A lever is corrected where it is at least this many sigmas from zero, as headings are."""
+    lever_m: float = 1.0
+    """1 sigma of each coordinate of the point of the robot that an odometry refers to, in the frame
+    of the detector: few robots are longer."""
     reach_passes: int = 6
     reach_m: float = 60.0
     """Branches are compared with those of this many passes before, within this distance along the
@@ -104,9 +110,11 @@ class _WithinPasses:
     """Differences between the first and the last third of each pass that is long enough.
 
     turn (q,) rotation of the branches [rad], turn_variance (q,) its variance by the detector's
-    scatter; shift (q, 2) of the centre along and across the motion [m], shift_variance (q,); walked
-    (q, 2) path length [m] and absolute rotation [rad] that determine the variance of a random walk
-    averaged over both thirds; moved (q,) path length between the middles of the thirds [m].
+    scatter; shift (q, 2) of the centre [m], shift_variance (q,) of each axis; motion (q, 2) of the
+    robot [m], turned (q, 2, 2) difference of its mean rotation matrices, swung (q, 2, 2) covariance
+    of the shift by a heading that errs by 1 rad, all in the odometry's frame; walked (q, 2) path
+    length [m] and absolute rotation [rad] that determine the variance of a random walk averaged
+    over both thirds; moved (q,) path length between the middles of the thirds [m].
     branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass;
     walks: averaged over whole passes.
     """
@@ -115,6 +123,9 @@ class _WithinPasses:
     turn_variance: FloatArray
     shift: FloatArray
     shift_variance: FloatArray
+    motion: FloatArray
+    turned: FloatArray
+    swung: FloatArray
     walked: FloatArray
     moved: FloatArray
     branch_sigma: float
@@ -158,22 +169,24 @@ class _WithinPasses:
         track = walked_at(odometry, time_ns)
         thirds = WalkMeans.of(track, 3 * home + third[rows], 3 * p)
         moved = thirds.middle[3 * usable + 2, 0] - thirds.middle[3 * usable, 0]
-        drift = np.column_stack([mean(c, 2) - mean(c, 0) for c in centre.T])
-        going = np.column_stack([mean(c, 2) - mean(c, 0) for c in pose[:, :2].T])
+
+        def change(values: FloatArray) -> FloatArray:
+            return np.column_stack([mean(v, 2) - mean(v, 0) for v in values.T])
+
         size = n[usable] / 3.0
-        going /= np.maximum(np.hypot(*going.T), 1e-9)[:, None]
-        shift = np.column_stack(
-            [
-                drift[:, 0] * going[:, 0] + drift[:, 1] * going[:, 1],
-                drift[:, 1] * going[:, 0] - drift[:, 0] * going[:, 1],
-            ]
-        )
+        cos, sin = change(np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])).T
+        aside = (centre - pose[:, :2]) @ [[0.0, 1.0], [-1.0, 0.0]]
+        swung = (aside[:, :, None] * aside[:, None, :]).reshape(-1, 4)
+        swung = np.column_stack([np.bincount(home, v, p)[usable] / n[usable] for v in swung.T])
         turn, variance = _branch_turn(readings.branch, heading, third[reading_message], passes)
         return cls(
             turn=turn[usable],
             turn_variance=branch_sigma**2 * variance[usable],
-            shift=shift,
+            shift=change(centre),
             shift_variance=centre_sigma**2 * 2 / size,
+            motion=change(pose[:, :2]),
+            turned=np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2),
+            swung=swung.reshape(-1, 2, 2),
             walked=thirds.between(3 * usable, 3 * usable + 2),
             moved=moved,
             branch_sigma=branch_sigma,
@@ -189,7 +202,8 @@ class _WithinPasses:
         moved, and way walked [m], neither negative."""
         rows = self.walked[:, 1] <= settings.straight_rad
         moved, walked = (np.maximum(x[rows], 0.0) for x in (self.moved, self.walked[:, 0]))
-        return self.shift[rows, 0], self.shift_variance[rows], moved, walked
+        along = self.motion[rows] / np.maximum(np.hypot(*self.motion[rows].T), 1e-9)[:, None]
+        return (self.shift[rows] * along).sum(axis=1), self.shift_variance[rows], moved, walked
 
 
 def refine_noise(
@@ -229,47 +243,99 @@ def _stated(before: RunNoise, **measured: float) -> RunNoise:
     return replace(before, **{name: significant(value) for name, value in measured.items()})
 
 
+def motion_errors(
+    odometry: Odometry,
+    detections: Detections,
+    passes: Passes,
+    noise: RunNoise,
+    settings: NoiseSettings = NoiseSettings(),
+) -> MotionErrors | None:
+    """What passes show of all lengths, and of the points of the robot to which odometry and
+    detector refer; None where they show nothing.
+
+    No loop tells the scale, since loops close at any. But where lengths are too long, junctions
+    move along with the robot that passes them, and where the points differ, they turn with it
+    (`_shown_motion`). A detector that sees things too near shows as a scale, too
+    (`detector_scale`). Applied are the mean of the scale's posterior (`_Scale`), and of the lever
+    what is `lever_at_z` sigmas from zero.
+    """
+    thirds = _WithinPasses.of(odometry, detections, passes, settings)
+    shown = None if thirds is None else _shown_motion(thirds, noise, settings)
+    if shown is None:
+        return None
+    (too_long, x, y), (scale_sigma, x_sigma, y_sigma) = (values.tolist() for values in shown)
+    mean = _Scale.of(_expected(odometry, noise, settings), too_long, scale_sigma).mean
+    return MotionErrors(
+        Shown(
+            rounded(too_long, LENGTH_SCALE), significant(scale_sigma), rounded(mean, LENGTH_SCALE)
+        ),
+        _lever(x, x_sigma, settings),
+        _lever(y, y_sigma, settings),
+    )
+
+
+def _lever(metres: float, sigma: float, settings: NoiseSettings) -> Shown:
+    applied = metres if abs(metres) >= settings.lever_at_z * sigma else 0.0
+    return Shown(rounded(metres, METRES), significant(sigma), rounded(applied, METRES))
+
+
 def refine_scale(
     odometry: Odometry,
     detections: Detections,
     passes: Passes,
     noise: RunNoise,
     settings: NoiseSettings = NoiseSettings(),
-) -> tuple[float, LengthScale | None]:
+    *,
+    too_long: float = 0.0,
+) -> float:
     """Standard deviation of the relative length error, after loop closure has estimated the
-    heading's drift; and what passes show of it, None where nothing.
+    heading's drift: the bound that holds 68.3 % of the posterior of what is left.
 
-    Loop closure does not determine it: loops close at any scale. But where the odometry's lengths
-    are wrong, junctions move along with the robot that passes them (`_shown_scale`). As the
-    detector may cause the same, the map's lengths are not corrected, and the standard deviation is
-    the bound about 0 that holds 68.3 % of the posterior. Prior: Student's t with two degrees of
-    freedom, of which 68.3 % lie within `prior.scale` times the ratio of this run's heading drift to
-    the prior's.
+    odometry: calibrated; too_long: the share that was taken off its lengths.
     """
-    prior = settings.prior
-    worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
-    expected = float(prior.scale * worse)
+    expected = _expected(odometry, noise, settings)
     thirds = _WithinPasses.of(odometry, detections, passes, settings)
-    if thirds is None:
-        return expected, None
-    shown, sigma = _shown_scale(thirds, noise.along_m_per_sqrt_m, settings)
-    scale = _posterior_radius(expected, shown, sigma)
-    if max(abs(shown), sigma) > settings.most_scale:
-        return scale, None
-    told = significant(float(np.hypot(sigma, settings.detector_scale)))
-    return scale, LengthScale(rounded(shown, LENGTH_SCALE), told)
-
-
-def _posterior_radius(expected: float, shown: float, sigma: float) -> float:
-    """The bound r with P(|x| <= r) = 68.3 % under the posterior of x: prior Student's t with two
-    degrees of freedom, for which this bound is `expected`; likelihood x + N(0, sigma²) = shown."""
-    if not np.isfinite(sigma) or expected <= 0:
+    left = None if thirds is None else _shown_motion(thirds, noise, settings)
+    if left is None:
         return expected
-    off = (expected * _RATIOS - np.array([[shown], [-shown]])) / sigma
-    likelihood = np.exp(-0.5 * (off**2 - (off**2).min())).sum(axis=0)
-    density = (1 + _RATIOS**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5
-    below = np.cumsum(likelihood * density * _RATIOS)  # steps are as wide as the ratio is large
-    return expected * float(np.interp(ONE_SIGMA * below[-1], below, _RATIOS))
+    error, sigma = float(left[0][0]), float(left[1][0])
+    return _Scale.of(expected, too_long + error * (1 - too_long), sigma).radius(too_long)
+
+
+def _expected(odometry: Odometry, noise: RunNoise, settings: NoiseSettings) -> float:
+    """The usual error of lengths, times the ratio of this run's heading drift to the usual one."""
+    worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, settings.prior))
+    return float(settings.prior.scale * worse)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scale:
+    """Posterior of the share by which lengths are too long: error (k,) ascending, weight (k,)."""
+
+    error: FloatArray
+    weight: FloatArray
+
+    @classmethod
+    def of(cls, expected: float, shown: float, sigma: float) -> _Scale:
+        """Prior: Student's t with two degrees of freedom about 0, of which 68.3 % lie within
+        `expected`; likelihood normal about what passes show, `sigma` its standard deviation."""
+        size = max(expected, 1e-9) * _RATIOS
+        # Steps are as wide as the ratio is large.
+        prior = (1 + _RATIOS**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5 * _RATIOS
+        error = np.concatenate([-size[::-1], size])
+        off = ((error - shown) / sigma) ** 2
+        return cls(error, np.concatenate([prior[::-1], prior]) * np.exp(-0.5 * (off - off.min())))
+
+    @property
+    def mean(self) -> float:
+        return float(self.weight @ self.error / self.weight.sum())
+
+    def radius(self, about: float) -> float:
+        """The bound r with P(|error - about| <= r) = 68.3 %."""
+        off = np.abs(self.error - about)
+        order = np.argsort(off)
+        below = np.cumsum(self.weight[order])
+        return float(np.interp(ONE_SIGMA * below[-1], below, off[order]))
 
 
 def _turned(odometry: Odometry, noise: RunNoise) -> float:
@@ -407,17 +473,28 @@ def _along(thirds: _WithinPasses, settings: NoiseSettings) -> tuple[float, float
     return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
 
 
-def _shown_scale(
-    thirds: _WithinPasses, along: float, settings: NoiseSettings
-) -> tuple[float, float]:
-    """Relative length error by the motion of junctions along with the robot, and its standard
-    deviation.
+def _shown_motion(
+    thirds: _WithinPasses, noise: RunNoise, settings: NoiseSettings
+) -> tuple[FloatArray, FloatArray] | None:
+    """(3,) relative length error by how junctions move along with the robot, and x and y of the
+    detector's point less the odometry's in the axes of the robot [m], by how they turn with it;
+    (3,) standard deviations. None where lengths show no error, or more than any odometry errs by.
 
-    along: random walk of the odometry along the path [m/√m].
+    Generalised least squares over all passes. O(q).
     """
-    shift, variance, moved, walked = thirds.straight(settings)
-    weight = moved / (variance + along**2 * walked)
-    belief = float(weight @ moved)
-    if belief <= 0:
-        return 0.0, np.inf
-    return float(weight @ shift) / belief, belief**-0.5
+    walk_m, walk_rad = np.maximum(thirds.walked, 0.0).T
+    white = thirds.shift_variance + noise.along_m_per_sqrt_m**2 * walk_m
+    turn = noise.heading_rad_per_sqrt_m**2 * walk_m + noise.heading_rad_per_sqrt_rad**2 * walk_rad
+    weight = np.linalg.inv(white[:, None, None] * np.eye(2) + turn[:, None, None] * thirds.swung)
+    design = np.concatenate([thirds.motion[:, :, None], thirds.turned], axis=2)
+    normal = np.einsum("qij,qik,qkl->jl", design, weight, design)
+    right = np.einsum("qij,qik,qk->j", design, weight, thirds.shift)
+    normal[1:, 1:] += np.eye(2) / settings.lever_m**2
+    if normal[0, 0] <= 0:
+        return None
+    covariance = np.linalg.inv(normal)
+    shown, sigma = covariance @ right, np.sqrt(np.diag(covariance))
+    if max(abs(shown[0]), sigma[0]) > settings.most_scale:
+        return None
+    sigma[0] = np.hypot(sigma[0], settings.detector_scale)
+    return shown, sigma

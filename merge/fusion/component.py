@@ -21,9 +21,9 @@ from ..result import FusedMap, Late, Spread, by_run
 
 Rows = tuple[tuple[tuple[str, int], ...], ...]
 
-ARRAYS = "fffifffiifiiiiiiiffiiff"
-"""Types of the arrays: poses; centroids, own covariances, keys, cross covariances and leans of the
-spread (empty if not computed); positions, kinds and degrees of the vertices; the branches; members
+ARRAYS = "fffiffiifiiiiiiiffiiff"
+"""Types of the arrays: poses; centroids, own covariances, keys and cross covariances of the spread
+ (empty if not computed); positions, kinds and degrees of the vertices; the branches; members
 of the vertices as counts, runs and rows; the same of the edges; their ends and branches, lengths,
 sigmas and traversals; point counts of their paths; the points; sigmas of the positions (empty if
 not computed)."""
@@ -68,7 +68,6 @@ def to_bytes(component: FusedComponent, maps: Sequence[TopoMap]) -> bytes:
             np.zeros(0) if sure is None else sure.own,
             np.zeros(0, np.int64) if sure is None else sure.key,
             np.zeros(0) if sure is None else sure.cross,
-            np.zeros(0) if sure is None else sure.lean,
             fused.xy,
             np.array([kinds[kind] for kind in fused.kind], np.int64),
             fused.branches.counts,
@@ -91,7 +90,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     arrays = arrays_from_bytes(data, ARRAYS)
     if arrays is None:
         return None
-    poses, middle, own, key, cross, lean, xy, kind, degree, branches, *arrays = arrays
+    poses, middle, own, key, cross, xy, kind, degree, branches, *arrays = arrays
     places, corridors, (ends, length, sigma, traversals, steps, points, off) = (
         arrays[:3], arrays[3:6], arrays[6:],
     )  # fmt: skip
@@ -100,7 +99,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     r, n, m, sure = len(maps), len(degree), len(length), len(middle) > 0
     sizes = (
         (poses, 3 * r), (middle, 2 * r * sure), (own, 9 * r * sure),
-        (cross, 9 * len(key) * sure), (lean, 3 * r * sure), (xy, 2 * n),
+        (cross, 9 * len(key) * sure), (xy, 2 * n),
         (kind, n), (places[0], n), (corridors[0], m), (ends, 4 * m), (sigma, m), (traversals, m),
         (steps, m), (points, 2 * steps.sum()), (branches, degree.sum()),
         (off, n * (len(off) > 0)),
@@ -143,7 +142,7 @@ def from_bytes(data: bytes, maps: Sequence[TopoMap]) -> FusedComponent | None:
     )
     spread = None
     if sure:
-        blocks = (own.reshape(-1, 3, 3), key, cross.reshape(-1, 3, 3), lean.reshape(-1, 3))
+        blocks = (own.reshape(-1, 3, 3), key, cross.reshape(-1, 3, 3))
         spread = Spread(runs, middle.reshape(-1, 2), *blocks)
     return FusedComponent(dict(zip(runs, poses.reshape(-1, 3), strict=True)), fused, spread)
 

@@ -17,7 +17,6 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.corridor_lengths import LEAST_M, straightness
 from ...topology.posegraph.graph import PoseGraph, SharedErrors
 from ...topology.posegraph.marginals import Marginals
-from ...topology.posegraph.normal_equations import Factor
 from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, white
 from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
@@ -50,9 +49,7 @@ class Landmarks:
 
     node: (n,) node of each row: that of its place, or its own; seen: 0 for rows of places of
     several rows; shared: (n,) error common to all passes of a row [m]. Maps that share a place have
-    the same common error there: it moves the place but does not separate the maps. known, beyond:
-    (k,) information of what passes show of the runs' scales (`TopoMap.length_scale`), 0 where
-    nothing, and what they show beyond the scales found, by which nothing is moved.
+    the same common error there: it moves the place but does not separate the maps.
     """
 
     graph: PoseGraph
@@ -60,8 +57,6 @@ class Landmarks:
     node: IntArray
     seen: FloatArray
     shared: FloatArray
-    known: FloatArray
-    beyond: FloatArray
 
     @classmethod
     def of(cls, pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution) -> Landmarks:
@@ -97,21 +92,7 @@ class Landmarks:
         edge_weight = np.concatenate([solution.edge_weight[own], weight[rows]])
         at = replace(solution, pose=pose, edge_weight=edge_weight)
         alone = np.where(node < n, sigma, 0.0)
-        return cls(told, at, node, alone, shared_sigma(pool), *_shown_scales(pool, at.shared))
-
-    def with_shown_scales(self) -> PoseGraph:
-        """The graph with what passes show of the scales as a further measurement of each."""
-        shared = self.graph.shared
-        sigma = (shared.sigma**-2.0 + self.known) ** -0.5
-        return replace(self.graph, shared=replace(shared, sigma=sigma))
-
-    def lean(self, factor: Factor) -> tuple[FloatArray, FloatArray]:
-        """By how much these measurements would move the solution: (size,) its free variables, and
-        (k,) its scales. factor: of the normal matrix of `with_shown_scales`."""
-        if len(self.beyond) == 0:
-            return np.zeros(factor.pattern.size), self.beyond
-        scales = np.linalg.solve(factor.schur, self.known * self.beyond)
-        return np.asarray(-(factor.solved_border @ scales)), np.asarray(scales)
+        return cls(told, at, node, alone, shared_sigma(pool))
 
     @property
     def alone(self) -> FloatArray:
@@ -159,37 +140,27 @@ def _length_sigmas(
     The paths of all runs end at the same places: a length has the error of their distance times the
     chord's share of the length, whichever runs drove there. The rest of the length has the scale
     errors of the runs that drove it, and their other errors (`Corridor.way`), which a path's bends
-    make larger than they are: together they are at most what the runs' maps state (`sigma`). To
-    this is added by how much lengths probably differ, by what passes show of the scales.
+    make larger than they are: together they are at most what the runs' maps state (`sigma`).
 
-    The scales of more runs than they are estimated for are drawn independently, and what passes
-    show of them is not counted.
+    The scales of more runs than they are estimated for are drawn independently.
     """
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
     columns = [(c.length, c.way, c.sigma) for c in corridors]
     length, way, own = np.array(columns, np.float64).reshape(-1, 3).T
-    sampled = SampledMarginals.of(marks.with_shown_scales(), marks.solution, SAMPLES)
-    moved, shown = marks.lean(sampled.factor)
+    sampled = SampledMarginals.of(marks.graph, marks.solution, SAMPLES)
     _, straight = straightness(xy, ends[0], ends[1], length)
     rest = (1 - straight**2) * length
     scale = sampled.shared
     if not len(scale):
         (drawn,) = white(20054, [(len(pool.maps), SAMPLES)])
         scale, rest = usual_scale(pool.maps) * of_unit_variance(drawn), length
-        shown = np.zeros(len(pool.maps))
     number = {m.run: k for k, m in enumerate(pool.maps)}
     drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
-
-    def off_by(places: VertexErrors, scales: FloatArray) -> FloatArray:
-        mean = np.array([scales[runs].mean(axis=0) for runs in drivers])
-        stretched = rest[:, None] * mean.reshape(-1, scales.shape[1])
-        return np.asarray(straight[:, None] * places.distance_errors(xy, *ends) + stretched)
-
-    off = off_by(_place_errors(marks, first, sampled), scale)
+    mean = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, SAMPLES)
+    places = _place_errors(marks, first, sampled)
+    off = straight[:, None] * places.distance_errors(xy, *ends) + rest[:, None] * mean
     variance = np.minimum(np.mean(off**2, axis=1) + way**2 + LEAST_M**2, own**2)
-    variable = sampled.factor.pattern.variable[marks.node[first]]
-    lean = VertexErrors(np.where(variable >= 0, moved[variable], 0.0)[:, :, None])
-    return np.asarray(np.sqrt(variance + off_by(lean, shown[:, None])[:, 0] ** 2))
+    return np.asarray(np.sqrt(variance))
 
 
 def spread(
@@ -203,7 +174,7 @@ def spread(
     solves per run; memory: the blocks asked for, and CHUNK runs' columns.
     """
     marks = Landmarks.of(pool, label, graph, solution)
-    marginals = Marginals.of(marks.with_shown_scales(), marks.solution)
+    marginals = Marginals.of(marks.graph, marks.solution)
     pattern = marginals.factor.pattern
     count = len(pool.maps)
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)
@@ -241,19 +212,8 @@ def spread(
             blocks[rows] = block[row[rows], column[rows] - start]
     seen = weight[:, :, :2] * marks.alone[:, None, None]
     np.add.at(own, pool.run, seen @ seen.transpose(0, 2, 1))
-    lean = (fit @ marks.lean(marginals.factor)[0]).reshape(count, 3)
     names = tuple(m.run for m in pool.maps)
-    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below), lean)
-
-
-def _shown_scales(pool: Pool, found: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(k,) information of what passes show of the runs' scales, and (k,) what they show beyond the
-    scales found (k,); 0 where nothing."""
-    shown = [m.length_scale for m in pool.maps[: len(found)]]
-    known = np.array([0.0 if s is None else s.sigma**-2.0 for s in shown])
-    # A length that is too long by x is to be corrected by -x.
-    beyond = [0.0 if s is None else -s.too_long - x for s, x in zip(shown, found, strict=True)]
-    return known, np.array(beyond)
+    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below))
 
 
 def _symmetric(one: FloatArray, other: FloatArray) -> FloatArray:

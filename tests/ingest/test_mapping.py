@@ -120,7 +120,9 @@ def test_the_document_tells_how_the_map_was_made(run, topomap):
     document = map_to_document(topomap)
     graph = json.loads(json.dumps(document, allow_nan=False))["graph"]
     assert graph["settings"]["closure"] == "full"
-    assert set(graph["calibration"]) == {"bias_rad_per_m", "turn_scale", "lag_s"}
+    assert set(graph["calibration"]) == {
+        "bias_rad_per_m", "turn_scale", "lag_s", "length_scale", "lever_x_m", "lever_y_m",
+    }  # fmt: skip
     assert graph["warnings"] == list(run.warnings)
     assert graph["noise"]["centre_m"] > 0
     assert any(c["accepted"] for c in graph["closures"])

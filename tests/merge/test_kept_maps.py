@@ -12,7 +12,7 @@ from topobatch.topology.document import map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.files import encoded
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.topomap import Closure, LengthScale, RunNoise
+from topobatch.topology.topomap import Closure, RunNoise
 from topobatch.topology.turning_points import TurningPoints
 
 
@@ -42,7 +42,6 @@ def full(plain):
         traversal_ns=times,
         confidence=np.linspace(0.5, 1.0, n),
         shows_bends=False,
-        length_scale=LengthScale(-1 / 7, 1 / 300),
         turning_points=TurningPoints(
             kind=("turning_point", "track_end"),
             vertex=np.array([0, 3]),

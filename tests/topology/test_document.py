@@ -20,7 +20,7 @@ from topobatch.topology.document import map_from_document, map_to_document, read
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.map_schema import MapDocument, validated
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.topomap import Closure, LengthScale, RunNoise, TopoMap
+from topobatch.topology.topomap import Closure, RunNoise, TopoMap
 
 
 def small_map(run: str = "run1") -> TopoMap:
@@ -50,7 +50,6 @@ def small_map(run: str = "run1") -> TopoMap:
             2**62,
             2**62 + 1,
         ],
-        length_scale=LengthScale(0.0123, 0.0045),
         closures=(
             Closure(1, 2, True, 12.5, "same branches", round=2),
             Closure(1, 3, False, 4.5, "taken back", round=5, accepted_round=3, revised=True),
@@ -166,10 +165,6 @@ def test_other_versions_are_refused_with_the_way_out(model, version, told):
         (["nodes", 0, "id"], 5, "node ids"),
         (["graph", "pieces"], 0, "graph.pieces"),
         (["graph", "pieces"], "several", "graph.pieces"),
-        (["graph", "length_scale", "sigma"], 0.0, "graph.length_scale.sigma"),
-        (["graph", "length_scale", "sigma"], 1e-300, "graph.length_scale.sigma"),
-        (["graph", "length_scale", "too_long"], 1, "graph.length_scale.too_long"),
-        (["graph", "length_scale"], 0.1, "graph.length_scale"),
     ],
 )
 def test_errors_name_the_place(path, value, place):
@@ -223,10 +218,8 @@ def test_written_files_are_whole_and_the_same_each_time(tmp_path):
 
 def test_a_document_may_lack_or_leave_open_how_its_map_was_made():
     doc = map_to_document(small_map())
-    del doc["graph"]["length_scale"]
     doc["graph"] |= dict.fromkeys(("source", "settings", "warnings", "calibration", "jumps"))
     kept = map_from_document(doc)
-    assert kept.length_scale is None
     assert map_to_document(kept) == doc
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.topomap import LengthScale
 
 from .test_document import small_map
 
@@ -33,12 +32,6 @@ from .test_document import small_map
 def test_what_does_not_fit_is_refused(wrong, told):
     with pytest.raises(ValueError, match=told):
         replace(small_map(), **wrong)
-
-
-@pytest.mark.parametrize(("too_long", "sigma"), [(1.0, 0.1), (np.nan, 0.1), (0.0, 0.0)])
-def test_lengths_are_wrong_by_a_share_with_a_sigma(too_long, sigma):
-    with pytest.raises(ValueError, match="share below 1"):
-        LengthScale(too_long, sigma)
 
 
 def test_arrays_of_a_map_cannot_be_changed():

@@ -2,6 +2,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from topobatch.merge.result import FusedMap, MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
@@ -120,6 +121,20 @@ def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMa
     assert "**Red** lines" in told
     assert "2 messages were empty" in told
     assert "- odometry: /odom, 140 messages\n- time: header" in told
+
+
+@pytest.mark.parametrize("told", [None, 3, "lag_s", {"lag_s": 0.2}, {"lag_s": {"applied": "x"}}])
+def test_a_map_is_told_with_what_it_was_corrected_by(make_map, told) -> None:
+    applied = {"bias_rad_per_m": np.radians(0.5), "turn_scale": 0.0, "length_scale": 0.0428}
+    known = {name: {"applied": value} for name, value in applied.items()}
+    topomap = make_map("a")
+    page = map_summary(
+        replace(topomap, info={**topomap.info, "calibration": known}), [], MapLayers()
+    )
+    assert "| heading, turned on per metre | 0.500 ° |\n| lengths, shorter by | 4.280 % |" in page
+    assert "turns, larger" not in page
+    foreign = replace(topomap, info={**topomap.info, "calibration": told})
+    assert "Corrected" not in map_summary(foreign, [], MapLayers())
 
 
 def test_an_empty_map_is_told(empty_map: TopoMap) -> None:

@@ -131,7 +131,7 @@ def test_a_large_jump_that_no_place_tells_splits_the_chain():
 
 def test_a_step_that_its_places_do_not_confirm_is_broken_up():
     _, run = simulated(jumps=1, jump_m=0.47, jump_deg=50.0)
-    odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    run, odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
     past = np.searchsorted(reckoning.passes.time_ns, odometry.time_ns[odometry.jumps[0]])
     for shared, breaks in ((0, odometry.jumps.tolist()), (1, odometry.jumps.tolist()), (2, [])):
         place = np.arange(len(reckoning))

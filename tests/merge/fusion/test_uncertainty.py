@@ -8,14 +8,13 @@ import pytest
 from topobatch.merge.fusion import joint_graph, uncertainty
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.joint_graph import JOINT, SOLVER, pass_counts, settle
-from topobatch.merge.fusion.uncertainty import Landmarks, spread
+from topobatch.merge.fusion.uncertainty import spread
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Spread, Verdict
 from topobatch.topology.posegraph.graph import SharedErrors
-from topobatch.topology.posegraph.marginals import Marginals
 from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
-from topobatch.topology.topomap import LengthScale, RunNoise
+from topobatch.topology.topomap import RunNoise
 
 
 def verdict(a, b, matched):
@@ -89,8 +88,7 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
 def test_maps_of_the_same_places_are_not_apart_however_their_covariance_is_rounded(rounding):
     own = np.diag([0.01, 0.01, 1e-5])
     two, middle = np.array([own, own]), np.array([[3.0, 4.0], [3.0, 4.0]])
-    lean = np.array([[1.0], [1 + rounding]]) * np.array([0.1, -0.2, 0.01])
-    found = Spread(("a", "b"), middle, two, np.array([1]), (1 + rounding) * own[None], lean)
+    found = Spread(("a", "b"), middle, two, np.array([1]), (1 + rounding) * own[None])
     assert found.sigmas([("a", "b")]) == [(0.0, 0.0)]
     assert not found.relative([("a", "b")]).any()
 
@@ -118,97 +116,6 @@ def test_maps_that_do_not_bend_err_by_what_the_rest_of_them_saw_otherwise(draw):
     ]
     sigma = maps[0].measured.centre_m / np.sqrt(pass_counts(pool)[0])
     assert radians == pytest.approx(sigma * np.sqrt(2 * about[0] - about[1] - about[2]), rel=0.01)
-
-
-def test_what_passes_show_of_lengths_tells_where_maps_probably_lie(draw):
-    """As if the scales had been known so before; the placements are where they were."""
-    shown = {"a": LengthScale(0.03, 0.01), "b": None, "c": LengthScale(-0.01, 0.02)}
-    maps = [
-        replace(along(draw, n, s, s + 8), fitted_noise=RunNoise(scale=0.02))
-        for n, s in (("a", 0), ("b", 6), ("c", 12))
-    ]
-    pool = Pool.of(maps)
-    label = np.concatenate([np.arange(s, s + 9) for s in (0, 6, 12)])
-    start = {n: np.array([6.0 * k, 0.0, 0.0]) for n, k in (("a", 0), ("b", 6), ("c", 12))}
-    joint, key = settle(pool, label, start), np.array([1, 2, 5])
-    plain = spread(pool, label, joint.graph, joint.solution, key)
-    assert not plain.lean.any()
-    told = Pool.of([replace(m, length_scale=shown[m.run]) for m in maps])
-    found = spread(told, label, joint.graph, joint.solution, key)
-    known = np.array([0.0 if s is None else s.sigma**-2.0 for s in shown.values()])
-    seen = np.array([0.0 if s is None else -s.too_long for s in shown.values()])
-    sigma = (0.02**-2.0 + known) ** -0.5
-    scale = 1 + (sigma**2 * known * seen)[pool.run[joint.graph.source]]
-    within = pool.run[joint.graph.source] == pool.run[joint.graph.target]
-    measurement = joint.graph.measurement.copy()
-    measurement[within, :2] *= scale[within, None]
-    before = replace(
-        joint.graph,
-        measurement=measurement,
-        shared=SharedErrors(joint.graph.shared.sensitivity, sigma),
-    )
-    other = spread(pool, label, before, solve(before, SOLVER), key)
-    pairs = [("a", "b"), ("a", "c"), ("b", "c")]
-    np.testing.assert_allclose(found.relative(pairs), other.relative(pairs), rtol=0.05, atol=2e-3)
-    apart = [np.diff(s.middle, axis=0) for s in (plain, other)]
-    moved = found.lean[:, :2] - found.lean[0, :2]
-    # Middles move against each other as the solution does, up to its rotation as a whole.
-    np.testing.assert_allclose(
-        np.hypot(*(apart[0] + np.diff(moved, axis=0)).T), np.hypot(*apart[1].T), atol=0.01
-    )
-    assert np.hypot(*apart[1].T).sum() < np.hypot(*apart[0].T).sum() - 0.3
-    for own, bound in zip(plain.sigmas(pairs[:2]), found.sigmas(pairs[:2]), strict=True):
-        assert bound[0] > own[0]
-
-
-def test_what_passes_show_would_move_the_solution_by_as_much_as_solving_with_it(draw):
-    shown = (LengthScale(0.02, 0.01), None, LengthScale(-0.01, 0.02))
-    maps = []
-    # The odometries measure three lengths of one corridor, and their scales are found from that.
-    for name, first, size, told in zip("abc", (0, 6, 12), (1.0, 0.98, 1.01), shown, strict=True):
-        m = along(draw, name, first, first + 8)
-        paths = tuple(size * path for path in m.paths)
-        own = {"fitted_noise": RunNoise(scale=0.02), "length_scale": told}
-        maps.append(replace(m, xy=size * m.xy, length=size * m.length, paths=paths, **own))
-    pool = Pool.of(maps)
-    label = np.concatenate([np.arange(first, first + 9) for first in (0, 6, 12)])
-    joint = settle(pool, label, {name: np.zeros(3) for name in "abc"})
-    marks = Landmarks.of(pool, label, joint.graph, joint.solution)
-    assert np.abs(marks.solution.shared).min() > 1e-3
-    factor = Marginals.of(marks.with_shown_scales(), marks.solution).factor
-    moved, scales = marks.lean(factor)
-    plain = replace(marks.graph, kernel=np.full(len(marks.graph.source), np.inf))
-    before = solve(replace(plain, pose=marks.solution.pose), SOLVER)
-    # Both measurements of a scale as one, about what they expect.
-    seen = np.array([0.0 if told is None else -told.too_long for told in shown])
-    sensitivity, sigma = plain.shared.sensitivity, marks.with_shown_scales().shared.sigma
-    expected = sigma**2 * marks.known * seen
-    measurement = plain.measurement + sensitivity @ expected
-    shared = SharedErrors(sensitivity, sigma)
-    after = solve(replace(plain, pose=before.pose, measurement=measurement, shared=shared), SOLVER)
-    np.testing.assert_allclose(expected + after.shared - before.shared, scales, atol=5e-4)
-    variable = factor.pattern.variable
-    free = np.where(variable >= 0, moved[variable], 0.0)
-    assert np.abs(free).max() > 0.4
-    np.testing.assert_allclose((after.pose - before.pose)[:, :2], free[:, :2], atol=0.03)
-
-
-def test_sigmas_reach_from_where_maps_are_drawn():
-    rng = np.random.default_rng(2)
-    root = rng.normal(size=(6, 6)) * np.tile([0.1, 0.1, 0.01], 2)[:, None]
-    whole, lean = root @ root.T, np.array([[0.2, -0.1, 0.02], [-0.3, 0.1, -0.01]])
-    middle = np.array([[1.0, 2.0], [16.0, -6.0]])
-    own = np.stack([whole[:3, :3], whole[3:, 3:]])
-    found = Spread(("a", "b"), middle, own, np.array([1]), whole[None, :3, 3:], lean)
-    error = (lean.ravel() + (root @ rng.normal(size=(6, 100_000))).T).reshape(-1, 2, 3)
-    x, y = middle[1] - middle[0]
-    apart = error[:, 1, :2] - error[:, 0, :2]
-    squares = [((apart - error[:, k, 2:] * np.array([-y, x])) ** 2).sum(axis=1) for k in range(2)]
-    for share in (0.6827, 0.95):
-        ((metres, radians),) = found.sigmas([("a", "b")], share)
-        assert np.mean(np.mean(squares, axis=0) < metres**2) == pytest.approx(share, abs=0.02)
-        turn = error[:, 1, 2] - error[:, 0, 2]
-        assert radians == pytest.approx(np.sqrt(np.mean(turn**2)), rel=0.01)
 
 
 def test_only_what_is_asked_for_is_held_and_it_is_the_same(chain, monkeypatch):
@@ -280,32 +187,6 @@ def test_lengths_are_as_sure_as_all_runs_are_of_their_ends(draw):
     sure = [replace(m, length_sigma=stated / 10) for m in maps[:2]]
     _, fused = fuse(sure, links[:1], asked=())
     np.testing.assert_allclose(fused.length_sigma, stated[0] / 10 / np.sqrt(2), rtol=1e-6)
-
-
-def test_what_passes_show_of_lengths_makes_them_less_sure(draw, monkeypatch):
-    noise = RunNoise(1e-4, 1e-4, 1e-4, scale=0.02, centre_m=1e-3)
-    pairs = [(k, k) for k in range(9)]
-
-    def fused_with(*shown):
-        maps = [
-            winding(draw, name, noise, length_scale=told)
-            for name, told in zip("ab", shown, strict=True)
-        ]
-        maps = [replace(m, length_sigma=noise.scale * m.length) for m in maps]
-        return fuse(maps, [verdict(*maps, pairs)], asked=())[1]
-
-    wrong, right, unknown = (
-        fused_with(told, told) for told in (LengthScale(0.05, 0.001), LengthScale(0.0, 0.001), None)
-    )
-    assert wrong.length_sigma / wrong.length == pytest.approx(0.05, rel=0.05)
-    assert (right.length_sigma < 0.1 * wrong.length_sigma).all()
-    assert unknown.length_sigma / unknown.length == pytest.approx(0.02 / np.sqrt(2), rel=0.1)
-    # Nothing else differs, and nothing where more runs drove than scales are estimated.
-    for field in ("xy", "length", "position_sigma"):
-        np.testing.assert_array_equal(getattr(wrong, field), getattr(unknown, field))
-    monkeypatch.setattr(joint_graph, "JOINT", replace(JOINT, scaled_runs=1))
-    many, plain = (fused_with(told, told) for told in (LengthScale(0.05, 0.001), None))
-    np.testing.assert_array_equal(many.length_sigma, plain.length_sigma)
 
 
 def test_runs_that_drove_no_corridor_have_no_lengths(draw):
