@@ -5,11 +5,13 @@
 How often the truth lies within the 68.3, 95 and 99.7 % intervals stated by documents and merges:
 
   length     a corridor's length (`length_sigma`)
+  straight   the same of those at most 2 % longer than the line between their ends: of recorded
+             runs the truth of others is a skeleton's, and robots cut its corners
   near, far  the position of one junction relative to another one, at most 15 m, at least 30 m away
   size       the size of the map as a whole: one error per run, mostly that of its odometry's scale
   heading    a branch in the map's frame (`branch_sigmas`)
   place      a junction's position, after a rigid fit of the map to the truth (`sigma_m`)
-  fused      a corridor's length in the fused map
+  fused      a corridor's length in the fused map; fused straight: as above
   fused place  the position of a junction of the fused map
   transform  the relative position of the centres of two merged runs' maps, as the radius that
              holds the share (`transform_sigma` states that of 68.3 %)
@@ -74,10 +76,11 @@ from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
 SHARES = (0.6827, 0.95, 0.9973)
 QUANTITIES = (
-    "length", "near", "far", "size", "place", "heading", "fused", "fused place", "transform",
-    "turn", "placed", "placed turn",
+    "length", "straight", "near", "far", "size", "place", "heading", "fused", "fused straight",
+    "fused place", "transform", "turn", "placed", "placed turn",
 )  # fmt: skip
 NEAR_M, FAR_M = 15.0, 30.0
+STRAIGHT = 0.98
 WIDTH_M = 1.4
 """Of the corridors of worlds seen by lasers."""
 MOST_PAIRS = 60
@@ -94,9 +97,10 @@ def quantiles(z2, freedom):
 
 
 def true_lengths(truth, runs, graph, label):
-    """(edges of a graph, true lengths) of corridors that were driven and are the only ones between
-    their junctions; of two edges between the same two vertices the one that fits. A junction that
-    stands twice in the graph may have its corridors twice: both are stated, both are judged."""
+    """(edges of a graph, true lengths, whether straight) of corridors that were driven and are the
+    only ones between their junctions; of two edges between the same two vertices the one that fits.
+    A junction that stands twice in the graph may have its corridors twice: both are stated, both
+    are judged."""
     world = truth.worlds[truth.runs[runs[0]].world]
     driven = {int(e) for run in runs for e in truth.runs[run].drive_edge}
     there, here = defaultdict(list), defaultdict(list)
@@ -104,19 +108,24 @@ def true_lengths(truth, runs, graph, label):
         there[tuple(sorted(ends))].append(e)
     for e, ends in enumerate(zip(graph.source.tolist(), graph.target.tolist(), strict=True)):
         here[tuple(sorted(ends))].append(e)
-    edges, true = [], []
+    edges, true, straight = [], [], []
     for ends, mine in here.items():
         corridors = there[tuple(sorted(label[list(ends)].tolist()))]
         if len(corridors) == 1 and corridors[0] in driven:
             goal = world.length[corridors[0]]
             edges.append(min(mine, key=lambda e: abs(graph.length[e] - goal)))
             true.append(goal)
-    return np.array(edges, np.int64), np.array(true)
+            u, v = world.xy[[world.source[corridors[0]], world.target[corridors[0]]]]
+            straight.append(np.hypot(*(u - v)) > STRAIGHT * goal)
+    return np.array(edges, np.int64), np.array(true), np.array(straight, bool)
 
 
 def judge_lengths(truth, runs, graph, label):
-    edges, true = true_lengths(truth, runs, graph, label)
-    return quantiles(((graph.length[edges] - true) / graph.length_sigma[edges]) ** 2, 1)
+    """(k, 3) within of all lengths, and (j, 3) of the straight ones."""
+    edges, true, straight = true_lengths(truth, runs, graph, label)
+    z2 = ((graph.length[edges] - true) / graph.length_sigma[edges]) ** 2
+    within = quantiles(z2, 1)
+    return within, within[straight]
 
 
 def labels(truth, topomap):
@@ -167,7 +176,8 @@ def known_places(truth, topomap, errors):
 def judge_map(truth, topomap, errors, seed, headings):
     """{quantity: (k, 3) within} of one map; headings: the branches of each world's vertices."""
     label, known, shape = known_places(truth, topomap, errors)
-    out = {"length": judge_lengths(truth, [topomap.run], topomap, label)}
+    lengths = judge_lengths(truth, [topomap.run], topomap, label)
+    out = dict(zip(("length", "straight"), lengths, strict=True))
     if len(known) < 4:
         return out
     world = truth.worlds[truth.runs[topomap.run].world]
@@ -247,7 +257,9 @@ def judge_merge(truth, maps, merged):
         runs = sorted(component.poses)
         if len(runs) > 1 and len({truth.runs[run].world for run in runs}) == 1:
             mine = np.where(fused.component == component.id, of_fused, -1)
-            out["fused"].append(judge_lengths(truth, runs, fused, mine))
+            lengths = judge_lengths(truth, runs, fused, mine)
+            for name, within in zip(("fused", "fused straight"), lengths, strict=True):
+                out[name].append(within)
             known = np.flatnonzero(mine >= 0)
             there = truth.worlds[truth.runs[runs[0]].world].xy[mine[known]]
             T_world = fit_rigid(fused.xy[known], there)
