@@ -47,6 +47,9 @@ ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
 WORST_NATS = LIKELIHOOD.most
 """Bound on the evidence of a single corridor: it may have been measured past a junction."""
 
+CHI_SQUARE_MEDIAN = 0.4549
+"""Median of χ² with one degree of freedom."""
+
 TOGETHER = 2**6
 """Alignments per batch, to fit the processor's cache."""
 
@@ -174,6 +177,21 @@ def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
     """
     mean, variance = size_difference(a, b, corridors)
     return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
+
+
+def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
+    """Probability that two looks at one place differ by as much in their lengths (χ²).
+
+    corridors: (c, 2) matched directed rows. None of them is far off, or it would not agree. Noise
+    is at least what the median of them shows: where a map is bent more than it states all corridors
+    are off, but copies are alike in most.
+    """
+    from scipy.special import chdtrc
+
+    lengths = _Lengths.of(a, b, corridors, 0.0)
+    squares = lengths.d2 / lengths.noise
+    usual = np.median(squares) / CHI_SQUARE_MEDIAN if len(squares) else 1.0
+    return float(chdtrc(len(squares), squares.sum() / max(usual, 1.0)))
 
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:

@@ -12,13 +12,15 @@ from ...topology.digits import BITS, rounded
 from ..result import Verdict
 from .alignment import Candidate
 from .prepare import Prepared
-from .repetition import CopyModel, Sameness, sameness_of, size_sigmas
+from .repetition import CopyModel, Sameness, fits_by_noise, sameness_of, size_sigmas
 from .settings import MATCH, RobustSettings
 
 OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
 NO_WORSE = "another placement that chance does not explain has no more against it"
 MAYBE_COPY = "this may be another copy of the place, as buildings in this merge repeat themselves"
+
+MISFITS = "this may be another copy of the place, as its lengths differ by more than noise"
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,6 +229,13 @@ def falls_short(c: Candidate) -> float:
     return _share(2.0 - counted_bits(c) / (MATCH.least_told * MATCH.junction_bits * len(c)))
 
 
+def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
+    """1 if lengths that agree differ by more than noise, so that the alignment is taken for a copy,
+    else 0. Places of one design can agree in every junction, and differ by a little in many
+    corridors, of which each might be noise."""
+    return float(fits_by_noise(a, b, c.corridors) < MATCH.misfit_rate)
+
+
 def _share(value: float) -> float:
     """Clipped to 0 … 1."""
     return min(max(value, 0.0), 1.0)
@@ -251,8 +260,8 @@ def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     unrelated: nothing beyond chance.
 
     The test for copies is applied where the building has corridors of few lengths, to alignments no
-    larger than repetitions within the maps, and where the best one has much less evidence than its
-    junctions could give.
+    larger than repetitions within the maps, whose lengths differ by more than noise, and where the
+    best one has much less evidence than its junctions could give.
     """
     shown = [_beyond_chance(candidates, threshold) for _, _, candidates, threshold in pairs]
     shares = [_repetitions(*pair, odd) for pair, odd in zip(pairs, shown, strict=True)]
@@ -272,7 +281,7 @@ def _repetitions(
 ) -> list[float]:
     """0 to 1 for each alignment: how likely it is a copy."""
     uniform = uniformity(a, b) if odd else 0.0
-    shares = [max(uniform, threshold.may_be_copy(c)) for c in odd]
+    shares = [max(uniform, threshold.may_be_copy(c), misfits(a, b, c)) for c in odd]
     if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
         shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
     return shares
@@ -303,6 +312,8 @@ def _assess(
     margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
     best, told = odd[ranking[0]], answers[ranking[0]]
     why = _missing(best, told, margin, threshold)
+    if why == MAYBE_COPY and misfits(a, b, best):
+        why = MISFITS
     contested = not why and _contested(ranked, threshold)
     # If something else is missing, the explanation states the lead required over the runner-up.
     no_worse = contested or any(_contests(c, best, threshold.need_bits) for c, _ in ranked[1:2])

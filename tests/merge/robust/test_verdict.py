@@ -4,10 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust.alignment import match, same_placement
 from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.repetition import fits_by_noise
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.verdict import (
     MAYBE_COPY,
@@ -19,6 +21,7 @@ from topobatch.merge.robust.verdict import (
     counted_bits,
     falls_short,
     in_steps,
+    misfits,
     needed_bits,
     threshold_for,
     uniformity,
@@ -108,6 +111,29 @@ def test_pairs_are_asked_how_copies_differ_in_their_own_buildings(drawn):
     told = [view.same_bits for view in assess_all([(a, b, found, t) for t in thresholds])]
     assert told == [assess(a, b, found, t).same_bits for t in thresholds]
     assert told[0] == told[3] < told[1]
+
+
+def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
+    """A few corridors differ by sigmas, of which each might be noise, and most by nothing."""
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    told = match(a, b, SETTINGS)[0]
+    i, j = told.corridors.T
+    sigma = np.sqrt(a.variance[i] + b.variance[j])
+    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    few = np.arange(len(j)) % 3 == 0
+    cases = ((0.0 * few, 0.0), (1.0 * few, 0.0), (2.9 * few, 1.0), (0.0 * few + 2.9, 0.0))
+    for off, asked in cases:  # the last is a map that is bent more than it states
+        length = b.length.copy()
+        length[j] = a.length[i] + off * sigma
+        other = replace(b, length=length)
+        fits = fits_by_noise(a, other, told.corridors)
+        if not asked:
+            assert fits > 0.1
+        else:
+            assert fits == pytest.approx(chi2.sf((off**2).sum(), len(j)))
+        assert misfits(a, other, told) == asked
+        (answers,) = assess(a, other, [told], threshold).answers
+        assert answers.repetition == max(asked, uniformity(a, other))
 
 
 def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
