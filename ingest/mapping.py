@@ -33,7 +33,7 @@ from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
-from .odometry.noise import motion_errors, refine_noise, refine_scale
+from .odometry.noise import motion_errors, refine_noise, refine_scale, scale_told
 from .pass_source import PassSource, pass_source, why_none
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
@@ -285,7 +285,11 @@ def _info(
     return {
         "source": dict(run.source),
         "settings": asdict(settings),
-        "warnings": [*run.warnings, *split_told(run.odometry, odometry)],
+        "warnings": [
+            *run.warnings,
+            *scale_told(calibration.motion, settings.noise),
+            *split_told(run.odometry, odometry),
+        ],
         **({"pieces": pieces} if pieces > 1 else {}),
         **({"jumps": jumps_told(run.odometry, odometry)} if len(odometry.jumps) else {}),
         "calibration": {

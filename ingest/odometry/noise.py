@@ -54,6 +54,8 @@ class NoiseSettings:
     """1 sigma of the share by which detectors see things too near or too far: a third of what
     odometries err by. Simulated ones do not; what is shown then is known to 1.2 times as much as
     it states (400 runs at high drift, where it is 0.005), which this covers."""
+    told_scale: float = 0.07
+    """Larger corrections of lengths are warned of: twice what recorded odometries err by."""
     most_scale: float = 0.2
     """No odometry's lengths are off by a larger share: what seems to be is the detector's fault, or
     its unit. What is known no better shows nothing."""
@@ -277,6 +279,19 @@ def motion_errors(
 def _lever(metres: float, sigma: float, settings: NoiseSettings) -> Shown:
     applied = metres if abs(metres) >= settings.lever_at_z * sigma else 0.0
     return Shown(rounded(metres, METRES), significant(sigma), rounded(applied, METRES))
+
+
+def scale_told(errors: MotionErrors | None, settings: NoiseSettings) -> list[str]:
+    """A warning on lengths that were corrected by much, if they were."""
+    share = 0.0 if errors is None else errors.length_scale.applied
+    if abs(share) <= settings.told_scale:
+        return []
+    wrong, near = ("long", "near") if share > 0 else ("short", "far")
+    return [
+        f"lengths of the odometry are {100 * abs(share):.0f} % too {wrong}, by how junctions move "
+        "while the robot passes them, and are corrected: if the detector sees junctions too "
+        f"{near} instead, lengths of the map are wrong"
+    ]
 
 
 def refine_scale(

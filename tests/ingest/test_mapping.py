@@ -130,6 +130,18 @@ def test_the_document_tells_how_the_map_was_made(run, topomap):
     assert map_to_document(map_from_document(document)) == document
 
 
+@pytest.mark.parametrize(
+    ("factor", "told"), [(1.04, None), (1.12, " % too long"), (0.9, " % too short")]
+)
+def test_lengths_that_are_corrected_by_much_are_warned_of(run, topomap, factor, told):
+    wrong = replace(run.odometry, pose=run.odometry.pose * [factor, factor, 1.0])
+    corrected = build_map(replace(run, odometry=wrong))
+    warnings = corrected.info["warnings"][len(run.warnings) :]
+    assert [told in warning for warning in warnings] == ([] if told is None else [True])
+    here, there = (np.hypot(*(m.xy - m.xy.mean(axis=0)).T).mean() for m in (topomap, corrected))
+    assert there == pytest.approx(here, rel=0.02)
+
+
 def test_the_same_run_gives_the_same_bytes(run, topomap):
     again = build_map(run)
     assert json.dumps(map_to_document(again)) == json.dumps(map_to_document(topomap))
