@@ -31,8 +31,9 @@ from .heading_evidence import assign_readings
 from .revisits import Repeats
 from .square_branches import SquareBranches
 
-_RATIOS = np.geomspace(1e-3, 1e3, 4096)
-"""Grid for the error of lengths over the expected one: 0.3 % apart, below the digits stated."""
+_STEPS = 8192
+"""Points of the grid for the error of lengths, from a thousandth of the expected one to beyond all
+that odometries err by: less than 0.3 % apart, below the digits stated."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -334,9 +335,11 @@ class _Scale:
     def of(cls, expected: float, shown: float, sigma: float) -> _Scale:
         """Prior: Student's t with two degrees of freedom about 0, of which 68.3 % lie within
         `expected`; likelihood normal about what passes show, `sigma` its standard deviation."""
-        size = max(expected, 1e-9) * _RATIOS
+        expected = max(expected, 1e-9)
+        size = np.geomspace(1e-3 * expected, max(1e3 * expected, 1.0), _STEPS)
+        ratio = size / expected
         # Steps are as wide as the ratio is large.
-        prior = (1 + _RATIOS**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5 * _RATIOS
+        prior = (1 + ratio**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5 * ratio
         error = np.concatenate([-size[::-1], size])
         off = ((error - shown) / sigma) ** 2
         return cls(error, np.concatenate([prior[::-1], prior]) * np.exp(-0.5 * (off - off.min())))
