@@ -28,7 +28,6 @@ from uncertainty import recorded
 
 from topobatch.ingest.mapping import dead_reckoned, identified
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
-from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import true_vertex_of_passes
 from topobatch.topology.closure import (
     alternatives,
@@ -124,7 +123,7 @@ class Case(NamedTuple):
 
 def case(kind, truth, run):
     """Dead reckoning that `build_map` closes."""
-    run, odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    run, odometry, reckoning, _ = dead_reckoned(run)
     times = reckoning.passes.time_ns
     return Case(kind, reckoning, odometry, true_vertex_of_passes(truth, run.name, times))
 

@@ -25,7 +25,6 @@ import numpy as np
 
 from topobatch.ingest.mapping import build_map, dead_reckoned, identified
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
-from topobatch.ingest.pass_source import pass_source
 from topobatch.simulation import (
     DRIFTS,
     FAULTS,
@@ -81,7 +80,7 @@ def rows_of(kind: str, run: Run, truth: Truth) -> list[Row]:
     topomap = build_map(run)
     of = true_vertex_of_nodes(truth, topomap)
     world = truth.worlds[truth.runs[run.name].world]
-    run, odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    run, odometry, reckoning, _ = dead_reckoned(run)
     passes = reckoning.passes
     vertex = true_vertex_of_passes(truth, run.name, passes.time_ns)
     known = np.unique(vertex[vertex >= 0])

@@ -54,7 +54,7 @@ def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MA
         if isinstance(log, GridLog):
             _map_of_grid(log)
         else:
-            dead_reckoned(log, pass_source(log, settings), settings)
+            _calibrated(log, pass_source(log, settings), settings)
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 
@@ -78,8 +78,7 @@ def build_map_with_errors(
     run: Run, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
-    source = pass_source(run, settings)
-    run, odometry, reckoning, calibration = dead_reckoned(run, source, settings)
+    run, odometry, reckoning, calibration = dead_reckoned(run, settings)
     source = pass_source(run, settings)
     if len(odometry.jumps) and settings.closure == "full":
         odometry, reckoning, closed, fit = _with_jumps_measured(
@@ -133,27 +132,37 @@ def build_map_with_errors(
 
 
 def dead_reckoned(
-    run: Run, source: PassSource, settings: MappingSettings = DEFAULT_MAPPING
+    run: Run, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
     """The run with detections seen from the point that its odometry refers to; its calibrated
     odometry, and its passes with the noise known before loop closure."""
-    calibration = source.calibration()
-    odometry = apply_calibration(run.odometry, calibration)
-    passes = source.passes(odometry)
-    if len(passes) == 0:
-        raise DataError(f"run {run.name}: {why_none(run)}")
-    _require_motion(run, settings.passes.reach_m)
+    source = pass_source(run, settings)
+    odometry, passes, calibration = _calibrated(run, source, settings)
     noise = source.noise(odometry, passes)
     motion = motion_errors(odometry, run.detections, passes, noise, settings.noise)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
         source = pass_source(run, settings)
-        odometry = apply_calibration(run.odometry, calibration)
+        odometry = odometry.shortened(calibration.too_long)
         passes = source.passes(odometry)
         noise = source.noise(odometry, passes)
     reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))
     return run, odometry, reckoning, calibration
+
+
+def _calibrated(
+    run: Run, source: PassSource, settings: MappingSettings
+) -> tuple[Odometry, Passes, Calibration]:
+    """The odometry without the errors of headings and stamps that detections show, and the passes
+    in its frame. Raises DataError if nothing can be mapped."""
+    calibration = source.calibration()
+    odometry = apply_calibration(run.odometry, calibration)
+    passes = source.passes(odometry)
+    if len(passes) == 0:
+        raise DataError(f"run {run.name}: {why_none(run)}")
+    _require_motion(run, settings.passes.reach_m)
+    return odometry, passes, calibration
 
 
 def _require_motion(run: Run, reach_m: float) -> None:

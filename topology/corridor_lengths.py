@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from .arrays import FloatArray, IntArray
+from .quadratic_forms import MEDIAN_CHI2
 from .se2 import wrap
 from .topomap import RunNoise, TopoMap
 
@@ -21,9 +22,6 @@ LEAST_M = 0.001
 EXPLAINED = 2.0
 """The variance of a chord, over what odometry and centres explain, is at most this for 98 % of the
 corridors of runs with drift up to mid."""
-
-_MEDIAN_CHI2 = 0.4549
-"""Median of χ² with one degree of freedom."""
 
 
 def corridor_lengths(
@@ -46,7 +44,7 @@ def corridor_lengths(
     # Differences of drives in order of time: sorted by length they would be too small.
     apart = [np.diff(way[np.sort(k)]) ** 2 / (2 * b) for k, b in zip(sound, bend, strict=True)]
     told = np.concatenate([np.zeros(0), *apart])
-    ratio = float(np.median(told)) / _MEDIAN_CHI2 if len(told) else 0.0
+    ratio = float(np.median(told)) / MEDIAN_CHI2 if len(told) else 0.0
     like_m = LIKE_SIGMAS * np.sqrt(ratio * bend)
     length, leg = np.zeros(len(sound)), np.zeros(len(sound), np.int64)
     for e, legs in enumerate(sound):

@@ -13,6 +13,9 @@ from .arrays import FloatArray
 ONE_SIGMA = 0.6827
 """Probability that a normal error lies within one sigma."""
 
+MEDIAN_CHI2 = 0.4549
+"""Median of χ² with one degree of freedom."""
+
 
 def quadratic_quantile(matrix: FloatArray, share: float) -> FloatArray:
     """(k,) quantile of xᵀ Q x for the probability `share`, x normal with mean 0 and covariance C.

@@ -121,9 +121,9 @@ class TopoMap(Graph):
     run: name, unique in a workspace; frame: name of the map frame (the run's own, arbitrary).
     observation_vertex, observation_time_ns: (k,) one row per pass, by time. noise: used by loop
     closure and matching, conservative; fitted_noise: estimated from the closed run, None if it is
-    not known. position_sigma: (n,)
-    1 sigma [m] of each coordinate of a vertex, branch_sigma: n rows, 1 sigma of each branch heading
-    [rad], both with the map as a whole aligned to the truth; None where not known. traversal_ns: m
+    not known. position_sigma: (n,) 1 sigma [m] of each coordinate of a vertex, branch_sigma: n
+    rows, 1 sigma of each branch heading [rad], both with the map as a whole aligned to the truth;
+    None where not known. traversal_ns: m
     arrays (t, 2), by time: when the robot was at the edge's source and at its target on each
     traversal (driven from target to source, the second is the earlier one); None where not known.
     confidence: (n,) in (0, 1], probability that a vertex has exactly its branches, or one number

@@ -255,19 +255,14 @@ def _distinct(points: list[FloatArray]) -> list[FloatArray]:
 
 
 def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
-    """The track re-integrated with the applied errors removed; same rows, breaks and frames.
+    """The track re-integrated with the applied errors of headings and stamps removed; same rows,
+    breaks and frames.
 
     A lag shifts the times of the rows. Every step is rotated by the mean correction at its two
     ends; jumps at breaks are rotated along. The first position stays. O(n).
     """
-    if len(odometry) == 0:
+    if not any(calibration.applied) or len(odometry) == 0:
         return odometry
-    odometry = _turned(odometry, calibration) if any(calibration.applied) else odometry
-    return odometry.shortened(calibration.too_long) if calibration.too_long else odometry
-
-
-def _turned(odometry: Odometry, calibration: Calibration) -> Odometry:
-    """The track with the applied errors of headings and stamps removed."""
     way, turned = np.cumsum(odometry.step_m), np.cumsum(odometry.turn_rad)
     correction = calibration.bias_rad_per_m * way + calibration.turn_scale * turned
     step = np.diff(odometry.pose[:, 0] + 1j * odometry.pose[:, 1])

@@ -23,10 +23,10 @@ Rows = tuple[tuple[tuple[str, int], ...], ...]
 
 ARRAYS = "fffiffiifiiiiiiiffiiff"
 """Types of the arrays: poses; centroids, own covariances, keys and cross covariances of the spread
- (empty if not computed); positions, kinds and degrees of the vertices; the branches; members
-of the vertices as counts, runs and rows; the same of the edges; their ends and branches, lengths,
-sigmas and traversals; point counts of their paths; the points; sigmas of the positions (empty if
-not computed)."""
+(empty if not computed); positions, kinds and degrees of the vertices; the branches; members of the
+vertices as counts, runs and rows; the same of the edges; their ends and branches, lengths, sigmas
+and traversals; point counts of their paths; the points; sigmas of the positions (empty if not
+computed)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,6 +15,7 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.matching.likelihood import BIT, LIKELIHOOD
+from ...topology.quadratic_forms import MEDIAN_CHI2
 from ..packs import arrays_from_bytes, arrays_to_bytes
 from .atlas import Atlas
 from .branches import lonely_branches
@@ -46,9 +47,6 @@ ROUNDING_NATS = np.sqrt(np.finfo(float).eps)
 
 WORST_NATS = LIKELIHOOD.most
 """Bound on the evidence of a single corridor: it may have been measured past a junction."""
-
-CHI_SQUARE_MEDIAN = 0.4549
-"""Median of χ² with one degree of freedom."""
 
 TOGETHER = 2**6
 """Alignments per batch, to fit the processor's cache."""
@@ -190,7 +188,7 @@ def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
 
     lengths = _Lengths.of(a, b, corridors, 0.0)
     squares = lengths.d2 / lengths.noise
-    usual = np.median(squares) / CHI_SQUARE_MEDIAN if len(squares) else 1.0
+    usual = np.median(squares) / MEDIAN_CHI2 if len(squares) else 1.0
     return float(chdtrc(len(squares), squares.sum() / max(usual, 1.0)))
 
 

@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.mapping import build_map, dead_reckoned, pass_source
-from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
+from topobatch.ingest.mapping import build_map, dead_reckoned
 from topobatch.ingest.odometry.bridging import confirmed
 from topobatch.ingest.odometry.jumps import driven_on, without_jumps
 from topobatch.ingest.odometry.track import sane_track
@@ -131,7 +130,7 @@ def test_a_large_jump_that_no_place_tells_splits_the_chain():
 
 def test_a_step_that_its_places_do_not_confirm_is_broken_up():
     _, run = simulated(jumps=1, jump_m=0.47, jump_deg=50.0)
-    run, odometry, reckoning, _ = dead_reckoned(run, pass_source(run, DEFAULT_MAPPING))
+    run, odometry, reckoning, _ = dead_reckoned(run)
     past = np.searchsorted(reckoning.passes.time_ns, odometry.time_ns[odometry.jumps[0]])
     for shared, breaks in ((0, odometry.jumps.tolist()), (1, odometry.jumps.tolist()), (2, [])):
         place = np.arange(len(reckoning))
