@@ -33,7 +33,8 @@ from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, jumps_told, split_told
 from .odometry.calibration import Calibration, apply_calibration
-from .odometry.noise import motion_errors, refine_noise, refine_scale, scale_told
+from .odometry.motion_errors import motion_errors, refine_scale, scale_told
+from .odometry.noise import refine_noise
 from .pass_source import PassSource, pass_source, why_none
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
@@ -139,7 +140,7 @@ def dead_reckoned(
     source = pass_source(run, settings)
     odometry, passes, calibration = _calibrated(run, source, settings)
     noise = source.noise(odometry, passes)
-    motion = motion_errors(odometry, run.detections, passes, noise, settings.noise)
+    motion = motion_errors(odometry, run.detections, passes, noise, settings.noise.prior)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
@@ -245,7 +246,9 @@ def _measured(
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
     none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
-    scale = refine_scale(odometry, run.detections, passes, noise, settings.noise, too_long=too_long)
+    scale = refine_scale(
+        odometry, run.detections, passes, noise, settings.noise.prior, too_long=too_long
+    )
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):
@@ -296,7 +299,7 @@ def _info(
         "settings": asdict(settings),
         "warnings": [
             *run.warnings,
-            *scale_told(calibration.motion, settings.noise),
+            *scale_told(calibration.motion),
             *split_told(run.odometry, odometry),
         ],
         **({"pieces": pieces} if pieces > 1 else {}),

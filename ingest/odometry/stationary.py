@@ -38,7 +38,7 @@ class DriveBySettings:
     """A centre that changes by this times the 0.9 quantile of all changes is another junction's, in
     whatever unit: in simulated runs 99 % of the changes are within 1.6 times."""
     least_detections: int = 6
-    """Drive-bys with fewer detections are not used, as for drift (`NoiseSettings`)."""
+    """Drive-bys with fewer detections are not used, as for drift (`WithinSettings`)."""
     most: int = 100
     """Further drive-bys are thinned out evenly, for speed: a fifth of them is enough to decide."""
     most_detections: int = 40

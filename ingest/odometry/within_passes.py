@@ -1,0 +1,182 @@
+"""What passes show from their first to their last third: how branches and centres move in the frame
+of the odometry while the robot drives by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...topology.arrays import FloatArray, IntArray
+from ...topology.odometry import Odometry
+from ...topology.passes import Passes
+from ...topology.run import Detections
+from ...topology.se2 import apply, wrap
+from ...topology.topomap import RunNoise
+from ...topology.track import walked_at
+from ...topology.walk_means import WalkMeans
+from .heading_evidence import assign_readings
+
+
+@dataclass(frozen=True, slots=True)
+class WithinSettings:
+    """Which readings are compared."""
+
+    prior_messages: float = 20.0
+    """Weight of the prior of the detector's scatter, in messages."""
+    match_rad: float = 0.35
+    """Readings within this angle of a branch belong to it."""
+    least_messages: int = 6
+    """Passes with fewer messages are not used."""
+    straight_rad: float = 0.3
+    """Passes with a larger turn are not straight."""
+
+
+WITHIN = WithinSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WithinPasses:
+    """Differences between the first and the last third of each pass that is long enough.
+
+    turn (q,) rotation of the branches [rad], turn_variance (q,) its variance by the detector's
+    scatter; shift (q, 2) of the centre [m], shift_variance (q,) of each axis; motion (q, 2) of the
+    robot [m], turned (q, 2, 2) difference of its mean rotation matrices, swung (q, 2, 2) covariance
+    of the shift by a heading that errs by 1 rad, all in the odometry's frame; walked (q, 2) path
+    length [m] and absolute rotation [rad] that determine the variance of a random walk averaged
+    over both thirds; moved (q,) path length between the middles of the thirds [m].
+    branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass;
+    walks: averaged over whole passes.
+    """
+
+    turn: FloatArray
+    turn_variance: FloatArray
+    shift: FloatArray
+    shift_variance: FloatArray
+    motion: FloatArray
+    turned: FloatArray
+    swung: FloatArray
+    walked: FloatArray
+    moved: FloatArray
+    branch_sigma: float
+    centre_sigma: float
+    messages: float
+    walks: WalkMeans
+
+    @classmethod
+    def of(
+        cls, odometry: Odometry, detections: Detections, passes: Passes, prior: RunNoise
+    ) -> WithinPasses | None:
+        """None if no message belongs to a pass. prior: of the detector's scatter."""
+        if len(passes) == 0:
+            return None
+        message_pass, order = _messages(detections, passes)
+        rows = np.flatnonzero(message_pass >= 0)
+        if len(rows) == 0:
+            return None
+        home, time_ns = message_pass[rows], detections.time_ns[rows]
+        pose = odometry.at(time_ns)
+        centre = apply(pose, detections.centre[rows])
+        p = len(passes)
+        n = np.bincount(home, minlength=p)
+        centre_sigma = _scatter(centre, home, prior.centre_m)
+        readings = assign_readings(odometry, detections, passes, WITHIN.match_rad)
+        reading_message = detections.branches.owner[readings.row]
+        sequence = np.lexsort((reading_message, readings.branch))
+        heading = np.asarray(wrap(readings.heading - passes.branches.values[readings.branch]))
+        branch_sigma = _scatter(
+            heading[sequence, None], readings.branch[sequence], prior.branch_rad
+        )
+        third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
+        usable = np.flatnonzero(n >= WITHIN.least_messages)
+
+        def mean(values: FloatArray, which: int) -> FloatArray:
+            chosen = third[rows] == which
+            size = np.bincount(home[chosen], minlength=p)
+            total = np.bincount(home[chosen], values[chosen], p)
+            return np.asarray(total / np.maximum(size, 1))[usable]
+
+        track = walked_at(odometry, time_ns)
+        thirds = WalkMeans.of(track, 3 * home + third[rows], 3 * p)
+        moved = thirds.middle[3 * usable + 2, 0] - thirds.middle[3 * usable, 0]
+
+        def change(values: FloatArray) -> FloatArray:
+            return np.column_stack([mean(v, 2) - mean(v, 0) for v in values.T])
+
+        size = n[usable] / 3.0
+        cos, sin = change(np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])).T
+        aside = (centre - pose[:, :2]) @ [[0.0, 1.0], [-1.0, 0.0]]
+        swung = (aside[:, :, None] * aside[:, None, :]).reshape(-1, 4)
+        swung = np.column_stack([np.bincount(home, v, p)[usable] / n[usable] for v in swung.T])
+        turn, variance = _branch_turn(readings.branch, heading, third[reading_message], passes)
+        return cls(
+            turn=turn[usable],
+            turn_variance=branch_sigma**2 * variance[usable],
+            shift=change(centre),
+            shift_variance=centre_sigma**2 * 2 / size,
+            motion=change(pose[:, :2]),
+            turned=np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2),
+            swung=swung.reshape(-1, 2, 2),
+            walked=thirds.between(3 * usable, 3 * usable + 2),
+            moved=moved,
+            branch_sigma=branch_sigma,
+            centre_sigma=centre_sigma,
+            messages=float(np.median(n[n > 0])),
+            walks=WalkMeans.of(track, home, p),
+        )
+
+    def straight(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Of passes without turns, (k,) each: shift along the motion [m] and its variance [m²],
+        moved, and way walked [m], neither negative."""
+        rows = self.walked[:, 1] <= WITHIN.straight_rad
+        moved, walked = (np.maximum(x[rows], 0.0) for x in (self.moved, self.walked[:, 0]))
+        along = self.motion[rows] / np.maximum(np.hypot(*self.motion[rows].T), 1e-9)[:, None]
+        return (self.shift[rows] * along).sum(axis=1), self.shift_variance[rows], moved, walked
+
+
+def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
+    """(k,) pass of every message, -1 for none, and its index within the pass."""
+    home = np.searchsorted(passes.start_ns, detections.time_ns, side="right") - 1
+    inside = (home >= 0) & (detections.time_ns <= passes.end_ns[np.maximum(home, 0)])
+    home = np.where(inside, home, -1)
+    first = np.searchsorted(detections.time_ns, passes.start_ns)
+    return home, np.arange(len(home)) - first[home]
+
+
+def _scatter(values: FloatArray, group: IntArray, prior: float) -> float:
+    """Standard deviation of single readings (k, d) about their group's mean, from differences of
+    successive ones.
+
+    Differences are insensitive to slow drift, their median to outliers.
+    """
+    same = np.diff(group) == 0
+    step = np.abs(np.diff(values, axis=0)[same]).ravel()
+    if len(step) == 0:
+        return float(prior / np.sqrt(2))
+    # Median of |N(0, 2σ²)| = 0.6745 √2 σ.
+    found = float(np.median(step)) / (0.6745 * np.sqrt(2))
+    weight, expected = float(len(step)), prior**2 / 2
+    total = weight + WITHIN.prior_messages
+    variance = (weight * found**2 + WITHIN.prior_messages * expected) / total
+    return float(np.sqrt(variance))
+
+
+def _branch_turn(
+    branch: IntArray, heading: FloatArray, third: IntArray, passes: Passes
+) -> tuple[FloatArray, FloatArray]:
+    """(p,) mean rotation of a pass's branches from its first to its last third, and its variance
+    for unit noise.
+
+    The variance is infinite if no branch was seen in both.
+    """
+    count, p = len(passes.branches.values), len(passes)
+    total = np.bincount(branch * 3 + third, heading, 3 * count).reshape(-1, 3)
+    size = np.bincount(branch * 3 + third, minlength=3 * count).reshape(-1, 3)
+    both = (size[:, 0] > 0) & (size[:, 2] > 0)
+    n0, n2 = np.maximum(size[:, 0], 1), np.maximum(size[:, 2], 1)
+    weight = np.where(both, 1 / (1 / n0 + 1 / n2), 0.0)
+    owner = passes.branches.owner
+    sums = np.bincount(owner, weight, p)
+    moved = np.bincount(owner, weight * (total[:, 2] / n2 - total[:, 0] / n0), p)
+    safe = np.where(sums > 0, sums, 1.0)
+    return moved / safe, np.where(sums > 0, 1 / safe, np.inf)

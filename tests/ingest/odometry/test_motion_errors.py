@@ -1,0 +1,123 @@
+"""Errors of lengths and of the detector's point, made and shown."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.odometry.calibration import MotionErrors
+from topobatch.ingest.odometry.motion_errors import motion_errors, refine_scale
+from topobatch.ingest.odometry.noise import estimate_noise
+from topobatch.ingest.passes import fuse_passes
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.topology.odometry import Odometry
+from topobatch.topology.run import Detections, Run
+from topobatch.topology.topomap import RunNoise
+
+USUAL = RunNoise()
+
+
+def simulated(world: str, drift: str, faults: str, seed: int) -> tuple[Run, RunNoise]:
+    """A run, and its noise as estimated from it."""
+    settings = ScenarioSettings(
+        world, 1, junctions_per_run=60, drift=drift, faults=faults, seed=seed
+    )
+    run = simulate_scenario(settings).runs["run1"]
+    passes = fuse_passes(run.odometry, run.detections)
+    return run, estimate_noise(run.odometry, run.detections, passes)
+
+
+def scaled(odometry: Odometry, factor: float) -> Odometry:
+    """The track with all lengths too long by a factor."""
+    return replace(odometry, pose=odometry.pose * [factor, factor, 1.0])
+
+
+def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
+    run, noise = simulated("maze", "low", "none", 5)
+
+    def stated(factor: float, detections: Detections = run.detections, along: float = 0.0) -> float:
+        """1 sigma for an odometry whose lengths are too long by a factor, and walk along."""
+        track = scaled(run.odometry, factor)
+        told = replace(noise, along_m_per_sqrt_m=noise.along_m_per_sqrt_m + along)
+        return refine_scale(track, detections, fuse_passes(track, detections), told, USUAL)
+
+    assert 0.03 < stated(1.05) < 0.07
+    assert 0.03 < stated(0.95) < 0.07
+    errors = [stated(1 + error) for error in (0.005, 0.01, 0.02, 0.03)]
+    assert errors == sorted(errors)
+    assert stated(1.0) < USUAL.scale
+    # Where passes show hardly anything it is what the headings let expect.
+    way, turned = run.odometry.step_m.sum(), np.abs(run.odometry.turn_rad).sum()
+    here, there = (
+        n.heading_rad_per_sqrt_m**2 * way + n.heading_rad_per_sqrt_rad**2 * turned
+        for n in (noise, USUAL)
+    )
+    expected = USUAL.scale * np.sqrt(here / there)
+    few = np.arange(30)
+    first = Detections(
+        run.detections.time_ns[few], run.detections.centre[few], run.detections.branches.take(few)
+    )
+    assert stated(1.0, first) == pytest.approx(expected, rel=0.2)
+    assert stated(1.05, along=10.0) == pytest.approx(expected, rel=0.2)
+
+
+def test_what_is_left_of_a_corrected_scale_is_known_as_passes_show_it() -> None:
+    """What was taken off counts as an error that is known, not as one that is left."""
+    run, noise = simulated("maze", "low", "none", 5)
+
+    def left(recorded: float, taken_off: float) -> float:
+        track = scaled(run.odometry, recorded).shortened(taken_off)
+        passes = fuse_passes(track, run.detections)
+        return refine_scale(track, run.detections, passes, noise, USUAL, too_long=taken_off)
+
+    for factor in (1.05, 1.19, 0.85):
+        assert left(factor, 1 - 1 / factor) < 0.008
+    # Taken off for nothing it is as wrong as an odometry that measures so.
+    assert 0.03 < left(1.0, 0.05) < 0.07
+
+
+def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
+    run, noise = simulated("maze", "low", "none", 5)
+
+    def found(factor: float, detections: Detections = run.detections) -> MotionErrors | None:
+        """Of an odometry whose lengths are too long by a factor."""
+        track = scaled(run.odometry, factor)
+        return motion_errors(track, detections, fuse_passes(track, detections), noise, USUAL)
+
+    for factor in (0.92, 0.95, 0.97, 1.0, 1.03, 1.05, 1.08):
+        errors = found(factor)
+        assert errors is not None
+        scale = errors.length_scale
+        assert abs(scale.estimate - (1 - 1 / factor)) < 2 * scale.sigma
+        assert 0.003 < scale.sigma < 0.01
+        # An exact odometry is not made worse by the noise of passes; a wrong one is corrected.
+        assert abs(scale.applied) <= abs(scale.estimate)
+        if factor != 1.0:
+            assert scale.applied == pytest.approx(scale.estimate, rel=0.15)
+        else:
+            assert abs(scale.applied) < 0.002
+        assert errors.lever_x_m.applied == errors.lever_y_m.applied == 0.0
+    # No odometry errs by half: then the detector does, or its unit is another one.
+    seen, track = run.detections, run.odometry
+    feet = Detections(seen.time_ns, 3.28 * seen.centre, seen.branches)
+    assert found(1.0, feet) is None
+    few = Detections(seen.time_ns[:3], seen.centre[:3], seen.branches.take(np.arange(3)))
+    assert found(1.0, few) is None
+    # Nor does what is no surer than that.
+    for along in (10.0, 1e8):
+        vague = replace(noise, along_m_per_sqrt_m=along)
+        assert motion_errors(track, seen, fuse_passes(track, seen), vague, USUAL) is None
+
+
+@pytest.mark.parametrize("lever", [(0.3, 0.0), (-0.1, 0.05), (0.0, -0.2)])
+def test_passes_on_turns_show_that_the_detector_sits_elsewhere(lever: tuple[float, float]) -> None:
+    run, noise = simulated("organic", "mid", "mild", 4)
+    off = run.detections.moved(lever)
+    errors = motion_errors(run.odometry, off, fuse_passes(run.odometry, off), noise, USUAL)
+    assert errors is not None
+    for shown, true in zip((errors.lever_x_m, errors.lever_y_m), lever, strict=True):
+        assert abs(shown.estimate - true) < 3 * shown.sigma
+        assert shown.sigma < 0.02
+        assert shown.applied == (shown.estimate if true else 0.0)
