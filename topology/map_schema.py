@@ -215,7 +215,8 @@ class MapGraph(Attributes):
     calibration: dict[str, Any] | None = Field(
         None,
         description="Constant errors of the odometry by name: the estimate, its sigma, and what of "
-        "it was applied; `length_scale` is the share by which lengths were recorded too long.",
+        "it was applied; `length_scale` is the share by which lengths were recorded too long, "
+        "`lever_x_m` and `lever_y_m` by how much junctions were seen off in the robot's axes.",
     )
     driven: dict[str, Any] | None = Field(
         None, description="Shares of the way that the map covers, in scans and along corridors."

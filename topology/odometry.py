@@ -73,7 +73,7 @@ class Odometry:
 
     def shortened(self, share: float) -> Odometry:
         """The same track with all lengths, those of jumps too, shorter by a share; the first
-        position stays."""
+        position stays, and so does what is known of the jumps' errors."""
         pose = self.pose.copy()
         pose[:, :2] -= share * (pose[:, :2] - pose[:1, :2])
         return replace(self, pose=pose)

@@ -13,28 +13,44 @@ from ...topology.odometry import Odometry
 from ...topology.passes import Passes
 from ...topology.quadratic_forms import ONE_SIGMA
 from ...topology.run import Detections
+from ...topology.se2 import apply
 from ...topology.topomap import RunNoise
+from ...topology.track import walked_at
 from .calibration import MotionErrors, Shown
-from .within_passes import WithinPasses
+from .within_passes import messages_of, scatter
 
 _STEPS = 8192
 """Points of the grid for the error of lengths, from a thousandth of the expected one to beyond all
 that odometries err by: less than 0.3 % apart, below the digits stated."""
 
 
+_SHAPE = ONE_SIGMA**2 / (1 - ONE_SIGMA**2)
+"""Student's t with two degrees of freedom has the density (1 + _SHAPE r²) ** -1.5, up to a factor,
+if 68.3 % lie within |r| < 1."""
+
+_PRECISION = np.exp(np.linspace(-16.0, 4.0, 57))
+_PRECISION_WEIGHT = _PRECISION * np.exp(-_PRECISION)
+"""The same as a mixture of normal densities, with precisions that are distributed exponentially."""
+
+
 @dataclass(frozen=True, slots=True)
 class MotionSettings:
     """What odometries and detectors are known to err by."""
 
-    detector_scale: float = 0.003
-    """1 sigma of the share by which detectors see things too near or too far: a third of what
-    odometries err by. Simulated ones do not; what is shown then is known to 1.2 times as much as
-    it states (400 runs at high drift, where it is 0.005), which this covers."""
+    sections: int = 6
+    """Parts of a pass whose means are compared: by fewer, a junction that jumps as it is passed
+    cannot be told from one that moves along."""
+    detector_scale: float = 0.005
+    """Within it lie 68.3 % of the shares by which detectors see things too near or too far, which
+    passes cannot tell from an odometry's: as much as usual odometries err by."""
+    range_m: float = 0.05
+    """1 sigma of the distance by which detectors see everything too far: the noise of single
+    messages."""
     told_scale: float = 0.07
     """Larger corrections of lengths are warned of: twice what recorded odometries err by."""
     most_scale: float = 0.2
     """No odometry's lengths are off by a larger share: what seems to be is the detector's fault, or
-    its unit. What is known no better shows nothing."""
+    its unit, and is not corrected."""
     lever_at_z: float = 3.0
     """A lever is corrected where it is at least this many sigmas from zero, as headings are."""
     lever_m: float = 1.0
@@ -57,19 +73,22 @@ def motion_errors(
 
     No loop tells the scale, since loops close at any. But where lengths are too long, junctions
     move along with the robot that passes them, and where the points differ, they turn with it
-    (`_shown_motion`). A detector that sees things too near shows as a scale, too
+    (`_shown_motion`). A detector whose readings are too small by a share shows as a scale, too
     (`detector_scale`). Applied are the mean of the scale's posterior (`_Scale`), and of the lever
     what is `lever_at_z` sigmas from zero. prior: the noise of odometries in general.
     """
-    thirds = WithinPasses.of(odometry, detections, passes, prior)
-    shown = None if thirds is None else _shown_motion(thirds, noise)
+    shown = _shown_motion(odometry, detections, passes, noise, prior)
     if shown is None:
         return None
     (too_long, x, y), (scale_sigma, x_sigma, y_sigma) = (values.tolist() for values in shown)
-    mean = _Scale.of(_expected(odometry, noise, prior), too_long, scale_sigma).mean
+    mean = 0.0
+    if abs(too_long) <= MOTION.most_scale:
+        mean = _Scale.of(_expected(odometry, noise, prior), too_long, scale_sigma).mean
     return MotionErrors(
         Shown(
-            rounded(too_long, LENGTH_SCALE), significant(scale_sigma), rounded(mean, LENGTH_SCALE)
+            rounded(too_long, LENGTH_SCALE),
+            significant(float(np.hypot(scale_sigma, MOTION.detector_scale))),
+            rounded(mean, LENGTH_SCALE),
         ),
         _lever(x, x_sigma),
         _lever(y, y_sigma),
@@ -82,8 +101,16 @@ def _lever(metres: float, sigma: float) -> Shown:
 
 
 def scale_told(errors: MotionErrors | None) -> list[str]:
-    """A warning on lengths that were corrected by much, if they were."""
-    share = 0.0 if errors is None else errors.length_scale.applied
+    """A warning on lengths that were corrected by much, or are off by too much to be, if any."""
+    if errors is None:
+        return []
+    shown, share = errors.length_scale.estimate, errors.length_scale.applied
+    if abs(shown) > MOTION.most_scale:
+        return [
+            f"lengths of the odometry and of the detector differ by {100 * abs(shown):.0f} %, by "
+            "how junctions move while the robot passes them: more than odometries err by, so that "
+            "nothing is corrected; if both are in metres, lengths of the map are as unsure"
+        ]
     if abs(share) <= MOTION.told_scale:
         return []
     wrong, near = ("long", "near") if share > 0 else ("short", "far")
@@ -110,11 +137,12 @@ def refine_scale(
     lengths.
     """
     expected = _expected(odometry, noise, prior)
-    thirds = WithinPasses.of(odometry, detections, passes, prior)
-    left = None if thirds is None else _shown_motion(thirds, noise)
+    left = _shown_motion(odometry, detections, passes, noise, prior)
     if left is None:
         return expected
     error, sigma = float(left[0][0]), float(left[1][0])
+    if abs(error) > MOTION.most_scale:
+        return max(expected, abs(error))
     return _Scale.of(expected, too_long + error * (1 - too_long), sigma).radius(too_long)
 
 
@@ -133,16 +161,18 @@ class _Scale:
 
     @classmethod
     def of(cls, expected: float, shown: float, sigma: float) -> _Scale:
-        """Prior: Student's t with two degrees of freedom about 0, of which 68.3 % lie within
-        `expected`; likelihood normal about what passes show, `sigma` its standard deviation."""
+        """Student's t with two degrees of freedom for the errors of odometries, 68.3 % within
+        `expected`, and for those of detectors (`detector_scale`); normal for what passes show of
+        their difference, with standard deviation `sigma`. Both tails are as heavy, so that what is
+        too large for either is likely the fault of that which errs by more."""
         expected = max(expected, 1e-9)
         size = np.geomspace(1e-3 * expected, max(1e3 * expected, 1.0), _STEPS)
-        ratio = size / expected
-        # Steps are as wide as the ratio is large.
-        prior = (1 + ratio**2 * ONE_SIGMA**2 / (1 - ONE_SIGMA**2)) ** -1.5 * ratio
         error = np.concatenate([-size[::-1], size])
-        off = ((error - shown) / sigma) ** 2
-        return cls(error, np.concatenate([prior[::-1], prior]) * np.exp(-0.5 * (off - off.min())))
+        variance = sigma**2 + MOTION.detector_scale**2 / (2 * _SHAPE * _PRECISION)
+        density = np.exp(-0.5 * (error[:, None] - shown) ** 2 / variance) / np.sqrt(variance)
+        # Steps are as wide as the errors are large.
+        prior = (1 + _SHAPE * (error / expected) ** 2) ** -1.5 * np.abs(error)
+        return cls(error, prior * (density @ _PRECISION_WEIGHT))
 
     @property
     def mean(self) -> float:
@@ -163,26 +193,96 @@ def _turned(odometry: Odometry, noise: RunNoise) -> float:
     return float(both @ [way, turned])
 
 
-def _shown_motion(thirds: WithinPasses, noise: RunNoise) -> tuple[FloatArray, FloatArray] | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Sections:
+    """Every pass that is long enough, cut into `MOTION.sections` of as many messages, its means
+    less those of its first section, in the odometry's frame.
+
+    centre (q, k, 2) of the junction [m]; design (q, k, 2, 4) its derivatives by the share by which
+    lengths are too long, by x and y of the lever, and by how much too far everything is seen;
+    covariance (q, 2k, 2k) of the centres [m²].
+    """
+
+    centre: FloatArray
+    design: FloatArray
+    covariance: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        odometry: Odometry,
+        detections: Detections,
+        passes: Passes,
+        noise: RunNoise,
+        prior: RunNoise,
+    ) -> _Sections | None:
+        """None if no pass is long enough. O(messages)."""
+        home, order = messages_of(detections, passes)
+        size = np.bincount(home[home >= 0], minlength=len(passes))
+        number = np.cumsum(size >= MOTION.sections) - 1
+        rows = np.flatnonzero((home >= 0) & (size[home] >= MOTION.sections))
+        if len(rows) == 0:
+            return None
+        home, order = home[rows], order[rows]
+        pose = odometry.at(detections.time_ns[rows])
+        centre = apply(pose, detections.centre[rows])
+        sigma = scatter(centre, home, prior.centre_m)
+        middle = np.column_stack([np.bincount(home, c, len(passes)) for c in centre.T])
+        # By the mean of the pass: noise of single messages would be taken for a bias.
+        away = (middle / np.maximum(size, 1)[:, None])[home] - pose[:, :2]
+        toward = away / np.hypot(np.hypot(*away.T), sigma)[:, None]
+        turned = np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
+        walked = walked_at(odometry, detections.time_ns[rows])
+        section = number[home] * MOTION.sections + MOTION.sections * order // size[home]
+        count = (number[-1] + 1) * MOTION.sections
+        messages = np.bincount(section, minlength=count)
+        values = np.column_stack([centre, pose[:, :2], turned, toward, away, walked])
+        means = np.column_stack([np.bincount(section, v, count) for v in values.T])
+        means = (means / messages[:, None]).reshape(-1, MOTION.sections, values.shape[1])
+        since = np.maximum(means[:, :, 10:] - means[:, :1, 10:], 0.0)
+        heading = (noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2)
+        together = np.minimum(since[:, :, None], since[:, None, :])
+        aside = means[:, :, 8:10] @ [[0.0, 1.0], [-1.0, 0.0]]
+        covariance = np.einsum("qij,qia,qjb->qiajb", together @ heading, aside, aside)
+        both = noise.along_m_per_sqrt_m**2 * together[..., 0]
+        white = sigma**2 / messages.reshape(-1, MOTION.sections)
+        both += white[:, :1, None] + white[:, :, None] * np.eye(MOTION.sections)
+        covariance += both[:, :, None, :, None] * np.eye(2)[:, None, :]
+        cos, sin = means[:, :, 4], means[:, :, 5]
+        lever = np.stack([cos, -sin, sin, cos], axis=2).reshape(*cos.shape, 2, 2)
+        design = np.concatenate([means[:, :, 2:4, None], lever, means[:, :, 6:8, None]], axis=3)
+        left = 2 * (MOTION.sections - 1)
+        return cls(
+            centre=means[:, 1:, :2] - means[:, :1, :2],
+            design=design[:, 1:] - design[:, :1],
+            covariance=covariance[:, 1:, :, 1:].reshape(-1, left, left),
+        )
+
+
+def _shown_motion(
+    odometry: Odometry, detections: Detections, passes: Passes, noise: RunNoise, prior: RunNoise
+) -> tuple[FloatArray, FloatArray] | None:
     """(3,) relative length error by how junctions move along with the robot, and x and y of the
     detector's point less the odometry's in the axes of the robot [m], by how they turn with it;
-    (3,) standard deviations. None where lengths show no error, or more than any odometry errs by.
+    (3,) standard deviations. None if no pass is long enough.
 
-    Generalised least squares over all passes. O(q).
+    Generalised least squares over all passes, with the distance by which everything is seen too far
+    as a fourth unknown: of a detector that sees junctions too near, they jump as the robot passes
+    them, where those of wrong lengths move evenly. Where the residuals are larger than the noise,
+    so are the standard deviations.
     """
-    walk_m, walk_rad = np.maximum(thirds.walked, 0.0).T
-    white = thirds.shift_variance + noise.along_m_per_sqrt_m**2 * walk_m
-    turn = noise.heading_rad_per_sqrt_m**2 * walk_m + noise.heading_rad_per_sqrt_rad**2 * walk_rad
-    weight = np.linalg.inv(white[:, None, None] * np.eye(2) + turn[:, None, None] * thirds.swung)
-    design = np.concatenate([thirds.motion[:, :, None], thirds.turned], axis=2)
+    sections = _Sections.of(odometry, detections, passes, noise, prior)
+    if sections is None:
+        return None
+    weight = np.linalg.inv(sections.covariance)
+    design = sections.design.reshape(*weight.shape[:2], -1)
+    shift = sections.centre.reshape(weight.shape[:2])
     normal = np.einsum("qij,qik,qkl->jl", design, weight, design)
-    right = np.einsum("qij,qik,qk->j", design, weight, thirds.shift)
-    normal[1:, 1:] += np.eye(2) / MOTION.lever_m**2
-    if normal[0, 0] <= 0:
-        return None
-    covariance = np.linalg.inv(normal)
-    shown, sigma = covariance @ right, np.sqrt(np.diag(covariance))
-    if max(abs(shown[0]), sigma[0]) > MOTION.most_scale:
-        return None
-    sigma[0] = np.hypot(sigma[0], MOTION.detector_scale)
-    return shown, sigma
+    right = np.einsum("qij,qik,qk->j", design, weight, shift)
+    believed = np.diag([MOTION.most_scale, MOTION.lever_m, MOTION.lever_m, MOTION.range_m])
+    covariance = np.linalg.inv(normal + np.linalg.inv(believed**2))
+    shown = covariance @ right
+    error = float(np.einsum("qi,qij,qj->", shift, weight, shift) - shown @ right)
+    covariance *= max(1.0, error / shift.size)
+    sigma = np.sqrt(np.diag(covariance))
+    return shown[:3], sigma[:3]

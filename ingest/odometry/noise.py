@@ -175,7 +175,8 @@ def _along(thirds: WithinPasses, settings: NoiseSettings) -> tuple[float, float]
     """Random walk along the path [m/√m], and the size of the constant relative error of lengths.
 
     If junctions appear to move along with the robot, lengths are wrong; but the detector may cause
-    the same, so that this gives the size of the error and no correction. Turns are excluded, since
+    the same, also by seeing everything too near by some centimetres, so that this gives the size of
+    the error and no correction (`motion_errors` tells them apart). Turns are excluded, since
     odometry and detector may refer to different points of the robot.
     """
     from scipy.optimize import minimize_scalar

@@ -70,7 +70,7 @@ class WithinPasses:
         """None if no message belongs to a pass. prior: of the detector's scatter."""
         if len(passes) == 0:
             return None
-        message_pass, order = _messages(detections, passes)
+        message_pass, order = messages_of(detections, passes)
         rows = np.flatnonzero(message_pass >= 0)
         if len(rows) == 0:
             return None
@@ -79,14 +79,12 @@ class WithinPasses:
         centre = apply(pose, detections.centre[rows])
         p = len(passes)
         n = np.bincount(home, minlength=p)
-        centre_sigma = _scatter(centre, home, prior.centre_m)
+        centre_sigma = scatter(centre, home, prior.centre_m)
         readings = assign_readings(odometry, detections, passes, WITHIN.match_rad)
         reading_message = detections.branches.owner[readings.row]
         sequence = np.lexsort((reading_message, readings.branch))
         heading = np.asarray(wrap(readings.heading - passes.branches.values[readings.branch]))
-        branch_sigma = _scatter(
-            heading[sequence, None], readings.branch[sequence], prior.branch_rad
-        )
+        branch_sigma = scatter(heading[sequence, None], readings.branch[sequence], prior.branch_rad)
         third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
         usable = np.flatnonzero(n >= WITHIN.least_messages)
 
@@ -134,7 +132,7 @@ class WithinPasses:
         return (self.shift[rows] * along).sum(axis=1), self.shift_variance[rows], moved, walked
 
 
-def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
+def messages_of(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
     """(k,) pass of every message, -1 for none, and its index within the pass."""
     home = np.searchsorted(passes.start_ns, detections.time_ns, side="right") - 1
     inside = (home >= 0) & (detections.time_ns <= passes.end_ns[np.maximum(home, 0)])
@@ -143,7 +141,7 @@ def _messages(detections: Detections, passes: Passes) -> tuple[IntArray, IntArra
     return home, np.arange(len(home)) - first[home]
 
 
-def _scatter(values: FloatArray, group: IntArray, prior: float) -> float:
+def scatter(values: FloatArray, group: IntArray, prior: float) -> float:
     """Standard deviation of single readings (k, d) about their group's mean, from differences of
     successive ones.
 
