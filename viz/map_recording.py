@@ -23,7 +23,7 @@ from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
 from .map_sheet import corridors_told
-from .map_summary import MapLayers, map_summary
+from .map_summary import MapLayers, correction, map_summary
 from .odometry_health import Lane, lanes
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
@@ -89,7 +89,8 @@ def write_map_recording(
             _track(recording, track)
             _drift(recording, track, topomap)
             if detections is not None:
-                write_detections(recording, MAP, detections, track)
+                x, y = (correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
+                write_detections(recording, MAP, detections.moved((-x, -y)), track)
         if seen is not None:
             write_scans(recording, MAP, seen)
         for lane in health:

@@ -211,13 +211,21 @@ def _source(topomap: TopoMap) -> str:
     return "## Made from\n\n" + bulleted(lines) if lines else ""
 
 
+def correction(topomap: TopoMap, name: str) -> float:
+    """What the map was corrected by, by its name in `graph.calibration`; 0 if it was not."""
+    told = topomap.info.get("calibration")
+    error = told.get(name) if isinstance(told, Mapping) else None
+    applied = error.get("applied") if isinstance(error, Mapping) else None
+    return float(applied) if isinstance(applied, (int, float)) else 0.0
+
+
 def _corrected(topomap: TopoMap) -> str:
     """What the map was corrected by, by its document."""
     told = topomap.info.get("calibration")
     rows = []
-    for name, error in told.items() if isinstance(told, Mapping) else ():
-        applied = error.get("applied") if isinstance(error, Mapping) else None
-        if name in CORRECTIONS and isinstance(applied, (int, float)) and applied:
+    for name in told if isinstance(told, Mapping) else ():
+        applied = correction(topomap, name)
+        if name in CORRECTIONS and applied:
             what, factor, unit = CORRECTIONS[name]
             rows.append(f"| {what} | {factor * applied:.3f} {unit} |")
     if not rows:
@@ -235,7 +243,7 @@ def _noise(topomap: TopoMap) -> str:
         ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),
         ("odometry, heading", f"{degrees[0]:.2f} °/√m"),
         ("odometry, turning", f"{per_sqrt_degree:.2f} °/√°"),
-        ("odometry, scale", f"{100 * n.scale:.2f} %"),
+        ("odometry, scale", f"{100 * topomap.measured.scale:.2f} %"),
         ("junction centre", f"{n.centre_m:.3f} m"),
         *shared,
         ("branch heading", f"{degrees[1]:.1f} °"),

@@ -237,8 +237,8 @@ class _Sections:
         count = (number[-1] + 1) * MOTION.sections
         messages = np.bincount(section, minlength=count)
         values = np.column_stack([centre, pose[:, :2], turned, toward, away, walked])
-        means = np.column_stack([np.bincount(section, v, count) for v in values.T])
-        means = (means / messages[:, None]).reshape(-1, MOTION.sections, values.shape[1])
+        sums = np.column_stack([np.bincount(section, v, count) for v in values.T])
+        means = np.reshape(sums / messages[:, None], (-1, MOTION.sections, values.shape[1]))
         since = np.maximum(means[:, :, 10:] - means[:, :1, 10:], 0.0)
         heading = (noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2)
         together = np.minimum(since[:, :, None], since[:, None, :])

@@ -68,6 +68,22 @@ def test_detections_lie_where_the_corrected_odometry_puts_them(
     assert [len(row) for row in rows] == [3] * len(detections)
 
 
+def test_detections_are_drawn_from_the_point_that_the_map_was_corrected_to(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1", (2.0, 1.0, 0.5))
+    odometry = drive(topomap)
+    detections = seen_on(odometry)
+    lever = {name: {"applied": by} for name, by in (("lever_x_m", 0.5), ("lever_y_m", -0.2))}
+    known = replace(topomap, info={**topomap.info, "calibration": lever})
+    drawn = []
+    for shown, seen in ((topomap, detections), (known, detections.moved((0.5, -0.2)))):
+        write_map_recording(tmp_path / "a.rrd", shown, odometry=odometry, detections=seen)
+        got = Readback(tmp_path / "a.rrd")
+        drawn.append(np.array(got.value("/map/detections", "Points2D:positions")))
+    assert drawn[1] == pytest.approx(drawn[0], abs=1e-5)
+
+
 def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: Drive) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     path = tmp_path / "maps" / "run1.rrd"
