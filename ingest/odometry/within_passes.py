@@ -34,6 +34,10 @@ class WithinSettings:
 
 WITHIN = WithinSettings()
 
+SAME = 0.001
+"""Readings that scatter by less, in metres or radians, are taken to repeat one another: no detector
+is as exact."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WithinPasses:
@@ -145,7 +149,8 @@ def scatter(values: FloatArray, group: IntArray, prior: float) -> float:
     """Standard deviation of single readings (k, d) about their group's mean, from differences of
     successive ones.
 
-    Differences are insensitive to slow drift, their median to outliers.
+    Differences are insensitive to slow drift, their median to outliers. Readings that are all the
+    same, as those of a landmark that is tracked in the odometry's frame, do not show the noise.
     """
     same = np.diff(group) == 0
     step = np.abs(np.diff(values, axis=0)[same]).ravel()
@@ -153,6 +158,8 @@ def scatter(values: FloatArray, group: IntArray, prior: float) -> float:
         return float(prior / np.sqrt(2))
     # Median of |N(0, 2σ²)| = 0.6745 √2 σ.
     found = float(np.median(step)) / (0.6745 * np.sqrt(2))
+    if found < SAME:
+        return float(prior / np.sqrt(2))
     weight, expected = float(len(step)), prior**2 / 2
     total = weight + WITHIN.prior_messages
     variance = (weight * found**2 + WITHIN.prior_messages * expected) / total

