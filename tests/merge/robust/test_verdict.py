@@ -13,6 +13,7 @@ from topobatch.merge.robust.repetition import fits_by_noise
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.verdict import (
     MAYBE_COPY,
+    MISFITS,
     NO_WORSE,
     PairCount,
     _missing,
@@ -132,8 +133,11 @@ def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
         else:
             assert fits == pytest.approx(chi2.sf((off**2).sum(), len(j)))
         assert misfits(a, other, told) == asked
-        (answers,) = assess(a, other, [told], threshold).answers
+        found = assess(a, other, [told], threshold)
+        (answers,) = found.answers
         assert answers.repetition == max(asked, uniformity(a, other))
+        assert (found.why == MISFITS) == bool(asked)
+    assert fits_by_noise(a, b, told.corridors[:0]) == 1.0
 
 
 def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
