@@ -207,6 +207,8 @@ class _Sections:
         prior: RunNoise,
     ) -> _Sections | None:
         """None if no pass is long enough. O(messages)."""
+        if len(passes) == 0:
+            return None
         home, order = messages_of(detections, passes)
         size = np.bincount(home[home >= 0], minlength=len(passes))
         number = np.cumsum(size >= MOTION.sections) - 1
