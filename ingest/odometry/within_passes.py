@@ -45,10 +45,9 @@ class WithinPasses:
 
     turn (q,) rotation of the branches [rad], turn_variance (q,) its variance by the detector's
     scatter; shift (q, 2) of the centre [m], shift_variance (q,) of each axis; motion (q, 2) of the
-    robot [m], turned (q, 2, 2) difference of its mean rotation matrices, swung (q, 2, 2) covariance
-    of the shift by a heading that errs by 1 rad, all in the odometry's frame; walked (q, 2) path
-    length [m] and absolute rotation [rad] that determine the variance of a random walk averaged
-    over both thirds; moved (q,) path length between the middles of the thirds [m].
+    robot [m], both in the odometry's frame; walked (q, 2) path length [m] and absolute rotation
+    [rad] that determine the variance of a random walk averaged over both thirds; moved (q,) path
+    length between the middles of the thirds [m].
     branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass;
     walks: averaged over whole passes.
     """
@@ -58,8 +57,6 @@ class WithinPasses:
     shift: FloatArray
     shift_variance: FloatArray
     motion: FloatArray
-    turned: FloatArray
-    swung: FloatArray
     walked: FloatArray
     moved: FloatArray
     branch_sigma: float
@@ -106,10 +103,6 @@ class WithinPasses:
             return np.column_stack([mean(v, 2) - mean(v, 0) for v in values.T])
 
         size = n[usable] / 3.0
-        cos, sin = change(np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])).T
-        aside = (centre - pose[:, :2]) @ [[0.0, 1.0], [-1.0, 0.0]]
-        swung = (aside[:, :, None] * aside[:, None, :]).reshape(-1, 4)
-        swung = np.column_stack([np.bincount(home, v, p)[usable] / n[usable] for v in swung.T])
         turn, variance = _branch_turn(readings.branch, heading, third[reading_message], passes)
         return cls(
             turn=turn[usable],
@@ -117,8 +110,6 @@ class WithinPasses:
             shift=change(centre),
             shift_variance=centre_sigma**2 * 2 / size,
             motion=change(pose[:, :2]),
-            turned=np.stack([cos, -sin, sin, cos], axis=1).reshape(-1, 2, 2),
-            swung=swung.reshape(-1, 2, 2),
             walked=thirds.between(3 * usable, 3 * usable + 2),
             moved=moved,
             branch_sigma=branch_sigma,
@@ -154,10 +145,8 @@ def scatter(values: FloatArray, group: IntArray, prior: float) -> float:
     """
     same = np.diff(group) == 0
     step = np.abs(np.diff(values, axis=0)[same]).ravel()
-    if len(step) == 0:
-        return float(prior / np.sqrt(2))
     # Median of |N(0, 2σ²)| = 0.6745 √2 σ.
-    found = float(np.median(step)) / (0.6745 * np.sqrt(2))
+    found = float(np.median(step)) / (0.6745 * np.sqrt(2)) if len(step) else 0.0
     if found < SAME:
         return float(prior / np.sqrt(2))
     weight, expected = float(len(step)), prior**2 / 2

@@ -188,9 +188,10 @@ def fits_by_noise(a: Prepared, b: Prepared, corridors: IntArray) -> float:
 
     lengths = _Lengths.of(a, b, corridors, 0.0)
     squares = lengths.d2 / lengths.noise
-    usual = np.median(squares) / MEDIAN_CHI2 if len(squares) else 1.0
-    chi2 = squares.sum() / max(usual, 1.0)
-    return float(chdtrc(len(squares), chi2)) if len(squares) else 1.0
+    if len(squares) == 0:
+        return 1.0
+    usual = np.median(squares) / MEDIAN_CHI2
+    return float(chdtrc(len(squares), squares.sum() / max(usual, 1.0)))
 
 
 def size_difference(a: Prepared, b: Prepared, corridors: IntArray) -> tuple[float, float]:

@@ -50,14 +50,21 @@ def test_the_map_grows_as_it_was_driven(tmp_path: Path, make_map: Make, drive: D
             assert [colour != dim for colour in row] == (when <= time_ns).tolist()
 
 
+def written_with(
+    path: Path, topomap: TopoMap, odometry: Odometry, detections: Detections
+) -> Readback:
+    """The recording of a map with what the run's detector saw."""
+    write_map_recording(path, topomap, odometry=odometry, detections=detections)
+    return Readback(path)
+
+
 def test_detections_lie_where_the_corrected_odometry_puts_them(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     odometry = drive(topomap)
     detections = seen_on(odometry)
-    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry, detections=detections)
-    got = Readback(tmp_path / "a.rrd")
+    got = written_with(tmp_path / "a.rrd", topomap, odometry, detections)
     at = np.array(got.value("/map/detections", "Points2D:positions"))
     assert len(at) == len(detections)
     pose = odometry.at(detections.time_ns)
@@ -78,8 +85,7 @@ def test_detections_are_drawn_from_the_point_that_the_map_was_corrected_to(
     known = replace(topomap, info={**topomap.info, "calibration": lever})
     drawn = []
     for shown, seen in ((topomap, detections), (known, detections.moved((0.5, -0.2)))):
-        write_map_recording(tmp_path / "a.rrd", shown, odometry=odometry, detections=seen)
-        got = Readback(tmp_path / "a.rrd")
+        got = written_with(tmp_path / "a.rrd", shown, odometry, seen)
         drawn.append(np.array(got.value("/map/detections", "Points2D:positions")))
     assert drawn[1] == pytest.approx(drawn[0], abs=1e-5)
 
