@@ -71,6 +71,7 @@ from topobatch.simulation.worlds import WORLDS
 from topobatch.simulation.writing import write_run
 from topobatch.topology.errors import UsageError
 from topobatch.topology.odometry import Odometry
+from topobatch.topology.polyline import simplify
 from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 
@@ -89,6 +90,9 @@ DRAWS = 1000
 """Of the errors of recorded runs, as stated: a percentage is known to two points."""
 MISTAKEN_RAD = 0.4
 """A branch farther than this from every true one was invented: no error of a heading."""
+RASTER_M = 0.1
+"""Cells of the grids whose skeletons are the corridors of recorded buildings: a path of cells is a
+staircase, which is longer than what it follows."""
 
 
 def quantiles(z2, freedom):
@@ -369,7 +373,7 @@ def recorded(folder):
         ends = np.array([(e["source"], e["target"]) for e in w["edges"]])
         keep = np.flatnonzero(ends[:, 0] != ends[:, 1])
         paths = [
-            np.array([xy[s], *w["edges"][k]["path"][1:-1], xy[t]])
+            simplify(np.array([xy[s], *w["edges"][k]["path"][1:-1], xy[t]]), RASTER_M)
             for k, (s, t) in zip(keep.tolist(), ends[keep].tolist(), strict=True)
         ]
         worlds[name] = World(name, w["kind"], xy, *ends[keep].T, tuple(paths)), keep
