@@ -32,7 +32,7 @@ def one_line_error(done: subprocess.CompletedProcess[str], code: int) -> str:
     return lines[0]
 
 
-def test_help_and_version():
+def test_help_and_version(topobatch):
     assert run("--version").stdout.startswith("topobatch 0.")
     shown = run("--help")
     assert shown.returncode == 0
@@ -42,9 +42,9 @@ def test_help_and_version():
     )
     for command in commands.split():
         assert f"  {command} " in shown.stdout
-        help_text = run(command, "--help")
-        assert help_text.returncode == 0
-        assert "Usage: topobatch" in help_text.stdout
+        help_text = topobatch(command, "--help")
+        assert help_text.code == 0
+        assert "Usage: topobatch" in help_text.out
 
 
 @pytest.mark.parametrize(("name", "model"), [("map", MapDocument), ("merged", MergedDocument)])
