@@ -44,8 +44,9 @@ demo: $(VENV)/.runs  ## ingest and merge the sample logs, say where to look
 	@echo "or, in a browser: $(DEMO)/report.html"
 	@ls $(DEMO)/merged.rrd $(DEMO)/maps/*.rrd
 
+# The suite starts hundreds of processes: modules are compiled once, also where that is switched off.
 test: $(VENV)/.ready  ## run the tests
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	PYTHONDONTWRITEBYTECODE= $(BIN)/python -m pytest -n auto -m "not slow"
 
 lint: $(VENV)/.ready
 	$(BIN)/ruff format --check .
