@@ -216,6 +216,14 @@ class _Sections:
         if len(rows) == 0:
             return None
         home, order = home[rows], order[rows]
+        section = number[home] * MOTION.sections + MOTION.sections * order // size[home]
+        messages = np.bincount(section)
+
+        def means(values: FloatArray) -> FloatArray:
+            """(q, sections, d) of values (rows, d)."""
+            sums = np.column_stack([np.bincount(section, v) for v in values.T])
+            return np.reshape(sums / messages[:, None], (-1, MOTION.sections, values.shape[1]))
+
         pose = odometry.at(detections.time_ns[rows])
         centre = apply(pose, detections.centre[rows])
         sigma = scatter(centre, home, prior.centre_m)
@@ -223,32 +231,38 @@ class _Sections:
         # By the mean of the pass: noise of single messages would be taken for a bias.
         away = (middle / np.maximum(size, 1)[:, None])[home] - pose[:, :2]
         toward = away / np.hypot(np.hypot(*away.T), sigma)[:, None]
-        turned = np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])
-        walked = walked_at(odometry, detections.time_ns[rows])
-        section = number[home] * MOTION.sections + MOTION.sections * order // size[home]
-        count = (number[-1] + 1) * MOTION.sections
-        messages = np.bincount(section, minlength=count)
-        values = np.column_stack([centre, pose[:, :2], turned, toward, away, walked])
-        sums = np.column_stack([np.bincount(section, v, count) for v in values.T])
-        means = np.reshape(sums / messages[:, None], (-1, MOTION.sections, values.shape[1]))
-        since = np.maximum(means[:, :, 10:] - means[:, :1, 10:], 0.0)
-        heading = (noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2)
-        together = np.minimum(since[:, :, None], since[:, None, :])
-        aside = means[:, :, 8:10] @ [[0.0, 1.0], [-1.0, 0.0]]
-        covariance = np.einsum("qij,qia,qjb->qiajb", together @ heading, aside, aside)
-        both = noise.along_m_per_sqrt_m**2 * together[..., 0]
-        white = sigma**2 / messages.reshape(-1, MOTION.sections)
-        both += white[:, :1, None] + white[:, :, None] * np.eye(MOTION.sections)
-        covariance += both[:, :, None, :, None] * np.eye(2)[:, None, :]
-        cos, sin = means[:, :, 4], means[:, :, 5]
+        cos, sin = means(np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])])).transpose(
+            2, 0, 1
+        )
         lever = np.stack([cos, -sin, sin, cos], axis=2).reshape(*cos.shape, 2, 2)
-        design = np.concatenate([means[:, :, 2:4, None], lever, means[:, :, 6:8, None]], axis=3)
+        by_scale, by_range = means(pose[:, :2])[..., None], means(toward)[..., None]
+        design = np.concatenate([by_scale, lever, by_range], axis=3)
+        walked = means(walked_at(odometry, detections.time_ns[rows]))
+        covariance = _walk_covariance(walked, means(away), noise)
+        white = sigma**2 / messages.reshape(-1, MOTION.sections)
+        both = white[:, :1, None] + white[:, :, None] * np.eye(MOTION.sections)
+        covariance += both[:, :, None, :, None] * np.eye(2)[:, None, :]
+        found = means(centre)
         left = 2 * (MOTION.sections - 1)
         return cls(
-            centre=means[:, 1:, :2] - means[:, :1, :2],
+            centre=found[:, 1:] - found[:, :1],
             design=design[:, 1:] - design[:, :1],
             covariance=covariance[:, 1:, :, 1:].reshape(-1, left, left),
         )
+
+
+def _walk_covariance(walked: FloatArray, away: FloatArray, noise: RunNoise) -> FloatArray:
+    """(q, k, 2, k, 2) covariance of centres by the odometry's random walk since the first of k
+    sections of a pass [m²]. walked (q, k, 2): path length [m] and rotation [rad] up to each; away
+    (q, k, 2): from the robot to the centre [m]."""
+    since = np.maximum(walked - walked[:, :1], 0.0)
+    heading = (noise.heading_rad_per_sqrt_m**2, noise.heading_rad_per_sqrt_rad**2)
+    together = np.minimum(since[:, :, None], since[:, None, :])
+    aside = away @ [[0.0, 1.0], [-1.0, 0.0]]
+    covariance = np.einsum("qij,qia,qjb->qiajb", together @ heading, aside, aside)
+    along = noise.along_m_per_sqrt_m**2 * together[..., 0]
+    covariance += along[:, :, None, :, None] * np.eye(2)[:, None, :]
+    return np.asarray(covariance)
 
 
 def _shown_motion(
