@@ -107,9 +107,13 @@ class MergedEdge(MapEdge):
 
 _TRANSFORM = "Pose of run b's map in the frame of run a's."
 _MATCHED = "Vertices that are one place: of a's map, of b's map."
-_CORRIDORS = "Corridors between matched vertices that agree."
+_CORRIDORS = (
+    "Corridors between matched vertices that agree; accepted_by components: of the two components."
+)
 _RMSE = "Root mean square distance of the matched vertices under the transform, metres."
-_CONTRADICTIONS = "What disagrees, a sentence each."
+_CONTRADICTIONS = (
+    "What disagrees, a sentence each; looked for only where the rest says more than chance."
+)
 
 _EVIDENCE = (
     "log2 of the odds that so much agrees because it is one place: each bit doubles them. What "

@@ -49,6 +49,11 @@ class Candidate:
         """(c, 2) directed rows of the matched corridors."""
         return self.support.corridors
 
+    @property
+    def searched(self) -> bool:
+        """Whether contradictions were looked for: only where the rest is beyond chance."""
+        return self.support.bits - self.tested_bits > MATCH.lead_bits
+
     @cached_property
     def contradicting_bits(self) -> float:
         """All evidence against it, positive: contradictions, corridors of different length and

@@ -99,6 +99,11 @@ def decide(
         batch.threshold,
         settings,
         frozenset(gone),
+        {
+            pair: lock.at
+            for pair, lock in locked.items()
+            if lock.at is not None and lock.decision == "same" and pair not in forced
+        },
         matcher.means.kept,
     )
     reunions = rematcher.run(kept)

@@ -70,7 +70,11 @@ class Case:
         verdict = self.view.verdict
         if verdict is Verdict.MERGED:  # by an alignment that the lock rules out
             verdict = Verdict.AMBIGUOUS
-        return self._not_joined(verdict, f"{reason}; the maps alone say: {self._says()}")
+        return self._not_joined(
+            verdict,
+            f"{reason}; the maps alone say: {self._says()}",
+            f"clear the lock of {lock.a} and {lock.b}, or name junctions in it that are one place",
+        )
 
     def _by_evidence(self) -> PairVerdict:
         """The verdict where nothing forbids joining."""
@@ -82,7 +86,7 @@ class Case:
             return self._accepted(view.best, by="pair")
         if self.reunion is not None:
             said = self.reunion
-            found = (said.alignment, None, said.margin)
+            found = (said.alignment, None, said.view.margin)
             return self._joined(said.reason, found, by="components")
         if self.corroborated is not None:
             told = "{}; other runs place the two in the same way"
@@ -113,13 +117,14 @@ class Case:
         """found: the alignment that joins the two, the next best one, the margin [bits]."""
         best, runner_up, margin = found
         reunion = self.reunion if by == "components" else None
+        view = self.view if reunion is None else reunion.view
         return PairVerdict(
             a=self.a.run,
             b=self.b.run,
             verdict=Verdict.MERGED,
             accepted=True,
             evidence_bits=best.evidence_bits,
-            threshold_bits=self.view.need_bits if reunion is None else reunion.need_bits,
+            threshold_bits=view.need_bits,
             reason=reason,
             best=best,
             runner_up=runner_up,
@@ -127,14 +132,20 @@ class Case:
             accepted_by=by,
             together=None if reunion is None else reunion.sides,
             locked=None if self.lock is None else self.lock.decision,
-            extra=self._extra(),
+            extra=_extra(view),
         )
 
-    def _not_joined(self, verdict: Verdict, reason: str) -> PairVerdict:
+    def _not_joined(
+        self, verdict: Verdict, reason: str, settling: str | None = None
+    ) -> PairVerdict:
+        """settling: what would settle an ambiguous pair, if that is not another recording."""
         view = self.view
         shown = [alignment_of(c, self.a, self.b, bits) for c, bits in view.ranked[:2]]
-        settling = None if self.refused is None else self.refused.advice
-        if verdict is Verdict.AMBIGUOUS and settling is None:
+        if self.refused is not None:
+            settling = self.refused.advice
+        if verdict is not Verdict.AMBIGUOUS:
+            settling = None
+        elif settling is None:
             settling = advice(self.a, self.b, view)
         return PairVerdict(
             a=self.a.run,
@@ -149,16 +160,18 @@ class Case:
             margin_bits=view.margin,
             advice=settling,
             locked=None if self.lock is None else self.lock.decision,
-            extra=self._extra(),
+            extra=_extra(view),
         )
 
-    def _extra(self) -> dict[str, float]:
-        out = {}
-        if self.view.against_chance > 0:
-            out["against_chance_bits"] = self.view.against_chance
-        if self.view.same_bits is not None:
-            out["same_place_bits"] = rounded(self.view.same_bits, BITS)
-        return out
+
+def _extra(view: Assessment) -> dict[str, float]:
+    """What a document says of an assessment beside its evidence."""
+    out = {}
+    if view.against_chance > 0:
+        out["against_chance_bits"] = view.against_chance
+    if view.same_bits is not None:
+        out["same_place_bits"] = rounded(view.same_bits, BITS)
+    return out
 
 
 def alignment_of(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:

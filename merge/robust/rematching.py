@@ -35,14 +35,12 @@ Pair = tuple[int, int]
 class Reunion:
     """A pair of runs joined by a match of their components.
 
-    need_bits: the threshold; margin: the lead over the next best placement of the two components
-    [bits], None if there is none; sides: the runs of the two components.
+    view: the assessment of the two components; sides: the runs of each.
     """
 
     alignment: Alignment
     reason: str
-    need_bits: float
-    margin: float | None
+    view: Assessment
     sides: tuple[tuple[str, ...], tuple[str, ...]]
 
 
@@ -63,8 +61,9 @@ class Rematcher:
 
     Changes `components`. The strongest match of each round is carried out and its component fused
     again, so that every decision uses all that is known. threshold: for some runs in a batch of so
-    many pairs. The result for two merged maps and a threshold is computed once for all rounds; None
-    stands for too little evidence.
+    many pairs; dishonoured: the junctions that locks name as one place, of the pairs that no
+    alignment of their own joins so. The result for two merged maps and a threshold is computed once
+    for all rounds; None stands for too little evidence.
     """
 
     maps: Sequence[TopoMap]
@@ -74,6 +73,7 @@ class Rematcher:
     threshold: Callable[[Sequence[int], int], Threshold]
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
+    dishonoured: Mapping[Pair, tuple[int, int]] = field(default_factory=dict)
     kept: Kept | None = None
     _merged: MergedMaps = field(init=False)
     _told: dict[tuple[MergedMap, MergedMap, Threshold], Assessment | None] = field(
@@ -101,7 +101,7 @@ class Rematcher:
                 accepted[pair] = alignment
                 reason = _reason(pair, one, two, view, self.maps)
                 sides = (one.names, two.names)
-                reunions[pair] = Reunion(alignment, reason, view.need_bits, view.margin, sides)
+                reunions[pair] = Reunion(alignment, reason, view, sides)
             (i, j), first = next(iter(links.items()))
             self.components.join(i, j, first.transform)
             # Results between other components stay valid.
@@ -165,7 +165,8 @@ class Rematcher:
             elif self.kept is not None:
                 self.kept.add(Kind.VERDICT, _key(one, two, threshold), NOT_JOINED)
         told = ((one, two, self._told[one, two, threshold]) for one, two, threshold in wanted)
-        return [(one, two, view) for one, two, view in told if view is not None]
+        joined = [(one, two, view) for one, two, view in told if view is not None]
+        return [said for said in joined if self._honours_locks(*said)]
 
     def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:
         """Whether an earlier merge, or round, found too little evidence, as for most components."""
@@ -184,6 +185,19 @@ class Rematcher:
             return False
         image = self._merged.image_bits(one, two, self.settings)
         return not fits_as_well(image, view.best)
+
+    def _honours_locks(self, one: MergedMap, two: MergedMap, view: Assessment) -> bool:
+        """Whether a match of two components matches all that locks name as one place."""
+        asked = {
+            (i, j): at
+            for (i, j), at in self.dishonoured.items()
+            if (i in one.runs and j in two.runs) or (j in one.runs and i in two.runs)
+        }
+        links = _links(one, two, view) if asked else {}
+        return all(
+            pair in links and bool(np.all(links[pair].matched == at, axis=1).any())
+            for pair, at in asked.items()
+        )
 
 
 def _key(one: MergedMap, two: MergedMap, threshold: Threshold) -> Key:
@@ -235,7 +249,7 @@ def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Align
         matched = np.array(sorted(pairs), np.int64)
         pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
         transform, rmse = laid_over(pa, pb)
-        out[i, j] = Alignment(transform, view.bits, matched, rmse)
+        out[i, j] = Alignment(transform, view.bits, matched, rmse, len(view.best.corridors))
     return out
 
 

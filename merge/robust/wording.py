@@ -16,8 +16,10 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     ahead."""
     agree = f"{counted(len(best), 'junction')} and {counted(len(best.corridors), 'corridor')} agree"
     against = len(best.conflicts)
-    text = f"{agree}, {against} {'contradicts' if against == 1 else 'contradict'}"
-    text = f"{text}: {told_bits(bits, need_bits)}"
+    contradicted = f"{against} {'contradicts' if against == 1 else 'contradict'}"
+    if not best.searched:
+        contradicted = "contradictions were not looked for"
+    text = f"{agree}, {contradicted}: {told_bits(bits, need_bits)}"
     if margin is None:
         return f"{text}; no other alignment comes near"
     lead = shown_bits(abs(margin))

@@ -216,6 +216,7 @@ def test_a_lock_that_no_alignment_honours_is_said_to_be_so(halves, drawn):
     alone = only(halves, locks=[Lock("left", "right", "same", (crossing, end))])
     assert (alone.verdict, alone.accepted) == (Verdict.AMBIGUOUS, False)
     assert "one component" not in alone.reason
+    assert alone.advice.startswith("clear the lock of left and right")
     pair = drawn("zwei", [(0, 0), (5, 0)], [(0, 1)])
     nothing = only([halves[0], pair], locks=[Lock("left", "zwei", "same")])
     assert "name a junction of each run" in nothing.reason
@@ -383,6 +384,12 @@ def test_components_say_together_what_no_pair_can(maze, see):
     assert verdicts["b", "c"].accepted
     assert "together with b" in verdicts["a", "c"].reason
     assert verdicts["a", "c"].evidence_bits > most + 3
+    (u, _), (_, v) = verdicts["a", "c"].best.matched[:2].tolist()
+    locks = [*known, Lock("a", "c", "same", (u, v))]
+    locked = {(x.a, x.b): x for x in decide([a, b, c], strict, locks=locks)}
+    assert not locked["a", "c"].accepted
+    assert "no alignment of the two honours the lock" in locked["a", "c"].reason
+    assert not locked["b", "c"].accepted
 
 
 def test_runs_of_a_copy_of_another_size_are_told_together(see):

@@ -36,9 +36,9 @@ def found(three):
     return {(i, j): match(ready[i], ready[j], SETTINGS) for i, j in PAIRS}
 
 
-def rematched(three, found, need_bits, never=(), asked=None):
+def rematched(three, found, need_bits, never=(), asked=None, **others):
     """The components and reunions where the first two are joined and merging needs so much. asked:
-    to be told of what runs, among how many pairs, that was asked."""
+    to be told of what runs, among how many pairs, that was asked; others: of the `Rematcher`."""
     ready = [prepare(m) for m in three]
     threshold = Threshold(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
 
@@ -50,7 +50,7 @@ def rematched(three, found, need_bits, never=(), asked=None):
     parts = Components(3, never)
     first = found[0, 1][0]
     parts.join(0, 1, first.transform)
-    rematcher = Rematcher(three, ready, parts, PAIRS, level_of, SETTINGS)
+    rematcher = Rematcher(three, ready, parts, PAIRS, level_of, SETTINGS, **others)
     return parts, rematcher.run({(0, 1): as_alignment(first)})
 
 
@@ -78,11 +78,29 @@ def test_runs_kept_apart_stay_apart(three, found):
     assert reunions == {}
 
 
+def test_components_are_joined_as_locks_name_their_junctions_or_not_at_all(three, found):
+    _, reunions = rematched(three, found, 15.0)
+    (u, v), (_, w) = reunions[1, 2].alignment.matched[:2].tolist()
+    parts, honoured = rematched(three, found, 15.0, dishonoured={(1, 2): (u, v)})
+    assert parts.together(0, 2)
+    assert set(honoured) == {(0, 2), (1, 2)}
+    parts, others = rematched(three, found, 15.0, dishonoured={(1, 2): (u, w)})
+    assert not parts.together(0, 2)
+    assert others == {}
+
+
+def test_corridors_are_those_of_the_components(three, found):
+    _, reunions = rematched(three, found, 15.0)
+    for reunion in reunions.values():
+        assert reunion.alignment.corridors == len(reunion.view.best.corridors) > 0
+        assert f" {reunion.alignment.corridors} corridors agree" in reunion.reason
+
+
 def test_only_pairs_that_are_not_joined_count(three, found):
     asked = []
     _, reunions = rematched(three, found, 15.0, asked=asked)
     assert asked == [((0, 1, 2), 2)]  # of three pairs one is joined
-    assert {said.need_bits for said in reunions.values()} == {15.0}
+    assert {said.view.need_bits for said in reunions.values()} == {15.0}
 
 
 def test_what_was_said_in_one_round_is_not_asked_in_the_next(three, found, monkeypatch):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from topobatch.merge.robust.conflicts import Conflicts
-from topobatch.merge.robust.wording import contradictions
+from topobatch.merge.robust.wording import contradictions, summary
 
 
 def test_every_contradiction_names_its_junctions() -> None:
@@ -28,3 +28,16 @@ def test_every_contradiction_names_its_junctions() -> None:
     assert told[0] == "junction 7 of two falls inside corridor 1 to 2 of one, unseen there"
     assert told[1] == "junction 9 of one falls inside corridor 6 to 8 of two, unseen there"
     assert "lead to different ones" in told[2]
+
+
+class Alignment(SimpleNamespace):
+    def __len__(self) -> int:
+        return 5
+
+
+def test_contradictions_that_were_not_looked_for_are_not_said_to_be_none() -> None:
+    found = Alignment(corridors=range(2), conflicts=(), searched=True)
+    assert "2 corridors agree, 0 contradict: " in summary(found, -3.0, 10.0, None)
+    found.searched = False
+    told = summary(found, -3.0, 10.0, None)
+    assert "2 corridors agree, contradictions were not looked for: " in told
