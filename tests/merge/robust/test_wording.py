@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from topobatch.merge.robust.conflicts import Conflicts
-from topobatch.merge.robust.wording import contradictions
+from topobatch.merge.robust.wording import contradictions, summary
 
 
 def test_every_contradiction_names_its_junctions() -> None:
@@ -28,3 +28,11 @@ def test_every_contradiction_names_its_junctions() -> None:
     assert told[0] == "junction 7 of two falls inside corridor 1 to 2 of one, unseen there"
     assert told[1] == "junction 9 of one falls inside corridor 6 to 8 of two, unseen there"
     assert "lead to different ones" in told[2]
+
+
+def test_the_next_best_is_as_far_behind_as_explain_shows() -> None:
+    best = type("Best", (), {"corridors": range(38), "conflicts": (), "__len__": lambda _: 29})()
+    told = summary(best, 6.75, 14.8, 0.51)  # 6.8 and 6.2
+    assert told.endswith("6.8 bits, 14.8 needed; next best alignment 0.6 bits behind")
+    assert summary(best, 6.75, 14.8, -0.51).endswith("; another alignment has 0.5 bits more")
+    assert summary(best, 6.75, 14.8, None).endswith("; no other alignment comes near")
