@@ -194,6 +194,11 @@ def lies(decision: Decision) -> str:
         )
     if not decision.placements:
         return ""
+    if decision.start is not None and not _by_a_person(said):
+        return (
+            f"By it {short(said.b)} would lie at {pose(decision.placements[0])}, {frame}; a lock "
+            "needs --at for that, and more for it than against it"
+        )
     told = "lies" if said.accepted else "would lie"
     return f"{short(said.b)} {told} at {pose(decision.placements[0])}, {frame}"
 

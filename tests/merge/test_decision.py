@@ -22,7 +22,16 @@ from topobatch.merge.decision import (
     rounded_terms,
     to_document,
 )
-from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
+from topobatch.merge.decision_text import (
+    HEIGHT,
+    WIDTH,
+    because,
+    headline,
+    lies,
+    lines,
+    missing,
+    rows,
+)
 from topobatch.merge.discards import REASON
 from topobatch.merge.merged_schema import MergeEntry
 from topobatch.merge.result import (
@@ -217,6 +226,9 @@ def test_an_unrelated_pair_says_why_the_best_there_was_is_nothing():
     assert "lays 7 of right where left has been, and 1 of them is there" in told
     count = len(UNRELATED.placements[0].alignment.matched)
     assert f"begun with the {count} junction" in told
+    assert lies(UNRELATED).startswith("By it right would lie at ")
+    assert "a lock needs --at for that, and more for it than against it" in lies(UNRELATED)
+    assert "--at" not in lies(AMBIGUOUS)
     assert "no corridor of one is like one of the other" in because(NOTHING)
     faint = replace(UNRELATED, start=None, said=replace(UNRELATED.said, evidence_bits=1.5))
     assert "that is too little" in because(faint)
@@ -235,6 +247,8 @@ def test_what_others_and_people_say_stands_in_the_headline():
         assert words in headline(told)
     never = replace(UNRELATED, said=replace(UNRELATED.said, locked="never"))
     assert because(never) == "Locked apart by a person."
+    assert lies(never).startswith("right would lie at ")
+    assert "--at" not in lies(never)
     assert headline(never).startswith("left and right: locked apart: 0.0 bits of evidence")
 
 
