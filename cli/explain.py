@@ -74,8 +74,8 @@ def explain(
     recording: explain/A+B.rrd, which topobatch view A:B opens, or of the paper's method
     explain/A+B.paper.rrd, for rerun.
 
-    Runs that the merge does not hold are explained as a merge of all runs would decide on them; of
-    more than 100 runs by their two maps alone. A note says so.
+    Runs that were not merged yet are explained as a merge of all runs would decide on them; of more
+    than 100 runs by their two maps alone. A note says so.
 
     The paper's method takes the settings of merged.json, or of the merge that --merge names, if
     that is a merge by it, else the defaults; its options given here take the place of those.
