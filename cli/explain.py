@@ -16,12 +16,14 @@ from .output import say, say_lines, warn
 from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from ..merge.decision import Decision
     from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
+    from ..merge.robust.explained import Batch
+    from ..merge.robust.settings import RobustSettings
     from ..topology.topomap import TopoMap
 
 
@@ -72,8 +74,11 @@ def explain(
     recording: explain/A+B.rrd, which topobatch view A:B opens, or of the paper's method
     explain/A+B.paper.rrd, for rerun.
 
-    The paper's method takes the settings of the last merge by it; its options given here take the
-    place of those.
+    Runs that were not merged yet are explained as a merge of all runs would decide on them; of more
+    than 100 runs by their two maps alone. A note says so.
+
+    The paper's method takes the settings of merged.json, or of the merge that --merge names, if
+    that is a merge by it, else the defaults; its options given here take the place of those.
 
     \b
       topobatch explain run1 run2
@@ -138,43 +143,90 @@ def _here(place: Workspace, note: str) -> str:
 
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
     """The maps of a pair and the decision on it, with the settings and runs of the merge that had
-    both."""
+    both. Without such a merge the decision is the one that a merge would come to, or, of very many
+    maps, that of the two by themselves."""
     from dataclasses import replace
 
     from ..merge.document import poses_from_document, verdict_from_entry
     from ..merge.robust.explained import Batch, explain
-    from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
     from .unchanged import changed_since, told_changed
 
     maps = {run: place.read_map(run) for run in pair}
     document = _last_merge(place)
     why_not = _not_merged(document, pair, place.merged_json.name)
-    said, poses, settings, runs = {}, {}, DEFAULT_ROBUST, place.runs()
-    if document is not None and not why_not:
-        said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
-        poses = poses_from_document(document)
-        runs = sorted(poses)
-        try:
-            settings = settings_from_document(document.graph.settings or {})
-        except ValueError as error:
-            raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
+    runs = place.runs()
+    if document is not None and _holds(document, pair):
+        runs = sorted(document.graph.home)
+    settings = _settings(place, document)
     gone = _read_others(place, runs, maps)
-    notes = []
-    if why_not:
-        notes.append(f"{why_not}; this is what a merge of {counted(len(maps), 'map')} would say")
-    elif document is not None and (new := changed_since(place, document.graph.maps or {}, pair)):
-        notes.append(f"{told_changed(new)}; merge again")
+    ordered = [maps[run] for run in sorted(maps)]
+    if document is None or why_not:
+        own = ""
+        if document is not None:
+            what = "at the rate" if document.graph.method == "paper" else "with the settings"
+            own = f", {what} of {place.merged_json.name}"
+        batch, notes = _before_a_merge(place, ordered, settings, pair, own)
+        notes[0] = f"{why_not}; {notes[0]}"
+    else:
+        said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
+        batch = Batch(ordered, said, settings, place.locks(), poses_from_document(document))
+        new = changed_since(place, document.graph.maps or {}, pair)
+        notes = [f"{told_changed(new)}; merge again"] if new else []
     if gone:
         noun = "map" if len(gone) == 1 else "maps"
         notes.append(
             f"the {noun} of {listed(gone, 3)} cannot be read: how much the buildings repeat "
             "themselves is told without"
         )
-    ordered = [maps[run] for run in sorted(maps)]
-    batch = Batch(ordered, said, settings, place.locks(), poses)
     decision = explain(batch, *pair)
     told = replace(decision, notes=(*notes, *decision.notes))
-    return maps[pair[0]], maps[pair[1]], told
+    return maps[pair[0]], maps[pair[1]], replace(told, of_merge=told.of_merge and not why_not)
+
+
+def _before_a_merge(
+    place: Workspace,
+    maps: Sequence[TopoMap],
+    settings: RobustSettings,
+    pair: tuple[str, str],
+    own: str,
+) -> tuple[Batch, list[str]]:
+    """Maps that were not merged, as a merge, and notes on what is told of a pair. own: whose the
+    settings are."""
+    from ..merge.merging import MOST_LISTED, MergeSettings, merge_maps
+    from ..merge.result import pairs_of
+    from ..merge.robust.explained import Batch
+
+    locks, gone, count = place.locks(), place.discards(), counted(len(maps), "map")
+    if pairs_of(len(maps)) <= MOST_LISTED:
+        result = merge_maps(maps, MergeSettings(robust=settings), locks=locks, discarded=gone)
+        said = {(v.a, v.b): v for v in result.verdicts}
+        poses = {run: pose for c in result.components for run, pose in c.poses.items()}
+        note = f"this is what a merge of {count} would say{own}"
+        return Batch(maps, said, settings, locks, poses), [note]
+    notes = [
+        f"this is what the two maps say by themselves, asked as one pair of {count}{own}; a merge "
+        "also counts what the others say"
+    ]
+    told = {"same": "locked as the same", "never": "locked apart"}
+    notes += [f"{told[k.decision]}, which is not counted here" for k in locks if (k.a, k.b) == pair]
+    if pair in gone:
+        notes.append("the match was discarded, which is not counted here")
+    return Batch(maps, {}, settings, locks), notes
+
+
+def _settings(place: Workspace, document: MergedDocument | None) -> RobustSettings:
+    """The settings of the selected merge; of one by the paper's method its rate."""
+    from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
+
+    if document is None:
+        return DEFAULT_ROBUST
+    values = document.graph.settings or {}
+    if document.graph.method == "paper":
+        values = {k: v for k, v in values.items() if k == "false_merge_rate"}
+    try:
+        return settings_from_document(values)
+    except ValueError as error:
+        raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
 
 
 def _last_merge(place: Workspace) -> MergedDocument | None:
@@ -188,9 +240,12 @@ def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: st
         return f"not merged yet ({TO_MERGE})"
     if document.graph.method == "paper":
         return f"{name} is a merge by --method paper (see topobatch explain --method paper)"
-    if not document.graph.home.keys() >= set(pair):
-        return f"{name} does not hold both runs"
-    return ""
+    return "" if _holds(document, pair) else f"{name} does not hold both runs"
+
+
+def _holds(document: MergedDocument, pair: tuple[str, str]) -> bool:
+    """Whether both runs are in a merge."""
+    return document.graph.home.keys() >= set(pair)
 
 
 def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) -> list[str]:

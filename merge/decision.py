@@ -132,12 +132,12 @@ class Start:
 class Decision:
     """Why two runs were merged, or not.
 
-    said: the verdict, as the last merge gave it (`of_merge`) or would give it. placements: the one
-    that the verdict refers to, and the next best with another position of b; none if nothing in the
-    two maps is compatible. start: set if the only placement is a hypothesis that did not grow: its
-    terms do not add up to the verdict's evidence, which is 0. by_others: (3,) T_a_b of runs that
-    only others join. why: what a rejected pair lacks; notes: on the documents that it was made
-    from.
+    said: the verdict, as the last merge gave it (`of_merge`), or else as the notes say. placements:
+    the one that the verdict refers to, and the next best with another position of b; none if
+    nothing in the two maps is compatible. start: set if the only placement is a hypothesis that did
+    not grow: its terms do not add up to the verdict's evidence, which is 0. by_others: (3,) T_a_b
+    of runs that only others join. why: what a rejected pair lacks; notes: on the documents that it
+    was made from.
     """
 
     said: PairVerdict

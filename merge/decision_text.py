@@ -12,11 +12,12 @@ from textwrap import wrap
 import numpy as np
 
 from ..topology.arrays import FloatArray
+from ..topology.digits import BITS
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Start, Term, TermKind, rounded_terms
 from .discards import REASON, discarded
-from .result import PairVerdict, Verdict, shown_bits
+from .result import PairVerdict, Verdict, shown_bits, shown_lead
 from .wording import decimals
 
 WIDTH, HEIGHT = 79, 22
@@ -91,8 +92,26 @@ def threshold(decision: Decision) -> str:
 
 
 def digits_of(decision: Decision) -> int:
-    """Decimals that show on which side of the threshold the evidence lies."""
-    return decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
+    """Decimals that show on which side of the threshold the evidence lies, and whether the lead
+    over the next best placement is the required one."""
+    margin, required = decision.said.margin_bits, decision.requirement.lead_bits
+    fewest = decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
+    if margin is None:
+        return fewest
+    enough = (
+        digits
+        for digits in range(fewest, BITS)
+        if (_lead(decision, margin, digits) < required) == (margin < required)
+    )
+    return next(enough, BITS)
+
+
+def _lead(decision: Decision, margin: float, digits: int) -> float:
+    """The lead of the first placement, as the difference of the two sums that are shown."""
+    if len(decision.placements) < 2:
+        return float(shown_bits(margin, digits))
+    one, two = (p.alignment.evidence_bits for p in decision.placements[:2])
+    return shown_lead(one, two, digits)
 
 
 def because(decision: Decision) -> str:
@@ -175,6 +194,11 @@ def lies(decision: Decision) -> str:
         )
     if not decision.placements:
         return ""
+    if decision.start is not None and not _by_a_person(said):
+        return (
+            f"By it {short(said.b)} would lie at {pose(decision.placements[0])}, {frame}; a lock "
+            "needs --at for that, and more for it than against it"
+        )
     told = "lies" if said.accepted else "would lie"
     return f"{short(said.b)} {told} at {pose(decision.placements[0])}, {frame}"
 
@@ -285,12 +309,14 @@ def missing(decision: Decision) -> str:
     if said.verdict is not Verdict.AMBIGUOUS or said.accepted:
         return ""
     lacks = []
-    needed = decision.requirement.threshold_bits
+    digits, needed = digits_of(decision), decision.requirement.threshold_bits
     if said.evidence_bits < needed:
-        lacks.append(f"{_short_of(said.evidence_bits, needed)} bits of evidence")
-    lead = decision.requirement.lead_bits
-    if said.margin_bits is not None and said.margin_bits < lead:
-        lacks.append(f"{_short_of(said.margin_bits, lead)} bits of lead")
+        lacking = float(threshold(decision)) - float(decision_bits(decision))
+        lacks.append(f"{shown_bits(lacking, digits)} bits of evidence")
+    required = decision.requirement.lead_bits
+    if said.margin_bits is not None and said.margin_bits < required:
+        lacking = required - _lead(decision, said.margin_bits, digits)
+        lacks.append(f"{shown_bits(lacking, digits)} bits of lead")
     best = decision.placements[0].alignment if decision.placements else None
     count = len(best.matched) - len(best.contradictions) if best else 0
     if count < decision.requirement.least_junctions:
@@ -298,13 +324,6 @@ def missing(decision: Decision) -> str:
     told = "Missing: " + " and ".join(lacks) if lacks else ""
     advice = f"To settle it: {said.advice}" if said.advice else ""
     return ". ".join(part for part in (told, advice) if part)
-
-
-def _short_of(bits: float, needed: float) -> str:
-    """The difference of two numbers as shown."""
-    digits = decimals(bits, needed)
-    has, asked = (float(shown_bits(number, digits)) for number in (bits, needed))
-    return shown_bits(asked - has, digits)
 
 
 def sum_told(decision: Decision) -> str:
@@ -316,8 +335,8 @@ def sum_told(decision: Decision) -> str:
     margin = decision.said.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
-    digits = decimals(margin, decision.requirement.lead_bits)
-    lead = shown_bits(abs(margin), digits)
+    digits = digits_of(decision)
+    lead = shown_bits(abs(_lead(decision, margin, digits)), digits)
     which = "behind" if other_name(decision) == OTHER else "ahead of"
     return f"evidence, {lead} bits {which} the {other_name(decision)}"
 
@@ -329,7 +348,9 @@ def other_name(decision: Decision) -> str:
     """What the second placement is called. It has more evidence than the first one where a person
     or other runs chose that."""
     margin = decision.said.margin_bits
-    return OTHER if margin is not None and float(shown_bits(margin)) < 0 else NEXT
+    if margin is None or _lead(decision, margin, digits_of(decision)) >= 0:
+        return NEXT
+    return OTHER
 
 
 def matched(placement: Placement) -> str:

@@ -399,3 +399,9 @@ def shown_bits(bits: float, digits: int = 1) -> str:
     """Bits for people: those of the documents with fewer decimals, so that a number reads alike
     before and after it went through a document (3.846 is 3.85 there, and 3.9 here)."""
     return f"{round(bits, BITS):z.{digits}f}"
+
+
+def shown_lead(bits: float, other: float, digits: int = 1) -> float:
+    """The lead over another placement's evidence: the difference of the two as they are shown."""
+    one, two = (float(shown_bits(b, digits)) for b in (bits, other))
+    return round(one - two, digits) + 0.0

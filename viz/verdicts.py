@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
+from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits, shown_lead
 from ..topology.wording import counted, listed, to_turning_points
 from .drawing import driven_branches
 from .map_summary import bulleted, plain, several
@@ -236,9 +236,10 @@ def _in_full(pair: PairVerdict) -> str:
     if pair.best is not None:
         lines.append(f"best: {shown_bits(pair.best.evidence_bits)} bits, {_placement(pair.best)}")
     if pair.runner_up is not None:
-        bits = f"{shown_bits(pair.runner_up.evidence_bits)} bits"
+        other = pair.runner_up.evidence_bits
+        bits = f"{shown_bits(other)} bits"
         if pair.margin_bits is not None:
-            bits = f"{bits}, {shown_bits(pair.margin_bits)} behind"
+            bits = f"{bits}, {shown_lead(pair.evidence_bits, other):.1f} behind"
         lines.append(f"runner-up: {bits}, {_placement(pair.runner_up)}")
     if pair.advice:
         lines.append(f"to settle it: {plain(pair.advice)}")

@@ -66,7 +66,10 @@ class Case:
         if self.together:
             reason = f"{reason}; other runs place them in one component"
         elif lock.at is None:
-            reason = f"{reason}: name a junction of each run in it"
+            reason = (
+                f"{reason}: name a junction of each run that is one place in it (--at), if more "
+                "speaks for that than against it"
+            )
         verdict = self.view.verdict
         if verdict is Verdict.MERGED:  # by an alignment that the lock rules out
             verdict = Verdict.AMBIGUOUS

@@ -186,8 +186,7 @@ def _placement_of(own: AssessedPair, c: Candidate) -> Shown:
         Answers(view.need_bits, c.bits, counted_bits(c)),
     )
     terms = _terms(_Naming(own.a, own.b), c, answers)
-    searched = c.support.bits - c.tested_bits > MATCH.lead_bits
-    return Placement(own.alignment(c, answers.bits), terms, searched), answers
+    return Placement(own.alignment(c, answers.bits), terms, c.searched), answers
 
 
 def _of_seed(own: AssessedPair, settings: RobustSettings) -> tuple[list[Shown], Start | None]:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ...topology.wording import counted
-from ..result import shown_bits
-from ..wording import told_bits
+from ..result import shown_bits, shown_lead
+from ..wording import decimals, told_bits
 from .alignment import Candidate
 from .conflicts import Contradiction, one_by_one
 from .prepare import Prepared
@@ -22,10 +22,12 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     text = f"{agree}, {contradicted}: {told_bits(bits, need_bits)}"
     if margin is None:
         return f"{text}; no other alignment comes near"
-    lead = shown_bits(abs(margin))
-    if margin < 0 and float(lead) > 0:
-        return f"{text}; another alignment has {lead} bits more"
-    return f"{text}; next best alignment {lead} bits behind"
+    digits = decimals(bits, need_bits)
+    lead = shown_lead(bits, bits - margin, digits)
+    told = shown_bits(abs(lead), digits)
+    if lead < 0:
+        return f"{text}; another alignment has {told} bits more"
+    return f"{text}; next best alignment {told} bits behind"
 
 
 def nothing(best: Faint | None, need_bits: float) -> str:

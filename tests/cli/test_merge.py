@@ -404,9 +404,15 @@ def test_explain_takes_options_in_place_of_the_merges_own(topobatch, clean, tmp_
     topobatch("merge", "--all", "--method", "paper", "--degree", "inexact", "-w", workspace)
     shown = topobatch("explain", *PAPER, "--confidence", "0.9", "-w", workspace)
     assert "degree inexact, confidence 0.9 of each match" in shown.out
+    mine = ("--output", "mine", "--replace")
+    topobatch("merge", "--all", "--method", "paper", "--degree", "inexact", *mine, "-w", workspace)
     topobatch("merge", "--all", "-w", workspace)
     shown = topobatch("explain", *PAPER, "-w", workspace)
     assert "degree exact, confidence 0.999 of each match" in shown.out
+    shown = topobatch("explain", *PAPER, "--merge", "mine", "-w", workspace)
+    assert "degree inexact, confidence 0.999 of each match" in shown.out
+    told = " ".join(topobatch("explain", "--help").out.replace("│", " ").split())
+    assert "settings of merged.json, or of the merge that --merge names, if that is" in told
 
 
 def test_settings_that_make_no_sense(topobatch, workspace):

@@ -1,6 +1,7 @@
 """Decisions as values, as JSON and on a screen."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import get_args
@@ -21,7 +22,16 @@ from topobatch.merge.decision import (
     rounded_terms,
     to_document,
 )
-from topobatch.merge.decision_text import HEIGHT, WIDTH, because, headline, lines, missing, rows
+from topobatch.merge.decision_text import (
+    HEIGHT,
+    WIDTH,
+    because,
+    headline,
+    lies,
+    lines,
+    missing,
+    rows,
+)
 from topobatch.merge.discards import REASON
 from topobatch.merge.merged_schema import MergeEntry
 from topobatch.merge.result import (
@@ -201,8 +211,8 @@ def test_another_placement_with_more_evidence_is_not_called_the_next_best():
 def test_an_ambiguous_pair_says_what_is_missing():
     assert "repeat themselves" in because(AMBIGUOUS)
     assert missing(AMBIGUOUS).startswith("Missing: 2.7 bits of evidence. To settle it: record")
-    close = replace(AMBIGUOUS, said=replace(AMBIGUOUS.said, evidence_bits=20.0, margin_bits=1.0))
-    assert missing(close).startswith("Missing: 3.0 bits of lead.")
+    close = decision(Verdict.AMBIGUOUS, 20.0, [placement(20.0), placement(19.0)])
+    assert missing(close) == "Missing: 3.0 bits of lead"
     few = placement(13.0, count=5)
     told = replace(few.alignment, contradictions=("a corridor leads elsewhere",))
     doubted = decision(Verdict.AMBIGUOUS, 13.0, (replace(few, alignment=told),))
@@ -216,6 +226,9 @@ def test_an_unrelated_pair_says_why_the_best_there_was_is_nothing():
     assert "lays 7 of right where left has been, and 1 of them is there" in told
     count = len(UNRELATED.placements[0].alignment.matched)
     assert f"begun with the {count} junction" in told
+    assert lies(UNRELATED).startswith("By it right would lie at ")
+    assert "a lock needs --at for that, and more for it than against it" in lies(UNRELATED)
+    assert "--at" not in lies(AMBIGUOUS)
     assert "no corridor of one is like one of the other" in because(NOTHING)
     faint = replace(UNRELATED, start=None, said=replace(UNRELATED.said, evidence_bits=1.5))
     assert "that is too little" in because(faint)
@@ -234,6 +247,8 @@ def test_what_others_and_people_say_stands_in_the_headline():
         assert words in headline(told)
     never = replace(UNRELATED, said=replace(UNRELATED.said, locked="never"))
     assert because(never) == "Locked apart by a person."
+    assert lies(never).startswith("right would lie at ")
+    assert "--at" not in lies(never)
     assert headline(never).startswith("left and right: locked apart: 0.0 bits of evidence")
 
 
@@ -263,6 +278,19 @@ def test_a_number_reads_alike_before_and_after_a_document(bits):
     column, total = sums(lines(stored))
     assert column == pytest.approx(total, abs=1e-6)
     assert headline(stored).split(": ")[2].startswith(f"{total:.1f}"[:-1])
+
+
+@given(st.floats(-5, 40), st.floats(-5, 40))
+@example(6.75, 6.24)
+@example(10.05, 6.08)  # not the 4 bits asked for: 4.0 with one decimal
+def test_the_lead_is_the_difference_of_the_sums_shown(bits, other):
+    told = decision(Verdict.AMBIGUOUS, bits, [placement(bits), placement(other)])
+    text = " ".join(lines(told))
+    one, two = map(float, re.findall(r"= +(-?[0-9.]+)", text)[:2])
+    lead, which = re.search(r"evidence, ([0-9.]+) bits (ahead|behind)", text).groups()
+    assert (one - two) * (1 if which == "ahead" else -1) == pytest.approx(float(lead), abs=1e-6)
+    if lacking := re.search(r"([0-9.]+) bits of lead", missing(told)):
+        assert 4 - float(lacking[1]) == pytest.approx(one - two, abs=1e-6)
 
 
 def test_a_lead_reads_alike_in_the_reason_and_on_the_screen():

@@ -47,6 +47,18 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
     assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
 
 
+def test_the_next_best_is_as_far_behind_as_the_two_numbers_say(merge_of: Merge) -> None:
+    result, _ = merge_of([["a"], ["b"]], ambiguous=[("a", "b")])
+    (pair,) = result.verdicts
+    best, second = (
+        replace(x, evidence_bits=bits) for x, bits in ((pair.best, 6.75), (pair.runner_up, 6.24))
+    )
+    near = replace(pair, best=best, runner_up=second, evidence_bits=6.75, margin_bits=0.51)
+    told = pairs_told(replace(result, verdicts=(near,)))
+    assert "best: 6.8 bits, " in told
+    assert "runner-up: 6.2 bits, 0.6 behind, " in told
+
+
 def test_pairs_beyond_those_that_are_told_are_counted(merge_of: Merge, monkeypatch) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
     monkeypatch.setattr(verdicts, "MOST_PAIRS", 2)

@@ -219,7 +219,7 @@ def test_a_lock_that_no_alignment_honours_is_said_to_be_so(halves, drawn):
     assert alone.advice.startswith("clear the lock of left and right")
     pair = drawn("zwei", [(0, 0), (5, 0)], [(0, 1)])
     nothing = only([halves[0], pair], locks=[Lock("left", "zwei", "same")])
-    assert "name a junction of each run" in nothing.reason
+    assert "name a junction of each run that is one place" in nothing.reason
 
 
 def test_locks_that_cannot_be(halves):

@@ -41,3 +41,11 @@ def test_contradictions_that_were_not_looked_for_are_not_said_to_be_none() -> No
     found.searched = False
     told = summary(found, -3.0, 10.0, None)
     assert "2 corridors agree, contradictions were not looked for: " in told
+
+
+def test_the_next_best_is_as_far_behind_as_explain_shows() -> None:
+    best = Alignment(corridors=range(38), conflicts=(), searched=True)
+    told = summary(best, 6.75, 14.8, 0.51)  # 6.8 and 6.2
+    assert told.endswith("6.8 bits, 14.8 needed; next best alignment 0.6 bits behind")
+    assert summary(best, 6.75, 14.8, -0.51).endswith("; another alignment has 0.5 bits more")
+    assert summary(best, 6.75, 14.8, None).endswith("; no other alignment comes near")
