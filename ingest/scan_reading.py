@@ -156,11 +156,12 @@ NO_DETECTIONS = Detections(
 
 
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
-    """The odometry's topic; LogError if one was named and cannot be used."""
+    """The odometry's topic; LogError if it, or the robot's frame, was named and cannot be used."""
     try:
         return odometry_topic(read)
     except LogError:
-        if read.settings.odometry_topic is not None:
+        settings = read.settings
+        if settings.odometry_topic is not None or settings.base_frame is not None:
             raise
         return None
 

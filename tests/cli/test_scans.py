@@ -35,6 +35,15 @@ def test_info_says_that_scans_stand_in_for_odometry(guided):
     assert len(told) == (not guided)
 
 
+def test_a_base_frame_that_is_not_there_leaves_no_odometry_out(topobatch, tmp_path):
+    told = "/odom holds no usable pose to r2/base_link (--base-frame); it has odom → base_link"
+    frame = "--base-frame", "r2/base_link"
+    done = topobatch("info", OFFICE, *frame)
+    assert done.code == 1
+    assert told in done.out
+    assert told in topobatch("ingest", OFFICE, *frame, "-w", tmp_path / "ws").error(1)
+
+
 def test_simulated_lasers(topobatch, tmp_path):
     small = ("--runs", 1, "--junctions", 5, "--quiet")
     done = topobatch("simulate", tmp_path / "a", "--laser", *small, "--format", "bag")
