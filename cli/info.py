@@ -168,11 +168,12 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
 
 def described(found: LogInfo) -> list[str]:
     """The lines that describe a log, without its problems."""
-    start = "no messages"
-    if any(topic.messages for topic in found.topics):
+    head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB"
+    if not any(topic.messages for topic in found.topics):
+        head += ", no messages"
+    elif found.start_ns is not None:
         begin = utc(found.start_ns, "%Y-%m-%d %H:%M:%S UTC")
-        start = f"{found.duration_s:,.1f} s from {begin}"
-    head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB, {start}"
+        head += f", {found.duration_s:,.1f} s from {begin}"
     rows = [
         (topic.topic, topic.type_name, f"{topic.messages:,}", _use(topic.use, topic.why))
         for topic in found.topics

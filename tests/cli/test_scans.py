@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -192,7 +193,9 @@ def test_a_saved_map_is_a_map_like_any_other(topobatch, tmp_path):
         "image: floor.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
     )
     out = topobatch("info", tmp_path / "floor.yaml").out
-    assert "saved map" in out
+    assert re.search(r"saved map, [0-9.]+ MB$", out, re.MULTILINE), "it has no times"
+    (found,) = json.loads(topobatch("info", tmp_path / "floor.yaml", "--json").out)
+    assert (found["start_ns"], found["duration_s"]) == (None, None)
     assert "grid: 300 x 300 cells of 0.05 m" in out
     done = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws")
     assert done.code == 0, done
