@@ -98,8 +98,8 @@ def info(
         if not as_json:
             for line in described(found):
                 say(line)
-        if not found.problems and _read_whole(found):
-            found = _tried(found, each, replace(settings, strict=True))
+        if _read_whole(found):
+            found = _tried(found, each, replace(settings, strict=not found.problems))
         if as_json:
             told.append(_as_json(found))
         else:
@@ -146,7 +146,8 @@ def _read_whole(found: LogInfo) -> bool:
 
 
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
-    """The contents of a log with why ingest with these settings would reject it, or warn of it."""
+    """The contents of a log with why ingest with these settings would reject it, or warn of it,
+    beyond the problems that are known."""
     from ..ingest.mapping import require_junctions
     from ..ingest.reading import log_size, read_log
 
@@ -162,8 +163,11 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             run = read_log(log, settings, on_bytes=on_bytes)
             require_junctions(run)
         except (DataError, UsageError) as error:
-            return replace(found, problems=(str(error),))
-    return replace(found, warnings=run.warnings)
+            told = str(error)
+            for problem in found.problems:
+                told = told.replace(f"; {problem}", "")
+            return replace(found, problems=tuple(dict.fromkeys([*found.problems, told])))
+    return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
 
 
 def described(found: LogInfo) -> list[str]:

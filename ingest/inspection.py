@@ -16,7 +16,7 @@ from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import JUNCTION_KINDS, choose_odometry
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .remote.path import LogPath
-from .survey import Index, surveyed, walk
+from .survey import Index, damage_of, surveyed, walk
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     problems = list(recording.notes)
     if survey is None:
         findings = walk(recording, Intake(lambda _: False), None)
-        problems += findings.damage
+        problems = damage_of(recording, findings)
         survey = Index(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
     uses = _uses(recording, survey.counts, settings, problems)
     topics: dict[tuple[str, str], int] = {}
