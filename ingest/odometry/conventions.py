@@ -126,6 +126,8 @@ def _better_fit(seen: DriveBys, read: Fit) -> Fit | None:
     fits = [seen.fit(reading) for reading in (*AXES, *(() if in_time else LAGS))]
     best = min(fits, key=lambda fit: _size(fit.squares))
     found = _differs(best) and _wins(best.squares, read.squares)
+    if found and best.reading in LAGS:  # junctions that are seen off by a step turn with the robot
+        found = _wins(best.squares, seen.seen_from_elsewhere())
     return best if found and _wins(best.squares, best.still) else None
 
 

@@ -136,6 +136,18 @@ class DriveBys:
         sigma = float(np.sqrt(per_axis / np.maximum(moved.sum(), np.finfo(float).tiny)))
         return Fit(reading, slope, sigma, squares, still)
 
+    def seen_from_elsewhere(self) -> FloatArray:
+        """(k,) sum of squared residuals of the centres as they are, if odometry and detector refer
+        to different points of the robot, the step between them fitted as the median over the
+        drive-bys."""
+        position, heading = self._poses(AS_READ)
+        turn = np.exp(1j * heading)
+        centre = self._centred(self.centre * turn + position)
+        turn = self._centred(turn)
+        along = np.add.reduceat(turn.conj() * centre, self.first)
+        step = _median_ratio(along, self._sums(np.abs(turn) ** 2))
+        return self._sums(np.abs(centre - step * turn) ** 2)
+
     def in_fixed_frame(self) -> FloatArray:
         """(k,) sum of squared residuals if centres are in a frame fixed to the world; infinite if
         they do not differ from drive-by to drive-by as the robot's positions do."""

@@ -152,6 +152,15 @@ def test_a_lag_that_the_calibration_finds_is_left_to_it() -> None:
     assert told(*late(0.5)) == []
 
 
+@pytest.mark.parametrize("world", ["maze", "office", "organic"])
+@pytest.mark.parametrize("lever_m", [(1.0, 0.0), (-1.0, 0.0), (0.4, -0.3)])
+def test_a_detector_that_sits_elsewhere_is_not_late(
+    world: str, lever_m: tuple[float, float]
+) -> None:
+    odometry, detections = log(world)
+    assert told(odometry, detections.moved(lever_m)) == []
+
+
 def test_positions_that_say_nothing_are_no_disagreement_but_headings_tell() -> None:
     """As of the detector in docs/detections.md, which reports junctions where the robot is."""
     odometry, detections = log()
