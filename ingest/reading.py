@@ -147,14 +147,15 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     sightings = _sightings(read, junction.choice, junctions, clock, track.recorded)
     warnings += [*track.warnings, *sightings.warnings]
     topics = odometry.choice.topic, junction.choice.topic
-    warnings += disagreements(track.recorded, sightings.detections, *topics)
+    misread = disagreements(track.recorded, sightings.detections, *topics)
+    warnings += misread
     split, carried = split_where_carried(track.odometry, sightings.detections)
     if carried:
         warnings.append(
             f"the wheels stand while the junction in view changes {times(carried)}: the robot was "
             "carried; the chain is split there"
         )
-    return Run(read.run, split, sightings.detections, about, tuple(warnings))
+    return Run(read.run, split, sightings.detections, about, tuple(warnings), misread=bool(misread))
 
 
 def _with_scans(read: LogRead, source: JunctionSource) -> Run:

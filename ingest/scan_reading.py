@@ -11,8 +11,7 @@ import numpy as np
 
 from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
-from ..topology.ragged import Ragged
-from ..topology.run import Detections, Run, Scanned
+from ..topology.run import NO_DETECTIONS, Run, Scanned
 from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
@@ -148,11 +147,6 @@ def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) 
         raise
     except DataError as error:
         raise DataError("; ".join((str(error), *stream.warnings))) from error
-
-
-NO_DETECTIONS = Detections(
-    np.zeros(0, np.int64), np.zeros((0, 2)), Ragged(np.zeros(1, np.int64), np.zeros(0))
-)
 
 
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
