@@ -98,8 +98,8 @@ def info(
         if not as_json:
             for line in described(found):
                 say(line)
-        if not found.problems and _read_whole(found):
-            found = _tried(found, each, replace(settings, strict=True))
+        if _read_whole(found):
+            found = _tried(found, each, replace(settings, strict=not found.problems))
         if as_json:
             told.append(_as_json(found))
         else:
@@ -146,7 +146,8 @@ def _read_whole(found: LogInfo) -> bool:
 
 
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
-    """The contents of a log with why ingest with these settings would reject it, or warn of it."""
+    """The contents of a log with why ingest with these settings would reject it, or warn of it,
+    beyond the problems that are known."""
     from ..ingest.mapping import require_junctions
     from ..ingest.reading import log_size, read_log
 
@@ -162,17 +163,21 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             run = read_log(log, settings, on_bytes=on_bytes)
             require_junctions(run)
         except (DataError, UsageError) as error:
-            return replace(found, problems=(str(error),))
-    return replace(found, warnings=run.warnings)
+            told = str(error)
+            for problem in found.problems:
+                told = told.replace(f"; {problem}", "")
+            return replace(found, problems=tuple(dict.fromkeys([*found.problems, told])))
+    return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
 
 
 def described(found: LogInfo) -> list[str]:
     """The lines that describe a log, without its problems."""
-    start = "no messages"
-    if any(topic.messages for topic in found.topics):
+    head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB"
+    if not any(topic.messages for topic in found.topics):
+        head += ", no messages"
+    elif found.start_ns is not None:
         begin = utc(found.start_ns, "%Y-%m-%d %H:%M:%S UTC")
-        start = f"{found.duration_s:,.1f} s from {begin}"
-    head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB, {start}"
+        head += f", {found.duration_s:,.1f} s from {begin}"
     rows = [
         (topic.topic, topic.type_name, f"{topic.messages:,}", _use(topic.use, topic.why))
         for topic in found.topics

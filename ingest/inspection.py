@@ -16,7 +16,7 @@ from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import JUNCTION_KINDS, choose_odometry
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .remote.path import LogPath
-from .survey import Index, surveyed, walk
+from .survey import Index, damage_of, surveyed, walk
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +36,15 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class LogInfo:
-    """The contents of a log. problems: one sentence each, empty for a whole, usable log; warnings:
-    those of reading it whole, if it was."""
+    """The contents of a log. start_ns, duration_s: None for a saved map; problems: one sentence
+    each, empty for a whole, usable log; warnings: those of reading it whole, if it was."""
 
     path: LogPath
     name: str
     format: str
     bytes: int
-    start_ns: int
-    duration_s: float
+    start_ns: int | None
+    duration_s: float | None
     topics: tuple[TopicInfo, ...]
     problems: tuple[str, ...]
     warnings: tuple[str, ...] = ()
@@ -60,7 +60,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     problems = list(recording.notes)
     if survey is None:
         findings = walk(recording, Intake(lambda _: False), None)
-        problems += findings.damage
+        problems = damage_of(recording, findings)
         survey = Index(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
     uses = _uses(recording, survey.counts, settings, problems)
     topics: dict[tuple[str, str], int] = {}
@@ -94,7 +94,7 @@ def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
         problems = (str(error),)
     image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
     name = run_name(path)
-    return LogInfo(path, name, "saved map", recording.bytes, 0, 0.0, (image,), problems)
+    return LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
 
 
 def _uses(

@@ -24,7 +24,7 @@ from ..topology.errors import DataError
 from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
-from ..topology.run import Run
+from ..topology.run import NO_DETECTIONS, Detections, Run
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
@@ -140,7 +140,7 @@ def dead_reckoned(
     source = pass_source(run, settings)
     odometry, passes, calibration = _calibrated(run, source, settings)
     noise = source.noise(odometry, passes)
-    motion = motion_errors(odometry, run.detections, passes, noise, settings.noise.prior)
+    motion = motion_errors(odometry, _telling(run), passes, noise, settings.noise.prior)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
@@ -150,6 +150,11 @@ def dead_reckoned(
         noise = source.noise(odometry, passes)
     reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))
     return run, odometry, reckoning, calibration
+
+
+def _telling(run: Run) -> Detections:
+    """The detections that tell of lengths and levers: none of those that are misread."""
+    return NO_DETECTIONS if run.misread else run.detections
 
 
 def _calibrated(
@@ -247,7 +252,7 @@ def _measured(
     none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
     scale = refine_scale(
-        odometry, run.detections, passes, noise, settings.noise.prior, too_long=too_long
+        odometry, _telling(run), passes, noise, settings.noise.prior, too_long=too_long
     )
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)

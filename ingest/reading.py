@@ -16,7 +16,7 @@ from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, walks
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import Findings, several
+from .logs.messages import Findings
 from .logs.recording import Recording, find_logs, log_fingerprint, log_size, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
@@ -28,7 +28,7 @@ from .odometry.reading import because, described, driven, odometry_topic, poses_
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
-from .survey import Faults, Index, LogRead, Progress, checked_damage, surveyed, walk
+from .survey import Faults, Index, LogRead, Progress, checked_damage, damage_of, surveyed, walk
 from .topic_poses import Clock, TopicPoses, choose_clock, clock_without_jumps
 
 __all__ = [
@@ -147,14 +147,15 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     sightings = _sightings(read, junction.choice, junctions, clock, track.recorded)
     warnings += [*track.warnings, *sightings.warnings]
     topics = odometry.choice.topic, junction.choice.topic
-    warnings += disagreements(track.recorded, sightings.detections, *topics)
+    misread = disagreements(track.recorded, sightings.detections, *topics)
+    warnings += misread
     split, carried = split_where_carried(track.odometry, sightings.detections)
     if carried:
         warnings.append(
             f"the wheels stand while the junction in view changes {times(carried)}: the robot was "
             "carried; the chain is split there"
         )
-    return Run(read.run, split, sightings.detections, about, tuple(warnings))
+    return Run(read.run, split, sightings.detections, about, tuple(warnings), misread=bool(misread))
 
 
 def _with_scans(read: LogRead, source: JunctionSource) -> Run:
@@ -188,12 +189,7 @@ def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
 
 def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:
     """The faults of the log; raises LogError if nothing is left, or in strict mode."""
-    damage = [*recording.notes, *findings.damage]
-    if recording.declared is not None and findings.messages < recording.declared:
-        damage.append(
-            f"metadata.yaml counts {several(recording.declared, 'message')}, "
-            f"{findings.messages} {'was' if findings.messages == 1 else 'were'} found"
-        )
+    damage = damage_of(recording, findings)
     if findings.messages == 0:
         reason = "; ".join(damage) or "it holds no messages"
         raise LogError(f"{recording.path}: nothing can be read: {reason}")

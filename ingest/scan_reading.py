@@ -11,8 +11,7 @@ import numpy as np
 
 from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
-from ..topology.ragged import Ragged
-from ..topology.run import Detections, Run, Scanned
+from ..topology.run import NO_DETECTIONS, Run, Scanned
 from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
@@ -150,17 +149,13 @@ def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) 
         raise DataError("; ".join((str(error), *stream.warnings))) from error
 
 
-NO_DETECTIONS = Detections(
-    np.zeros(0, np.int64), np.zeros((0, 2)), Ragged(np.zeros(1, np.int64), np.zeros(0))
-)
-
-
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
-    """The odometry's topic; LogError if one was named and cannot be used."""
+    """The odometry's topic; LogError if it, or the robot's frame, was named and cannot be used."""
     try:
         return odometry_topic(read)
     except LogError:
-        if read.settings.odometry_topic is not None:
+        settings = read.settings
+        if settings.odometry_topic is not None or settings.base_frame is not None:
             raise
         return None
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 from ..topology.errors import LogError
 from .logs.intake import Intake
-from .logs.messages import Channel, Container, Findings, Survey
+from .logs.messages import Channel, Container, Findings, Survey, several
 from .logs.recording import Recording, opened, run_name, sniff
 from .read_settings import ReadSettings
 
@@ -86,6 +86,17 @@ def walk(
         if file.stat().st_size > told:
             progress(file.stat().st_size - told)
     return findings
+
+
+def damage_of(recording: Recording, findings: Findings) -> list[str]:
+    """The faults of a log that was read whole."""
+    damage = [*recording.notes, *findings.damage]
+    if recording.declared is not None and findings.messages < recording.declared:
+        damage.append(
+            f"metadata.yaml counts {several(recording.declared, 'message')}, "
+            f"{findings.messages} {'was' if findings.messages == 1 else 'were'} found"
+        )
+    return damage
 
 
 @dataclass(slots=True, eq=False)

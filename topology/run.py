@@ -45,6 +45,11 @@ class Detections:
         return Detections(self.time_ns, self.centre + np.array(by_m), self.branches)
 
 
+NO_DETECTIONS = Detections(
+    np.zeros(0, np.int64), np.zeros((0, 2)), Ragged(np.zeros(1, np.int64), np.zeros(0))
+)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanPasses:
     """Passes by junctions that were detected in scans, one row each, in the robot's frame at
@@ -150,7 +155,8 @@ class Run:
     source: topics, types and counts for the document's `graph.source`: JSON values that depend on
     the content alone, not on the container, the path or the machine; warnings: one sentence, with a
     count, per kind of fault found in the log; scanned: of a run whose junctions were detected in
-    scans; its detections are then empty.
+    scans; its detections are then empty; misread: whether detections and odometry are known to be
+    in different units, axes, frames or clocks.
     """
 
     name: str
@@ -159,3 +165,4 @@ class Run:
     source: Mapping[str, Any] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     scanned: Scanned | None = None
+    misread: bool = False

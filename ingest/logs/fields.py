@@ -296,4 +296,7 @@ def _towards(point: tuple[float, ...], center: tuple[float, ...]) -> tuple[float
 
 
 def _about_z(yaw: float) -> tuple[float, ...]:
+    """Quaternion of a heading, not a number of one that is infinite."""
+    if np.isinf(yaw):
+        yaw = np.nan
     return 0.0, 0.0, float(np.sin(yaw / 2)), float(np.cos(yaw / 2))

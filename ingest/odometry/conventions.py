@@ -16,6 +16,7 @@ from scipy.special import bdtrc
 from ...topology.arrays import FloatArray
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
+from ...topology.se2 import wrap
 from ..logs.fields import LENGTHS
 from .stationary import AS_READ, DriveBys, Fit, Reading
 
@@ -111,7 +112,7 @@ def disagreements(
     else:
         positions_tell = _wins(read.squares, read.still)
         poses, sign = _headings(seen, AS_READ, () if positions_tell else POSES)
-    told = [*_of_poses(poses, odometry_topic), *_of_positions(fit, odometry_topic)]
+    told = [*_of_poses(poses, odometry_topic), *_of_positions(seen, fit, odometry_topic)]
     sentences = [f"{junctions} {what}; {SEE}" for what in told]
     if sign in HEADINGS:
         sentences.append(f"{branches} their headings {HEADINGS[sign]}; {SEE}")
@@ -126,6 +127,8 @@ def _better_fit(seen: DriveBys, read: Fit) -> Fit | None:
     fits = [seen.fit(reading) for reading in (*AXES, *(() if in_time else LAGS))]
     best = min(fits, key=lambda fit: _size(fit.squares))
     found = _differs(best) and _wins(best.squares, read.squares)
+    if found and best.reading in LAGS:  # junctions that are seen off by a step turn with the robot
+        found = _wins(best.squares, seen.seen_from_elsewhere())
     return best if found and _wins(best.squares, best.still) else None
 
 
@@ -185,7 +188,7 @@ def _of_poses(reading: Reading, odometry_topic: str) -> Iterator[str]:
         )
 
 
-def _of_positions(fit: Fit | None, odometry_topic: str) -> Iterator[str]:
+def _of_positions(seen: DriveBys, fit: Fit | None, odometry_topic: str) -> Iterator[str]:
     if fit is None or abs(fit.reading.yaw) != 1.0:  # the headings are known up to a constant
         return
     if fit.reading.mirrored:
@@ -193,11 +196,20 @@ def _of_positions(fit: Fit | None, odometry_topic: str) -> Iterator[str]:
             "the y axis of their positions points the other way: y is expected to the left of x, "
             f"here and in {odometry_topic}"
         )
-    if abs(np.angle(fit.slope)) > LEAST_TURN_RAD:
-        yield (
-            f"the frame of their positions is turned by {abs(np.degrees(np.angle(fit.slope))):.0f} "
-            f"degrees: {FRAME} must name it, and /tf_static join it to the robot's"
-        )
+    turned = float(np.angle(fit.slope))
+    if abs(turned) > LEAST_TURN_RAD:
+        by = f"turned by {abs(np.degrees(turned)):.0f} degrees"
+        if abs(wrap(turned + seen.moves_towards(fit.reading))) < LEAST_TURN_RAD:
+            yield (
+                f"the headings of {odometry_topic} are {by}, as they are against the way in which "
+                "it moves: mend its quaternions; or, if the robot does drive like that, the frame "
+                f"of their positions is: then {FRAME} must name it"
+            )
+        else:
+            yield (
+                f"the frame of their positions is {by}: {FRAME} must name it, and /tf_static join "
+                "it to the robot's"
+            )
     scale = abs(fit.slope)
     if not 1 / LEAST_SCALE < scale < LEAST_SCALE:
         times = max(scale, 1 / scale)

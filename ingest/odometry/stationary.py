@@ -136,6 +136,24 @@ class DriveBys:
         sigma = float(np.sqrt(per_axis / np.maximum(moved.sum(), np.finfo(float).tiny)))
         return Fit(reading, slope, sigma, squares, still)
 
+    def seen_from_elsewhere(self) -> FloatArray:
+        """(k,) sum of squared residuals of the centres as they are, if odometry and detector refer
+        to different points of the robot, the step between them fitted as the median over the
+        drive-bys."""
+        position, heading = self._poses(AS_READ)
+        turn = np.exp(1j * heading)
+        centre = self._centred(self.centre * turn + position)
+        turn = self._centred(turn)
+        along = np.add.reduceat(turn.conj() * centre, self.first)
+        step = _median_ratio(along, self._sums(np.abs(turn) ** 2))
+        return self._sums(np.abs(centre - step * turn) ** 2)
+
+    def moves_towards(self, reading: Reading) -> float:
+        """The direction in which the robot moves, as seen from its heading [rad]."""
+        _, heading = self._poses(reading)
+        ahead = self._moved(self.at - 1e9 * reading.lag_s) * np.exp(-1j * heading)
+        return float(np.arctan2(np.median(ahead.imag), np.median(ahead.real)))
+
     def in_fixed_frame(self) -> FloatArray:
         """(k,) sum of squared residuals if centres are in a frame fixed to the world; infinite if
         they do not differ from drive-by to drive-by as the robot's positions do."""
@@ -155,10 +173,11 @@ class DriveBys:
         at = self.at - 1e9 * reading.lag_s
         if reading.yaw:
             return self._positions(at), reading.yaw * np.interp(at, self.clock, self.turned)
+        return self._positions(at), np.angle(self._moved(at))
+
+    def _moved(self, at: FloatArray) -> ComplexArray:
         half = 0.5e9 * DRIVE_BYS.compared_s
-        return self._positions(at), np.angle(
-            self._positions(at + half) - self._positions(at - half)
-        )
+        return np.asarray(self._positions(at + half) - self._positions(at - half))
 
     def _positions(self, at: FloatArray) -> ComplexArray:
         x, y = (np.interp(at, self.clock, v) for v in (self.x, self.y))

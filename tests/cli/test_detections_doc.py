@@ -298,6 +298,8 @@ def test_info_tells_of_degrees_for_radians_beside_the_topics(topobatch, run, tmp
 
 
 def test_positions_in_millimetres_are_warned_of_as_the_page_shows(topobatch, tmp_path):
+    from topobatch.ingest.reading import ReadSettings, read_run
+
     settings = ScenarioSettings(runs=1, junctions_per_run=9, odometry_hz=10, seed=7)
     (simulated,) = simulate_scenario(settings).simulated
     seen = simulated.run.detections
@@ -317,10 +319,13 @@ def test_positions_in_millimetres_are_warned_of_as_the_page_shows(topobatch, tmp
     assert told.search(" ".join(done.err.split()))
     document = json.loads((tmp_path / "ws" / "maps" / "run1.json").read_text())
     assert any(map(told.fullmatch, document["graph"]["warnings"]))
+    assert read_run(path).misread
+    assert "length_scale" not in document["graph"]["calibration"]
     (mapping,) = re.findall(r"`(center=\S+length=mm)`", PAGE)
     done = topobatch("info", path, "--junction-fields", mapping)
     assert done.code == 0
     assert "warning" not in done.out
+    assert not read_run(path, ReadSettings(junction_fields=mapping)).misread
 
 
 # The detector: a stand-in for rclpy that hands it scans, and keeps what it publishes.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sqlite3
 import subprocess
 import sys
 import time
@@ -22,6 +23,8 @@ from topobatch.cli.workspace import Workspace
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings
 from topobatch.topology.document import read_map
+
+SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
 def changed_mcap(source, target, keep=lambda topic: True, copies=lambda topic: [topic]):
@@ -333,6 +336,45 @@ def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
     done = topobatch("info", logs["mcap"], "--junction-topic", "/nothing")
     assert done.code == 1
     assert "problem: " in done.out
+
+
+def cut_sample(folder, undecodable):
+    """maze-3 without its end, with messages that do not decode."""
+    path = folder / "maze-3"
+    shutil.copytree(SAMPLES / "maze-3", path)
+    base = sqlite3.connect(path / "maze-3.db3")
+    base.execute(f"UPDATE messages SET data = substr(data, 1, 20) WHERE {undecodable}")
+    base.commit()
+    base.close()
+    os.truncate(path / "maze-3.db3", 700_000)
+    return path
+
+
+def faults_told(done):
+    lines = [line for line in done.out.splitlines() if line.startswith(("problem: ", "warning: "))]
+    return [line.partition(": ")[2] for line in lines]
+
+
+def test_info_tells_all_that_ingest_warns_of_in_a_damaged_log(topobatch, tmp_path):
+    path = cut_sample(tmp_path, undecodable="id = 9")
+    shown = topobatch("info", path)
+    assert shown.code == 1
+    assert "problem: metadata.yaml counts 1930 messages, 944 were found" in shown.out
+    assert topobatch("ingest", path, "-q", "-w", tmp_path / "ws").code == 0
+    document = json.loads((tmp_path / "ws" / "maps" / "maze-3.json").read_text())
+    warned = document["graph"]["warnings"]
+    assert any("could not be decoded" in warning for warning in warned)
+    assert sorted(faults_told(shown)) == sorted(warned)
+
+
+def test_info_tells_why_ingest_refuses_a_damaged_log(topobatch, tmp_path):
+    path = cut_sample(tmp_path, undecodable="topic_id = 1")
+    shown = topobatch("info", path)
+    assert shown.code == 1
+    *damage, refused = faults_told(shown)
+    assert refused.startswith(f"{path}: no odometry: /odom holds no usable pose")
+    error = topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
+    assert error.strip().endswith("; ".join([refused, *damage]))
 
 
 def test_info_of_a_log_with_an_index_and_a_damaged_chunk_fails(topobatch, logs, tmp_path):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -33,6 +34,15 @@ def test_info_says_that_scans_stand_in_for_odometry(guided):
     assert len(kept) == len(found.topics) - (not guided)
     told = [line for line in described(replace(found, topics=kept)) if "no odometry" in line]
     assert len(told) == (not guided)
+
+
+def test_a_base_frame_that_is_not_there_leaves_no_odometry_out(topobatch, tmp_path):
+    told = "/odom holds no usable pose to r2/base_link (--base-frame); it has odom → base_link"
+    frame = "--base-frame", "r2/base_link"
+    done = topobatch("info", OFFICE, *frame)
+    assert done.code == 1
+    assert told in done.out
+    assert told in topobatch("ingest", OFFICE, *frame, "-w", tmp_path / "ws").error(1)
 
 
 def test_simulated_lasers(topobatch, tmp_path):
@@ -183,7 +193,9 @@ def test_a_saved_map_is_a_map_like_any_other(topobatch, tmp_path):
         "image: floor.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n"
     )
     out = topobatch("info", tmp_path / "floor.yaml").out
-    assert "saved map" in out
+    assert re.search(r"saved map, [0-9.]+ MB$", out, re.MULTILINE), "it has no times"
+    (found,) = json.loads(topobatch("info", tmp_path / "floor.yaml", "--json").out)
+    assert (found["start_ns"], found["duration_s"]) == (None, None)
     assert "grid: 300 x 300 cells of 0.05 m" in out
     done = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws")
     assert done.code == 0, done

@@ -116,6 +116,17 @@ def test_edges_are_drawn_from_vertex_to_vertex(topomap):
             assert np.cos(off) > 0.6
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_detections_that_are_misread_correct_no_lengths(run, sign):
+    seen = replace(run.detections, centre=run.detections.centre * [1, sign])
+    told = build_map(replace(run, detections=seen)).info
+    assert "length_scale" in told["calibration"]
+    unknown = build_map(replace(run, detections=seen, misread=True))
+    assert "length_scale" not in unknown.info["calibration"]
+    assert unknown.info["warnings"] == []
+    assert unknown.noise.scale > 0
+
+
 def test_the_document_tells_how_the_map_was_made(run, topomap):
     document = map_to_document(topomap)
     graph = json.loads(json.dumps(document, allow_nan=False))["graph"]

@@ -104,6 +104,17 @@ def test_degrees_must_be_said(logs, tmp_path, encoding):
     assert len(run.detections) == 30
 
 
+@pytest.mark.parametrize("encoding", ["cdr", "json"])
+@pytest.mark.parametrize("unit", ["rad", "deg"])
+def test_headings_that_are_not_finite_are_left_out_and_counted(logs, tmp_path, encoding, unit):
+    ways = [np.inf, 10.0, -np.inf, np.nan, 20.0]
+    folder = written(logs, tmp_path / "run", ways, encoding=encoding)
+    run = read_run(folder, settings(f"{CENTER},branches=ways,unit={unit}"))
+    told = "/seen: 90 poses hold numbers that are not finite or absurdly large; left out"
+    assert run.warnings == (told,)
+    assert run.detections.branches.counts.tolist() == [2] * 30
+
+
 def test_one_heading_too_large_is_enough(logs, tmp_path):
     """Small headings in degrees look like radians; a log is of one unit."""
     folder = written(logs, tmp_path / "run", [0.0, 3.0], last=[0.0, 183.0])

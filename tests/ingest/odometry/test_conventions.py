@@ -79,6 +79,17 @@ def quarter_turn() -> Log:
     return odometry, replace(detections, centre=detections.centre[:, ::-1] * [-1, 1])
 
 
+def odometry_turned(by_rad: float, driven_rad: float = 0.0) -> Log:
+    """Headings of the odometry turned, of a robot that drives turned (both with the detector)."""
+    odometry, detections = log()
+    turned = np.append(np.zeros(2), by_rad + driven_rad)
+    seen = apply(np.append(np.zeros(2), -driven_rad), detections.centre)
+    branches = headings(detections, 1.0, -driven_rad).branches
+    return replace(odometry, pose=odometry.pose + turned), replace(
+        detections, centre=seen, branches=branches
+    )
+
+
 def odometry_in(per_m: float) -> Log:
     odometry, detections = log()
     return replace(odometry, pose=odometry.pose * [per_m, per_m, 1]), detections
@@ -96,6 +107,16 @@ MISREAD = {
     "no unit": (lambda: positions(9), "their positions are 0.11", "in another unit?"),
     "y to the right": (lambda: positions([1, -1]), "the y axis of their positions", "to the left"),
     "no transform": (quarter_turn, "the frame of their positions is turned by", "/tf_static"),
+    "odometry turned": (
+        lambda: odometry_turned(np.pi / 2),
+        "headings of /odom are turned by 90",
+        "mend its quaternions",
+    ),
+    "odometry turned round": (
+        lambda: odometry_turned(np.pi),
+        "headings of /odom are turned by 180",
+        "mend its quaternions",
+    ),
     "late": (lambda: late(3.0), "they are stamped 3 s (± 0.25 s) late beside /odom", "--time log"),
     "early": (lambda: late(-5.0), "they are stamped 5 s (± 0.25 s) early beside", "stamp="),
     "yaw in degrees": (lambda: yaw(180 / np.pi), "headings of /odom are 1/57.3", "degrees taken"),
@@ -150,6 +171,19 @@ def test_degrees_turn_too_far_between_two_rows_of_a_slow_odometry() -> None:
 
 def test_a_lag_that_the_calibration_finds_is_left_to_it() -> None:
     assert told(*late(0.5)) == []
+
+
+@pytest.mark.parametrize("world", ["maze", "office", "organic"])
+@pytest.mark.parametrize("lever_m", [(1.0, 0.0), (-1.0, 0.0), (0.4, -0.3)])
+def test_a_detector_that_sits_elsewhere_is_not_late(
+    world: str, lever_m: tuple[float, float]
+) -> None:
+    odometry, detections = log(world)
+    assert told(odometry, detections.moved(lever_m)) == []
+
+
+def test_a_robot_may_drive_sideways() -> None:
+    assert told(*odometry_turned(0.0, driven_rad=np.pi / 2)) == []
 
 
 def test_positions_that_say_nothing_are_no_disagreement_but_headings_tell() -> None:
