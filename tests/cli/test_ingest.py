@@ -139,6 +139,8 @@ def test_pieces_that_nothing_ties_together_are_runs_until_the_log_is_whole(
     shutil.copy(reset_logs["whole"], log)
     assert topobatch(*call).code == 0
     assert sorted(p.name for p in maps.iterdir()) == ["run.json", "run.rrd"]
+    merge = topobatch("merge", "--all", "-w", tmp_path / "ws")
+    assert (merge.code, merge.err) == (0, "")  # though the last one held run#2
 
 
 def test_one_bad_log_among_others(topobatch, logs, tmp_path):

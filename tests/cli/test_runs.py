@@ -150,6 +150,7 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
     assert gone.encode() not in (merged / "two.json").read_bytes()
     assert (merged / "rest.json").read_bytes() == untouched
     assert not (merged / "alone.json").exists()
+    assert f"\n{merged / 'alone.json'}: removed; none of its runs is left" in done.out
     assert (merged / "mine.json").read_text() == "{}"
     assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
     for name in ("two", "rest", "merged"):
