@@ -14,7 +14,7 @@ from .log_paths import logs_at, packed_below
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
-from .workspace import Workspace, checked_run_name
+from .workspace import Workspace, checked_run_name, plain_name
 
 if TYPE_CHECKING:
     from ..ingest.mapping_settings import MappingSettings
@@ -124,10 +124,11 @@ def ingest(
     Writes maps/RUN.json and maps/RUN.rrd in the workspace; where the odometry was reset and nothing
     ties the pieces together, also RUN#2 and so on.
 
-    Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
-    Without junction detections, junctions are found in laser scans, clouds of points or a grid.
-    Finished runs are skipped unless their log or the settings changed. One bad log does not stop
-    the others; the exit code is then 1, or 2 if all that is wrong is a missing option.
+    Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log,
+    with - for colons. Without junction detections, junctions are found in laser scans, clouds of
+    points or a grid. Finished runs are skipped unless their log or the settings changed. One bad
+    log does not stop the others; the exit code is then 1, or 2 if all that is wrong is a missing
+    option.
 
     Of a log in a bucket (s3://bucket/prefix/), the index and the chunks that hold wanted topics are
     read, and nothing is copied here; needs topobatch[remote].
@@ -188,7 +189,6 @@ def _plan(
     screen: Screen,
 ) -> list[IngestJob | IngestOutcome]:
     """A job for each log found, or its outcome if it is known already."""
-    from ..ingest.reading import run_name
     from .ingest_worker import IngestJob, IngestOutcome
 
     logs, missing = _logs_of(given, screen)
@@ -198,7 +198,7 @@ def _plan(
     named: dict[str, dict[LogPath, LogPath]] = {}
     for log in logs:
         try:
-            run = checked_run_name(name if name is not None else run_name(log))
+            run = _run_of(log, place) if name is None else checked_run_name(name)
             place.check_run(run)
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
@@ -216,6 +216,17 @@ def _plan(
         if not others:
             planned.append(IngestJob(first, run, place, read, mapping, force))
     return planned
+
+
+def _run_of(log: LogPath, place: Workspace) -> str:
+    """The run that a log becomes, named after it, with - for colons; a run that has the log's name
+    with its colons, as earlier versions gave it, keeps it. UsageError if no run can be called so."""
+    from ..ingest.reading import run_name
+
+    name = run_name(log)
+    if ":" in plain_name(name) and (place.map_json(name).is_file() or place.ingested(name)):
+        return name
+    return checked_run_name(name.replace(":", "-"))
 
 
 def _logs_of(

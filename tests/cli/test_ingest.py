@@ -253,7 +253,7 @@ def test_a_run_of_another_log_is_not_overwritten(topobatch, logs, tmp_path):
     assert document.read_bytes() != before
 
 
-@pytest.mark.parametrize("name", ["a/b", "..", "", ".hidden"])
+@pytest.mark.parametrize("name", ["a/b", "..", "", ".hidden", "a:b"])
 def test_names_that_are_no_file_names(topobatch, logs, tmp_path, name):
     done = topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws", "--name", name)
     assert "cannot name a run" in done.error(2)
@@ -268,6 +268,25 @@ def test_a_log_whose_name_cannot_be_a_run_costs_no_other(topobatch, logs, tmp_pa
     assert len(list((tmp_path / "ws" / "maps").glob("*.json"))) == 1
     done = topobatch("ingest", bad, "-w", tmp_path / "ws", "--name", "good")
     assert (done.code, done.err) == (0, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no file has a colon in its name there")
+def test_a_log_with_colons_in_its_name_becomes_a_run_without(topobatch, logs, tmp_path):
+    log = shutil.copy(logs["mcap"], tmp_path / "t10:15:00.mcap")
+    place = Workspace(tmp_path / "ws")
+    assert topobatch("ingest", log, "-w", place.root).code == 0
+    assert place.runs() == ["t10-15-00"]
+    assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
+    # Earlier versions kept the colons.
+    path = place.maps / "t10:15:00.json"
+    path.write_text(place.map_json("t10-15-00").read_text().replace("t10-15-00", path.stem))
+    assert topobatch("discard", "t10-15-00", "-q", "-w", place.root).code == 0
+    assert topobatch("merge", path.stem, "-q", "-w", place.root).code == 0
+    assert topobatch("ingest", log, "-q", "-w", place.root).code == 0
+    assert place.runs() == [path.stem]
+    assert topobatch("rename", path.stem, "ten", "-q", "-w", place.root).code == 0
+    assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
+    assert place.runs() == ["ten"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
