@@ -157,10 +157,13 @@ def ingest(
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
     planned = _plan(given, name, place, read, MappingSettings(closure=closure), force, screen)
     with place.held(screen.warn):
-        outcomes = _run_all(planned, jobs, screen)
-        new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
-        if new:
-            note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}", screen.warn)
+        outcomes: list[IngestOutcome] = []
+        try:
+            _run_all(planned, jobs, screen, outcomes)
+        finally:  # also of what was made before a Ctrl-C
+            new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
+            if new:
+                note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}", screen.warn)
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -265,15 +268,19 @@ def _workers(asked: int, logs: int, total_bytes: int) -> int:
 
 
 def _run_all(
-    planned: list[IngestJob | IngestOutcome], asked: int, screen: Screen
-) -> list[IngestOutcome]:
-    """Run all jobs, in this process or in several; a line per finished log."""
+    planned: list[IngestJob | IngestOutcome],
+    asked: int,
+    screen: Screen,
+    outcomes: list[IngestOutcome],
+) -> None:
+    """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
+    the list as they are known."""
     from .ingest_pool import outcomes_of
     from .ingest_worker import IngestJob, IngestOutcome, job_size
     from .remote import announce
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
-    outcomes = [entry for entry in planned if isinstance(entry, IngestOutcome)]
+    outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
         _show(outcome, screen)
     announce(jobs, screen)
@@ -282,7 +289,6 @@ def _run_all(
         for outcome in outcomes_of(jobs, _workers(asked, len(jobs), total), advance):
             outcomes.append(outcome)
             _show(outcome, screen)
-    return outcomes
 
 
 def _show(outcome: IngestOutcome, screen: Screen) -> None:
@@ -302,7 +308,7 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
-        logs = counted(len(outcomes) - len(failed), "log")
+        logs = counted(len(outcomes), "log")
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
         screen.line(f"{told}; next: {place.call('merge', '--all')}")
     if failed and len(outcomes) > 1:

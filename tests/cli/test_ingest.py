@@ -155,6 +155,7 @@ def test_one_bad_log_among_others(topobatch, logs, tmp_path):
     assert any("bad.mcap" in line for line in errors[:2])
     assert any("gone.bag" in line for line in errors[:2])
     assert "2 of 3 logs failed" in errors[2]
+    assert "1 map of 3 logs in" in done.out
     assert "Traceback" not in done.err
 
 
@@ -167,6 +168,33 @@ def test_several_processes_give_the_same_maps(topobatch, logs, tmp_path):
     for name in ("a.json", "b.json"):
         one, two = (tmp_path / f"ws{jobs}" / "maps" / name for jobs in (1, 2))
         assert one.read_bytes() == two.read_bytes()
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_an_interrupted_ingest_has_made_is_in_the_history(
+    topobatch, logs, tmp_path, monkeypatch, jobs
+):
+    from topobatch.cli import ingest
+
+    for name in ("a", "b", "c"):
+        shutil.copy(logs["mcap"], tmp_path / f"{name}.mcap")
+    files = sorted(tmp_path.glob("*.mcap"))
+    shown = ingest._show
+
+    def interrupted(outcome, screen):
+        shown(outcome, screen)
+        monkeypatch.setattr(ingest, "_show", shown)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ingest, "_show", interrupted)
+    call = ("ingest", *files, "-j", jobs, "-w", tmp_path / "ws")
+    assert topobatch(*call).code == 130
+    done = topobatch(*call)
+    assert done.code == 0, done
+    told = json.loads(topobatch("history", "--json", "-w", tmp_path / "ws").out)
+    assert len(told) == 2
+    named = ", ".join(entry["text"].partition(": ")[2] for entry in told)
+    assert sorted(named.split(", ")) == ["a", "b", "c"]
 
 
 def test_missing_file(topobatch, tmp_path):

@@ -221,6 +221,17 @@ def test_a_match_that_is_locked_is_not_discarded(topobatch, merged):
     assert "was not discarded" in topobatch("discard", f"{a}:{b}", "--undo", "-w", merged).error(2)
 
 
+def test_a_match_that_was_discarded_is_not_locked(topobatch, merged):
+    a, b = accepted_pair(merged)
+    assert topobatch("discard", f"{a}:{b}", "-q", "-w", merged).code == 0
+    told = topobatch("lock", b, a, "--same", "-w", merged).error(2)
+    assert f"was discarded; first: topobatch discard {a}:{b} --undo -w" in told
+    assert not (merged / "locks.json").exists()
+    assert topobatch("lock", b, a, "--never", "-w", merged).code == 0
+    assert topobatch("discard", f"{a}:{b}", "--undo", "-q", "-w", merged).code == 0
+    assert topobatch("lock", b, a, "--same", "-w", merged).code == 0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no file has a colon in its name there")
 def test_a_run_that_is_called_like_a_pair_is_not_discarded(topobatch, merged):
     """Earlier versions gave such names."""
