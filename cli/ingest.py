@@ -61,7 +61,11 @@ TimeSource = Annotated[
     typer.Option(help="Take times from message headers or from when the log received them."),
 ]
 Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse damaged logs instead of salvaging what they hold.")
+    bool,
+    typer.Option(
+        "--strict",
+        help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
+    ),
 ]
 
 AllowScan = Annotated[
@@ -222,8 +226,8 @@ def _plan(
 
 
 def _run_of(log: LogPath, place: Workspace) -> str:
-    """The run that a log becomes, named after it, with - for colons; a run that has the log's name
-    with its colons, as earlier versions gave it, keeps it. UsageError if no run can be called so."""
+    """The run that a log becomes, named after it, with - for colons; one that earlier versions
+    named with its colons stays that. UsageError if no run can be called so."""
     from ..ingest.reading import run_name
 
     name = run_name(log)

@@ -151,7 +151,8 @@ def merge(
             raise UsageError("--shard goes with --all and the robust method")
         if output is not None:
             raise UsageError(
-                "--shard only fills the cache, for any merge; --output goes with the last merge --all"
+                "--shard fills the cache, from which any merge is made; "
+                "--output goes with the last merge --all"
             )
         from .shard import match_share, share_of
 
