@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -162,12 +163,18 @@ def ingest(
     planned = _plan(given, name, place, read, MappingSettings(closure=closure), force, screen)
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []
+        before = _records(planned)
         try:
             _run_all(planned, jobs, screen, outcomes)
-        finally:  # also of what was made before a Ctrl-C
-            new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
+        finally:
+            # After a Ctrl-C runs may be finished of which nobody was told.
+            told = {outcome.run for outcome in outcomes}
+            new = {outcome.run for outcome in outcomes if outcome.status == "done"}
+            records = _records(planned)
+            new |= {run for run in records if run not in told and records[run] != before.get(run)}
             if new:
-                note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}", screen.warn)
+                text = f"{counted(len(new), 'log')}: {listed(sorted(new))}"
+                note(place, "ingest", text, screen.warn)
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -290,9 +297,25 @@ def _run_all(
     announce(jobs, screen)
     total = sum(job_size(job) for job in jobs)
     with screen.progress("reading", total, "bytes") as advance:
-        for outcome in outcomes_of(jobs, _workers(asked, len(jobs), total), advance):
-            outcomes.append(outcome)
-            _show(outcome, screen)
+        workers = _workers(asked, len(jobs), total)
+        with closing(outcomes_of(jobs, workers, advance)) as known:
+            for outcome in known:
+                outcomes.append(outcome)
+                _show(outcome, screen)
+
+
+def _records(planned: list[IngestJob | IngestOutcome]) -> dict[str, tuple[int, int]]:
+    """For every run that has a record of its ingest, what is another when it is written anew."""
+    from .ingest_worker import IngestJob, called
+
+    found = {}
+    for job in planned:
+        if isinstance(job, IngestJob):
+            run = called(job.place, job.run)
+            with suppress(OSError):
+                state = os.lstat(job.place.ingest_record(run))
+                found[run] = (state.st_ino, state.st_mtime_ns)
+    return found
 
 
 def _show(outcome: IngestOutcome, screen: Screen) -> None:

@@ -94,7 +94,7 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
-    job = replace(job, run=_called(job.place, job.run))
+    job = replace(job, run=called(job.place, job.run))
     key = _content_key(job)
     before = job.place.ingested(job.run) or {}
     had = _kept(job, key)
@@ -141,7 +141,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
 
 def is_unchanged(job: IngestJob) -> bool:
     """Whether `ingest_one` has nothing to do."""
-    job = replace(job, run=_called(job.place, job.run))
+    job = replace(job, run=called(job.place, job.run))
     return bool(_kept(job, _content_key(job)))
 
 
@@ -218,7 +218,7 @@ def _content_key(job: IngestJob) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _called(place: Workspace, run: str) -> str:
+def called(place: Workspace, run: str) -> str:
     """The current name of a run after `topobatch rename`."""
     name = run
     for _ in range(MOST_NAMES):
