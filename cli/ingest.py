@@ -15,7 +15,7 @@ from .log_paths import logs_at, packed_below
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
-from .workspace import Workspace, checked_run_name, plain_name
+from .workspace import Workspace, checked_run_name, plain_name, run_named_after
 
 if TYPE_CHECKING:
     from ..ingest.mapping_settings import MappingSettings
@@ -233,14 +233,14 @@ def _plan(
 
 
 def _run_of(log: LogPath, place: Workspace) -> str:
-    """The run that a log becomes, named after it, with - for colons; one that earlier versions
+    """The run that a log becomes (`run_named_after`); one that earlier versions
     named with its colons stays that. UsageError if no run can be called so."""
     from ..ingest.reading import run_name
 
     name = run_name(log)
     if ":" in plain_name(name) and (place.map_json(name).is_file() or place.ingested(name)):
         return name
-    return checked_run_name(name.replace(":", "-"))
+    return checked_run_name(run_named_after(name))
 
 
 def _logs_of(

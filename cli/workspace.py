@@ -455,6 +455,11 @@ def pairs_named(text: str, runs: Iterable[str]) -> list[tuple[str, str]]:
     return [(min(pair), max(pair)) for pair in found if known.issuperset(pair)]
 
 
+def run_named_after(log_name: str) -> str:
+    """The name of the run of a log: that of the log, with - for colons."""
+    return log_name.replace(":", "-")
+
+
 def checked_run_name(name: str) -> str:
     """A name that a new run can have (`checked_file_name`), or a UsageError."""
     return checked_file_name(name, RUN)

@@ -310,6 +310,7 @@ def test_a_log_with_colons_in_its_name_becomes_a_run_without(topobatch, logs, tm
     place = Workspace(tmp_path / "ws")
     assert topobatch("ingest", log, "-w", place.root).code == 0
     assert place.runs() == ["t10-15-00"]
+    assert ": run t10-15-00, " in topobatch("info", log).out
     assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
     # Earlier versions kept the colons.
     path = place.maps / "t10:15:00.json"
