@@ -74,10 +74,13 @@ def _sorted_out(
     known = set(place.runs())
     runs, pairs = [], []
     for name in dict.fromkeys(what):
+        found = pairs_named(name, known)
         if name in known and not undo:
+            if found:
+                first = place.call("rename", name, name.replace(":", "-"))
+                raise UsageError(f"{name} is a run, and two runs A:B; first: {first}")
             runs.append(name)
             continue
-        found = pairs_named(name, known)
         if len(found) != 1 or found[0][0] == found[0][1]:
             raise place.unknown([name], f"{'two runs A:B' if undo else 'run or runs A:B'} named")
         pairs += found

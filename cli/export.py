@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import counted, listed
+from ..topology.wording import counted, listed, utc
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_map
 from .output import Screen, say_text
 from .workspace import MERGED, Workspace
@@ -20,9 +20,13 @@ if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
     from ..merge.merged_schema import MergedDocument
     from ..topology.odometry import Odometry
+    from ..topology.run import Run
     from ..topology.topomap import TopoMap
 
 STDOUT = Path("-")
+
+CLOCKS_APART_NS = 10**9
+"""How far passes may lie before or after all odometry."""
 
 MOST_NAMED = 4
 """Components, and runs of each, that a warning lists."""
@@ -78,7 +82,7 @@ def export(
         Path | None,
         typer.Option(
             metavar="LOG",
-            help="Where the log of the run is, for tum; default: where ingest read it.",
+            help="Where the log of the run is now, for tum; default: where ingest read it.",
         ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
@@ -245,7 +249,7 @@ def _trajectories(
             if source.document is not None:
                 screen.warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
-        odometry = _odometry(place, run, log)
+        odometry = _odometry(place, topomap, log)
         corrected = corrected_tum(topomap, odometry, poses.get(run))
         if corrected is None:
             raise DataError(
@@ -257,16 +261,55 @@ def _trajectories(
     return out
 
 
-def _odometry(place: Workspace, run: str, log: LogPath | None) -> Odometry:
-    """A run's odometry from its log, with the recorded settings of its ingest, if any."""
-    from ..ingest.reading import ReadSettings, read_run
-    from .ingest_worker import READ_OPTIONS
+def _odometry(place: Workspace, topomap: TopoMap, log: LogPath | None) -> Odometry:
+    """A run's odometry from its log, with the recorded settings of its ingest, if any.
 
-    log = log or place.log_of(run, "name it by --log")
-    told = (place.ingested(run) or {}).get("read")
+    UsageError if another log was named than the one that the map was made from, DataError if that
+    one changed.
+    """
+    from ..ingest.reading import ReadSettings, read_run
+    from .ingest_worker import READ_OPTIONS, origin
+
+    run, record = topomap.run, place.ingested(topomap.run) or {}
+    at = log or place.log_of(run, "name it by --log")
+    told = record.get("read")
     how: dict[str, Any] = told if isinstance(told, dict) else {}
     known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
-    return read_run(log, ReadSettings(**known)).odometry
+    found = read_run(at, ReadSettings(**known))
+    why = _differs(topomap, found)
+    if why is None:
+        return found.odometry
+    made_from = record.get("log")
+    if log is None or made_from == origin(at):
+        raise DataError(
+            f"{at}: changed since the map of run {run} was made from it ({why}); ingest it again"
+        )
+    was = made_from if isinstance(made_from, str) else "it is not recorded which that was"
+    raise UsageError(
+        f"{at}: is not the log that the map of run {run} was made from ({was}): {why}; name that "
+        "log, wherever it is now"
+    )
+
+
+def _differs(topomap: TopoMap, found: Run) -> str | None:
+    """What shows that a map was not made from this log: the number of messages on a topic that both
+    name, or times of passes before or after its odometry; None if nothing does."""
+    source = topomap.info.get("source")
+    stated: Mapping[str, Any] = source if isinstance(source, Mapping) else {}
+    for what in ("odometry", "junctions"):
+        here, there = found.source.get(what), stated.get(what)
+        if not isinstance(here, Mapping) or not isinstance(there, Mapping):
+            continue
+        count, before = here.get("messages"), there.get("messages")
+        if here.get("topic") == there.get("topic") and count != before:
+            return f"{count} messages on {here.get('topic')}, where the map has {before}"
+    passed, driven = topomap.observation_time_ns, found.odometry.time_ns
+    if not len(passed) or not len(driven):
+        return None
+    begin, end = (int(driven[k]) for k in (0, -1))
+    if passed.min() < begin - CLOCKS_APART_NS or passed.max() > end + CLOCKS_APART_NS:
+        return f"driven {utc(begin)} to {utc(end)}, where the map begins {utc(int(passed.min()))}"
+    return None
 
 
 def _to_stdout(texts: dict[str, str], sources: list[_Source]) -> None:

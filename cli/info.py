@@ -25,6 +25,7 @@ from .log_paths import logs_at, packed_below
 from .options import JsonOption
 from .output import Screen, complain, say, say_lines, table, warn
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic
+from .workspace import run_named_after
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -91,6 +92,7 @@ def info(
             if isinstance(each, LogError):
                 raise each
             found = inspect_log(each, settings)
+            found = replace(found, name=run_named_after(found.name))
         except LogError as error:
             complain(str(error))
             failed = True

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from contextlib import closing, suppress
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
@@ -14,7 +15,7 @@ from .log_paths import logs_at, packed_below
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
-from .workspace import Workspace, checked_run_name
+from .workspace import Workspace, checked_run_name, plain_name, run_named_after
 
 if TYPE_CHECKING:
     from ..ingest.mapping_settings import MappingSettings
@@ -61,7 +62,11 @@ TimeSource = Annotated[
     typer.Option(help="Take times from message headers or from when the log received them."),
 ]
 Strict = Annotated[
-    bool, typer.Option("--strict", help="Refuse damaged logs instead of salvaging what they hold.")
+    bool,
+    typer.Option(
+        "--strict",
+        help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
+    ),
 ]
 
 AllowScan = Annotated[
@@ -124,10 +129,11 @@ def ingest(
     Writes maps/RUN.json and maps/RUN.rrd in the workspace; where the odometry was reset and nothing
     ties the pieces together, also RUN#2 and so on.
 
-    Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log.
-    Without junction detections, junctions are found in laser scans, clouds of points or a grid.
-    Finished runs are skipped unless their log or the settings changed. One bad log does not stop
-    the others; the exit code is then 1, or 2 if all that is wrong is a missing option.
+    Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log,
+    with - for colons. Without junction detections, junctions are found in laser scans, clouds of
+    points or a grid. Finished runs are skipped unless their log or the settings changed. One bad
+    log does not stop the others; the exit code is then 1, or 2 if all that is wrong is a missing
+    option.
 
     Of a log in a bucket (s3://bucket/prefix/), the index and the chunks that hold wanted topics are
     read, and nothing is copied here; needs topobatch[remote].
@@ -156,10 +162,19 @@ def ingest(
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
     planned = _plan(given, name, place, read, MappingSettings(closure=closure), force, screen)
     with place.held(screen.warn):
-        outcomes = _run_all(planned, jobs, screen)
-        new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
-        if new:
-            note(place, "ingest", f"{counted(len(new), 'log')}: {listed(new)}", screen.warn)
+        outcomes: list[IngestOutcome] = []
+        before = _records(planned)
+        try:
+            _run_all(planned, jobs, screen, outcomes)
+        finally:
+            # After a Ctrl-C runs may be finished of which nobody was told.
+            told = {outcome.run for outcome in outcomes}
+            new = {outcome.run for outcome in outcomes if outcome.status == "done"}
+            records = _records(planned)
+            new |= {run for run in records if run not in told and records[run] != before.get(run)}
+            if new:
+                text = f"{counted(len(new), 'log')}: {listed(sorted(new))}"
+                note(place, "ingest", text, screen.warn)
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -188,7 +203,6 @@ def _plan(
     screen: Screen,
 ) -> list[IngestJob | IngestOutcome]:
     """A job for each log found, or its outcome if it is known already."""
-    from ..ingest.reading import run_name
     from .ingest_worker import IngestJob, IngestOutcome
 
     logs, missing = _logs_of(given, screen)
@@ -198,7 +212,7 @@ def _plan(
     named: dict[str, dict[LogPath, LogPath]] = {}
     for log in logs:
         try:
-            run = checked_run_name(name if name is not None else run_name(log))
+            run = _run_of(log, place) if name is None else checked_run_name(name)
             place.check_run(run)
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
@@ -216,6 +230,17 @@ def _plan(
         if not others:
             planned.append(IngestJob(first, run, place, read, mapping, force))
     return planned
+
+
+def _run_of(log: LogPath, place: Workspace) -> str:
+    """The run that a log becomes (`run_named_after`); one that earlier versions
+    named with its colons stays that. UsageError if no run can be called so."""
+    from ..ingest.reading import run_name
+
+    name = run_name(log)
+    if ":" in plain_name(name) and (place.map_json(name).is_file() or place.ingested(name)):
+        return name
+    return checked_run_name(run_named_after(name))
 
 
 def _logs_of(
@@ -254,24 +279,43 @@ def _workers(asked: int, logs: int, total_bytes: int) -> int:
 
 
 def _run_all(
-    planned: list[IngestJob | IngestOutcome], asked: int, screen: Screen
-) -> list[IngestOutcome]:
-    """Run all jobs, in this process or in several; a line per finished log."""
+    planned: list[IngestJob | IngestOutcome],
+    asked: int,
+    screen: Screen,
+    outcomes: list[IngestOutcome],
+) -> None:
+    """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
+    the list as they are known."""
     from .ingest_pool import outcomes_of
     from .ingest_worker import IngestJob, IngestOutcome, job_size
     from .remote import announce
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
-    outcomes = [entry for entry in planned if isinstance(entry, IngestOutcome)]
+    outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
         _show(outcome, screen)
     announce(jobs, screen)
     total = sum(job_size(job) for job in jobs)
     with screen.progress("reading", total, "bytes") as advance:
-        for outcome in outcomes_of(jobs, _workers(asked, len(jobs), total), advance):
-            outcomes.append(outcome)
-            _show(outcome, screen)
-    return outcomes
+        workers = _workers(asked, len(jobs), total)
+        with closing(outcomes_of(jobs, workers, advance)) as known:
+            for outcome in known:
+                outcomes.append(outcome)
+                _show(outcome, screen)
+
+
+def _records(planned: list[IngestJob | IngestOutcome]) -> dict[str, tuple[int, int]]:
+    """For every run that has a record of its ingest, what is another when it is written anew."""
+    from .ingest_worker import IngestJob, called
+
+    found = {}
+    for job in planned:
+        if isinstance(job, IngestJob):
+            run = called(job.place, job.run)
+            with suppress(OSError):
+                state = os.lstat(job.place.ingest_record(run))
+                found[run] = (state.st_ino, state.st_mtime_ns)
+    return found
 
 
 def _show(outcome: IngestOutcome, screen: Screen) -> None:
@@ -291,7 +335,7 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
-        logs = counted(len(outcomes) - len(failed), "log")
+        logs = counted(len(outcomes), "log")
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
         screen.line(f"{told}; next: {place.call('merge', '--all')}")
     if failed and len(outcomes) > 1:

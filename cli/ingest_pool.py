@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -22,7 +22,7 @@ TOGETHER = 2
 
 def outcomes_of(
     jobs: list[IngestJob], workers: int, advance: Callable[[int], None]
-) -> Iterator[IngestOutcome]:
+) -> Generator[IngestOutcome, None, None]:
     """Outcomes as they are completed; `advance` is called with the bytes read so far over all
     logs."""
     if workers == 1:

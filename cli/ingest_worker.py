@@ -26,7 +26,7 @@ from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, to_turning_points
 from .version import VERSION
-from .workspace import Workspace, checked_run_name
+from .workspace import Workspace, plain_name
 
 MOST_NAMES = 16
 """Limit on successive renames of one run."""
@@ -94,7 +94,7 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
-    job = replace(job, run=_called(job.place, job.run))
+    job = replace(job, run=called(job.place, job.run))
     key = _content_key(job)
     before = job.place.ingested(job.run) or {}
     had = _kept(job, key)
@@ -125,7 +125,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     write_together(writes)
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run is finished only when all of its files exist.
-    doc = {"key": key, "log": _origin(job.log), "runs": runs, "read": _read_how(job.read)}
+    doc = {"key": key, "log": origin(job.log), "runs": runs, "read": _read_how(job.read)}
     # Of a log of several files the size of the one that is named, by which `list` goes.
     own = job.log.stat().st_size if isinstance(job.log, Path) and job.log.is_file() else None
     doc |= {"version": VERSION, "bytes": job_size(job) if own is None else own}
@@ -141,7 +141,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
 
 def is_unchanged(job: IngestJob) -> bool:
     """Whether `ingest_one` has nothing to do."""
-    job = replace(job, run=_called(job.place, job.run))
+    job = replace(job, run=called(job.place, job.run))
     return bool(_kept(job, _content_key(job)))
 
 
@@ -218,7 +218,7 @@ def _content_key(job: IngestJob) -> str:
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def _called(place: Workspace, run: str) -> str:
+def called(place: Workspace, run: str) -> str:
     """The current name of a run after `topobatch rename`."""
     name = run
     for _ in range(MOST_NAMES):
@@ -226,7 +226,7 @@ def _called(place: Workspace, run: str) -> str:
             return name
         name = (place.ingested(name) or {}).get("renamed", run)
         try:
-            checked_run_name(name)
+            plain_name(name)
         except (UsageError, TypeError, AttributeError):
             return run  # nothing of ours wrote that
     return run
@@ -242,7 +242,7 @@ def _runs_of(record: dict[str, Any], run: str) -> list[str]:
     return [name for name in listed if isinstance(name, str) and own.fullmatch(name)]
 
 
-def _origin(log: LogPath) -> str:
+def origin(log: LogPath) -> str:
     """The path of a log; bytes that are no text are escaped."""
     return str(log.resolve()).encode("utf-8", "backslashreplace").decode()
 
@@ -251,7 +251,7 @@ def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """Raise unless the run's existing map was made from this log: others are not overwritten
     without --force."""
     other, path = (job.place.ingested(run) or {}).get("log"), job.place.map_json(run)
-    if job.force or not isinstance(other, str) or other == _origin(job.log):
+    if job.force or not isinstance(other, str) or other == origin(job.log):
         return
     try:
         same = read_json(path) == doc

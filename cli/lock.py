@@ -74,6 +74,10 @@ def lock(
             kept = without_lock(place.locks(), a, b)
         else:
             place.chosen_runs([a, b], False)
+            pair = min(a, b), max(a, b)
+            if same and pair in place.discards():
+                first = place.call("discard", ":".join(pair), "--undo")
+                raise UsageError(f"the match of {a} and {b} was discarded; first: {first}")
             kept = with_lock(place.locks(), _checked(place, Lock(a, b, _decision(same), _pair(at))))
         place.write_locks(kept)
         done = "clear" if clear else _decision(same)

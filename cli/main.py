@@ -1,7 +1,7 @@
 """The `topobatch` command.
 
-Exit codes: 0 all went well; 1 the data is at fault (some or all of it); 2 the call is at fault;
-70 topobatch itself is at fault; 130 interrupted.
+Exit codes: 0 all was done, if with warnings; 1 the data is at fault (some or all of it); 2 the call
+is at fault; 70 topobatch itself is at fault; 130 interrupted.
 """
 
 from __future__ import annotations

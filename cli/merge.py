@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import DocumentError, UsageError
+from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
 from . import paper_options
 from .journal import note
@@ -46,6 +46,8 @@ GARBAGE = 50_000
 """Threshold of new objects for the garbage collector. Maps and verdicts are hundreds of thousands
 of long-lived objects; with the default of 700, collection takes a tenth of a merge of 200 maps, and
 finds 2 MB."""
+
+OVERWRITE = "give this merge another --output NAME, or overwrite with --replace"
 
 WORTH_PROCESSES = 4000
 """Pairs to match from which on processes are started, each of which reads the maps."""
@@ -120,11 +122,13 @@ def merge(
 ) -> None:
     """Merge the maps of many runs, where they overlap.
 
-    Writes merged.json and merged.rrd in the workspace; those of more runs are not overwritten
-    unasked. Every pair of runs gets a verdict: merged
-    (the same place, and the evidence says so), ambiguous (an alignment fits, but the evidence
-    falls short, or another fits nearly as well) or unrelated. Only merged pairs join. The order of
-    the runs does not matter.
+    Writes merged.json and merged.rrd in the workspace. A merge that is there is overwritten by one
+    with all of its runs; one that leaves out any, whose map is missing or damaged for instance, is
+    refused without --replace. (topobatch discard RUN takes a run out of the merges.)
+
+    Every pair of runs gets a verdict: merged (the same place, and the evidence says so), ambiguous
+    (an alignment fits, but the evidence falls short, or another fits nearly as well) or unrelated.
+    Only merged pairs join. The order of the runs does not matter.
 
     \b
       topobatch merge --all
@@ -143,8 +147,13 @@ def merge(
         options.refuse()
     workers = partial(_workers, jobs, cluster)
     if shard is not None:
-        if not everything or method != "robust":
+        if not everything or runs or method != "robust":
             raise UsageError("--shard goes with --all and the robust method")
+        if output is not None:
+            raise UsageError(
+                "--shard fills the cache, from which any merge is made; "
+                "--output goes with the last merge --all"
+            )
         from .shard import match_share, share_of
 
         settings = _settings(method, false_merge_rate, options)
@@ -161,11 +170,8 @@ def merge(
             before = set() if replace_last else _merged_before(place, chosen, everything, screen)
             store = _store(place, settings, screen)
             maps, broken = read_maps(place, chosen, screen, store)
-            if lost := sorted(before - {m.run for m in maps}):
-                screen.warn(
-                    f"{place.merged_json}: was the merge of {counted(len(before), 'run')}, and "
-                    f"this one leaves out {listed(lost)}, without a readable map"
-                )
+            if lost := before & set(broken):
+                raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
             result = _merged(place, maps, settings, workers, everything, screen, store)
             _write(place, result, maps, documents)
             told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
@@ -224,6 +230,7 @@ def _repeat(
     if not runs:
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
+        screen.line(f"{place.merged_json}: removed; none of its runs is left")
         return
     settings = _about(settings, new, runs)
     documents, store = contents(place, runs), _store(place, settings, screen)
@@ -261,30 +268,43 @@ def _merged_before(
 ) -> set[str]:
     """The runs of the merge that will be overwritten.
 
-    UsageError if it has others than the chosen ones. Merging everything leaves out only runs
-    without a map, and overwrites documents that are no merge, except under a name of its own.
+    UsageError if it has others than the chosen ones, or if no merge is there but something else;
+    that a merge of everything overwrites, except under a name of its own.
     """
     from ..merge.document import read_merged
 
     path = place.merged_json
     if not path.exists():
         return set()
-    free = everything and place.merge == MERGED
-    advice = "give this merge another --output NAME, or overwrite with --replace"
     try:
         before = set(read_merged(path).graph.home)
     except DocumentError as error:
-        if not free:
-            raise UsageError(f"{error}; {advice}") from error
+        if not everything or place.merge != MERGED:
+            raise UsageError(f"{error}; {OVERWRITE}") from error
         screen.warn(f"{error}; it is overwritten")
         return set()
-    lost = sorted(before - set(chosen))
-    if lost and not free:
-        raise UsageError(
-            f"{path}: is the merge of {counted(len(before), 'run')}, and this one leaves out "
-            f"{listed(lost)}; {advice}"
-        )
+    if lost := {run for run in before - set(chosen) if not _was_piece(place, run, chosen)}:
+        why = ", without a map (their logs, ingested again, make them)" if everything else ""
+        raise UsageError(_leaves_out(place, before, lost, why))
     return before
+
+
+def _leaves_out(place: Workspace, before: set[str], lost: set[str], why: str) -> str:
+    """That a merge with the runs `before` is not overwritten by one without `lost`."""
+    return (
+        f"{place.merged_json}: is the merge of {counted(len(before), 'run')}, and this one leaves "
+        f"out {listed(sorted(lost))}{why}; {OVERWRITE}"
+    )
+
+
+def _was_piece(place: Workspace, run: str, chosen: Collection[str]) -> bool:
+    """Whether a run was a piece (RUN#2) of a chosen one whose log, ingested again, gives it no
+    more."""
+    whole, mark, _ = run.rpartition("#")
+    if not mark or whole not in chosen:
+        return False
+    gives = (place.ingested(whole) or {}).get("runs")
+    return isinstance(gives, list) and run not in gives
 
 
 def _settings(

@@ -107,7 +107,12 @@ def simulate(
         int,
         typer.Option(metavar="N", min=0, help="The same seed writes the same messages."),
     ] = 0,
-    force: Annotated[bool, typer.Option("--force", help="Write into a folder in use.")] = False,
+    force: Annotated[
+        bool,
+        typer.Option(
+            "--force", help="Write into a folder in use; logs of the same runs there are replaced."
+        ),
+    ] = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write logs of simulated robots, to try things out on.
@@ -155,7 +160,7 @@ def simulate(
             written += 1
             advance(written)
 
-        logs = write_scenario(scenario, out, formats or ["mcap"], on_log)
+        logs = write_scenario(scenario, out, formats or ["mcap"], on_log, alone=force)
     screen.line(
         f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}"
     )

@@ -447,21 +447,29 @@ def is_workspace(folder: Path) -> bool:
 
 
 def pairs_named(text: str, runs: Iterable[str]) -> list[tuple[str, str]]:
-    """The pairs of known runs that "A:B" may name, each in the order of names; names may hold
-    colons."""
+    """The pairs of known runs that "A:B" may name, each in the order of names; names that earlier
+    versions gave may hold colons."""
     known = set(runs)
     cuts = (k for k, letter in enumerate(text) if letter == ":")
     found = ((text[:k], text[k + 1 :]) for k in cuts)
     return [(min(pair), max(pair)) for pair in found if known.issuperset(pair)]
 
 
+def run_named_after(log_name: str) -> str:
+    """The name of the run of a log: that of the log, with - for colons."""
+    return log_name.replace(":", "-")
+
+
 def checked_run_name(name: str) -> str:
-    """A run name that is a plain file name of a length that can be, or a UsageError."""
+    """A name that a new run can have (`checked_file_name`), or a UsageError."""
     return checked_file_name(name, RUN)
 
 
 def checked_file_name(name: str, what: str) -> str:
-    """A name for `what` that is a plain file name of a length that can be, or a UsageError."""
+    """A name for a new `what` that is a plain file name of a length that can be, without the colon
+    between the names of a pair, or a UsageError."""
+    if ":" in plain_name(name, what):
+        raise UsageError(f"{name!r} cannot name {what}: it holds a colon, and A:B are two runs")
     if len(plain_name(name, what).encode()) > NAME_BYTES:
         raise UsageError(f"{name[:40]!r}… cannot name {what}: it is longer than {NAME_BYTES} bytes")
     return name

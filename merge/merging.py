@@ -8,8 +8,6 @@ from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
@@ -26,6 +24,7 @@ from .paper.method import DEFAULT_PAPER, PaperSettings
 from .result import Component, MergeResult, PairVerdict, Unlisted, Verdict, pairs_of
 from .robust import DEFAULT_ROBUST, Means, RobustSettings
 from .through import joined_through
+from .wording import told_placement
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,7 +180,7 @@ def _with_placements(
         if placed is not None:
             vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
             told = (
-                f"{told}, placed to {placed[0]:.1f} m and {np.degrees(placed[1]):.1f}° (1 sigma)"
+                f"{told}, placed to {told_placement(*placed)} (1 sigma)"
                 f"{', too vaguely to count on it' if vague else ''}"
             )
         reason = f"{told}{ALONE}{v.reason}"

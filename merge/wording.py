@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 from ..topology.digits import BITS
 from .result import shown_bits
+
+LEAST = 0.1
+"""Metres and degrees of which one decimal tells something."""
 
 
 def decimals(bits: float, need_bits: float) -> int:
@@ -16,3 +21,11 @@ def told_bits(bits: float, need_bits: float) -> str:
     """ "4.1 bits, 12.6 needed", with enough decimals to distinguish the two."""
     digits = decimals(bits, need_bits)
     return f"{shown_bits(bits, digits)} bits, {shown_bits(need_bits, digits)} needed"
+
+
+def told_placement(sigma_m: float, sigma_rad: float) -> str:
+    """ "0.2 m and 1.4°", or "4.9 cm and 0.03°": a decimal, and of less than 0.1 two digits."""
+    degrees = math.degrees(sigma_rad)
+    length = f"{sigma_m:.1f} m" if sigma_m >= LEAST else f"{100 * sigma_m:.2g} cm"
+    angle = f"{degrees:.1f}°" if degrees >= LEAST else f"{degrees:.2g}°"
+    return f"{length} and {angle}"

@@ -22,6 +22,8 @@ from .scenario import Scenario, SimulatedRun
 from .truth import write_truth
 
 TRUTH_FILE = "truth.json"
+METADATA = "metadata.yaml"
+"""Of the folder of a ROS 2 bag."""
 
 METADATA_VERSION: Literal[9] = 9
 """Version of metadata.yaml as in ROS 2 Jazzy."""
@@ -80,6 +82,9 @@ FORMATS: Mapping[str, tuple[str, Callable[[Path, SimulatedRun], None]]] = Mappin
 )
 """Containers by name: suffix of the log's path, and writer. "db3" and "ros2-mcap" are folders."""
 
+STORAGE: Mapping[str, str] = MappingProxyType({"db3": ".db3", "ros2-mcap": ".mcap"})
+"""Suffix of the one file beside metadata.yaml, by the format of a folder."""
+
 
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
     """Write the log of one run into `folder`, named after the run; returns its path.
@@ -114,16 +119,38 @@ def _move(log: Path, path: Path) -> None:
         os.replace(log, path)
 
 
+def _remove_others(folder: Path, run: str, container: str) -> None:
+    """Remove the logs of a run that `write_run` left in other containers; links and whatever else a
+    folder of that name holds stay."""
+    bag = folder / run
+    others = [
+        folder / f"{run}{suffix}" for name, (suffix, _) in FORMATS.items() if name != container
+    ]
+    files = [path for path in others if path != bag]
+    if not bag.is_symlink() and (bag / METADATA).is_file():
+        inside = [bag / f"{run}{suffix}" for name, suffix in STORAGE.items() if name != container]
+        inside = [path for path in inside if path.is_file()]
+        files += [*inside, bag / METADATA] if inside and container not in STORAGE else inside
+    for path in files:
+        if path.is_file() and not path.is_symlink():
+            path.unlink()
+    if container not in STORAGE and bag.is_dir() and not any(bag.iterdir()):
+        bag.rmdir()
+
+
 def write_scenario(
     scenario: Scenario,
     out: Path,
     formats: Sequence[str] = ("mcap",),
     progress: Callable[[Path], object] | None = None,
+    *,
+    alone: bool = False,
 ) -> list[Path]:
     """Write every run's log and `truth.json` into the folder `out`; returns the paths of the logs.
 
     Several formats are assigned to the runs in turn. `progress` is called with each finished log.
-    Raises UsageError if a format is missing or unknown.
+    alone: remove logs of these runs in other formats that were written there before. Raises
+    UsageError if a format is missing or unknown.
     """
     unknown = [name for name in formats if name not in FORMATS]
     if unknown or not formats:
@@ -131,7 +158,10 @@ def write_scenario(
         raise UsageError(f"{wrong}: choose one of {', '.join(FORMATS)}")
     paths = []
     for k, simulated in enumerate(scenario.simulated):
-        paths.append(write_run(out, simulated, formats[k % len(formats)]))
+        container = formats[k % len(formats)]
+        paths.append(write_run(out, simulated, container))
+        if alone:
+            _remove_others(out, simulated.run.name, container)
         if progress is not None:
             progress(paths[-1])
     write_truth(out / TRUTH_FILE, scenario.truth)

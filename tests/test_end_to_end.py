@@ -19,6 +19,7 @@ from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import MergeResult, Verdict
 from topobatch.merge.robust.explained import Batch, explain
+from topobatch.merge.wording import told_placement
 from topobatch.simulation import (
     MIXED,
     Truth,
@@ -117,7 +118,9 @@ def test_runs_joined_by_another_alone_are_told_so(merged: MergeResult) -> None:
     metres, radians = told.placed
     assert 0 < metres < 1
     assert 0 < radians < 0.1
-    assert told.reason.startswith(f"joined through maze-2, placed to {metres:.1f} m")
+    assert told.reason.startswith(
+        f"joined through maze-2, placed to {told_placement(*told.placed)} ("
+    )
 
 
 @pytest.mark.parametrize(("a", "b"), OVERLAPPING)

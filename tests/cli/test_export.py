@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -132,6 +133,44 @@ def test_a_log_that_is_gone_is_asked_for(topobatch, filled, logs, tmp_path) -> N
         assert fine.code == 0
     finally:
         record.write_text(kept)
+
+
+def test_a_log_that_the_map_was_not_made_from_is_refused(topobatch, filled, logs, tmp_path):
+    run = logs["mcap"].stem
+    call = ("export", run, "-f", "tum", "-o", tmp_path / "x.tum", "-w", filled.root)
+    error = topobatch(*call, "--log", logs["other"]).error(2)
+    assert f"{logs['other']}: is not the log that the map of run {run} was made from" in error
+    assert str(logs["mcap"]) in error
+    assert not list(tmp_path.glob("x.*"))
+    moved = shutil.copy(logs["mcap"], tmp_path / "moved.mcap")
+    for log in (moved, logs["bag"], logs["db3"]):
+        assert topobatch(*call, "--log", log).code == 0
+    record = filled.ingest_record(run)
+    kept = record.read_text()
+    try:
+        shutil.copy(logs["other"], moved)
+        write_json(record, json.loads(kept) | {"log": str(moved)})
+        assert "changed since the map of run" in topobatch(*call).error(1)
+        assert "ingest it again" in topobatch(*call, "--log", moved).error(1)
+    finally:
+        record.write_text(kept)
+
+
+def test_a_log_of_other_times_is_not_the_maps(logs):
+    from topobatch.cli.export import _differs
+    from topobatch.ingest.mapping import build_map
+    from topobatch.ingest.reading import read_run
+
+    run = read_run(logs["mcap"])
+    topomap = build_map(run)
+    assert _differs(topomap, run) is None
+    day = 86_400 * 10**9
+    later = replace(topomap, observation_time_ns=topomap.observation_time_ns + day)
+    assert "where the map begins 2023-11-16" in _differs(later, run)
+    told = dict(topomap.info["source"])
+    fewer = told | {"junctions": told["junctions"] | {"messages": 3}}
+    assert "where the map has 3" in _differs(replace(topomap, info={"source": fewer}), run)
+    assert _differs(replace(topomap, info={"source": "x"}), run) is None
 
 
 def test_maps_of_grids_have_no_trajectories_and_cost_others_none(topobatch, filled, tmp_path):

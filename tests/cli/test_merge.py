@@ -79,25 +79,60 @@ def test_a_merge_of_fewer_runs_does_not_replace_a_larger_one(topobatch, workspac
     assert [list(c["runs"]) for c in document["graph"]["components"]] == [[b]]
 
 
-def test_a_merge_of_all_says_which_runs_of_the_last_one_have_no_map_any_more(topobatch, workspace):
+def test_a_merge_of_all_does_not_replace_one_with_runs_that_have_no_map_any_more(
+    topobatch, workspace
+):
     b = max(p.stem for p in (workspace / "maps").glob("*.json"))
     merge = ("merge", "--all", "-w", workspace)
+    files = [workspace / f"merged.{kind}" for kind in ("json", "rrd")]
     assert topobatch(*merge).code == 0
+    before = [path.read_bytes() for path in files]
     damaged = workspace / "maps" / f"{b}.json"
     whole = damaged.read_bytes()
     damaged.write_bytes(whole[: len(whole) // 2])
     done = topobatch(*merge)
     assert done.code == 1
-    assert f"was the merge of 2 runs, and this one leaves out {b}" in done.err
+    refused = f"merged.json: is the merge of 2 runs, and this one leaves out {b}, without a"
+    assert f"{refused} readable map; give this merge" in done.err
+    damaged.unlink()
+    error = topobatch(*merge).error(2)
+    assert f"{refused} map (" in error
+    assert "--replace" in error
+    assert [path.read_bytes() for path in files] == before
     damaged.write_bytes(whole)
     assert "leaves out" not in topobatch(*merge).err
-    damaged.unlink()
-    done = topobatch(*merge)
-    assert done.code == 0
-    assert f"leaves out {b}" in done.err
+    damaged.write_bytes(whole[: len(whole) // 2])
+    assert topobatch(*merge, "--replace").code == 1  # as one of the maps is damaged
+    assert b.encode() not in files[0].read_bytes()
+    assert topobatch(*merge, "--replace").code == 1
     (workspace / "merged.json").write_text("{}")
     damaged.write_bytes(whole)
     assert "it is overwritten" in topobatch(*merge).err
+
+
+def test_what_was_discarded_or_renamed_is_left_out_unasked(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    merge = ("merge", "--all", "-w", workspace)
+    assert topobatch(*merge).code == 0
+    assert topobatch("rename", a, "new", "-w", workspace).code == 0
+    assert topobatch(*merge).code == 0
+    assert topobatch("discard", b, "-w", workspace).code == 0
+    assert topobatch(*merge).code == 0
+
+
+def test_a_merge_of_as_many_other_runs_does_not_replace_one(topobatch, workspace):
+    a, b = sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    assert topobatch("merge", a, "-w", workspace).code == 0
+    assert f"leaves out {a}; " in topobatch("merge", b, "-w", workspace).error(2)
+    told = " ".join(topobatch("merge", "--help").out.split())
+    assert "is overwritten by one with all of its runs; one that leaves out any" in told
+
+
+def test_shares_of_a_merge_have_no_output(topobatch, workspace):
+    share = ("merge", "--all", "--shard", "1/2", "-w", workspace)
+    error = topobatch(*share, "--output", "y").error(2)
+    assert "--output goes with the last merge --all" in error
+    assert "--shard goes with --all" in topobatch(*share, "run1").error(2)
 
 
 def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
@@ -111,7 +146,19 @@ def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
 
 @pytest.mark.parametrize(
     "name",
-    ["merged", "Locks", "maps", "explain", "cache", "../x", ".hidden", "", "run1", "x" * 300],
+    [
+        "merged",
+        "Locks",
+        "maps",
+        "explain",
+        "cache",
+        "../x",
+        ".hidden",
+        "",
+        "run1",
+        "a:b",
+        "x" * 300,
+    ],
 )
 def test_names_that_cannot_be_a_merges(topobatch, workspace, name):
     assert (workspace / "maps" / "run1.json").exists()

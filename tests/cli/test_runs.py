@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
@@ -150,6 +151,7 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
     assert gone.encode() not in (merged / "two.json").read_bytes()
     assert (merged / "rest.json").read_bytes() == untouched
     assert not (merged / "alone.json").exists()
+    assert f"\n{merged / 'alone.json'}: removed; none of its runs is left" in done.out
     assert (merged / "mine.json").read_text() == "{}"
     assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
     for name in ("two", "rest", "merged"):
@@ -219,6 +221,31 @@ def test_a_match_that_is_locked_is_not_discarded(topobatch, merged):
     assert "was not discarded" in topobatch("discard", f"{a}:{b}", "--undo", "-w", merged).error(2)
 
 
+def test_a_match_that_was_discarded_is_not_locked(topobatch, merged):
+    a, b = accepted_pair(merged)
+    assert topobatch("discard", f"{a}:{b}", "-q", "-w", merged).code == 0
+    told = topobatch("lock", b, a, "--same", "-w", merged).error(2)
+    assert f"was discarded; first: topobatch discard {a}:{b} --undo -w" in told
+    assert not (merged / "locks.json").exists()
+    assert topobatch("lock", b, a, "--never", "-w", merged).code == 0
+    assert topobatch("discard", f"{a}:{b}", "--undo", "-q", "-w", merged).code == 0
+    assert topobatch("lock", b, a, "--same", "-w", merged).code == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no file has a colon in its name there")
+def test_a_run_that_is_called_like_a_pair_is_not_discarded(topobatch, merged):
+    """Earlier versions gave such names."""
+    a, b = accepted_pair(merged)
+    path = merged / "maps" / f"{a}:{b}.json"
+    path.write_text((merged / "maps" / f"{a}.json").read_text().replace(f'"{a}"', f'"{a}:{b}"'))
+    told = topobatch("discard", f"{a}:{b}", "-w", merged).error(2)
+    assert f"topobatch rename {a}:{b} {a}-{b}" in told
+    assert path.exists()
+    assert topobatch("rename", f"{a}:{b}", f"{a}-{b}", "-q", "-w", merged).code == 0
+    assert topobatch("discard", f"{a}:{b}", "-q", "-w", merged).code == 0
+    assert (merged / "maps" / f"{a}-{b}.json").exists()
+
+
 def test_discards_that_are_none(topobatch, merged):
     (merged / "discards.json").write_text('{"schema":"topobatch.discards/1","discarded":[1]}')
     called = topobatch("merge", "--all", "-w", merged)
@@ -246,7 +273,7 @@ def test_rename(topobatch, merged):
     assert document(merged) == before
 
 
-@pytest.mark.parametrize("new", ["../x", "", "a/b", ".x", "x#2"])
+@pytest.mark.parametrize("new", ["../x", "", "a/b", ".x", "x#2", "a:b"])
 def test_names_that_cannot_be(topobatch, merged, new):
     run = sorted(p.stem for p in (merged / "maps").glob("*.json"))[0]
     assert topobatch("rename", run, new, "-w", merged).code == 2

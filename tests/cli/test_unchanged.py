@@ -60,6 +60,7 @@ def test_whatever_is_new_is_merged(topobatch, place, tmp_path, monkeypatch, chan
         path.with_name("another.json").write_text(document)
     elif change == "gone map":
         path.unlink()
+        options = ["--replace"]
     elif change == "lock":
         topobatch("lock", *runs[:2], "--never", "-w", place)
     elif change == "discard":

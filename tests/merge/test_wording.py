@@ -1,7 +1,7 @@
 """Numbers in words."""
 
 from topobatch.merge.result import shown_lead
-from topobatch.merge.wording import told_bits
+from topobatch.merge.wording import told_bits, told_placement
 
 
 def test_bits_that_fall_short_are_seen_to_do_so():
@@ -13,3 +13,9 @@ def test_a_lead_is_the_difference_of_what_is_shown():
     assert shown_lead(6.75, 6.24) == 0.6  # 6.8 and 6.2
     assert shown_lead(6.75, 6.24, 2) == 0.51
     assert shown_lead(4.04, 9.04) == -5.0
+
+
+def test_a_placement_is_never_to_nothing():
+    assert told_placement(0.234, 0.025) == "0.2 m and 1.4°"
+    assert told_placement(0.0491, 0.0005) == "4.9 cm and 0.029°"
+    assert told_placement(0.0004, 0.00174) == "0.04 cm and 0.1°"
