@@ -65,8 +65,7 @@ def check_as_merged(topobatch, workspace, pairs, *options):
 
 def test_runs_are_explained_as_a_merge_would_decide(topobatch, workspace):
     """A merge also weighs how buildings like theirs repeat themselves, and who joins whom."""
-    names = ["maze1", "maze2", "maze3", "maze4", "rows1"]
-    pairs = [(a, b) for a in names for b in names if a < b]
+    pairs = [("maze1", "maze2"), ("maze2", "maze3"), ("maze3", "maze4"), ("maze1", "rows1")]
     entries = check_as_merged(topobatch, workspace, pairs)
     assert entries["maze1", "maze2"]["accepted"]
     assert entries["maze2", "maze3"]["through"]

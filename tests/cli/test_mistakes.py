@@ -66,7 +66,10 @@ def examples(shown: str) -> list[list[str]]:
     return [shlex.split(line)[1:] for line in re.findall(r"(?m)^    (topobatch .*)$", shown)]
 
 
-@pytest.mark.parametrize("command", NAMES)
+SLOW = {"simulate": [pytest.mark.slow]}  # its examples make logs of lasers
+
+
+@pytest.mark.parametrize("command", [pytest.param(n, marks=SLOW.get(n, [])) for n in NAMES])
 def test_the_examples_of_every_help_work(topobatch, own_site, command):
     calls = examples(topobatch(command, "--help").out)
     assert calls
