@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..frozen import freeze
 from ..odometry import Odometry
 from ..passes import Passes
 from ..topomap import RunNoise
@@ -30,6 +31,34 @@ class SystematicErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Loops:
+    """Relative poses that were measured between passes apart in time, by what a laser saw there.
+
+    first, second: (k,) passes; measurement: (k, 3) T_first_second, information: (k, 3, 3), both as
+    of a `PoseGraph` whose nodes are the passes, at their centres and rotated like the odometry
+    frame.
+    """
+
+    first: IntArray
+    second: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+    def __post_init__(self) -> None:
+        k = len(self.first)
+        freeze(self, np.int64, first=(k,), second=(k,))
+        freeze(self, np.float64, measurement=(k, 3), information=(k, 3, 3))
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+NO_LOOPS = Loops(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
     """The passes of a run and the odometry between them.
 
@@ -38,7 +67,8 @@ class DeadReckoning:
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) what the odometry's jumps add to the variances among them.
+    7) what the odometry's jumps add to the variances among them; loops: relative poses known
+    beside the odometry.
     """
 
     passes: Passes
@@ -52,6 +82,7 @@ class DeadReckoning:
     origin: FloatArray
     sums: FloatArray
     jumps: FloatArray
+    loops: Loops = field(default=NO_LOOPS)
 
     def __len__(self) -> int:
         return len(self.passes)
