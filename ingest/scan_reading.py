@@ -11,7 +11,7 @@ import numpy as np
 
 from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
-from ..topology.run import NO_DETECTIONS, Run, Scanned
+from ..topology.run import NO_DETECTIONS, Run
 from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
@@ -59,7 +59,7 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
         NO_DETECTIONS,
         about,
         tuple(warnings),
-        scanned=Scanned(result.passes, result.noise, result.picture),
+        scanned=result.scanned,
     )
 
 

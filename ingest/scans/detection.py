@@ -17,9 +17,10 @@ from .handedness import MirroredError, Turns
 from .junctions import Driven, junction_passes
 from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
-from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
+from .scan import Anchored, ScanBatch, Scanned, ScanPicture, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
+from .views import chosen_views, closed_by_views
 from .windows import WINDOWS, Seen, windows
 
 LEAST_FIT = 0.5
@@ -195,9 +196,12 @@ def _result(
         recorded.frame if recorded is not None else "odom",
         recorded.child_frame if recorded is not None else "base_link",
     )
+    views = chosen_views(seen, passes, driven)
+    odometry, views, loops, noise = closed_by_views(odometry, views, noise)
     picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), WINDOWS.half_m)
     warnings = (*counted.warnings(), *_warnings(statistics))
-    return ScanResult(odometry, passes, noise, statistics, picture, warnings)
+    scanned = Scanned(passes, noise, picture, views, loops)
+    return ScanResult(odometry, scanned, statistics, warnings)
 
 
 def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:

@@ -9,8 +9,7 @@ import numpy as np
 from ...topology.arrays import Float32Array, FloatArray, IntArray
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
-from ...topology.run import Anchored, ScanPasses, ScanPicture
-from ...topology.topomap import RunNoise
+from ...topology.run import Anchored, Scanned, ScanPasses, ScanPicture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,23 +84,22 @@ class ScanStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanResult:
-    """Corrected odometry, its noise, and the junctions detected in scans.
+    """Corrected odometry, and what was detected in scans.
 
-    noise: of `odometry`, for loop closure, and of the passes (centre, branch). warnings: one
-    sentence per kind of fault, with a count.
+    scanned: the junctions, the noise of `odometry`, for loop closure, and of the passes (centre,
+    branch), views and loops. warnings: one sentence per kind of fault, with a count.
     """
 
     odometry: Odometry
-    passes: ScanPasses
-    noise: RunNoise
+    scanned: Scanned
     statistics: ScanStatistics
-    picture: ScanPicture
     warnings: tuple[str, ...] = ()
 
 
 __all__ = [
     "Anchored",
     "ScanBatch",
+    "Scanned",
     "ScanPasses",
     "ScanPicture",
     "ScanResult",

@@ -146,7 +146,6 @@ def optimise(
     )
     graph, solution, chi2 = _solved(graph, observed, settings)
     freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
-    freedom += 3 * len(loops)
     return Estimate(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
