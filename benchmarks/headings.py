@@ -34,7 +34,7 @@ from topobatch.ingest.scans.noise import matched_noise
 from topobatch.topology.columns import joined
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import compose, inverse, wrap
 from topobatch.topology.track import way_at
 

@@ -57,7 +57,7 @@ from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.track import way_at

@@ -130,8 +130,8 @@ class TopoMap(Graph):
     confidence: (n,) in (0, 1], probability that a vertex has exactly its branches, or one number
     for all: 1 for maps from detections. shows_bends: whether the detector reports places with two
     branches; those of scans and grids do not. turning_points: dead ends of the track that are not
-    vertices; `turning_vertices.with_turning_points` makes vertices of them. views: what a laser or a
-    grid shows around places of the run, posed in the map's frame. Raises ValueError where
+    vertices; `turning_vertices.with_turning_points` makes vertices of them. views: what a laser or
+    a grid shows around places of the run, posed in the map's frame. Raises ValueError where
     shapes, indices or values do not fit.
     """
 

@@ -99,9 +99,9 @@ class ScanResult:
 __all__ = [
     "Anchored",
     "ScanBatch",
-    "Scanned",
     "ScanPasses",
     "ScanPicture",
     "ScanResult",
     "ScanStatistics",
+    "Scanned",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -32,9 +33,7 @@ def chosen_views(seen: Sequence[Seen], passes: ScanPasses, driven: Driven) -> Vi
     if not seen:
         return NO_VIEWS
     way = np.array([window.way for window in seen])
-    at = np.interp(
-        passes.time_ns.astype(np.float64), driven.time_ns.astype(np.float64), driven.way
-    )
+    at = np.interp(passes.time_ns.astype(np.float64), driven.time_ns.astype(np.float64), driven.way)
     near = np.searchsorted(0.5 * (way[1:] + way[:-1]), at)
     wanted = np.zeros(len(way), bool)
     wanted[near] = True
@@ -44,11 +43,11 @@ def chosen_views(seen: Sequence[Seen], passes: ScanPasses, driven: Driven) -> Vi
         ahead = following[np.searchsorted(following, here)]
         if wanted[k] or (here - last >= EVERY_M and ahead - here >= EVERY_M / 2):
             wanted[k], last = True, here
-    rows = np.flatnonzero(wanted)
-    keyframe = np.minimum(np.searchsorted(driven.way, way[rows]), len(driven.way) - 1)
-    pose = np.zeros((len(rows), 3))
-    pose[:, :2] = [seen[k].place for k in rows]
-    return Views(driven.time_ns[keyframe], pose, np.array([seen[k].view for k in rows]))
+    kept = [window for window, some in zip(seen, wanted, strict=True) if some]
+    keyframe = np.minimum(np.searchsorted(driven.way, way[wanted]), len(driven.way) - 1)
+    pose = np.zeros((len(kept), 3))
+    pose[:, :2] = [window.place for window in kept]
+    return Views(driven.time_ns[keyframe], pose, np.array([window.view for window in kept]))
 
 
 def closed_by_views(
@@ -99,7 +98,7 @@ def _moved(
     out = odometry.pose.copy()
     cuts = [0, *odometry.breaks.tolist(), len(odometry)]
     way, at = np.cumsum(odometry.step_m), way_at(odometry, times)
-    for number, (begin, end) in enumerate(zip(cuts[:-1], cuts[1:], strict=True)):
+    for number, (begin, end) in enumerate(pairwise(cuts)):
         own = np.flatnonzero(piece == number)
         if not len(own):
             continue
@@ -111,10 +110,8 @@ def _moved(
         share = np.clip((way[rows] - at[one]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
         turn = pose[one, 2] + share * wrap(pose[two, 2] - pose[one, 2])
         xy = [
-            pose[k, :2] + turned(odometry.pose[rows, :2] - place[k], pose[k, 2])
-            for k in (one, two)
+            pose[k, :2] + turned(odometry.pose[rows, :2] - place[k], pose[k, 2]) for k in (one, two)
         ]
         out[rows, :2] = (1 - share)[:, None] * xy[0] + share[:, None] * xy[1]
         out[rows, 2] = wrap(odometry.pose[rows, 2] + turn)
     return out
-

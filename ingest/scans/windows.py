@@ -197,17 +197,17 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
         if k == 0:
             skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
-    place, view = _view(held, middle)
-    return Seen(number, middle, tuple(forks), skeleton.astype(np.float32), place, view)
+    skeleton = skeleton.astype(np.float32)
+    return Seen(number, middle, tuple(forks), skeleton, *_around(held, middle))
 
 
-def _view(held: _Rolling, middle: float) -> tuple[FloatArray, NDArray[np.uint8]]:
+def _around(held: _Rolling, middle: float) -> tuple[FloatArray, NDArray[np.uint8]]:
     """The view around a position on the track, and the corner of the lattice that it is about."""
     a, b = np.searchsorted(held.way, [middle - WINDOWS.way_m, middle + WINDOWS.way_m]).tolist()
     rows = range(a, min(max(b, a + 1), len(held.way)))
     # One cell more than a view has, as windows have a middle one.
     window = gather(held.seen, rows, held.at(middle)[None], (held.at(middle), SIDE), WINDOWS.grid)
-    place = (window.corner + SIDE) * WINDOWS.grid.cell_m
+    place = np.asarray((window.corner + SIDE) * WINDOWS.grid.cell_m, np.float64)
     return place, view_cells(window.hit[:-1, :-1], window.free[:-1, :-1])
 
 

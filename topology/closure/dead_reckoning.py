@@ -122,7 +122,8 @@ def dead_reckoning(
 
 
 FAR_M = 15.0
-"""Passes farther than this from where the robot was seen again are not tied by it: two corridors."""
+"""Passes farther than this from where the robot was seen again are not tied by it: two
+corridors."""
 
 
 def _loops_of_passes(

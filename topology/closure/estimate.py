@@ -49,10 +49,9 @@ class Estimate:
     pose: (p, 3) of every pass in the map frame: its centre, and the rotation from odometry to map.
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: one of its own if
     it has several passes, else its pass. sighting: (k,) pass of each observation factor;
-    sighting_chi2: (k,) its squared error in sigmas; loop_chi2: the same of
-    each of the loops. reduced_chi2: mean squared error in sigmas per
-    degree of freedom, 1 if the noise model is right; freedom: degrees of freedom. samples: for
-    covariances of many nodes.
+    sighting_chi2: (k,) its squared error in sigmas; loop_chi2: the same of each of the loops.
+    reduced_chi2: mean squared error in sigmas per degree of freedom, 1 if the noise model is right;
+    freedom: degrees of freedom, without those of loops. samples: for covariances of many nodes.
     """
 
     pose: FloatArray
@@ -99,8 +98,9 @@ def optimise(
 
     Nodes of the pose graph are the passes (at their centre, rotated like the odometry frame) and
     the places with several passes. Edges are the legs between consecutive passes, the observations
-    of places by passes, and the loops of `reckoning`; the systematic errors of the odometry are variables shared by
-    all legs. A corridor of the grid is a node as well: a line that its passes lie on.
+    of places by passes, and the loops of `reckoning`; the systematic errors of the odometry are
+    variables shared by all legs. A corridor of the grid is a node as well: a line that its passes
+    lie on.
     """
     count = len(reckoning)
     if start is None:
@@ -134,9 +134,7 @@ def optimise(
     graph = PoseGraph(
         pose=np.vstack([start, guess, pose]),
         source=np.concatenate([legs.row, shared.row, loops.first, count + len(several) + line]),
-        target=np.concatenate(
-            [legs.row + 1, node[place[shared.row]], loops.second, lines.row]
-        ),
+        target=np.concatenate([legs.row + 1, node[place[shared.row]], loops.second, lines.row]),
         measurement=np.vstack([part.measurement for part in parts]),
         information=np.concatenate([part.information for part in parts]),
         kernel=kernel,

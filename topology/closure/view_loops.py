@@ -1,8 +1,8 @@
 """Loops closed by views: where a run saw again what it had seen before.
 
-Like full closure (`incremental.py`), in rounds, the most certain first: pairs of views that position
-allows are registered, what agrees beyond what other places of the run do becomes a loop, the track is
-laid out again, and with its smaller uncertainty more pairs can be told. A loop must lead every other
+In rounds like full closure (`incremental.py`), the most certain first. Pairs of views that position
+allows are registered. What agrees beyond what other places of the run do becomes a loop, and the
+track is optimised again; its smaller uncertainty admits more pairs. A loop must lead every other
 one that its places offer.
 """
 
@@ -13,9 +13,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..matching.likelihood import BIT, LIKELIHOOD
+from ..columns import joined, take
+from ..matching.likelihood import LIKELIHOOD
 from ..matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, register
-from ..se2 import between, compose, turned, wrap
+from ..se2 import between, compose, inverse, wrap
 from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance, scale_noise
 from .estimate import Estimate, EstimateSettings, optimise
 
@@ -36,7 +37,6 @@ class ViewLoopSettings:
     """Pairs per view that are registered at most, which bounds the time."""
     nulls: int = 300
     """Pairs of places that position keeps apart, registered to learn what they look like."""
-    rounds: int = 12
     wrong_share: float = 0.1
     """Share of runs with a wrong loop if all of them just reach the required odds; as of
     `RoundSettings`."""
@@ -48,10 +48,23 @@ class ViewLoopSettings:
     """Way along which loops support each other."""
     lead: float = 3.0
     """Log odds [nats] by which a loop leads its rivals; as of `EvidenceSettings`."""
+    known_m: float = 0.15
+    """Pairs whose relative position is known to this (1 sigma) are not registered: they would be
+    known little better."""
     sigma_m: float = 0.07
     sigma_rad: float = 0.01
     """1 sigma of a registration, beyond what its walls leave open: median errors against the true
     tracks of four buildings are .09 to .19 m, those of the truth included, and .02 rad."""
+
+
+FARTHEST_M = 7.0
+"""Views whose places are expected farther apart than this cannot be registered (`PADDED`)."""
+
+
+LEAST_TURN_RAD = 0.1
+"""Turns are searched by this much beyond three sigmas: the noise may be believed too small."""
+TURNS = np.array([2, 4, 8, 18, 36])
+"""Steps of the raster of turns to either side that are searched."""
 
 
 @dataclass(eq=False)
@@ -107,7 +120,6 @@ class _Search:
         i, j = np.triu_indices(len(reckoning), 1)
         fine = (way[j] - way[i] >= settings.apart_m) & (reckoning.piece[i] == reckoning.piece[j])
         self._i, self._j = i[fine], j[fine]
-        self._open = np.ones(len(self._i), bool)
         self._tested = _Tested()
         self._kept = np.zeros(0, np.int64)
         self._blocked: set[int] = set()
@@ -115,31 +127,25 @@ class _Search:
         self._different = np.zeros(0)
 
     def run(self) -> tuple[DeadReckoning, Estimate]:
-        if not len(self._i):
-            return self._given, self._estimate
         left = self._settings.tests * len(self._given)
-        for number in range(self._settings.rounds):
-            shift, cov = self._apart(first=number == 0)
-            if number == 0:
+        while left > 0 and len(self._i):
+            shift, cov = self._relative(self._i, self._j)
+            if not len(self._different):
                 self._learn(shift, cov)
-            most = min(left, max(left // 4, len(self._given)))
-            tested = self._test(shift, cov, most)
+            tested = self._test(shift, cov, max(left // 4, len(self._given)))
             left -= tested
-            if not self._close(shift, cov) and not tested:
+            if not self._close() and not tested:
                 break
         return self._with_loops(), self._estimate
 
-    def _apart(self, *, first: bool) -> tuple[FloatArray, FloatArray]:
-        """(k, 3) pose of the second view of every pair in the first one's frame, and its
-        covariance (k, 3, 3)."""
-        i, j = self._i, self._j
-        pose = self._estimate.pose
-        shift = between(pose[i], pose[j])
-        if first:
-            cov = dead_reckoning_covariance(self._given, i, j) * self._settings.doubt**2
-        else:
-            cov = self._estimate.relative_covariance(i, j)
-        return shift, cov
+    def _relative(self, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
+        """(k, 3) poses of views j in the frames of views i as far as is known, and their covariance
+        (k, 3, 3): before the first loop, that of dead reckoning with some doubt."""
+        shift = between(self._estimate.pose[i], self._estimate.pose[j])
+        if not len(self._kept):
+            doubt = self._settings.doubt**2
+            return shift, dead_reckoning_covariance(self._given, i, j) * doubt
+        return shift, self._estimate.relative_covariance(i, j)
 
     def _learn(self, shift: FloatArray, cov: FloatArray) -> None:
         """Register pairs of places that position keeps apart."""
@@ -152,78 +158,65 @@ class _Search:
         found = self._registered(self._i[rows], self._j[rows], nothing, cov[rows, 2, 2])
         self._different = found.z
 
-    def _registered(
-        self, i: IntArray, j: IntArray, expected: FloatArray, turn_variance: FloatArray
-    ) -> Registered:
-        half = np.ceil((0.1 + 3 * np.sqrt(turn_variance)) / TURN_RAD)
-        half = np.clip(half, 2, 18).astype(np.int64)
-        parts: list[tuple[IntArray, Registered]] = []
-        # Pairs with turns about as well known are registered at once.
-        for wide in (2, 4, 8, 18):
-            rows = np.flatnonzero((half <= wide) & (half > {2: 0, 4: 2, 8: 4, 18: 8}[wide]))
-            if len(rows):
-                turns = expected[rows, 2:] + np.arange(-wide, wide + 1) * TURN_RAD
-                found = register(
-                    *(self._views, self._views, i[rows], j[rows], turns),
-                    reach_m=self._settings.reach_m,
-                    centre=expected[rows, :2],
-                )
-                parts.append((rows, found))
-        order = np.argsort(np.concatenate([rows for rows, _ in parts] or [np.zeros(0, np.int64)]))
-
-        def merged(name: str, shape: tuple[int, ...]) -> FloatArray:
-            values = [getattr(found, name) for _, found in parts]
-            return np.concatenate(values)[order] if values else np.zeros(shape)
-
-        return Registered(
-            merged("transform", (0, 3)),
-            merged("agree", (0,)),
-            merged("contradict", (0,)),
-            merged("information", (0, 3, 3)),
-        )
-
     def _test(self, shift: FloatArray, cov: FloatArray, most: int) -> int:
         """Register the pairs most likely to be of one place; their number."""
         reach = self._settings.reach_m
         variance = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1]) + (0.5 * reach) ** 2
         near2 = shift[:, 0] ** 2 + shift[:, 1] ** 2
         odds = -0.5 * near2 / variance - np.log(variance)
-        rows = np.flatnonzero(self._open & (near2 < 9 * variance + reach**2) & (near2 < 15.0**2))
+        near = (near2 < 9 * variance + reach**2) & (near2 < FARTHEST_M**2)
+        vague = cov[:, 0, 0] + cov[:, 1, 1] > self._settings.known_m**2
+        rows = np.flatnonzero(near & vague)
         rows = rows[np.argsort(-odds[rows], kind="stable")[:most]]
-        if not len(rows):
-            return 0
-        self._open[rows] = False
-        i, j = self._i[rows], self._j[rows]
-        centre = shift[rows].copy()
-        # Registration looks within `reach_m` of the place that is expected, in steps if it is vague.
-        found = self._registered(i, j, centre, cov[rows, 2, 2])
-        self._tested.add(i, j, found)
+        if len(rows):
+            i, j = self._i[rows], self._j[rows]
+            self._tested.add(i, j, self._registered(i, j, shift[rows], cov[rows, 2, 2]))
+            self._i, self._j = np.delete(self._i, rows), np.delete(self._j, rows)
         return len(rows)
+
+    def _registered(
+        self, i: IntArray, j: IntArray, expected: FloatArray, turn_variance: FloatArray
+    ) -> Registered:
+        """Register views j (k,) with views i around the expected poses (k, 3), with turns as well
+        known as `turn_variance` (k,) says."""
+        half = np.ceil((LEAST_TURN_RAD + 3 * np.sqrt(turn_variance)) / TURN_RAD)
+        # Pairs whose turns are known about as well are registered at once.
+        wide = TURNS[np.minimum(np.searchsorted(TURNS, half), len(TURNS) - 1)]
+        rows, parts = [], []
+        for some in TURNS.tolist():
+            own = np.flatnonzero(wide == some)
+            turns = expected[own, 2:] + np.arange(-some, some + 1) * TURN_RAD
+            rows.append(own)
+            parts.append(
+                register(
+                    *(self._views, self._views, i[own], j[own], turns),
+                    reach_m=self._settings.reach_m,
+                    centre=expected[own, :2],
+                )
+            )
+        return take(joined(parts), np.argsort(np.concatenate(rows)))
 
     def _null(self) -> ViewNull:
         same = self._tested.z[self._kept]
         return ViewNull.of(self._different, same)
 
-    def _close(self, shift: FloatArray, cov: FloatArray) -> bool:
+    def _close(self) -> bool:
         """Accept the loops that are certain by now, and lay the track out again."""
         t, settings = self._tested, self._settings
-        if not len(t):
-            return False
         own = self._null().odds(t.z)
-        n = len(self._given)
-        key = self._i * n + self._j
-        at = np.searchsorted(key, t.first * n + t.second)
-        position = self._position(t, shift[at], cov[at])
-        total = self._supported(t, own) + position
-        need = float(np.log(n / settings.wrong_share))
-        fine = (total >= need) & (own > 0)
-        fine[list(self._blocked)] = False
-        rows = np.flatnonzero(fine)
-        rows = rows[self._leads(rows, total)]
-        new = np.setdiff1d(rows, self._kept)
+        asked = np.setdiff1d(np.flatnonzero(own > 0), [*self._kept, *self._blocked])
+        if not len(asked):
+            return False
+        total = own.copy()
+        total[asked] += self._support(asked, own)
+        expected = self._relative(t.first[asked], t.second[asked])
+        total[asked] += self._position(t.transform[asked], *expected)
+        need = float(np.log(len(self._given) / settings.wrong_share))
+        likely = asked[total[asked] >= need]
+        new = likely[self._leads(likely, total)]
         if not len(new):
             return False
-        self._kept = np.union1d(self._kept, rows)
+        self._kept = np.union1d(self._kept, new)
         self._optimise()
         bad = self._estimate.loop_chi2 > LIKELIHOOD.gate_chi2(3)
         if bad.any():
@@ -232,77 +225,64 @@ class _Search:
             self._optimise()
         return True
 
-    def _position(self, t: _Tested, shift: FloatArray, cov: FloatArray) -> FloatArray:
-        """(k,) log odds [nats] of the transforms by position: density where they are expected,
-        against anywhere."""
-        off = t.transform - shift
-        off[:, 2] = wrap(off[:, 2])
-        s = cov + np.diag([self._settings.sigma_m**2] * 2 + [self._settings.sigma_rad**2 * 4])
-        s = s[:, :2, :2]
-        d2 = np.einsum("ki,kij,kj->k", off[:, :2], np.linalg.inv(s), off[:, :2])
-        det = np.linalg.det(s)
-        odds = np.log(self._settings.place_m2) - np.log(2 * np.pi * np.sqrt(det)) - 0.5 * d2
-        return np.minimum(odds, self._settings.lead)
+    def _position(self, transform: FloatArray, shift: FloatArray, cov: FloatArray) -> FloatArray:
+        """(k,) log odds [nats] of transforms by position: density where they are expected, against
+        anywhere."""
+        off = (transform - shift)[:, :2]
+        s = cov[:, :2, :2] + self._settings.sigma_m**2 * np.eye(2)
+        d2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(s), off)
+        vague = 2 * np.pi * np.sqrt(np.linalg.det(s))
+        odds = np.log(self._settings.place_m2 / vague) - 0.5 * d2
+        return np.asarray(np.minimum(odds, self._settings.lead))
 
-    def _supported(self, t: _Tested, own: FloatArray) -> FloatArray:
-        """(k,) evidence of each pair together with that of the pairs beside it that agree with it,
-        one per cell of the way."""
-        settings, way, pose = self._settings, self._way, self._given_pose
-        total = own.copy()
+    def _support(self, asked: IntArray, own: FloatArray) -> FloatArray:
+        """(k,) evidence [nats] of the pairs beside each of those asked that agree with it, one
+        value per cell of the way."""
+        t, settings, way = self._tested, self._settings, self._way
         good = np.flatnonzero(own > 0)
-        wi, wj = way[t.first[good]], way[t.second[good]]
-        for k, row in enumerate(good.tolist()):
-            beside = np.flatnonzero(
-                (np.abs(wi - wi[k]) < settings.beside_m) & (np.abs(wj - wj[k]) < settings.beside_m)
-            )
-            if len(beside) < 2:
-                continue
-            others = good[beside]
-            a, b = t.first[row], t.second[row]
-            to_a = between(np.repeat(pose[a][None], len(others), 0), pose[t.first[others]])
-            to_b = between(np.repeat(pose[b][None], len(others), 0), pose[t.second[others]])
-            expected = between(to_a, compose(t.transform[row], to_b))
-            off = t.transform[others] - expected
-            gone = np.abs(wi[beside] - wi[k]) + np.abs(wj[beside] - wj[k])
-            fits = np.hypot(off[:, 0], off[:, 1]) < LIKELIHOOD.gate_m + 0.02 * gone
-            fits &= np.abs(wrap(off[:, 2])) < 0.1
-            cell = np.rint((wi[beside] - wi[k]) / settings.cell_m).astype(np.int64)
-            across = np.rint((wj[beside] - wj[k]) / settings.cell_m).astype(np.int64)
-            fits &= (cell != 0) & (across != 0)
-            if fits.any():
-                _, which = np.unique(cell[fits], return_inverse=True)
-                sums = np.bincount(which, own[others[fits]]) / np.bincount(which)
-                total[row] += float(sums.sum())
-        return total
+        wi, wj = way[t.first], way[t.second]
+        gone_i, gone_j = wi[good] - wi[asked, None], wj[good] - wj[asked, None]
+        # Both sides have to be other places.
+        beside = (np.abs(gone_i) < settings.beside_m) & (np.abs(gone_j) < settings.beside_m)
+        beside &= (np.abs(gone_i) > 0.5 * settings.cell_m) & (
+            np.abs(gone_j) > 0.5 * settings.cell_m
+        )
+        row, column = np.nonzero(beside)
+        if not len(row):
+            return np.zeros(len(asked))
+        one, other, pose = asked[row], good[column], self._estimate.pose
+        to_a = between(pose[t.first[one]], pose[t.first[other]])
+        to_b = between(pose[t.second[one]], pose[t.second[other]])
+        expected = compose(inverse(to_a), compose(t.transform[one], to_b))
+        off = t.transform[other] - expected
+        far = np.abs(gone_i[row, column]) + np.abs(gone_j[row, column])
+        fits = np.hypot(off[:, 0], off[:, 1]) < LIKELIHOOD.gate_m + 0.02 * far
+        fits &= np.abs(wrap(off[:, 2])) < 0.1
+        row, other = row[fits], other[fits]
+        cell = np.rint(gone_i[row, column[fits]] / settings.cell_m).astype(np.int64)
+        keys, which = np.unique(row * 64 + cell + 32, return_inverse=True)
+        mean = np.bincount(which, own[other]) / np.bincount(which)
+        return np.asarray(np.bincount(keys // 64, mean, len(asked)), np.float64)
 
-    @property
-    def _given_pose(self) -> FloatArray:
-        return self._estimate.pose
-
-    def _leads(self, rows: IntArray, total: FloatArray) -> BoolArray:
+    def _leads(self, likely: IntArray, total: FloatArray) -> BoolArray:
         """Whether each of these pairs leads all others of its places that say something else."""
-        t, way, settings = self._tested, self._way, self._settings
-        out = np.ones(len(rows), bool)
-        rivals = np.flatnonzero(total > 0)
-        pose = self._estimate.pose
-        placed = compose(pose[t.first], t.transform)
-        back = compose(pose[t.second], _inverse(t.transform))
-        for k, row in enumerate(rows.tolist()):
-            near_b = np.abs(way[t.second[rivals]] - way[t.second[row]]) < settings.cell_m / 2
-            near_a = np.abs(way[t.first[rivals]] - way[t.first[row]]) < settings.cell_m / 2
-            # Where each of them puts the second view, moved to the same view.
-            step_b = turned(
-                pose[t.second[row], :2] - pose[t.second[rivals], :2],
-                placed[rivals, 2] - pose[t.second[rivals], 2],
-            )
-            step_a = turned(
-                pose[t.first[row], :2] - pose[t.first[rivals], :2],
-                back[rivals, 2] - pose[t.first[rivals], 2],
-            )
-            far_b = np.hypot(*(placed[rivals, :2] + step_b - placed[row, :2]).T) > settings.reach_m
-            far_a = np.hypot(*(back[rivals, :2] + step_a - back[row, :2]).T) > settings.reach_m
-            against = rivals[(near_b & far_b) | (near_a & far_a)]
-            out[k] = not np.any(total[against] > total[row] - settings.lead)
+        t, settings, way = self._tested, self._settings, self._way
+        pose, rivals = self._estimate.pose, np.flatnonzero(total > 0)
+        out = np.ones(len(likely), bool)
+        sides = (t.first, t.second, t.transform), (t.second, t.first, inverse(t.transform))
+        for here, there, transform in sides:
+            # Where each pair puts the place `there`, moved along the way to the same place.
+            near = np.abs(way[here[rivals]] - way[here[likely], None]) < 0.5 * settings.cell_m
+            row, column = np.nonzero(near)
+            one, other = likely[row], rivals[column]
+            to = between(pose[here[one]], pose[here[other]])
+            placed = compose(pose[here[one]], compose(to, transform[other]))
+            claimed = compose(pose[here[one]], transform[one])
+            step = between(pose[there[other]], pose[there[one]])
+            off = compose(placed, step)[:, :2] - claimed[:, :2]
+            against = np.hypot(off[:, 0], off[:, 1]) > settings.reach_m
+            against &= total[other] > total[one] - settings.lead
+            out[row[against]] = False
         return out
 
     def _optimise(self) -> None:
@@ -337,12 +317,3 @@ class _Search:
         R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
         out = np.linalg.inv(R @ cov @ R.transpose(0, 2, 1))
         return 0.5 * (out + out.transpose(0, 2, 1))
-
-
-def _inverse(T: FloatArray) -> FloatArray:
-    from ..se2 import inverse
-
-    return inverse(T)
-
-
-_ = BIT

@@ -11,8 +11,10 @@ both ways, is compared with what other places of the same maps reach (`ViewNull`
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,15 +68,15 @@ class ViewIndex:
 
     points: (n, m) wall cells as complex numbers [m], padded by zeros; normal: (n, m) directions
     across the walls as unit numbers, squared, times how straight the wall is there; there: (n, m)
-    whether there is a point; offset: (n, f, f) complex shift to the nearest wall [m]; kind: (n, f,
-    f) what a wall of another view tells here; near: (n, c, c) how well a wall would fit here, in
-    coarse cells.
+    whether there is a point; nearest: (n, f, f) the wall nearest to each fine cell, as a complex
+    number [m]; kind: (n, f, f) what a wall of another view tells here; near: (n, c, c) how well a
+    wall would fit here, in coarse cells.
     """
 
-    points: ComplexArray
-    normal: ComplexArray
+    points: NDArray[np.complex64]
+    normal: NDArray[np.complex64]
     there: NDArray[np.bool_]
-    offset: NDArray[np.complex64]
+    nearest: NDArray[np.complex64]
     kind: NDArray[np.uint8]
     near: NDArray[np.float32]
 
@@ -87,9 +89,9 @@ class ViewIndex:
         n, fine = len(views), 2 * SIDE
         count = (views.cells == WALL).sum(axis=(1, 2))
         most = int(count.max(initial=0))
-        points = np.zeros((n, most), np.complex128)
-        normal = np.zeros((n, most), np.complex128)
-        offset = np.zeros((n, fine, fine), np.complex64)
+        points = np.zeros((n, most), np.complex64)
+        normal = np.zeros((n, most), np.complex64)
+        nearest = np.zeros((n, fine, fine), np.complex64)
         kind = np.zeros((n, fine, fine), np.uint8)
         coarse = SIDE // 2
         near = np.zeros((n, coarse, coarse), np.float32)
@@ -101,8 +103,7 @@ class ViewIndex:
             normal[k, : len(row)] = _normals(cells == WALL)[row, column]
             wide = np.kron(cells, np.ones((2, 2), np.uint8))
             away, (y, x) = ndimage.distance_transform_edt(wide != WALL, return_indices=True)
-            here = np.arange(fine)
-            offset[k] = ((x - here) + 1j * (y - here[:, None])) * FINE_M
+            nearest[k] = _metres(x, FINE_M) + 1j * _metres(y, FINE_M)
             away *= FINE_M
             clear = wide == FREE
             kind[k] = np.where(
@@ -113,7 +114,7 @@ class ViewIndex:
             fit = 1.6 * np.exp(-0.5 * (away / 0.26) ** 2) - 0.6
             fit = np.where(clear | (wide == WALL), fit, np.where(away > 0.5, 0, np.maximum(fit, 0)))
             near[k] = fit.reshape(coarse, 4, coarse, 4).max(axis=(1, 3))
-        return cls(points, normal, np.arange(most) < count[:, None], offset, kind, near)
+        return cls(points, normal, np.arange(most) < count[:, None], nearest, kind, near)
 
     @cached_property
     def spectrum(self) -> NDArray[np.complex64]:
@@ -165,12 +166,11 @@ def register(
     turns: (k, t) turns from b to a that are tried [rad]; reach_m: largest shift of the place, to
     either side and up and down, from `centre` (k, 2) [m] (zero by default).
     """
-    shift, turn = _starts(a, b, first, second, turns, reach_m, centre)
-    several = np.repeat(np.arange(len(first)), STARTS)
-    z, angle = _refined(
-        a, b, first[several], second[several], shift.reshape(-1), turn.reshape(-1)
-    )
-    found = _tallied(a, b, first[several], second[several], z, angle)
+    pairs = _Pairs(a, b, first, second)
+    shift, turn = _starts(pairs, turns, reach_m, centre)
+    several = pairs.repeated(STARTS)
+    z, angle = _refined(several, shift.reshape(-1), turn.reshape(-1))
+    found = _tallied(several, z, angle)
     score = (found.z * np.sqrt(found.agree + found.contradict + 1.0)).reshape(-1, STARTS)
     best = np.arange(len(first)) * STARTS + np.argmax(found.z.reshape(-1, STARTS) + 1e-6 * score, 1)
     return Registered(
@@ -178,17 +178,30 @@ def register(
     )
 
 
+class _Pairs(NamedTuple):
+    """Views `first` (k,) of a and `second` (k,) of b."""
+
+    a: ViewIndex
+    b: ViewIndex
+    first: IntArray
+    second: IntArray
+
+    def repeated(self, times: int) -> _Pairs:
+        return _Pairs(self.a, self.b, self.first.repeat(times), self.second.repeat(times))
+
+    def parts(self) -> Iterator[tuple[slice, IntArray, IntArray]]:
+        """The pairs in parts that fit the cache."""
+        for begin in range(0, len(self.first), _AT_ONCE):
+            some = slice(begin, begin + _AT_ONCE)
+            yield some, self.first[some], self.second[some]
+
+
 def _starts(
-    a: ViewIndex,
-    b: ViewIndex,
-    first: IntArray,
-    second: IntArray,
-    turns: FloatArray,
-    reach_m: float,
-    centre: FloatArray | None,
+    pairs: _Pairs, turns: FloatArray, reach_m: float, centre: FloatArray | None
 ) -> tuple[ComplexArray, FloatArray]:
     """(k, STARTS) each: shifts [m] and turns [rad] with the best coarse correlation, of different
     turns."""
+    a, b, first, second = pairs
     k, t = turns.shape
     shift = np.zeros((k, STARTS), np.complex128)
     turn = np.repeat(turns[:, :1], STARTS, axis=1)
@@ -203,7 +216,7 @@ def _starts(
         if not len(rows):
             continue
         raster, which = np.unique(number[rows], return_inverse=True)
-        spectra = b.turned_spectra(int(second[rows[0]]), raster * TURN_RAD)
+        spectra = b.turned_spectra(int(second[rows[0]]), np.asarray(raster * TURN_RAD))
         which = which.reshape(len(rows), t)
         for part in np.array_split(np.arange(len(rows)), -(-len(rows) * t // 2048)):
             own = rows[part]
@@ -219,99 +232,84 @@ def _starts(
                 row = np.arange(len(own))
                 cell = at[row, best]
                 dy, dx = window[cell // len(window)], window[cell % len(window)]
-                shift[own, s] = (
-                    (middle[own, 0] + dx) + 1j * (middle[own, 1] + dy)
-                ) * COARSE_M
+                shift[own, s] = ((middle[own, 0] + dx) + 1j * (middle[own, 1] + dy)) * COARSE_M
                 turn[own, s] = number[own, best] * TURN_RAD
                 most[row, best] = -np.inf
     return shift, turn
 
 
-SIGMAS_M = (0.4, 0.4, 0.3, 0.2, 0.2, 0.13, 0.13, 0.13)
+SIGMAS_M = (0.4, 0.3, 0.2, 0.13, 0.13)
 """Width of the weights of each iteration of the refinement: from a coarse cell to the noise."""
+LEAST_POINTS = 120
+"""Points of either view that are refined with, if it has more, until the last iterations."""
+_AT_ONCE = 256
+"""Pairs that are refined at once, to fit the cache."""
 
 
 def _refined(
-    a: ViewIndex,
-    b: ViewIndex,
-    first: IntArray,
-    second: IntArray,
-    shift: ComplexArray,
-    turn: FloatArray,
+    pairs: _Pairs, shift: ComplexArray, turn: FloatArray
 ) -> tuple[ComplexArray, FloatArray]:
     """Shifts and turns after iterated closest points, both ways, with weights that fall off with
     the distance (Gaussian)."""
-    for begin in range(0, len(first), _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
-        i, j = first[some], second[some]
-        pa, pb = a.points[i], b.points[j]
-        wa, wb = a.there[i], b.there[j]
-        s, r = shift[some], np.exp(1j * turn[some])
-        for sigma in SIGMAS_M:
+    a, b, *_ = pairs
+    for some, i, j in pairs.parts():
+        s, r = shift[some].astype(np.complex64), np.exp(1j * turn[some]).astype(np.complex64)
+        for k, sigma in enumerate(SIGMAS_M):
+            last = k >= len(SIGMAS_M) - 2
+            every = [1 if last else max(m.points.shape[1] // LEAST_POINTS, 1) for m in (a, b)]
+            pa, wa = a.points[i, :: every[0]], a.there[i, :: every[0]]
+            pb, wb = b.points[j, :: every[1]], b.there[j, :: every[1]]
             there = r[:, None] * pb + s[:, None]
-            off, known_a = _looked_up(a.offset, i, there)
+            off, known_a = _looked_up(a.nearest, i, there)
             back = np.conj(r)[:, None] * (pa - s[:, None])
-            gap, known_b = _looked_up(b.offset, j, back)
+            gap, known_b = _looked_up(b.nearest, j, back)
             # Pairs of points: of b's walls with a's nearest, and of a's walls with b's nearest.
             x = np.concatenate([there + off, pa], axis=1)
             y = np.concatenate([pb, back + gap], axis=1)
             weight = np.concatenate(
                 [(wb & known_a) * _weight(off, sigma), (wa & known_b) * _weight(gap, sigma)], axis=1
             )
-            total = np.maximum(weight.sum(axis=1), 1e-9)
+            total = np.maximum(weight.sum(axis=1), 1e-6)
             mx, my = (weight * x).sum(axis=1) / total, (weight * y).sum(axis=1) / total
             cross = (weight * (x - mx[:, None]) * np.conj(y - my[:, None])).sum(axis=1)
             size = np.abs(cross)
-            r = np.where(size > 1e-9, cross / np.maximum(size, 1e-9), r)
+            r = np.where(size > 1e-6, cross / np.maximum(size, 1e-6), r)
             s = mx - r * my
         shift[some], turn[some] = s, np.angle(r)
     return shift, turn
 
 
-_AT_ONCE = 512
-"""Pairs that are refined at once, to fit the cache."""
+def _weight(off: NDArray[np.complex64], sigma: float) -> NDArray[np.float32]:
+    q = (off.real * off.real + off.imag * off.imag) * np.float32(0.5 / sigma**2)
+    return np.exp(-np.minimum(q, np.float32(30.0)))
 
 
-def _weight(off: ComplexArray, sigma: float) -> FloatArray:
-    q = (off.real * off.real + off.imag * off.imag) / sigma**2
-    return np.exp(-0.5 * np.minimum(q, 50.0))
-
-
-def _cells(z: ComplexArray) -> tuple[IntArray, IntArray, NDArray[np.bool_]]:
-    """Fine cells (y, x) of points, clipped, and whether they lie inside."""
-    x = np.floor((z.real + REACH_M) / FINE_M).astype(np.int64)
-    y = np.floor((z.imag + REACH_M) / FINE_M).astype(np.int64)
-    last = 2 * SIDE - 1
-    inside = (x >= 0) & (y >= 0) & (x <= last) & (y <= last)
-    return np.clip(y, 0, last), np.clip(x, 0, last), inside
+def _cells(z: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """Flat fine cells of points, those outside at the border, and whether they lie inside."""
+    side = 2 * SIDE
+    x = ((z.real + REACH_M) / FINE_M).astype(np.int32)
+    y = ((z.imag + REACH_M) / FINE_M).astype(np.int32)
+    inside = (np.abs(z.real) < REACH_M) & (np.abs(z.imag) < REACH_M)
+    return np.where(inside, y * side + x, 0), inside
 
 
 def _looked_up(
-    field: NDArray[np.complex64], row: IntArray, z: ComplexArray
-) -> tuple[ComplexArray, NDArray[np.bool_]]:
+    field: NDArray[np.complex64], row: IntArray, z: NDArray[np.complex64]
+) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
     """Shift from points to the nearest wall, and whether they lie inside of the view."""
-    y, x, inside = _cells(z)
-    off = field[row[:, None], y, x].astype(np.complex128)
-    # From the point itself, not from the middle of its cell.
-    off += ((x + 0.5) * FINE_M - REACH_M - z.real) + 1j * ((y + 0.5) * FINE_M - REACH_M - z.imag)
+    cell, inside = _cells(z)
+    off = np.take(field.reshape(-1), cell + row[:, None] * field[0].size) - z
     return off, inside
 
 
-def _tallied(
-    a: ViewIndex,
-    b: ViewIndex,
-    first: IntArray,
-    second: IntArray,
-    shift: ComplexArray,
-    turn: FloatArray,
-) -> Registered:
+def _tallied(pairs: _Pairs, shift: ComplexArray, turn: FloatArray) -> Registered:
     """What agrees and contradicts at these shifts and turns."""
-    agree, contradict = np.zeros(len(first), np.int64), np.zeros(len(first), np.int64)
-    information = np.zeros((len(first), 3, 3))
+    a, b, *_ = pairs
+    agree, contradict = np.zeros(len(shift), np.int64), np.zeros(len(shift), np.int64)
+    information = np.zeros((len(shift), 3, 3))
     r = np.exp(1j * turn)
-    for begin in range(0, len(first), _AT_ONCE):
-        some = slice(begin, begin + _AT_ONCE)
-        i, j, s, u = first[some], second[some], shift[some, None], r[some, None]
+    for some, i, j in pairs.parts():
+        s, u = shift[some, None], r[some, None]
         there, back = u * b.points[j] + s, np.conj(u) * (a.points[i] - s)
         of_b = _kinds(a.kind, i, there, b.there[j])
         of_a = _kinds(b.kind, j, back, a.there[i])
@@ -323,10 +321,11 @@ def _tallied(
 
 
 def _kinds(
-    kind: NDArray[np.uint8], row: IntArray, z: ComplexArray, there: NDArray[np.bool_]
+    kind: NDArray[np.uint8], row: IntArray, z: NDArray[Any], there: NDArray[np.bool_]
 ) -> NDArray[np.uint8]:
-    y, x, inside = _cells(z)
-    return np.where(inside & there, kind[row[:, None], y, x], 0).astype(np.uint8)
+    cell, inside = _cells(z)
+    found = np.take(kind.reshape(-1), cell + row[:, None] * kind[0].size)
+    return np.where(inside & there, found, np.uint8(0))
 
 
 SIGMA_M = 0.1
@@ -335,9 +334,7 @@ CORRELATED = 10
 """Wall cells that err together, 2 m of wall."""
 
 
-def _information(
-    normal: ComplexArray, lever: ComplexArray, agree: NDArray[np.bool_]
-) -> FloatArray:
+def _information(normal: ComplexArray, lever: ComplexArray, agree: NDArray[np.bool_]) -> FloatArray:
     """(k, 3, 3) of the transform, from agreeing points at `lever` (k, m) from the origin of b and
     the squared directions `normal` across their walls: a point fixes the distance across its wall,
     where the wall is not straight in both directions."""

@@ -14,7 +14,7 @@ from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, wrap
 
 from .building import HALF_TURN, RING, WHOLE_TURN, Building, biased, drive, parts, scans
@@ -109,8 +109,10 @@ def test_result_does_not_depend_on_batches_or_the_order_of_beams() -> None:
     backwards = detect(biased(ROUND, BIAS), [turned])
     for other in (small, backwards):
         assert other.odometry.pose.tobytes() == found().odometry.pose.tobytes()
-        assert other.passes.centre.tobytes() == found().passes.centre.tobytes()
-        assert other.passes.confidence.tobytes() == found().passes.confidence.tobytes()
+        assert other.scanned.passes.centre.tobytes() == found().scanned.passes.centre.tobytes()
+        assert (
+            other.scanned.passes.confidence.tobytes() == found().scanned.passes.confidence.tobytes()
+        )
 
 
 def test_bare_corridor_keeps_the_way_of_the_odometry_and_says_so() -> None:
