@@ -19,6 +19,10 @@ REACH_M = 8.0
 """Radius of a view: as far as scans are cast into grids. Radii from 6 to 10 m tell alike."""
 SIDE = round(2 * REACH_M / CELL_M)
 """Cells along the side of a view."""
+_STEP = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
+DISC = np.hypot(_STEP[:, None], _STEP) <= REACH_M
+"""(SIDE, SIDE) cells within the reach of a view; those in the corners are unknown, so that it looks
+the same turned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,12 +68,5 @@ def view_cells(hit: IntArray, free: IntArray) -> NDArray[np.uint8]:
     fine = (*hit.shape[:-2], SIDE, 2, SIDE, 2)
     walls = wall.reshape(fine).any(axis=(-3, -1))
     clears = clear.reshape(fine).any(axis=(-3, -1))
-    inside = _disc()
     states = np.where(walls, WALL, np.where(clears, FREE, UNKNOWN))
-    return np.where(inside, states, UNKNOWN).astype(np.uint8)
-
-
-def _disc() -> NDArray[np.bool_]:
-    """(SIDE, SIDE) cells within the reach of a view, so that it looks the same turned."""
-    step = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
-    return np.asarray(np.hypot(step[:, None], step) <= REACH_M)
+    return np.where(DISC, states, UNKNOWN).astype(np.uint8)

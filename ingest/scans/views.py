@@ -7,6 +7,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.closure.dead_reckoning import dead_reckoning
@@ -15,11 +18,20 @@ from ...topology.matching.views import ViewIndex
 from ...topology.odometry import Odometry
 from ...topology.passes import NO_BRANCH, Passes
 from ...topology.ragged import Ragged
-from ...topology.run import NOT_SEEN_AGAIN, ScanPasses, SeenAgain
-from ...topology.se2 import turned, wrap
+from ...topology.run import NOT_SEEN_AGAIN, Grid, ScanPasses, SeenAgain
+from ...topology.se2 import apply, compose, inverse, turned, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import way_at
-from ...topology.views import NO_VIEWS, Views
+from ...topology.views import (
+    CELL_M,
+    DISC,
+    FREE,
+    NO_VIEWS,
+    SIDE,
+    UNKNOWN,
+    WALL,
+    Views,
+)
 from .junctions import Driven
 from .windows import Seen
 
@@ -115,3 +127,63 @@ def _moved(
         out[rows, :2] = (1 - share)[:, None] * xy[0] + share[:, None] * xy[1]
         out[rows, 2] = wrap(odometry.pose[rows, 2] + turn)
     return out
+
+
+def grid_views(grid: Grid, along: FloatArray) -> Views:
+    """Views cut from a saved grid, in the form of those that a laser saw: around places `along`
+    (k, 2) [m, the map's frame] the corridors, `EVERY_M` apart or more, and in free space elsewhere,
+    the widest first."""
+    states = _states(grid)
+    free = states == FREE
+    if not free.any():
+        return NO_VIEWS
+    own = apply(inverse(np.array(grid.origin)), along) / CELL_M
+    clearance = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
+    row, column = np.nonzero(clearance > LEAST_CLEARANCE_M / CELL_M)
+    order = np.argsort(-clearance[row, column], kind="stable")
+    elsewhere = np.column_stack([column, row])[order] + 0.5
+    corner = _spaced(np.rint(np.concatenate([own, elsewhere])), EVERY_M / CELL_M)
+    inside = (corner >= 0).all(axis=1) & (corner <= np.array(states.shape)[::-1]).all(axis=1)
+    corner = corner[inside].astype(np.int64)
+    # A view's place is a corner between four cells.
+    padded = np.pad(states, SIDE // 2)
+    cells = np.stack([padded[y : y + SIDE, x : x + SIDE] for x, y in corner.tolist()])
+    pose = np.column_stack([corner * CELL_M, np.zeros(len(corner))])
+    return Views(
+        np.zeros(len(corner), np.int64),
+        compose(np.array(grid.origin), pose),
+        np.where(DISC, cells, UNKNOWN).astype(np.uint8),
+    )
+
+
+LEAST_CLEARANCE_M = 0.3
+"""A robot fits in."""
+
+
+def _states(grid: Grid) -> NDArray[np.uint8]:
+    """(h, w) states of a grid in cells of a view's size: a wall if any of its cells there is
+    one."""
+    wall = ~grid.free & ~grid.unknown
+    states = np.where(wall, WALL, np.where(grid.free & ~grid.unknown, FREE, UNKNOWN))
+    for axis in (0, 1):
+        count = states.shape[axis]
+        first = np.arange(0, count * grid.resolution_m - 1e-9, CELL_M) / grid.resolution_m
+        begin = np.minimum(np.floor(first + 1e-9).astype(np.int64), count - 1)
+        if grid.resolution_m < CELL_M:
+            begin = np.unique(begin)
+            states = np.maximum.reduceat(states, begin, axis=axis)
+        else:
+            states = np.take(states, begin, axis=axis)
+    return states.astype(np.uint8)
+
+
+def _spaced(points: FloatArray, apart: float) -> FloatArray:
+    """Points in their order, without those nearer than `apart` to one before."""
+    tree = cKDTree(points)
+    open_ = np.ones(len(points), bool)
+    kept = []
+    for k in range(len(points)):
+        if open_[k]:
+            kept.append(k)
+            open_[tree.query_ball_point(points[k], apart * (1 - 1e-9))] = False
+    return points[kept]

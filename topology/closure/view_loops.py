@@ -57,10 +57,6 @@ class ViewLoopSettings:
     tracks of four buildings are .09 to .19 m, those of the truth included, and .02 rad."""
 
 
-FARTHEST_M = 7.0
-"""Views whose places are expected farther apart than this cannot be registered (`PADDED`)."""
-
-
 LEAST_TURN_RAD = 0.1
 """Turns are searched by this much beyond three sigmas: the noise may be believed too small."""
 TURNS = np.array([2, 4, 8, 18, 36])
@@ -160,17 +156,19 @@ class _Search:
 
     def _test(self, shift: FloatArray, cov: FloatArray, most: int) -> int:
         """Register the pairs most likely to be of one place; their number."""
-        reach = self._settings.reach_m
-        variance = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1]) + (0.5 * reach) ** 2
+        reach2 = self._settings.reach_m**2
+        open_ = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
+        variance = open_ + 0.25 * reach2
         near2 = shift[:, 0] ** 2 + shift[:, 1] ** 2
         odds = -0.5 * near2 / variance - np.log(variance)
-        near = (near2 < 9 * variance + reach**2) & (near2 < FARTHEST_M**2)
-        vague = cov[:, 0, 0] + cov[:, 1, 1] > self._settings.known_m**2
-        rows = np.flatnonzero(near & vague)
+        near = near2 < LIKELIHOOD.gate_chi2(2) * variance
+        rows = np.flatnonzero(near & (open_ > 0.5 * self._settings.known_m**2))
         rows = rows[np.argsort(-odds[rows], kind="stable")[:most]]
         if len(rows):
-            i, j = self._i[rows], self._j[rows]
-            self._tested.add(i, j, self._registered(i, j, shift[rows], cov[rows, 2, 2]))
+            i, j, expected = self._i[rows], self._j[rows], shift[rows].copy()
+            # If they are of one place, they are near to each other, wherever they are expected.
+            expected[:, :2] *= (reach2 / (reach2 + open_[rows]))[:, None]
+            self._tested.add(i, j, self._registered(i, j, expected, cov[rows, 2, 2]))
             self._i, self._j = np.delete(self._i, rows), np.delete(self._j, rows)
         return len(rows)
 
