@@ -15,7 +15,14 @@ import numpy as np
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
-from ..matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, register
+from ..matching.views import (
+    TURN_RAD,
+    Registered,
+    ViewIndex,
+    ViewNull,
+    coarse_fit,
+    register,
+)
 from ..se2 import between, compose, inverse, wrap
 from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance, scale_noise
 from .estimate import Estimate, EstimateSettings, optimise
@@ -33,10 +40,16 @@ class ViewLoopSettings:
     doubt: float = 2.0
     """Factor on the noise of dead reckoning before the first loop: in one of five buildings the
     noise was believed half as large as it was."""
+    gate_chi2: float = 6.0
+    """Squared distance in these sigmas, 95 %, beyond which a pair is not registered: where copies
+    abound, a place that is hardly possible is a copy."""
     tests: int = 12
     """Pairs per view that are registered at most, which bounds the time."""
     nulls: int = 300
     """Pairs of places that position keeps apart, registered to learn what they look like."""
+    copies: int = 4
+    """Of all views, one per `cell_m` of way, so many that fit a view best are registered with it,
+    to find copies of its place."""
     wrong_share: float = 0.1
     """Share of runs with a wrong loop if all of them just reach the required odds; as of
     `RoundSettings`."""
@@ -121,6 +134,8 @@ class _Search:
         self._blocked: set[int] = set()
         self._estimate = optimise(reckoning, self._place, settings=self._own)
         self._different = np.zeros(0)
+        self._elsewhere = _Tested()
+        self._looked = np.zeros(0, np.int64)
 
     def run(self) -> tuple[DeadReckoning, Estimate]:
         left = self._settings.tests * len(self._given)
@@ -145,14 +160,56 @@ class _Search:
 
     def _learn(self, shift: FloatArray, cov: FloatArray) -> None:
         """Register pairs of places that position keeps apart."""
-        sigma = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
-        away = np.hypot(shift[:, 0], shift[:, 1])
-        rows = np.flatnonzero(away > 3 * sigma + 2 * self._settings.reach_m)
+        rows = np.flatnonzero(self._apart(shift, cov))
         rows = rows[:: max(len(rows) // self._settings.nulls, 1)]
         nothing = np.zeros((len(rows), 3))
         nothing[:, 2] = shift[rows, 2]
         found = self._registered(self._i[rows], self._j[rows], nothing, cov[rows, 2, 2])
         self._different = found.z
+
+    def _look_elsewhere(self, rows: IntArray) -> None:
+        """Register views with those of the run that they fit best, one per cell of the way."""
+        rows = np.setdiff1d(rows, self._looked)
+        self._looked = np.union1d(self._looked, rows)
+        cell = np.floor(self._way / self._settings.cell_m)
+        others = np.flatnonzero(np.diff(cell, prepend=-1) > 0)
+        i, j = (x.ravel() for x in np.meshgrid(rows, others, indexing="ij"))
+        fine = np.abs(self._way[i] - self._way[j]) > self._settings.cell_m
+        fine &= self._given.piece[i] == self._given.piece[j]
+        i, j = i[fine], j[fine]
+        turn = wrap(self._estimate.pose[j, 2] - self._estimate.pose[i, 2])
+        turns = turn[:, None] + np.arange(-1, 2) * TURN_RAD
+        reach_m = 0.5 * self._settings.cell_m
+        fit = coarse_fit(self._views, i, j, turns, reach_m)
+        order = np.lexsort((-fit, i))
+        nth = np.arange(len(i)) - np.searchsorted(i[order], i[order])
+        best = order[nth < self._settings.copies]
+        i, j = i[best], j[best]
+        found = register(self._views, self._views, i, j, turns[best], reach_m=reach_m)
+        self._elsewhere.add(i, j, found)
+
+    def _copied(self, null: ViewNull) -> FloatArray:
+        """(k,) what the views of each tested pair reach with copies of their places, which lie
+        certainly elsewhere and agree along the way, too; -inf where there are none."""
+        t, e = self._tested, self._elsewhere
+        own = null.odds(e.z)
+        likely = np.flatnonzero(own > 0)
+        copies = likely[self._support(e, likely, own) > 0]
+        level = np.full(len(t), -np.inf)
+        for here, there in ((t.first, t.second), (t.second, t.first)):
+            # Copies of this side are rivals if they are apart from the other side.
+            pair, copy = np.nonzero(here[:, None] == e.first[copies])
+            other, place = there[pair], e.second[copies[copy]]
+            low, high = np.minimum(other, place), np.maximum(other, place)
+            apart = self._apart(*self._relative(low, high))
+            np.maximum.at(level, pair[apart], e.z[copies[copy[apart]]])
+        return level
+
+    def _apart(self, shift: FloatArray, cov: FloatArray) -> BoolArray:
+        """(k,) whether position certainly keeps pairs apart."""
+        sigma = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
+        least = np.sqrt(self._settings.gate_chi2) * sigma + 2 * self._settings.reach_m
+        return np.asarray(np.hypot(shift[:, 0], shift[:, 1]) > least)
 
     def _test(self, shift: FloatArray, cov: FloatArray, most: int) -> int:
         """Register the pairs most likely to be of one place; their number."""
@@ -161,7 +218,7 @@ class _Search:
         variance = open_ + 0.25 * reach2
         near2 = shift[:, 0] ** 2 + shift[:, 1] ** 2
         odds = -0.5 * near2 / variance - np.log(variance)
-        near = near2 < LIKELIHOOD.gate_chi2(2) * variance
+        near = near2 < self._settings.gate_chi2 * variance
         rows = np.flatnonzero(near & (open_ > 0.5 * self._settings.known_m**2))
         rows = rows[np.argsort(-odds[rows], kind="stable")[:most]]
         if len(rows):
@@ -201,12 +258,15 @@ class _Search:
     def _close(self) -> bool:
         """Accept the loops that are certain by now, and lay the track out again."""
         t, settings = self._tested, self._settings
-        own = self._null().odds(t.z)
+        null = self._null()
+        own = null.odds(t.z)
+        self._look_elsewhere(np.unique([t.first[own > 0], t.second[own > 0]]))
+        own = null.odds(t.z, self._copied(null))
         asked = np.setdiff1d(np.flatnonzero(own > 0), [*self._kept, *self._blocked])
         if not len(asked):
             return False
         total = own.copy()
-        total[asked] += self._support(asked, own)
+        total[asked] += self._support(t, asked, own)
         expected = self._relative(t.first[asked], t.second[asked])
         total[asked] += self._position(t.transform[asked], *expected)
         need = float(np.log(len(self._given) / settings.wrong_share))
@@ -233,10 +293,10 @@ class _Search:
         odds = np.log(self._settings.place_m2 / vague) - 0.5 * d2
         return np.asarray(np.minimum(odds, self._settings.lead))
 
-    def _support(self, asked: IntArray, own: FloatArray) -> FloatArray:
+    def _support(self, t: _Tested, asked: IntArray, own: FloatArray) -> FloatArray:
         """(k,) evidence [nats] of the pairs beside each of those asked that agree with it, one
         value per cell of the way."""
-        t, settings, way = self._tested, self._settings, self._way
+        settings, way = self._settings, self._way
         good = np.flatnonzero(own > 0)
         wi, wj = way[t.first], way[t.second]
         gone_i, gone_j = wi[good] - wi[asked, None], wj[good] - wj[asked, None]
