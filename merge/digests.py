@@ -26,8 +26,8 @@ def digested(*parts: bytes) -> bytes:
 def digest_of(topomap: TopoMap) -> bytes:
     """A 16-byte digest of a map's content, independent of the name of its run."""
     parts: list[bytes] = []
-    for name, told in _CONTENT:
-        parts.append(told)
+    for name, label in _CONTENT:
+        parts.append(label)
         parts += _parts(getattr(topomap, name))
     if len(topomap.views):
         parts += [b"views:", *_parts(topomap.views.pose), *_parts(topomap.views.cells)]

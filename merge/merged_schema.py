@@ -41,7 +41,7 @@ class UnlistedPairs(Model):
 
     joined: Index = Field(description="In one component, through other runs.")
     unrelated: Index = Field(
-        description="Not in one component; matched, with nothing that chance would not offer."
+        description="Not in one component; matched, without a significant match."
     )
     screened: Index = Field(
         description="Not in one component and not matched: no corridors that hang together look "

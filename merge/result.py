@@ -168,8 +168,8 @@ class Spread:
         both = A @ self._cross(i, j)
         whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
         whole += self.own[j]
-        told = np.einsum("kii->ki", whole) > ROUNDING * np.einsum("kii->ki", self.own[j])
-        return np.asarray(whole * told[:, :, None] * told[:, None, :])
+        significant = np.einsum("kii->ki", whole) > ROUNDING * np.einsum("kii->ki", self.own[j])
+        return np.asarray(whole * significant[:, :, None] * significant[:, None, :])
 
     def sigmas(
         self, pairs: Sequence[tuple[str, str]], share: float = ONE_SIGMA
@@ -391,8 +391,8 @@ class MergeResult:
     @property
     def threshold_bits(self) -> float | None:
         """What merging two runs by themselves takes; those that components joined took less."""
-        told = (pair.threshold_bits for pair in self.verdicts)
-        return max((bits for bits in told if bits is not None), default=None)
+        thresholds = (pair.threshold_bits for pair in self.verdicts)
+        return max((bits for bits in thresholds if bits is not None), default=None)
 
 
 def shown_bits(bits: float, digits: int = 1) -> str:
