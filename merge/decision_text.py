@@ -149,8 +149,8 @@ def _given_up(said: PairVerdict, start: Start, shown: Placement) -> str:
     begun = counted(len(shown.alignment.matched), "junction")
     found = f"{start.found} {'was' if start.found == 1 else 'were'} found"
     return (
-        f"No significant match: the best of {count}, begun with the {begun} shown, was rejected. Of "
-        f"{counted(start.expected, 'junction')} of {short(said.b)} that it places where "
+        f"No significant match: the best of {count}, begun with the {begun} shown, was rejected. "
+        f"Of {counted(start.expected, 'junction')} of {short(said.b)} that it places where "
         f"{short(said.a)} has been, {found}; {start.needed} needed. It counts as 0 bits."
     )
 

@@ -23,7 +23,9 @@ from ..matching.views import (
     coarse_fit,
     register,
 )
+from ..ragged import numbered
 from ..se2 import between, compose, inverse, wrap
+from .candidates import pairs_within
 from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance, scale_noise
 from .estimate import Estimate, EstimateSettings, optimise
 
@@ -50,6 +52,11 @@ class ViewLoopSettings:
     copies: int = 4
     """Of all views, one per `cell_m` of way, so many that fit a view best are registered with it,
     to find copies of its place."""
+    references: int = 60
+    """Of so many at most, spread over the run, to bound the time."""
+    pairs: int = 30_000
+    """Pairs of views, the nearest to each other, among which those to register are chosen: 50
+    MB."""
     wrong_share: float = 0.1
     """Share of runs with a wrong loop if all of them just reach the required odds; as of
     `RoundSettings`."""
@@ -126,9 +133,6 @@ class _Search:
         self._scale = 1.0
         self._place = np.arange(len(reckoning), dtype=np.int64)
         self._own = EstimateSettings()
-        i, j = np.triu_indices(len(reckoning), 1)
-        fine = (way[j] - way[i] >= settings.apart_m) & (reckoning.piece[i] == reckoning.piece[j])
-        self._i, self._j = i[fine], j[fine]
         self._tested = _Tested()
         self._kept = np.zeros(0, np.int64)
         self._blocked: set[int] = set()
@@ -139,15 +143,22 @@ class _Search:
 
     def run(self) -> tuple[DeadReckoning, Estimate]:
         left = self._settings.tests * len(self._given)
-        while left > 0 and len(self._i):
-            shift, cov = self._relative(self._i, self._j)
-            if not len(self._different):
-                self._learn(shift, cov)
-            tested = self._test(shift, cov, max(left // 4, len(self._given)))
+        self._learn()
+        while left > 0:
+            tested = self._test(max(left // 4, len(self._given)))
             left -= tested
             if not self._close() and not tested:
                 break
         return self._with_loops(), self._estimate
+
+    def _open(self) -> tuple[IntArray, IntArray]:
+        """Pairs of views that may be of one place and were not registered yet, the nearest."""
+        xy, way, piece = self._estimate.pose[:, :2], self._way, self._given.piece
+        i, j = pairs_within(xy, float(np.ptp(xy, axis=0).sum()), self._settings.pairs).T
+        fine = (way[j] - way[i] >= self._settings.apart_m) & (piece[i] == piece[j])
+        known = self._tested.first * len(xy) + self._tested.second
+        fine &= ~np.isin(i * len(xy) + j, known)
+        return i[fine], j[fine]
 
     def _relative(self, i: IntArray, j: IntArray) -> tuple[FloatArray, FloatArray]:
         """(k, 3) poses of views j in the frames of views i as far as is known, and their covariance
@@ -158,14 +169,21 @@ class _Search:
             return shift, dead_reckoning_covariance(self._given, i, j) * doubt
         return shift, self._estimate.relative_covariance(i, j)
 
-    def _learn(self, shift: FloatArray, cov: FloatArray) -> None:
-        """Register pairs of places that position keeps apart."""
+    def _learn(self) -> None:
+        """Register pairs of places that position keeps apart, drawn from the whole run."""
+        drawn = np.random.default_rng(0).integers(
+            0, len(self._given), (20 * self._settings.nulls, 2)
+        )
+        i, j = np.unique(np.sort(drawn, axis=1), axis=0).T
+        fine = self._way[j] - self._way[i] >= self._settings.apart_m
+        fine &= self._given.piece[i] == self._given.piece[j]
+        i, j = i[fine], j[fine]
+        shift, cov = self._relative(i, j)
         rows = np.flatnonzero(self._apart(shift, cov))
         rows = rows[:: max(len(rows) // self._settings.nulls, 1)]
         nothing = np.zeros((len(rows), 3))
         nothing[:, 2] = shift[rows, 2]
-        found = self._registered(self._i[rows], self._j[rows], nothing, cov[rows, 2, 2])
-        self._different = found.z
+        self._different = self._registered(i[rows], j[rows], nothing, cov[rows, 2, 2]).z
 
     def _look_elsewhere(self, rows: IntArray) -> None:
         """Register views with those of the run that they fit best, one per cell of the way."""
@@ -173,6 +191,7 @@ class _Search:
         self._looked = np.union1d(self._looked, rows)
         cell = np.floor(self._way / self._settings.cell_m)
         others = np.flatnonzero(np.diff(cell, prepend=-1) > 0)
+        others = others[:: -(-len(others) // self._settings.references)]
         i, j = (x.ravel() for x in np.meshgrid(rows, others, indexing="ij"))
         fine = np.abs(self._way[i] - self._way[j]) > self._settings.cell_m
         fine &= self._given.piece[i] == self._given.piece[j]
@@ -198,10 +217,11 @@ class _Search:
         level = np.full(len(t), -np.inf)
         for here, there in ((t.first, t.second), (t.second, t.first)):
             # Copies of this side are rivals if they are apart from the other side.
-            pair, copy = np.nonzero(here[:, None] == e.first[copies])
+            pair, copy = _within(here, e.first[copies], 0.0)
             other, place = there[pair], e.second[copies[copy]]
-            low, high = np.minimum(other, place), np.maximum(other, place)
-            apart = self._apart(*self._relative(low, high))
+            apart = np.flatnonzero(other != place)
+            low, high = np.minimum(other, place)[apart], np.maximum(other, place)[apart]
+            apart = apart[self._apart(*self._relative(low, high))]
             np.maximum.at(level, pair[apart], e.z[copies[copy[apart]]])
         return level
 
@@ -211,8 +231,10 @@ class _Search:
         least = np.sqrt(self._settings.gate_chi2) * sigma + 2 * self._settings.reach_m
         return np.asarray(np.hypot(shift[:, 0], shift[:, 1]) > least)
 
-    def _test(self, shift: FloatArray, cov: FloatArray, most: int) -> int:
+    def _test(self, most: int) -> int:
         """Register the pairs most likely to be of one place; their number."""
+        i, j = self._open()
+        shift, cov = self._relative(i, j)
         reach2 = self._settings.reach_m**2
         open_ = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
         variance = open_ + 0.25 * reach2
@@ -222,11 +244,10 @@ class _Search:
         rows = np.flatnonzero(near & (open_ > 0.5 * self._settings.known_m**2))
         rows = rows[np.argsort(-odds[rows], kind="stable")[:most]]
         if len(rows):
-            i, j, expected = self._i[rows], self._j[rows], shift[rows].copy()
+            i, j, expected = i[rows], j[rows], shift[rows].copy()
             # If they are of one place, they are near to each other, wherever they are expected.
             expected[:, :2] *= (reach2 / (reach2 + open_[rows]))[:, None]
             self._tested.add(i, j, self._registered(i, j, expected, cov[rows, 2, 2]))
-            self._i, self._j = np.delete(self._i, rows), np.delete(self._j, rows)
         return len(rows)
 
     def _registered(
@@ -298,14 +319,13 @@ class _Search:
         value per cell of the way."""
         settings, way = self._settings, self._way
         good = np.flatnonzero(own > 0)
-        wi, wj = way[t.first], way[t.second]
-        gone_i, gone_j = wi[good] - wi[asked, None], wj[good] - wj[asked, None]
+        row, column = _within(way[t.first[asked]], way[t.first[good]], settings.beside_m)
+        gone_i = way[t.first[good[column]]] - way[t.first[asked[row]]]
+        gone_j = way[t.second[good[column]]] - way[t.second[asked[row]]]
         # Both sides have to be other places.
-        beside = (np.abs(gone_i) < settings.beside_m) & (np.abs(gone_j) < settings.beside_m)
-        beside &= (np.abs(gone_i) > 0.5 * settings.cell_m) & (
-            np.abs(gone_j) > 0.5 * settings.cell_m
-        )
-        row, column = np.nonzero(beside)
+        least = np.minimum(np.abs(gone_i), np.abs(gone_j))
+        beside = (least > 0.5 * settings.cell_m) & (np.abs(gone_j) < settings.beside_m)
+        row, column, gone_i, gone_j = row[beside], column[beside], gone_i[beside], gone_j[beside]
         if not len(row):
             return np.zeros(len(asked))
         one, other, pose = asked[row], good[column], self._estimate.pose
@@ -313,11 +333,11 @@ class _Search:
         to_b = between(pose[t.second[one]], pose[t.second[other]])
         expected = compose(inverse(to_a), compose(t.transform[one], to_b))
         off = t.transform[other] - expected
-        far = np.abs(gone_i[row, column]) + np.abs(gone_j[row, column])
+        far = np.abs(gone_i) + np.abs(gone_j)
         fits = np.hypot(off[:, 0], off[:, 1]) < LIKELIHOOD.gate_m + 0.02 * far
         fits &= np.abs(wrap(off[:, 2])) < 0.1
         row, other = row[fits], other[fits]
-        cell = np.rint(gone_i[row, column[fits]] / settings.cell_m).astype(np.int64)
+        cell = np.rint(gone_i[fits] / settings.cell_m).astype(np.int64)
         keys, which = np.unique(row * 64 + cell + 32, return_inverse=True)
         mean = np.bincount(which, own[other]) / np.bincount(which)
         return np.asarray(np.bincount(keys // 64, mean, len(asked)), np.float64)
@@ -330,8 +350,7 @@ class _Search:
         sides = (t.first, t.second, t.transform), (t.second, t.first, inverse(t.transform))
         for here, there, transform in sides:
             # Where each pair puts the place `there`, moved along the way to the same place.
-            near = np.abs(way[here[rivals]] - way[here[likely], None]) < 0.5 * settings.cell_m
-            row, column = np.nonzero(near)
+            row, column = _within(way[here[likely]], way[here[rivals]], 0.5 * settings.cell_m)
             one, other = likely[row], rivals[column]
             to = between(pose[here[one]], pose[here[other]])
             placed = compose(pose[here[one]], compose(to, transform[other]))
@@ -375,3 +394,13 @@ class _Search:
         R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
         out = np.linalg.inv(R @ cov @ R.transpose(0, 2, 1))
         return 0.5 * (out + out.transpose(0, 2, 1))
+
+
+def _within(
+    a: FloatArray | IntArray, b: FloatArray | IntArray, reach: float
+) -> tuple[IntArray, IntArray]:
+    """Rows of a and of b whose values differ by `reach` at most."""
+    order = np.argsort(b, kind="stable")
+    low = np.searchsorted(b[order], a - reach, side="left")
+    row, nth = numbered(np.searchsorted(b[order], a + reach, side="right") - low)
+    return row, order[low[row] + nth]
