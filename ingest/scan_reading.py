@@ -35,6 +35,8 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     warnings = list(read.warnings)
     odometry = _odometry_if_any(read)
     found = lasers(read, source, (odometry.frames[1] or "base_link") if odometry else None)
+    if odometry is None:
+        found = found.widest()
     first = found.used[0]
     clock = _clock(odometry, first, read, warnings)
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source, first)}}
@@ -45,14 +47,19 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        result, stream, told = _detected(scans, way.odometry if way else None)
+        result, stream, told, used = _by_all_or_one(scans, way.odometry if way else None)
     except DataError as error:
         named = ", ".join(laser.topic for laser in found.used)
         raise DataError(f"{read.log}: {named}: {error}") from error
+    unfit = {laser.topic: ALONE for laser in found.used if laser not in used}
+    left_out = {**found.left_out, **unfit}
     warnings += [*told, *stream.warnings, *result.warnings]
     about["junctions"] |= {"messages": stream.messages, **_told(result.statistics)}
-    if len(found.used) > 1:
-        about["junctions"]["lasers"] = [laser.topic for laser in found.used]
+    if len(used) > 1:
+        about["junctions"]["lasers"] = [laser.topic for laser in used]
+    if left_out:
+        about["left_out"] = left_out
+    about["junctions"] |= {"topic": used[0].topic, "type": used[0].choice.type_name}
     return Run(
         read.run,
         result.odometry,
@@ -109,6 +116,30 @@ class _Scans:
             on_bytes=on_bytes,
             on_walked=self.read.faults.add,
         )
+
+
+ALONE = "together with the others it gives no map"
+
+
+def _by_all_or_one(
+    scans: _Scans, odometry: Odometry | None
+) -> tuple[ScanResult, InterleavedScans, list[str], tuple[Laser, ...]]:
+    """The result of all lasers or, if it is none, as where the log mounts one wrongly, that of the
+    first one that has one alone; the lasers used."""
+    lasers = scans.lasers
+    try:
+        return *_detected(scans, odometry), lasers.used
+    except DataError as error:
+        for laser in lasers.used if len(lasers.used) > 1 else ():
+            try:
+                alone = replace(scans, lasers=replace(lasers, used=(laser,)))
+                result, stream, told = _detected(alone, odometry)
+            except DataError:
+                continue  # the error of all is raised if none is left
+            topics = ", ".join(each.topic for each in lasers.used)
+            told.append(f"{topics} together: {error}; {laser.topic} is used alone")
+            return result, stream, told, (laser,)
+        raise
 
 
 def _detected(

@@ -98,6 +98,7 @@ class _Track:
     recorded: list[FloatArray] = field(default_factory=list)
     piece: list[IntArray] = field(default_factory=list)
     fit: list[FloatArray] = field(default_factory=list)
+    laser: list[IntArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
     walls: list[Anchored] = field(default_factory=list)
     every: int = 1
@@ -116,6 +117,7 @@ class _Track:
             self.recorded.append(compose(part.keyframes.odometry, off))
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
+            self.laser.append(part.keyframes.laser)
             self.spans.append(part.spans)
             self.walls.append(_thinned(_walls(part), self.every))
             while sum(map(len, self.walls)) > MOST_POINTS:
@@ -184,7 +186,7 @@ def _result(
         ),
         drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
-        covered=_covered(driven, fit >= LEAST_FIT),
+        covered=_covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser)),
         searched=track.searched,
         odometry=recorded is not None,
     )
@@ -241,11 +243,19 @@ def _nothing(counted: _Counted) -> str:
     )
 
 
-def _covered(driven: Driven, good: BoolArray) -> float:
-    """Share of the distance driven between keyframes that fit each other."""
+def _covered(driven: Driven, good: BoolArray, laser: IntArray) -> float:
+    """Share of the distance driven between consecutive keyframes of any laser (k,) that fit each
+    other."""
     step = np.diff(driven.way)
     total = float(step.sum())
-    return float(step[good[1:]].sum()) / total if total > 0 else 0.0
+    covered = np.zeros(len(step), np.bool_)
+    for number in np.unique(laser):
+        own = np.flatnonzero(laser == number)
+        # The step to a row is covered if the laser's next keyframe fits its last one.
+        following = np.searchsorted(own, np.arange(1, len(laser)))
+        inside = (following > 0) & (following < len(own))
+        covered[inside] |= good[own[following[inside]]]
+    return float(step[covered].sum()) / total if total > 0 else 0.0
 
 
 def _joined(parts: list[Anchored]) -> Anchored:
