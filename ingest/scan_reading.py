@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..topology.arrays import FloatArray
 from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
 from ..topology.run import NO_DETECTIONS, Run
@@ -16,7 +17,7 @@ from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
-from .scans.clock_lag import LaggingError
+from .scans.clock_lag import LaggingError, OtherClockError
 from .scans.detection import detect
 from .scans.handedness import MirroredError
 from .scans.mount_yaw import mount_yaw
@@ -29,12 +30,44 @@ from .topic_poses import Clock, choose_clock, clock_without_jumps
 def with_scans(read: LogRead, source: JunctionSource) -> Run:
     """The run of a log with scans or clouds: its odometry corrected by them, and the junctions.
 
-    Without odometry the scans are matched with each other alone. Raises LogError if no scan can be
-    used, DataError if the scans cannot be processed.
+    Without odometry, or with one that never moves beside scans that do, the scans are matched with
+    each other alone. Raises LogError if no scan can be used, DataError if the scans cannot be
+    processed.
     """
-    warnings = list(read.warnings)
     odometry = _odometry_if_any(read)
-    found = lasers(read, source, (odometry.frames[1] or "base_link") if odometry else None)
+    body = (odometry.frames[1] or "base_link") if odometry else None
+    if odometry is not None and _extent_m(odometry.poses.columns.pose) < STANDS_M:
+        topic, still = odometry.choice.topic, "never moves, but the scans do"
+        try:
+            run = _run(read, source, None, body)
+        except DataError:
+            run = None  # the error is told of the odometry, below
+        if run is not None and _extent_m(run.odometry.pose) > MOVES_M:
+            told = f"{topic}: {still}; left out: each scan was matched to the one before"
+            left_out = {topic: still, **run.source.get("left_out", {})}
+            about = {**run.source, "left_out": left_out}
+            return replace(run, source=about, warnings=(told, *run.warnings))
+    return _run(read, source, odometry, body)
+
+
+STANDS_M = 0.1
+"""Extent of an odometry that never moves: noise of standing wheels, and of filters, is less."""
+MOVES_M = 2.0
+"""Least extent of the track by scans alone that shows motion: people who walk by a standing robot
+are matched for some decimetres."""
+
+
+def _extent_m(pose: FloatArray) -> float:
+    """The diagonal of the rectangle that holds all positions [m]."""
+    return float(np.hypot(*np.ptp(pose[:, :2], axis=0))) if len(pose) else 0.0
+
+
+def _run(
+    read: LogRead, source: JunctionSource, odometry: OdometryTopic | None, body: str | None
+) -> Run:
+    """The run by scans and this odometry, if any; body: the robot's frame, if it is known."""
+    warnings = list(read.warnings)
+    found = lasers(read, source, body)
     if odometry is None:
         found = found.widest()
     first = found.used[0]
@@ -163,6 +196,15 @@ def _detected(
                 f"{error}, as those of a laser upside down do; taken to be mounted so, which the "
                 "log does not say"
             )
+        except OtherClockError as error:
+            way_out = (
+                "--time log takes the times of recording in place of the header's"
+                if scans.clock == "header"
+                else "without --time log, or with other stamps, they may fit"
+            )
+            raise DataError(
+                f"{error}: they are of another drive, or the two topics' clocks differ; {way_out}"
+            ) from error
         except LaggingError as error:
             assert odometry is not None
             may_lag = False
@@ -174,7 +216,7 @@ def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) 
     """`detect`, with the faults of the scans added to errors."""
     try:
         return detect(odometry, stream, may_lag=may_lag)
-    except (MirroredError, LaggingError):
+    except (MirroredError, LaggingError, OtherClockError):
         raise
     except DataError as error:
         raise DataError("; ".join((str(error), *stream.warnings))) from error

@@ -12,7 +12,7 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
-from .clock_lag import LaggingError, clock_lag
+from .clock_lag import LaggingError, OtherClockError, clock_lag
 from .handedness import MirroredError, Turns
 from .junctions import Driven, junction_passes
 from .matching import Matched, matched, posed
@@ -130,10 +130,23 @@ class _Track:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:
                 times, pieces = np.concatenate(self.time_ns), np.concatenate(self.piece)
-                if lag_s := self.lag(times, np.concatenate(self.pose), pieces):
+                try:
+                    lag_s = self.lag(times, np.concatenate(self.pose), pieces)
+                except OtherClockError:
+                    self.require_alike()
+                    raise
+                if lag_s:
                     raise LaggingError(lag_s)
                 self.lag = None
             yield part
+
+    def require_alike(self) -> None:
+        """Raise OtherClockError if the scans turn neither with nor against the odometry."""
+        if self.turns.unlike:
+            raise OtherClockError(
+                f"the scans turn {self.turns}, as neither those of a laser upright nor upside down "
+                "do"
+            )
 
     def driven(self) -> Driven:
         """Rows by time; two lasers at one time make one row. Distance as in `windows`."""
@@ -169,11 +182,7 @@ def _result(
 ) -> ScanResult:
     if not track.pose:
         raise DataError(_nothing(counted))
-    if track.turns.unlike:
-        raise DataError(
-            f"the scans turn {track.turns}, as neither those of a laser upright nor upside down "
-            "do: they are of another drive, or the two topics' clocks differ"
-        )
+    track.require_alike()
     driven = track.driven()
     passes = junction_passes(seen, driven)
     noise = matched_noise(track.spans, passes, alone=recorded is None)
@@ -239,7 +248,7 @@ def _nothing(counted: _Counted) -> str:
         return f"none of the {counted.scans} scans has an echo"
     return (
         f"none of the {counted.echoing} scans with an echo lies within the time of the odometry; "
-        "check the clocks of the two topics"
+        "check the clocks of the two topics; --time log takes the times of recording"
     )
 
 
