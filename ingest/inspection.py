@@ -14,7 +14,7 @@ from .logs.intake import Intake
 from .logs.messages import Channel
 from .logs.recording import Recording, recording_at, run_name, sniff
 from .logs.saved_map import is_saved_map, read_saved_map
-from .logs.topics import JUNCTION_KINDS, choose_odometry
+from .logs.topics import JUNCTION_KINDS, choose_odometry, odometry_topics
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .remote.path import LogPath
 from .survey import Index, damage_of, surveyed, walk
@@ -135,6 +135,9 @@ def _uses(
         if source is None or source.way == "topic" or isinstance(error, UsageError):
             problems.append(str(error))
     problems += missing
+    chosen = [topic for topic, (use, _) in uses.items() if use == "odometry"]
+    for topic in odometry_topics(counts) if chosen else []:
+        uses.setdefault(topic, ("", f"not used; --odometry-topic {topic} takes it for odometry"))
     for topic, way in sensor_topics(counts):
         uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
     if source is not None:

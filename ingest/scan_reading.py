@@ -202,9 +202,8 @@ def _detected(
                 if scans.clock == "header"
                 else "without --time log, or with other stamps, they may fit"
             )
-            raise DataError(
-                f"{error}: they are of another drive, or the two topics' clocks differ; {way_out}"
-            ) from error
+            why = f"{error}: they are of another drive, or the two topics' clocks differ; {way_out}"
+            raise DataError("; ".join((why, *stream.warnings))) from error
         except LaggingError as error:
             assert odometry is not None
             may_lag = False

@@ -97,7 +97,8 @@ class PoseColumns:
 
 def states_sigma(channel: Channel) -> bool:
     """Whether messages of this type can state how uncertain their pose is, and are heeded."""
-    return ODOMETRY_KINDS.get(channel.type_name, (0, ""))[1] == "pose_covariance"
+    known = ODOMETRY_KINDS.get(channel.type_name)
+    return known is not None and known[1] == "pose_covariance"
 
 
 def usable_poses(value: FloatArray) -> BoolArray:

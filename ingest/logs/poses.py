@@ -112,5 +112,6 @@ def join(parts: Sequence[Poses]) -> Poses:
         return parts[0]
     *columns, sigmas = zip(*parts, strict=True)
     sigma_m = None if any(s is None for s in sigmas) else np.concatenate(sigmas)
-    joined = Poses(*map(np.concatenate, columns), sigma_m)
+    message, part, stamp_ns, frame, value = map(np.concatenate, columns)
+    joined = Poses(message, part, stamp_ns, frame, value, sigma_m)
     return joined.rows(np.argsort(joined.message, kind="stable"))

@@ -128,6 +128,12 @@ def choose_odometry(counts: Mapping[Channel, int], named: str | None, log: str) 
     return choices
 
 
+def odometry_topics(counts: Mapping[Channel, int]) -> list[str]:
+    """The topics that could be odometry, but those of transforms, which serve for more."""
+    kinds = {name for name, (_, kind) in ODOMETRY_KINDS.items() if kind != "transforms"}
+    return sorted(_of_types(counts, kinds))
+
+
 def choose_junctions(
     counts: Mapping[Channel, int], named: str | None, any_type: bool, log: str
 ) -> Choice:

@@ -68,7 +68,7 @@ def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: In
     (k,) of the odometry.
     """
     count = round(LAG.most_s / LAG.step_s)
-    lags = LAG.step_s * np.arange(-count, count + 1)
+    lags = np.asarray(LAG.step_s * np.arange(-count, count + 1), np.float64)
     off = _differences(odometry, time_ns, pose, piece, lags)
     best = int(off.argmin())
     _require_one_clock(off[best], (odometry, time_ns, pose, piece))

@@ -29,8 +29,11 @@ MOST_FREE_M = 50.0
 
 UNLIKELY_M = 100.0
 """A scan with more than half of its echoes beyond this is left out: it shows no junction, and
-ranges in millimetres look like this."""
-FAR = f"see most things beyond {UNLIKELY_M:g} m (ranges are metres; are these millimetres?)"
+ranges in centimetres and millimetres look like this."""
+FAR = (
+    f"see most things beyond {UNLIKELY_M:g} m (ranges are metres; are these centimetres or "
+    "millimetres?)"
+)
 
 LONGEST_SWEEP_S = 1.0
 """A longer sweep is not believed: scanners turn at 5 Hz or faster."""
