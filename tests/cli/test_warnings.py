@@ -58,7 +58,7 @@ CALLS: dict[str, list[tuple[str, ...]]] = {
     "changes": [()],
     "lock": [("run1", "far", "--never")],
     "discard": [("run1:far",)],
-    "rename": [("tiny", "small")],
+    "rename": [("run2", "second")],
     "history": [()],
     "schema": [("map",)],
     "simulate": [("OUT/simulated", "--runs", "2", "--junctions", "6", "--laser")],

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
@@ -159,3 +160,42 @@ def test_scans_alone_follow_the_laser_with_the_widest_view(
     assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.01)
     assert run.source["junctions"]["topic"] == "/b"
     assert run.source["left_out"]["/a"].startswith("without odometry")
+
+
+def test_two_clouds_are_used_together(
+    office: list[Row], sensors: ModuleType, tmp_path: Path
+) -> None:
+    """Of two sectors, as two cameras see them; and not what was made of one of them."""
+
+    def cloud(raw: bytes, kind: str, beams: slice, frame: str) -> bytes:
+        scan = sensors.ROS2.deserialize_cdr(raw, kind)
+        angle = scan.angle_min + scan.angle_increment * np.arange(len(scan.ranges))
+        angle, way = angle[beams], scan.ranges[beams].astype(np.float64)
+        echo = np.isfinite(way)
+        xyz = np.column_stack([way * np.cos(angle), way * np.sin(angle), np.zeros(len(way))])
+        stamp_ns = scan.header.stamp.sec * 10**9 + scan.header.stamp.nanosec
+        return sensors.cloud(xyz[echo], frame=frame, stamp_ns=stamp_ns)
+
+    views = {"/left": ("l", LEFT), "/right": ("r", RIGHT), "/near": ("l", slice(80, 110))}
+
+    def read_clouds(*names: str) -> Run:
+        rows: list[Row] = []
+        for topic, kind, log_ns, raw in office:
+            if topic == "/tf_static":
+                pose = (0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0)
+                rows += [(topic, kind, log_ns, sensors.mount(name, pose)) for name in ("l", "r")]
+            elif topic == "/scan":
+                for name in names:
+                    frame, beams = views[name]
+                    rows.append((name, sensors.CLOUD, log_ns, cloud(raw, kind, beams, frame)))
+            else:
+                rows.append((topic, kind, log_ns, raw))
+        return read_run(sensors.mcap(tmp_path / f"clouds{len(names)}.mcap", rows))
+
+    run = read_clouds("/left", "/right", "/near")
+    told = run.source["junctions"]
+    assert told["from"] == "cloud"
+    assert sorted(told["lasers"]) == ["/left", "/right"]
+    assert run.source["left_out"] == {"/near": "/left sees all of its directions in the same frame"}
+    assert told["covered"] > 0.95
+    assert JUNCTIONS <= len(build_map(run)) <= JUNCTIONS + 1, "slices of few points fork once more"
