@@ -97,14 +97,13 @@ def info(
             complain(str(error))
             failed = True
             continue
-        if not as_json:
-            for line in described(found):
-                say(line)
         if _read_whole(found):
             found = _tried(found, each, replace(settings, strict=not found.problems))
         if as_json:
             told.append(_as_json(found))
         else:
+            for line in described(found):
+                say(line)
             _show_faults(found)
         failed |= bool(found.problems)
     if as_json:
@@ -150,6 +149,7 @@ def _read_whole(found: LogInfo) -> bool:
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
     """The contents of a log with why ingest with these settings would reject it, or warn of it,
     beyond the problems that are known."""
+    from ..ingest.inspection import as_read
     from ..ingest.mapping import require_junctions
     from ..ingest.reading import log_size, read_log
 
@@ -169,6 +169,7 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             for problem in found.problems:
                 told = told.replace(f"; {problem}", "")
             return replace(found, problems=tuple(dict.fromkeys([*found.problems, told])))
+    found = as_read(found, run.source)
     return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
 
 
