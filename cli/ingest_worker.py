@@ -95,7 +95,8 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
     job = replace(job, run=called(job.place, job.run))
-    key = _content_key(job)
+    content = log_fingerprint(job.log)
+    key = _key(job, content)
     before = job.place.ingested(job.run) or {}
     had = _kept(job, key)
     if had:
@@ -126,6 +127,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run is finished only when all of its files exist.
     doc = {"key": key, "log": origin(job.log), "runs": runs, "read": _read_how(job.read)}
+    doc["content"] = content
     # Of a log of several files the size of the one that is named, by which `list` goes.
     own = job.log.stat().st_size if isinstance(job.log, Path) and job.log.is_file() else None
     doc |= {"version": VERSION, "bytes": job_size(job) if own is None else own}
@@ -142,7 +144,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
 def is_unchanged(job: IngestJob) -> bool:
     """Whether `ingest_one` has nothing to do."""
     job = replace(job, run=called(job.place, job.run))
-    return bool(_kept(job, _content_key(job)))
+    return bool(_kept(job, _key(job, log_fingerprint(job.log))))
 
 
 def _kept(job: IngestJob, key: str) -> list[str]:
@@ -211,9 +213,9 @@ def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     return f"{way}, {counted(visits, 'junction pass', 'junction passes')} → {found}"
 
 
-def _content_key(job: IngestJob) -> str:
-    """A digest of the log's content, the settings and the program."""
-    parts = [VERSION, log_fingerprint(job.log), asdict(job.read), asdict(job.mapping)]
+def _key(job: IngestJob, content: str) -> str:
+    """A digest of the log's content (its fingerprint), the settings and the program."""
+    parts = [VERSION, content, asdict(job.read), asdict(job.mapping)]
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

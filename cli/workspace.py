@@ -171,13 +171,14 @@ class Workspace:
 
         DataError if it is not recorded or does not exist; `otherwise`: advice in that case.
         """
+        from ..ingest.logs.recording import log_exists
         from ..ingest.remote.path import log_path
 
         log = (self.ingested(run) or {}).get("log")
         if not isinstance(log, str):
             raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
         place = log_path(log)
-        if isinstance(place, Path) and not place.exists():
+        if isinstance(place, Path) and not log_exists(place):
             raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
         return place
 

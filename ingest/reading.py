@@ -17,7 +17,16 @@ from .junction_source import JunctionSource, junction_source, walks
 from .logs.grids import last_grid
 from .logs.intake import Intake
 from .logs.messages import Findings
-from .logs.recording import Recording, find_logs, log_fingerprint, log_size, recording_at, run_name
+from .logs.recording import (
+    Recording,
+    find_logs,
+    log_exists,
+    log_fingerprint,
+    log_size,
+    recording_at,
+    run_name,
+    with_parts_joined,
+)
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
 from .mounting import transforms_about
@@ -37,11 +46,13 @@ __all__ = [
     "TopicInfo",
     "find_logs",
     "inspect_log",
+    "log_exists",
     "log_fingerprint",
     "log_size",
     "read_log",
     "read_run",
     "run_name",
+    "with_parts_joined",
 ]
 
 OnBytes = Callable[[int], None]
