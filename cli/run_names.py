@@ -44,7 +44,7 @@ def run_names(
 
     replace: runs that the workspace has from other logs do not count.
     """
-    where = {log: _location(log) for log in logs}
+    where = {log: _location(log, run_name(log)) for log in logs}
     names = {} if place is None else _kept(where, place)
     every = {*where.values(), *(() if place is None or replace else _known(where, place))}
     beside = Counter((at.folders, at.base) for at in every)
@@ -69,13 +69,13 @@ def run_names(
     return names
 
 
-def _location(log: LogPath) -> _Location:
+def _location(log: LogPath, base: str) -> _Location:
     if isinstance(log, RemotePath):
         *folders, file = f"{log.root.partition('://')[2]}/{log.key}".strip("/").split("/")
     else:
         named = log if log.name not in ("", "..") else log.resolve()
         folders, file = list(named.parent.resolve().parts[1:]), named.name
-    return _Location(tuple(reversed(folders)), run_name(log), file)
+    return _Location(tuple(reversed(folders)), base, file)
 
 
 def _kept(where: Mapping[LogPath, _Location], place: Workspace) -> dict[LogPath, str]:
@@ -108,7 +108,8 @@ def _known(where: Mapping[LogPath, _Location], place: Workspace) -> Iterator[_Lo
             log = _record(place, run).get("log")
             with suppress(TopobatchError, OSError, ValueError):  # nothing of ours wrote that
                 if isinstance(log, str):
-                    yield _location(log_path(log))
+                    # Whether there is a folder in a bucket is not asked.
+                    yield _location(log_path(log), run_name(Path(log)))
 
 
 def _record(place: Workspace, run: str) -> dict[str, Any]:
