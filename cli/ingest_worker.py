@@ -25,6 +25,7 @@ from ..topology.made_from import junctions_told
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, to_turning_points
+from .process import lack_of_memory
 from .version import VERSION
 from .workspace import Workspace, plain_name
 
@@ -84,8 +85,9 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
     except Exception as error:
         if os.environ.get("TOPOBATCH_DEBUG"):
             raise
-        # A bug that one log triggers must not stop the others.
-        text = f"{job.log}: internal error, please report it: {type(error).__name__}: {error}"
+        # What one log triggers must not stop the others.
+        why = f"internal error, please report it: {type(error).__name__}: {error}"
+        text = f"{job.log}: {lack_of_memory(error) or why}"
         return IngestOutcome(job.run, "failed", text)
     finally:
         if isinstance(job.log, RemotePath):

@@ -1,7 +1,7 @@
 """The `topobatch` command.
 
 Exit codes: 0 all was done, if with warnings; 1 the data is at fault (some or all of it); 2 the call
-is at fault; 70 topobatch itself is at fault; 130 interrupted.
+is at fault; 70 topobatch itself is at fault; 130 interrupted (128 + N by signal N).
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from .listing import list_runs
 from .lock import lock
 from .merge import merge
 from .output import complain, say, say_lines
+from .process import lack_of_memory, require_memory
 from .rename import rename
 from .report import report
 from .schema import schema
@@ -75,6 +76,10 @@ for name, command in COMMANDS:
     app.command(name)(command)
 
 
+LIGHT = ("list", "history", "schema")
+"""Commands without large arrays."""
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         say(f"topobatch {VERSION}")
@@ -83,6 +88,7 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def topobatch(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -94,6 +100,8 @@ def topobatch(
     pair of runs topobatch says how sure it is that they overlap. Results land in a workspace
     folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
     """
+    if context.invoked_subcommand not in LIGHT and not {"-h", "--help"} & set(sys.argv):
+        require_memory()
 
 
 def _say_what_is_wrong(error: TyperException) -> None:
@@ -135,6 +143,9 @@ def main() -> None:
     except Exception as error:
         if os.environ.get("TOPOBATCH_DEBUG"):
             raise
+        if lacking := lack_of_memory(error):
+            complain(lacking)
+            sys.exit(EXIT_DATA)
         complain(
             f"internal error, please report it: {type(error).__name__}: {error} "
             "(set TOPOBATCH_DEBUG=1 to see where)"
