@@ -145,6 +145,10 @@ def merge(
     )
     if method == "robust":
         options.refuse()
+    if cluster is not None:
+        from .cluster import require_cluster
+
+        require_cluster(cluster)
     workers = partial(_workers, jobs, cluster)
     if shard is not None:
         if not everything or runs or method != "robust":

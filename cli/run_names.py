@@ -66,7 +66,7 @@ def run_names(
             if name not in taken and other is None:
                 break
         taken.add(names[log])
-    return names
+    return {log: names[log] for log in where}
 
 
 def _location(log: LogPath, base: str) -> _Location:
