@@ -176,11 +176,11 @@ def _with_scans(read: LogRead, source: JunctionSource) -> Run:
 
 
 def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> GridLog:
-    grid = read_saved_map(path)
+    grid, notes = read_saved_map(path)
     if on_bytes is not None:
         on_bytes(recording.bytes)
     about = {"from": "grid", "topic": recording.files[1].name, "type": "map_server"}
-    return GridLog(run_name(path), grid, {"junctions": about})
+    return GridLog(run_name(path), grid, {"junctions": about}, notes)
 
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
