@@ -98,6 +98,13 @@ def checked_output(path: Path) -> Path:
     return path
 
 
+def confirmed(question: str) -> bool:
+    """Whether the user agrees, if there is one to ask: a terminal for question and answer."""
+    if sys.stdin.isatty() and sys.stderr.isatty():
+        return typer.confirm(plain(question), err=True)
+    return True
+
+
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
     """Lines of a table with left-aligned columns."""
     shown = [[plain(cell, LONGEST_CELL) for cell in row] for row in [header, *rows]]
