@@ -6,7 +6,7 @@ import hashlib
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -239,9 +239,10 @@ def with_parts_joined(files: Sequence[LogPath]) -> list[LogPath]:
         if all(len(parts) == 1 for parts in split_recordings(named, span=None)):
             continue
         for log in _listed(folder, separate=False)[0]:
-            if isinstance(log, Path) and not log.is_file() and not _is_bag_folder(log):
-                parts = recording_at(log).files
-                instead |= dict.fromkeys(parts, log) if set(parts) <= set(named) else {}
+            with suppress(LogError, OSError):  # reading the files will say why
+                if isinstance(log, Path) and not log.is_file() and not _is_bag_folder(log):
+                    parts = recording_at(log).files
+                    instead |= dict.fromkeys(parts, log) if set(parts) <= set(named) else {}
     return list(dict.fromkeys(instead.get(file, file) for file in files))
 
 

@@ -186,9 +186,8 @@ def _read(path: Path, found: dict[str, list[str]], like: Grid) -> tuple[Grid, tu
     try:
         Image.MAX_IMAGE_PIXELS = None  # the limit of our own is by memory
         with Image.open(path, formats=IMAGE_FORMATS) as image:
+            image.draft("L", None)  # a JPEG in colours is decoded in shades of grey
             _check_size(image)
-            if image.format == "JPEG":
-                image.draft("L", None)
             image.load()
             return _cells_of(image, found, like)
     # Pillow raises these on invalid data.
@@ -201,7 +200,7 @@ def _read(path: Path, found: dict[str, list[str]], like: Grid) -> tuple[Grid, tu
 
 def _check_size(image: Image) -> None:
     """ValueError for a picture that takes too much memory."""
-    pixel = 1 if image.format == "JPEG" else _PIXEL_BYTES.get(image.mode, 4)
+    pixel = _PIXEL_BYTES.get(image.mode, 4)
     most = MOST_PICTURE_BYTES // pixel
     if image.width * image.height > most:
         grey = "" if pixel == 1 else "; in shades of grey it may be larger"
