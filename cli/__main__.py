@@ -9,9 +9,14 @@ INTERRUPTED = 130
 
 
 def start() -> None:
-    """Run the command line; Ctrl-C ends it quietly, even while it is still being imported."""
+    """Run the command line; Ctrl-C and other signals end it quietly, even while it is still being
+    imported."""
     _quiet()
     try:
+        from .process import end_by_signals, open_closed_streams
+
+        open_closed_streams()
+        end_by_signals()
         from .main import main
 
         main()

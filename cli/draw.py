@@ -10,7 +10,7 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
-from .output import say
+from .output import checked_output, say
 from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def draw(
       topobatch draw merged merged.png --theme dark
       topobatch draw run1:run2 why.svg
     """
-    form = format_of(out)
+    form = format_of(checked_output(out))
     quiet_fonts()
     from ..topology.files import write_atomically
     from ..viz.theme import DARK, LIGHT

@@ -13,7 +13,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed, utc
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_map
-from .output import Screen, say_text
+from .output import Screen, checked_output, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -99,6 +99,8 @@ def export(
       topobatch export run1 --format tum
     """
     place, screen = Workspace(workspace), Screen(quiet)
+    if output not in (None, STDOUT):
+        checked_output(output)
     sources = _sources(place, what, component, screen)
     texts: dict[str, str] = {}
     for source in sources:

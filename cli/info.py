@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,14 +17,14 @@ from .ingest import (
     JunctionFields,
     JunctionTopic,
     OdometryTopic,
+    Separate,
     TimeSource,
     read_settings,
 )
-from .log_paths import logs_at, packed_below
+from .log_paths import logs_of
 from .options import JsonOption
 from .output import Screen, complain, say, say_lines, table, warn
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic
-from .workspace import run_named_after
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -55,6 +54,7 @@ def info(
     cloud_band: CloudBand = None,
     base_frame: BaseFrame = None,
     time: TimeSource = "header",
+    separate: Separate = False,
     allow_scan: AllowScan = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -72,6 +72,7 @@ def info(
     """
     from ..ingest.reading import inspect_log
     from ..ingest.remote.path import log_path
+    from .run_names import run_names
 
     settings = read_settings(
         odometry_topic=odometry_topic,
@@ -86,13 +87,13 @@ def info(
         time=time,
     )
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
-    failed, told = False, []
-    for each in _each_log(given):
+    known, missing = logs_of(given, warn, separate=separate)
+    for _, error in missing:
+        complain(str(error))
+    failed, told = bool(missing), []
+    for each, run in run_names(known).items():
         try:
-            if isinstance(each, LogError):
-                raise each
-            found = inspect_log(each, settings)
-            found = replace(found, name=run_named_after(found.name))
+            found = replace(inspect_log(each, settings), name=run)
         except LogError as error:
             complain(str(error))
             failed = True
@@ -110,21 +111,6 @@ def info(
         say_lines(json.dumps(told))
     if failed:
         raise typer.Exit(1)
-
-
-def _each_log(given: list[LogPath]) -> Iterator[LogPath | LogError]:
-    """Every log once; an error for a path without any."""
-    seen: set[LogPath] = set()
-    for path in given:
-        try:
-            found = logs_at(path)
-        except LogError as error:
-            yield error
-            continue
-        if passed_over := packed_below(path):
-            warn(f"{path}: {passed_over}")
-        yield from (log for log in found if log not in seen)
-        seen.update(found)
 
 
 def _as_json(found: LogInfo) -> dict[str, Any]:

@@ -145,6 +145,10 @@ def merge(
     )
     if method == "robust":
         options.refuse()
+    if cluster is not None:
+        from .cluster import require_cluster
+
+        require_cluster(cluster)
     workers = partial(_workers, jobs, cluster)
     if shard is not None:
         if not everything or runs or method != "robust":
@@ -446,10 +450,14 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
 
 def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:
     """Warnings about a merge; home: the component of every run."""
+    from ..merge.robust.entries import doubt
+
     yield from map(str, result.info.get("warnings") or ())
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             yield f"{pair.a} and {pair.b} are not joined: {pair.reason}"
+        if pair.accepted_by == "lock" and (why := doubt(pair)):
+            yield f"{pair.a} and {pair.b} are joined by a lock; by their maps {why}"
 
 
 def _counts(result: MergeResult) -> str:

@@ -10,7 +10,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from .draw import quiet_fonts, read_result
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
-from .output import complain, say
+from .output import checked_output, complain, say
 from .version import VERSION
 from .workspace import MERGED, Workspace
 
@@ -39,7 +39,7 @@ def report(
       topobatch report site.html
     """
     place = Workspace(workspace, merge)
-    page = place.root / "report.html" if out is None else out
+    page = place.root / "report.html" if out is None else checked_output(out)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a report's name ends in .html")
     if merge != MERGED:

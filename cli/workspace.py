@@ -35,7 +35,7 @@ NAME_BYTES = 200
 """Longest run name: file names have 255 bytes for it and suffixes."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, init=False)
 class Workspace:
     """The folder of the command's results: `maps/<run>.json`, `maps/<run>.rrd`, `merged.json`,
     `merged.rrd`, `locks.json`, `discards.json`, `history.jsonl`, `cache/`.
@@ -49,7 +49,9 @@ class Workspace:
     root: Path
     merge: str = MERGED
 
-    def __post_init__(self) -> None:
+    def __init__(self, root: str | os.PathLike[str], merge: str = MERGED) -> None:
+        object.__setattr__(self, "root", Path(root))
+        object.__setattr__(self, "merge", merge)
         cache = self.root / "cache"
         for folder in (
             self.maps,
@@ -171,13 +173,14 @@ class Workspace:
 
         DataError if it is not recorded or does not exist; `otherwise`: advice in that case.
         """
+        from ..ingest.logs.recording import log_exists
         from ..ingest.remote.path import log_path
 
         log = (self.ingested(run) or {}).get("log")
         if not isinstance(log, str):
             raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
         place = log_path(log)
-        if isinstance(place, Path) and not place.exists():
+        if isinstance(place, Path) and not log_exists(place):
             raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
         return place
 

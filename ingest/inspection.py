@@ -97,16 +97,18 @@ def as_read(found: LogInfo, source: Mapping[str, Any]) -> LogInfo:
 def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
     """A saved map, as a log with one message."""
     problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     why = ""
     try:
-        grid = read_saved_map(path)
+        grid, notes = read_saved_map(path)
         height, width = grid.free.shape
         why = f"{width} x {height} cells of {grid.resolution_m:g} m"
     except LogError as error:
         problems = (str(error),)
     image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
     name = run_name(path)
-    return LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
+    found = LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
+    return replace(found, warnings=notes)
 
 
 def _uses(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from ...topology.errors import LogError, UsageError
 from .laser_wire import LaserKind
@@ -230,4 +231,12 @@ def _named(
             if kinds is not None and channel.type_name not in set(kinds):
                 raise UsageError(f"{log}: {named} is {channel.type_name}, but {flag} needs {types}")
             return Choice(named, channel.type_name, f"named by {flag}")
-    raise LogError(f"{log}: no messages of {named} ({flag}); {listing(counts)}")
+    near = _like(named, _of_types(counts, kinds or {channel.type_name for channel in counts}))
+    meant = f"; did you mean {near}?" if near else ";"
+    raise LogError(f"{log}: no messages of {named} ({flag}){meant} {listing(counts)}")
+
+
+def _like(named: str, topics: Iterable[str]) -> str | None:
+    """A topic that may be meant by a name that none has: with other namespaces, or misspelt."""
+    longer = sorted(topic for topic in topics if topic.endswith(named))
+    return next(iter(longer or get_close_matches(named, sorted(topics), 1)), None)

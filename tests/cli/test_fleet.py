@@ -177,6 +177,16 @@ def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
     assert "no scheduler answers" in called.err
 
 
+@pytest.mark.parametrize("address", ["nobody", "tcp://nobody", "tcp://127.0.0.1:0", "x://h:1", ""])
+def test_a_wrong_address_of_a_cluster_is_told_also_if_nothing_needs_it(
+    topobatch, workspace, address
+):
+    pytest.importorskip("distributed")
+    assert topobatch("merge", "--all", "-j", 1, "-w", workspace).code == 0
+    again = topobatch("merge", "--all", "--cluster", address, "-w", workspace)
+    assert f"--cluster {address}: " in again.error(2)
+
+
 @pytest.fixture
 def large(monkeypatch):
     """Eighteen runs are a large merge."""
