@@ -23,9 +23,9 @@ def draw(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="RUN|merged|A:B",
-            help="A run, for its map; merged, or the --output NAME of a merge; or two runs, for "
-            "why they were merged or not.",
+            metavar="RUN|SITE|merged|A:B",
+            help="A run or a site, for its map; merged, or the --output NAME of a merge; or two "
+            "runs, for why they were merged or not.",
             autocompletion=complete_map,
         ),
     ],
@@ -48,6 +48,8 @@ def draw(
     \b
       topobatch draw run1 run1.svg
       topobatch draw merged merged.png --theme dark
+      topobatch site run1 north
+      topobatch draw north north.svg
       topobatch draw run1:run2 why.svg
     """
     form = format_of(out)
@@ -88,7 +90,10 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
         from .explain import decided
 
         return drawings.draw_decision(*decided(place, pair), theme)
-    return drawings.draw_merged(read_result(_merge_of(place, what)), theme)
+    merge = _merge_of(place, what)
+    if merge is not None:
+        return drawings.draw_merged(read_result(merge), theme)
+    return drawings.draw_merged(_of_site(place, what), theme)
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
@@ -99,15 +104,24 @@ def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
     return found[0] if found else None
 
 
-def _merge_of(place: Workspace, what: str) -> Workspace:
-    """The workspace with the named merge; otherwise an error that lists what there is."""
+def _merge_of(place: Workspace, what: str) -> Workspace | None:
+    """The workspace with the named merge; None where there is none."""
     if what == MERGED:
         place.require_merge()
         return place
-    merge = None if ":" in what else place.merge_named(what)
-    if merge is None:
-        raise place.unknown([what], "run, merge or pair A:B named")
-    return merge
+    return None if ":" in what else place.merge_named(what)
+
+
+def _of_site(place: Workspace, what: str) -> MergeResult:
+    """The part of the merge that is about a site; otherwise an error that lists what there is."""
+    from ..merge.result import of_site
+
+    if place.merged_json.is_file():
+        result = read_result(place)
+        for component in result.components:
+            if component.site == what:
+                return of_site(result, component.id)
+    raise place.unknown([what], "run, site, merge or pair A:B named")
 
 
 def read_result(place: Workspace) -> MergeResult:

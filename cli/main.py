@@ -32,6 +32,7 @@ from .rename import rename
 from .report import report
 from .schema import schema
 from .simulate import simulate
+from .site import site
 from .transfer import transfer
 from .version import VERSION
 from .view import view
@@ -64,6 +65,7 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("export", export),
     ("transfer", transfer),
     ("changes", changes),
+    ("site", site),
     ("lock", lock),
     ("discard", discard),
     ("rename", rename),

@@ -30,7 +30,7 @@ def report(
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 
-    One HTML file that needs nothing else and no network: how many runs belong together, the map,
+    One HTML file that needs nothing else and no network: how many sites the runs are of, the map,
     undecided pairs with both placements, the verdict of every pair with its reason, how well each
     run was measured, settings and versions. Light or dark, as the browser asks.
 

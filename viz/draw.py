@@ -16,6 +16,7 @@ from ..merge.result import (
     shown_bits,
 )
 from ..topology.arrays import FloatArray
+from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose
 from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_points import TRACK_END, TURNING_POINT
@@ -27,7 +28,6 @@ from .drawing import (
     SHEET_MARGIN,
     bounds,
     branch_arrows,
-    driven_branches,
     extent,
     strands,
 )
@@ -180,7 +180,9 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
         f"{to_turning_points(result.fused.turned, ways_m)}; {counted(pairs, 'pair')} of "
         f"{sum(result.standings().values()):,} merged"
     )
-    title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
+    title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
+    if len(parts) == 1 and parts[0].component.site:
+        title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
     return canvas
 
@@ -212,7 +214,7 @@ def _merged_keys(
     runs: list[Key] = []
     for part in several:
         if len(several) > 1:
-            runs.append(Key("title", theme["ink"], f"component {part.component.id}"))
+            runs.append(Key("title", theme["ink"], part.component.name))
         names = sorted(part.component.poses)
         runs += [Key("line", theme.run(rank[run]), run) for run in names]
     return [marks, runs]

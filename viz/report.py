@@ -85,7 +85,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
         shared = sum(len(m) > 1 for m in result.fused.members[: result.fused.junctions])
         corridors_m, ways_m = map(round, result.fused.lengths_m)
         facts += [
-            (len(result.components), "component", "components"),
+            (len(result.components), "site", "sites"),
             (result.fused.junctions, "junction", "junctions"),
             (shared, "seen by several runs", "seen by several runs"),
             (corridors_m, "m of corridors", "m of corridors"),
@@ -175,12 +175,12 @@ def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
 
 def _health(report: Report, runs: Sequence[str]) -> str:
     """A table with a row for each run: its contents, its noise and its warnings."""
-    home: dict[str, int] = {}
+    home: dict[str, str] = {}
     if report.result is not None:
-        home = {run: c.id for c in report.result.components for run in c.poses}
+        home = {run: c.name for c in report.result.components for run in c.poses}
     head = (
         "run",
-        "component",
+        "site",
         "first pass (UTC)",
         "lasts",
         "passes",

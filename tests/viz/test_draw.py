@@ -68,9 +68,7 @@ def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex)
 def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
     result, _ = merge_of([["a", "b"], ["lone"]])
     texts, titles = seen(draw_merged(result, LIGHT))
-    assert {"3 runs in 2 components", "a", "b", "lone", "run that is merged with none"} <= set(
-        texts
-    )
+    assert {"3 runs of 2 sites", "a", "b", "lone", "run that is merged with none"} <= set(texts)
     assert set(titles) == {"a", "b", "lone"}
     svg = draw_merged(result, LIGHT).as_bytes("svg").decode()
     assert LIGHT.run(0) in svg
@@ -92,7 +90,7 @@ def test_no_runs_can_be_drawn(no_fused) -> None:
     from topobatch.merge.result import MergeResult
 
     texts, _ = seen(draw_merged(MergeResult((), no_fused, ()), LIGHT))
-    assert "0 runs in 0 components" in texts
+    assert "0 runs of 0 sites" in texts
 
 
 def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
