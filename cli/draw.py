@@ -42,8 +42,8 @@ def draw(
 
     A run's map: junctions coloured by their branches, corridors wider the more often they were
     driven. The merged map: every corridor a ribbon with a strand for each run that drove it. A
-    pair: one map laid over the other with the matched junctions tied; of an ambiguous pair both
-    placements side by side.
+    site: the same, with the numbers of its junctions in merged.json. A pair: one map laid over the
+    other with the matched junctions tied; of an ambiguous pair both placements side by side.
 
     \b
       topobatch draw run1 run1.svg
@@ -93,7 +93,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     merge = _merge_of(place, what)
     if merge is not None:
         return drawings.draw_merged(read_result(merge), theme)
-    return drawings.draw_merged(_of_site(place, what), theme)
+    return drawings.draw_site(*_site(place, what), theme)
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
@@ -112,15 +112,13 @@ def _merge_of(place: Workspace, what: str) -> Workspace | None:
     return None if ":" in what else place.merge_named(what)
 
 
-def _of_site(place: Workspace, what: str) -> MergeResult:
-    """The part of the merge that is about a site; otherwise an error that lists what there is."""
-    from ..merge.result import of_site
-
+def _site(place: Workspace, what: str) -> tuple[MergeResult, int]:
+    """The merge, and the component of a site; otherwise an error that lists what there is."""
     if place.merged_json.is_file():
         result = read_result(place)
         for component in result.components:
             if component.site == what:
-                return of_site(result, component.id)
+                return result, component.id
     raise place.unknown([what], "run, site, merge or pair A:B named")
 
 

@@ -27,6 +27,7 @@ from .journal import history
 from .listing import list_runs
 from .lock import lock
 from .merge import merge
+from .next_drives import next_drives
 from .output import complain, say, say_lines
 from .rename import rename
 from .report import report
@@ -65,6 +66,7 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("export", export),
     ("transfer", transfer),
     ("changes", changes),
+    ("next", next_drives),
     ("site", site),
     ("lock", lock),
     ("discard", discard),
