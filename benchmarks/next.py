@@ -218,6 +218,7 @@ def main():
     for title, chosen in (
         ("joins two sites", [r for r in rows if r[3] and r[3][0].onto]),
         ("into the unknown", [r for r in rows if r[3] and not r[3][0].onto]),
+        *((kind, [r for r in rows if r[3] and r[0] == kind]) for kind in KINDS),
         ("all", [r for r in rows if r[3]]),
     ):
         if chosen:

@@ -25,7 +25,7 @@ from ..topology.digits import METRES, rounded
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose, inverse, wrap
 from .drive import Drive, Stop
-from .result import Component, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
+from .result import Component, FusedMap, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
 from .robust.settings import MATCH
 
 
@@ -45,6 +45,9 @@ class DriveSettings:
     ten."""
     most_pivots: int = 24
     """Common junctions from which walks are tried, the evidence of a pair has seldom more."""
+    most_planned: int = 30
+    """Pairs of sites, those with the likeliest placements, and sites, those of most runs, for which
+    a drive is planned: each takes some 50 ms, and few are listed."""
     straight_corridors: float = 4.0
     """How far along a branch never driven known corridors count as in its way, in median
     corridors: what lies behind them is mostly known."""
@@ -56,10 +59,10 @@ DRIVES = DriveSettings()
 def drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:
     """The best `most` drives, by decreasing expected bits per metre.
 
-    One for every two sites with an open pair, and one into the unknown for every site. O(open pairs
-    + sites · (junctions + most_local²)).
+    One for every two sites with an open pair, and one into the unknown for every site, of either
+    `most_planned`. O(pairs + junctions + most_planned · most_local²).
     """
-    maps = {c.id: _Site(result, c) for c in result.components}
+    maps = _Sites(result)
     need = _needed_junctions(result)
     found = [*_joining(result, maps, need), *_exploring(result, maps, need)]
     found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
@@ -75,19 +78,18 @@ class _Site:
     """A component's junctions and the corridors between them. ids: (n,) rows of the fused map;
     ways: for every two ends the shortest corridor (length, path from the first)."""
 
-    def __init__(self, result: MergeResult, component: Component) -> None:
-        fused = result.fused
+    def __init__(self, fused: FusedMap, component: Component, junction: BoolArray) -> None:
         self.component, self.name = component.id, component.name
         self.runs = sorted(component.poses)
-        own = (fused.component == component.id) & ~fused.is_turned
+        own = junction & (fused.component == component.id)
         self.ids: IntArray = np.flatnonzero(own)
         row = {v: k for k, v in enumerate(self.ids.tolist())}
         self.row = row
         self.xy: FloatArray = fused.xy[self.ids]
         self.ways: dict[tuple[int, int], tuple[float, FloatArray]] = {}
-        ends = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
-        for k, (u, v) in enumerate(ends):
-            if u == v or u not in row or v not in row:
+        for k in np.flatnonzero(own[fused.source] & own[fused.target]).tolist():
+            u, v = int(fused.source[k]), int(fused.target[k])
+            if u == v:
                 continue
             length, path = float(fused.length[k]), fused.paths[k]
             for a, b, way in ((u, v, path), (v, u, path[::-1])):
@@ -102,10 +104,24 @@ class _Site:
         return float(np.median(lengths)) if lengths else 0.0
 
 
+class _Sites(dict[int, _Site]):
+    """The sites of a merge by component, each made when it is asked for."""
+
+    def __init__(self, result: MergeResult) -> None:
+        super().__init__()
+        self._fused, self._junction = result.fused, ~result.fused.is_turned
+        self._components = {c.id: c for c in result.components}
+
+    def __missing__(self, component: int) -> _Site:
+        made = _Site(self._fused, self._components[component], self._junction)
+        self[component] = made
+        return made
+
+
 # Joining two sites.
 
 
-def _joining(result: MergeResult, maps: dict[int, _Site], need: int) -> Iterator[Drive]:
+def _joining(result: MergeResult, maps: _Sites, need: int) -> Iterator[Drive]:
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -115,7 +131,10 @@ def _joining(result: MergeResult, maps: dict[int, _Site], need: int) -> Iterator
         key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
         between.setdefault((key[0].id, key[1].id), []).append(pair)
     members = fused_of(result.fused.members)
-    for (s, t), pairs in sorted(between.items()):
+    likely = {key: max((_right(p), p.evidence_bits) for p in own) for key, own in between.items()}
+    order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
+    for s, t in order[: DRIVES.most_planned]:
+        pairs = between[s, t]
         drive = _joining_drive(maps[s], maps[t], pairs, home, members=members, need=need)
         if drive is not None:
             yield drive
@@ -362,12 +381,19 @@ def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _W
 # Into the unknown.
 
 
-def _exploring(result: MergeResult, maps: dict[int, _Site], need: int) -> Iterator[Drive]:
+def _exploring(result: MergeResult, maps: _Sites, need: int) -> Iterator[Drive]:
     """For every site the branch never driven that leads farthest from what is known."""
     share = _overlapping_share(result)
     free = ~driven_branches(result.fused)
     owner, heading = result.fused.branches.owner, result.fused.branches.values
-    for site in maps.values():
+    pairs: dict[int, list[PairVerdict]] = {}
+    home = {run: c.id for c in result.components for run in c.poses}
+    for pair in result.verdicts:
+        if pair.best is not None:
+            for c in {home.get(pair.a, -1), home.get(pair.b, -1)}:
+                pairs.setdefault(c, []).append(pair)
+    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    for site in (maps[c.id] for c in order[: DRIVES.most_planned]):
         rows = np.flatnonzero(free & np.isin(owner, site.ids))
         if not len(rows) or not site.ways:
             continue
@@ -378,8 +404,7 @@ def _exploring(result: MergeResult, maps: dict[int, _Site], need: int) -> Iterat
         k = int(open_.argmax())
         drive = _exploring_drive(site, site.row[int(owner[rows[k]])], float(heading[rows[k]]), need)
         ahead = (drive.length_m - drive.known_m) / site.usual_m * float(open_[k])
-        own = {*site.runs}
-        found = _per_junction(v for v in result.verdicts if own & {v.a, v.b})
+        found = _per_junction(pairs.get(site.component, ()))
         yield replace(drive, bits=share * found * min(ahead, need))
 
 
