@@ -72,10 +72,10 @@ def next_drives(
     result = read_result(place)
     from ..merge.drives import drives
 
-    names = [c.name for c in result.components]
+    names = {c.name: c.id for c in result.components}
     if site is not None and site not in names:
-        raise place.no_site(site, names)
-    found = [d for d in drives(result) if site is None or site in (d.site, d.onto)][:most]
+        raise place.no_site(site, list(names))
+    found = drives(result, most, None if site is None else names[site])
     for path in output or ():
         _write(path, WRITERS[path.suffix.lower()](found))
     if as_json:

@@ -12,7 +12,7 @@ building that repeats itself come late: what they find is there twice.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -56,15 +56,17 @@ class DriveSettings:
 DRIVES = DriveSettings()
 
 
-def drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:
-    """The best `most` drives, by decreasing expected bits per metre.
+def drives(result: MergeResult, most: int = 5, component: int | None = None) -> tuple[Drive, ...]:
+    """The best `most` drives, by decreasing expected bits per metre; component: only those that
+    begin at it or join it.
 
     One for every two sites with an open pair, and one into the unknown for every site, of either
     `most_planned`. O(pairs + junctions + most_planned · most_local²).
     """
     maps = _Sites(result)
     need = _needed_junctions(result)
-    found = [*_joining(result, maps, need), *_exploring(result, maps, need)]
+    wanted = {c.id for c in result.components} if component is None else {component}
+    found = [*_joining(result, maps, need, wanted), *_exploring(result, maps, need, wanted)]
     found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
     return tuple(found[:most])
 
@@ -121,7 +123,9 @@ class _Sites(dict[int, _Site]):
 # Joining two sites.
 
 
-def _joining(result: MergeResult, maps: _Sites, need: int) -> Iterator[Drive]:
+def _joining(
+    result: MergeResult, maps: _Sites, need: int, wanted: Collection[int]
+) -> Iterator[Drive]:
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -129,7 +133,8 @@ def _joining(result: MergeResult, maps: _Sites, need: int) -> Iterator[Drive]:
         if one is None or two is None or one.id == two.id or not _is_open(pair):
             continue
         key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
-        between.setdefault((key[0].id, key[1].id), []).append(pair)
+        if one.id in wanted or two.id in wanted:
+            between.setdefault((key[0].id, key[1].id), []).append(pair)
     members = fused_of(result.fused.members)
     likely = {key: max((_right(p), p.evidence_bits) for p in own) for key, own in between.items()}
     order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
@@ -381,7 +386,9 @@ def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _W
 # Into the unknown.
 
 
-def _exploring(result: MergeResult, maps: _Sites, need: int) -> Iterator[Drive]:
+def _exploring(
+    result: MergeResult, maps: _Sites, need: int, wanted: Collection[int]
+) -> Iterator[Drive]:
     """For every site the branch never driven that leads farthest from what is known."""
     share = _overlapping_share(result)
     free = ~driven_branches(result.fused)
@@ -392,8 +399,8 @@ def _exploring(result: MergeResult, maps: _Sites, need: int) -> Iterator[Drive]:
         if pair.best is not None:
             for c in {home.get(pair.a, -1), home.get(pair.b, -1)}:
                 pairs.setdefault(c, []).append(pair)
-    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
-    for site in (maps[c.id] for c in order[: DRIVES.most_planned]):
+    order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
+    for site in (maps[c] for _, c in order[: DRIVES.most_planned]):
         rows = np.flatnonzero(free & np.isin(owner, site.ids))
         if not len(rows) or not site.ways:
             continue

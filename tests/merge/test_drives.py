@@ -190,3 +190,12 @@ def test_the_same_whatever_the_order_of_verdicts() -> None:
     one, two = (drives(merge_of(sites, order)) for order in (pairs, pairs[::-1]))
     assert list(map(drive_to_document, one)) == list(map(drive_to_document, two))
     assert [d.onto for d in one[:2]] == ["b", "c"]
+
+
+def test_drives_of_one_site() -> None:
+    sites = {"a": A, "b": B, "c": (8, 12, T_A_B)}
+    pairs = [open_pair(COMMON), open_pair(COMMON, a="a", b="c", bits=8.0)]
+    found = drives(merge_of(sites, pairs), 1, component=2)
+    assert [(d.site, d.onto) for d in found] == [("a", "c")]
+    found = drives(merge_of(sites, pairs), component=2)
+    assert [(d.site, d.onto) for d in found] == [("a", "c"), ("c", None)]
