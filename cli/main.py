@@ -29,12 +29,14 @@ from .journal import history
 from .listing import list_runs
 from .lock import lock
 from .merge import merge
+from .next_drives import next_drives
 from .output import complain, say, say_lines
 from .process import lack_of_memory, require_memory
 from .rename import rename
 from .report import report
 from .schema import schema
 from .simulate import simulate
+from .site import site
 from .transfer import transfer
 from .version import VERSION
 from .view import view
@@ -67,6 +69,8 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("export", export),
     ("transfer", transfer),
     ("changes", changes),
+    ("next", next_drives),
+    ("site", site),
     ("lock", lock),
     ("discard", discard),
     ("rename", rename),

@@ -17,6 +17,9 @@ from .workspace import MERGED, Workspace
 if TYPE_CHECKING:
     from ..topology.topomap import TopoMap
 
+MOST_DRIVES = 3
+"""Drives to record next with a picture: after one of them all others are worth another look."""
+
 STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "matplotlib", "rerun-sdk")
 
 
@@ -30,9 +33,10 @@ def report(
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 
-    One HTML file that needs nothing else and no network: how many runs belong together, the map,
-    undecided pairs with both placements, the verdict of every pair with its reason, how well each
-    run was measured, settings and versions. Light or dark, as the browser asks.
+    One HTML file that needs nothing else and no network: how many sites the runs are of, the map,
+    what to record next, undecided pairs with both placements, the verdict of every pair with its
+    reason, how well each run was measured, settings and versions. Light or dark, as the browser
+    asks.
 
     \b
       topobatch report
@@ -47,6 +51,7 @@ def report(
     if not place.runs():
         raise place.no_maps()
     quiet_fonts()
+    from ..merge.drives import drives
     from ..topology.files import write_text
     from ..viz.report import Report, report_page
     from .unchanged import changed_since, told_changed
@@ -56,7 +61,8 @@ def report(
     new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
     warnings = [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])]
     locks = [str(lock) for lock in place.locks()]
-    html = report_page(Report(maps, result, warnings, locks, _versions()))
+    plan = drives(result, MOST_DRIVES) if result else ()
+    html = report_page(Report(maps, result, warnings, locks, _versions(), plan))
     try:
         write_text(page, html)
     except PermissionError as error:
