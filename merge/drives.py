@@ -35,7 +35,7 @@ class DriveSettings:
 
     spare_junctions: int = 3
     """Junctions beyond those that merging needs, as some are missed. Of 19 drives to join mazes,
-    cities and organic ways 18 do, of 77 m; with 0 it is 17, of 40 m, and who has to drive once more
+    cities and organic ways 18 do, of 83 m; with 0 it is 17, of 42 m, and who has to drive once more
     loses more than that (`benchmarks/next.py --spare`)."""
     same_m: float = 2.0
     same_rad: float = 0.2
