@@ -17,7 +17,15 @@ from .journal import note
 from .log_paths import logs_of
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
-from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
+from .scan_options import (
+    CloudBand,
+    JunctionsFrom,
+    LaserPose,
+    RobotRadius,
+    ScanStamp,
+    ScanTopic,
+    numbers,
+)
 from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
@@ -107,6 +115,7 @@ def ingest(
     scan_stamp: ScanStamp = "begin",
     cloud_band: CloudBand = None,
     base_frame: BaseFrame = None,
+    robot_radius: RobotRadius = 0.25,
     time: TimeSource = "header",
     closure: Annotated[
         Literal["none", "gated", "full"],
@@ -175,7 +184,7 @@ def ingest(
     place, screen = Workspace(workspace), Screen(quiet, verbose)
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
     found, missing = logs_of(given, screen.warn, separate=separate)
-    mapping = MappingSettings(closure=closure)
+    mapping = MappingSettings(closure=closure, robot_radius_m=robot_radius)
     planned = _plan(found, missing, name, IngestJob(Path(), "", place, read, mapping, force))
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []

@@ -36,6 +36,7 @@ def ingest(
     scan_stamp: Stamp = "begin",
     cloud_band: tuple[float, float] | None = None,
     base_frame: str | None = None,
+    robot_radius: float = 0.25,
     time: Literal["header", "log"] = "header",
     closure: Literal["none", "gated", "full"] = "full",
     strict: bool = False,
@@ -59,6 +60,8 @@ def ingest(
         x, y [m] and yaw [rad] of the laser on the robot.
     cloud_band
         Lowest and highest points of a cloud that make a scan, above the robot's frame [m].
+    robot_radius
+        Radius [m] of the robot that has to fit through the corridors of a grid.
     odometry_topic, junction_topic, junction_fields, junctions_from, scan_topic, scan_stamp, \
     base_frame, time, closure, strict, separate, allow_scan
         As the options of ``topobatch ingest``; by default the log tells them.
@@ -125,9 +128,10 @@ def ingest(
         time=time,
         strict=strict,
     )
+    mapping = MappingSettings(closure=closure, robot_radius_m=robot_radius)
     with _on_one_thread():
         read = (replace(read_log(log, settings), name=run) for log, run in names.items())
-        mapped = (map_of_log(found, MappingSettings(closure=closure)) for found in read)
+        mapped = (map_of_log(found, mapping) for found in read)
         return tuple(piece for each in mapped for piece in joined_pieces(each))
 
 

@@ -47,6 +47,13 @@ CloudBand = Annotated[
         "default: 0.2 below to 0.2 above the sensor.",
     ),
 ]
+RobotRadius = Annotated[
+    float,
+    typer.Option(
+        metavar="METRES",
+        help="Radius of the robot that has to fit through the corridors of a saved map or a grid.",
+    ),
+]
 
 
 def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None:

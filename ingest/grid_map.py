@@ -2,32 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
+from scipy.ndimage import binary_dilation
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.connected import connected
 from ..topology.errors import DataError
-from ..topology.polyline import simplify, way_of
+from ..topology.polyline import densely
 from ..topology.ragged import Ragged
 from ..topology.run import Grid
 from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
-from .coarse_grid import affordable
+from ..topology.turning_points import FRONTIER, NO_TURNING_POINTS, TurningPoints
+from ..topology.wording import counted
+from .coarse_grid import lattice
 from .grid_log import GridLog
 from .logs.messages import several_that
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 from .scans.views import grid_views
-
-SMOOTH_M = 0.5
-"""Length over which the staircase steps of skeletons are smoothed; corridors are straight over
-it."""
-
-PATH_TOLERANCE_M = 0.08
-"""Tolerance of simplified paths, as for the corridors of runs (`mapbuilding`)."""
 
 GRID_NOISE = RunNoise(
     centre_m=0.1, branch_rad=0.07, miss_rate=0.05, phantom_rate=0.03, branch_fault_rate=0.1
@@ -40,74 +35,118 @@ of the grid itself is unknown: the defaults of odometry are used."""
 FLOORPLAN = FloorplanSettings()
 
 
-def map_of_grid(log: GridLog) -> TopoMap:
+def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMap:
     """The topological map of the largest connected component of a grid's free space.
 
-    It has no observations, and corridors without traversals. Raises DataError if there is no
-    junction. O(cells).
+    It has no observations, and corridors without traversals. Where small obstacles hide all
+    junctions, they make junctions. Raises DataError if there is no junction. O(cells log cells).
     """
-    grid, open_, coarser = affordable(_cropped(log.grid), FLOORPLAN.island_m)
+    grid, coarser = lattice(_cropped(log.grid))
     warnings = (*log.warnings, *coarser)
-    frontier = grid.free & grid.unknown
-    places, corridors = skeleton_graph(open_, grid.resolution_m, FLOORPLAN, frontier)
-    if not any(place.kind == "junction" for place in places):
+    frontier = grid.free & binary_dilation(grid.unknown)
+    # A room with pillars has junctions between these alone.
+    for tried in (settings, settings.among_pillars):
+        places, corridors, blocked = skeleton_graph(grid.free, grid.resolution_m, tried, frontier)
+        if any(place.kind == "junction" for place in places):
+            break
+    else:
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
             f"{int(grid.free.sum())} of them free, shows no junction; "
             + "; ".join((*coarser, "nothing can be mapped"))
+            + f" (with --robot-radius {settings.skeleton.clearance_m:g}: smaller robots fit "
+            "through narrower doors)"
         )
+    if blocked:
+        warnings += (f"{counted(blocked, 'corridor')} left out: a robot cannot drive there",)
     kept, used, left_out = _largest(places, corridors)
     if left_out:
         apart = several_that(left_out, "junction", "lie apart from the largest part of the grid")
         warnings += (f"{apart}; left out",)
-    number = {old: new for new, old in enumerate(kept)}
-    rows = [_branches(places[k], grid) for k in kept]
-    branches = Ragged.from_rows([sorted_ for sorted_, _ in rows])
-    place_of_branch = {old: order for old, (_, order) in zip(kept, rows, strict=True)}
-    paths = [_path(c, places, grid) for c in used]
-    length = np.array([way_of(path)[-1] for path in paths], np.float64)
-    xy = apply(np.array(grid.origin), np.array([places[k].xy for k in kept]))
+    vertices = [k for k in kept if places[k].kind != "frontier"]
+    number = {old: new for new, old in enumerate(vertices)}
+    rows = {k: _branches(places[k], grid) for k in kept}
+    edges = [c for c in used if places[c.target].kind != "frontier"]
+    length = np.array([c.length_m for c in edges])
+    origin = np.array(grid.origin)
+    xy = apply(origin, np.array([places[k].xy for k in vertices]))
+    along = [apply(origin, densely(c.path, grid.resolution_m)) for c in used]
     return TopoMap(
         run=log.name,
         frame=grid.frame,
         xy=xy,
-        branches=branches,
-        kind=tuple(places[k].kind for k in kept),
-        source=np.array([number[c.source] for c in used], np.int64),
-        target=np.array([number[c.target] for c in used], np.int64),
-        source_branch=_slots([(c.source, c.source_branch) for c in used], place_of_branch),
-        target_branch=_slots([(c.target, c.target_branch) for c in used], place_of_branch),
+        branches=Ragged.from_rows([rows[k][0] for k in vertices]),
+        kind=tuple(places[k].kind for k in vertices),
+        source=np.array([number[c.source] for c in edges], np.int64),
+        target=np.array([number[c.target] for c in edges], np.int64),
+        source_branch=_slots([(c.source, c.source_branch) for c in edges], rows),
+        target_branch=_slots([(c.target, c.target_branch) for c in edges], rows),
         length=length,
-        length_sigma=np.sqrt(2 * GRID_NOISE.centre_m**2 + (GRID_NOISE.scale * length) ** 2),
-        traversals=np.zeros(len(used), np.int64),
-        paths=tuple(simplify(path, PATH_TOLERANCE_M) for path in paths),
+        length_sigma=_length_sigma(length),
+        traversals=np.zeros(len(edges), np.int64),
+        paths=tuple(apply(origin, c.path) for c in edges),
         observation_vertex=np.zeros(0, np.int64),
         observation_time_ns=np.zeros(0, np.int64),
         noise=GRID_NOISE,
-        confidence=np.array([places[k].confidence for k in kept]),
+        confidence=np.array([places[k].confidence for k in vertices]),
         shows_bends=False,
-        views=grid_views(log.grid, np.concatenate([xy, *paths])),
+        turning_points=_frontiers(
+            [c for c in used if places[c.target].kind == "frontier"], number, rows, origin
+        ),
+        views=grid_views(log.grid, np.concatenate([xy, *along])),
         info={
             "source": dict(log.source),
-            "settings": asdict(FLOORPLAN),
+            "settings": asdict(tried),
             "warnings": list(warnings),
         },
     )
 
 
+_Rows = Mapping[int, tuple[FloatArray, IntArray]]
+"""Headings of a place's branches in the map's frame, and the new index of each branch."""
+
+
+def _frontiers(
+    ways: Sequence[Corridor], number: Mapping[int, int], rows: _Rows, origin: FloatArray
+) -> TurningPoints:
+    """Where ways lead on into the unknown: no vertices that another map would know."""
+    k = len(ways)
+    if k == 0:
+        return NO_TURNING_POINTS
+    length = np.array([way.length_m for way in ways])
+    return TurningPoints(
+        kind=(FRONTIER,) * k,
+        vertex=np.array([number[way.source] for way in ways], np.int64),
+        branch=_slots([(way.source, way.source_branch) for way in ways], rows),
+        heading=np.array([rows[way.target][0][0] for way in ways]),
+        length=length,
+        length_sigma=_length_sigma(length),
+        position_sigma=np.full(k, GRID_NOISE.centre_m),
+        branch_sigma=np.full(k, GRID_NOISE.branch_rad),
+        traversals=np.zeros(k, np.int64),
+        paths=tuple(apply(origin, way.path) for way in ways),
+        traversal_ns=(np.zeros((0, 2), np.int64),) * k,
+        time_ns=(np.zeros((0, 1), np.int64),) * k,
+    )
+
+
+def _length_sigma(length_m: FloatArray) -> FloatArray:
+    """1 sigma [m] of the lengths of corridors."""
+    return np.sqrt(2 * GRID_NOISE.centre_m**2 + (GRID_NOISE.scale * length_m) ** 2)
+
+
 def _cropped(grid: Grid) -> Grid:
-    """The grid without the rows and columns around its free space."""
+    """The grid without the rows and columns around its free space, but one on every side."""
     rows, columns = (_span(np.asarray(grid.free.any(axis=axis))) for axis in (1, 0))
     if rows.stop == 0:
         return grid._replace(free=grid.free[:1, :1], unknown=grid.unknown[:1, :1])
-    corner = grid.resolution_m * np.array([columns.start, rows.start, 0.0])
+    corner = grid.resolution_m * np.array([columns.start - 1.0, rows.start - 1.0, 0.0])
     x, y, yaw = compose(np.array(grid.origin), corner).tolist()
     # Beyond the grid nothing is known.
-    edged = np.pad(grid.unknown, 1, constant_values=True)
-    edged = edged[rows.start : rows.stop + 2, columns.start : columns.stop + 2]
-    rim = edged[1:-1, 1:-1] | edged[:-2, 1:-1] | edged[2:, 1:-1]
-    rim |= edged[1:-1, :-2] | edged[1:-1, 2:]
-    return grid._replace(free=grid.free[rows, columns], unknown=rim, origin=(x, y, yaw))
+    within = np.s_[rows.start : rows.stop + 2, columns.start : columns.stop + 2]
+    free = np.pad(grid.free, 1)[within]
+    unknown = np.pad(grid.unknown, 1, constant_values=True)[within]
+    return grid._replace(free=free, unknown=unknown, origin=(x, y, yaw))
 
 
 def _span(mask: BoolArray) -> slice:
@@ -141,19 +180,6 @@ def _branches(place: Place, grid: Grid) -> tuple[FloatArray, IntArray]:
     return heading[order], np.argsort(order, kind="stable")
 
 
-def _slots(ends: list[tuple[int, int]], place_of_branch: Mapping[int, IntArray]) -> IntArray:
-    return np.array([place_of_branch[place][branch] for place, branch in ends], np.int64)
-
-
-def _path(corridor: Corridor, places: tuple[Place, ...], grid: Grid) -> FloatArray:
-    """A corridor from place to place, in the map's frame, with the steps of its cells smoothed."""
-    cells = max(1, round(SMOOTH_M / grid.resolution_m))
-    path = uniform_filter1d(corridor.path, cells, axis=0, mode="nearest")
-    path = np.concatenate(
-        [places[corridor.source].xy[None], path, places[corridor.target].xy[None]]
-    )
-    step = np.hypot(*np.diff(path, axis=0).T)
-    path = path[np.concatenate([[True], step > 1e-9])]
-    if len(path) < 2:
-        path = np.array([path[0], path[0] + [grid.resolution_m, 0.0]])
-    return apply(np.array(grid.origin), path)
+def _slots(ends: Sequence[tuple[int, int]], rows: _Rows) -> IntArray:
+    """The new index of the branches by which corridors leave places."""
+    return np.array([rows[place][1][branch] for place, branch in ends], np.int64)

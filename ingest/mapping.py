@@ -46,7 +46,9 @@ def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) 
     """The map of a log: of a run by `build_map`, of a grid by its skeleton. Raises DataError, with
     the faults of the log, which may be the reason."""
     try:
-        return _map_of_grid(log) if isinstance(log, GridLog) else build_map(log, settings)
+        if isinstance(log, GridLog):
+            return _map_of_grid(log, settings)
+        return build_map(log, settings)
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 
@@ -55,17 +57,19 @@ def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MA
     """The errors of `map_of_log`, without closing loops."""
     try:
         if isinstance(log, GridLog):
-            _map_of_grid(log)
+            _map_of_grid(log, settings)
         else:
             _calibrated(log, pass_source(log, settings), settings)
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 
 
-def _map_of_grid(log: GridLog) -> TopoMap:
-    from .grid_map import map_of_grid  # loads what most runs do without
+def _map_of_grid(log: GridLog, settings: MappingSettings) -> TopoMap:
+    # These load what most runs do without.
+    from .grid_map import map_of_grid
+    from .scans.floorplan import FloorplanSettings
 
-    return map_of_grid(log)
+    return map_of_grid(log, FloorplanSettings.of_robot(settings.robot_radius_m))
 
 
 def build_map(run: Run, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:

@@ -8,11 +8,14 @@ from typing import Literal, get_args
 from ..topology.closure.dead_reckoning import SystematicErrors
 from ..topology.closure.incremental import RoundSettings
 from ..topology.closure.missed_detections import DrivenBySettings
-from ..topology.errors import check_choice
+from ..topology.errors import UsageError, check_choice
 from ..topology.mapbuilding import MapBuildingSettings
 from .odometry.calibration import CalibrationSettings
 from .odometry.noise import NoiseSettings
 from .passes import PassSettings
+
+RADII_M = (0.05, 2.0)
+"""Least and largest radius of a robot: a cell of a grid, and a large vehicle indoors."""
 
 ClosureMode = Literal["none", "gated", "full"]
 
@@ -22,6 +25,8 @@ class MappingSettings:
     """Settings of the conversion of a run to a map; part of the document, for reproducibility."""
 
     closure: ClosureMode = "full"
+    robot_radius_m: float = 0.25
+    """Of the robot that drives the corridors of saved grids: a small one's."""
     calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     calibration_doubt: float = 1.5
     """Factor on the calibration's own sigma, which assumes straight corridors."""
@@ -35,6 +40,11 @@ class MappingSettings:
 
     def __post_init__(self) -> None:
         check_choice("--closure", self.closure, get_args(ClosureMode))
+        if not RADII_M[0] <= self.robot_radius_m <= RADII_M[1]:
+            raise UsageError(
+                f"--robot-radius {self.robot_radius_m:g}: expected {RADII_M[0]:g} to "
+                f"{RADII_M[1]:g} m"
+            )
 
 
 DEFAULT_MAPPING = MappingSettings()

@@ -86,8 +86,8 @@ class Vertex(Model):
     kind: str = Field(
         description="junction, dead_end (one branch) or bend (two, not opposite). Of runs with "
         "scans also turning_point (the robot drove there out of a junction and back) and track_end "
-        "(its log begins or ends there): whether the way leads on is not said, they are matched "
-        "with nothing, and come after all others, as their corridors do."
+        "(its log begins or ends there), of grids frontier (the way leads on into the unknown): "
+        "they are matched with nothing, and come after all others, as their corridors do."
     )
     branches: list[Finite] = Field(
         description="Direction in which each branch leaves, driven or only seen: radians in the "

@@ -40,6 +40,13 @@ def way_of(path: FloatArray) -> FloatArray:
     return out
 
 
+def densely(path: FloatArray, step_m: float) -> FloatArray:
+    """(j, 2) points along a polyline, both ends among them, at most `step_m` apart."""
+    way = way_of(path)
+    at = np.linspace(0.0, way[-1], 2 + int(way[-1] / step_m))
+    return np.stack([np.interp(at, way, path[:, k]) for k in (0, 1)], axis=-1)
+
+
 def leaving_rad(path: FloatArray, end: int) -> float:
     """Direction [rad] in which a polyline leaves its first point (end 0) or its last one (end
     1)."""
@@ -199,19 +206,13 @@ class Ways:
         number."""
         from scipy.spatial import cKDTree
 
-        dense = [_dense(path, step_m) for path in paths]
+        dense = [densely(path, step_m) for path in paths]
         self._step_m = step_m
         self._tree = cKDTree(np.concatenate(dense)) if dense else None
 
     def away(self, path: FloatArray) -> FloatArray:
         """(m,) distances [m] of points along a path from the polylines, inf if there are none."""
-        points = _dense(path, self._step_m)
+        points = densely(path, self._step_m)
         if self._tree is None:
             return np.full(len(points), np.inf)
         return np.asarray(self._tree.query(points)[0], np.float64)
-
-
-def _dense(path: FloatArray, step_m: float) -> FloatArray:
-    way = way_of(path)
-    at = np.linspace(0, way[-1], int(way[-1] / step_m) + 2)
-    return np.column_stack([np.interp(at, way, path[:, k]) for k in (0, 1)])

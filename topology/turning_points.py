@@ -1,4 +1,4 @@
-"""Dead ends of the track: where the robot turned round, or its log begins or ends."""
+"""Dead ends of what is known: where the robot turned round, its log or a grid ends."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from .arrays import FloatArray, IntArray
 from .frozen import freeze, frozen_rows
 from .passes import NO_BRANCH
 
-TURNING_POINT, TRACK_END = "turning_point", "track_end"
-KINDS = (TURNING_POINT, TRACK_END)
-"""The robot turned round; its log begins or ends."""
+TURNING_POINT, TRACK_END, FRONTIER = "turning_point", "track_end", "frontier"
+KINDS = (TURNING_POINT, TRACK_END, FRONTIER)
+"""The robot turned round; its log begins or ends; what a grid shows ends, and the way leads on."""
 
 WAY_COLUMNS = ("length", "length_sigma", "traversals", "paths", "traversal_ns")
 """Fields of the corridors that lead to them, as of the edges of a map."""

@@ -21,7 +21,7 @@ from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose
 from ..topology.topomap import Graph, TopoMap
-from ..topology.turning_points import TRACK_END, TURNING_POINT
+from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
@@ -131,7 +131,11 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     return keys
 
 
-TURNED = {TURNING_POINT: "robot turned round", TRACK_END: "log begins or ends"}
+TURNED = {
+    TURNING_POINT: "robot turned round",
+    TRACK_END: "log begins or ends",
+    FRONTIER: "unknown beyond",
+}
 
 
 def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:

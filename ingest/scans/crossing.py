@@ -171,6 +171,8 @@ def crossings(
     farther apart than `join_m`, whose centres are nearer."""
     found = {
         k: placed(graph, graph.nodes[k], clearance_m, cell_m, known=known, tally=tally)
+        if graph.nodes[k].clearance_m <= settings.axes_m
+        else graph.nodes[k]
         for k in numbers
     }
     joints: dict[int, tuple[int, int]] = {}

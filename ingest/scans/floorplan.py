@@ -2,71 +2,109 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, FloatArray
+from ...topology.polyline import way_of
 from ...topology.se2 import wrap
-from .crossing import Known, crossings, with_crossings
+from .crossing import Crossing, Known, crossings, with_crossings
 from .grid import GridSettings
+from .open_space import Lattice, OpenSpace, open_space, wall_yaw
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
+from .ways import Drivable, Way, driven
+
+
+class Variant(NamedTuple):
+    """One variant of the settings: of the skeleton, and how far [m] the unknown reaches into the
+    free space."""
+
+    skeleton: SkeletonSettings
+    unknown_m: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class FloorplanSettings:
     """How a grid's free space is converted to a graph."""
 
-    skeleton: SkeletonSettings = field(default_factory=SkeletonSettings)
+    skeleton: SkeletonSettings = field(
+        default_factory=lambda: SkeletonSettings(spur_m=0.6, border_m=0.2, axes_m=1.25)
+    )
+    """clearance_m is the robot's radius; corridors are up to 2.5 m wide, wider ones are halls; a
+    way into the unknown needs to show some corridor: walls have gaps."""
     island_m: float = GridSettings().island_m
-    """Smaller isolated obstacles are removed first."""
+    """Smaller isolated obstacles are driven round, but make no junctions."""
     agree_m: float = 0.7
     """A variant agrees on a junction if it has one within this distance with as many branches."""
+    unknown_m: float = 0.5
+    """In one variant as much of the free space beside the unknown is unknown, too: junctions that
+    change by it depend on what was not explored."""
+
+    @classmethod
+    def of_robot(cls, radius_m: float) -> FloorplanSettings:
+        """The usual settings for a robot of this radius."""
+        usual = cls()
+        return replace(usual, skeleton=replace(usual.skeleton, clearance_m=radius_m))
 
     @property
-    def variants(self) -> tuple[SkeletonSettings, ...]:
-        """The skeleton's settings and six variations, each in one parameter."""
+    def among_pillars(self) -> FloorplanSettings:
+        """The same, where all obstacles make junctions, as near to each other as these are."""
+        near = replace(self.skeleton, join_m=0.5 * self.skeleton.join_m)
+        return replace(self, skeleton=near, island_m=0.0)
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """The settings and six variations, each in one parameter."""
         s = self.skeleton
         return (
-            s,
-            replace(s, clearance_m=0.8 * s.clearance_m),
-            replace(s, clearance_m=1.3 * s.clearance_m),
-            s.with_spurs(0.8),
-            s.with_spurs(1.25),
-            replace(s, join_m=0.75 * s.join_m),
-            replace(s, join_m=1.3 * s.join_m),
+            Variant(s),
+            Variant(replace(s, clearance_m=0.8 * s.clearance_m)),
+            Variant(replace(s, clearance_m=1.3 * s.clearance_m)),
+            Variant(s.with_spurs(0.7)),
+            Variant(s.with_spurs(1.4)),
+            Variant(replace(s, join_m=1.3 * s.join_m)),
+            Variant(s, self.unknown_m),
         )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """A place of a floor plan: xy: (2,) from the grid's corner [m]; branches: (b,) headings [rad],
-    ascending; confidence: share of the variants that agree on the branches."""
+    ascending; kind: "frontier" where a way leads on into the unknown; confidence: share of the
+    variants that agree on the branches."""
 
     xy: FloatArray
     branches: FloatArray
-    kind: Literal["junction", "dead_end"]
+    kind: Literal["junction", "dead_end", "frontier"]
     confidence: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Corridor:
-    """A corridor between two places: their indices, the branch of each that it leaves by, and a
-    polyline (k, 2) [m], k >= 2."""
+    """A corridor between two places: their indices, the branch of each that it leaves by, and a way
+    that a robot can drive: a polyline (k, 2) [m], k >= 2, and its length [m]."""
 
     source: int
     target: int
     source_branch: int
     target_branch: int
     path: FloatArray
+    length_m: float
+
+
+class Floorplan(NamedTuple):
+    """Places and the corridors between them; blocked: number of corridors left out because a robot
+    cannot drive them."""
+
+    places: tuple[Place, ...]
+    corridors: tuple[Corridor, ...]
+    blocked: int = 0
 
 
 def skeleton_graph(
@@ -74,32 +112,116 @@ def skeleton_graph(
     resolution_m: float,
     settings: FloorplanSettings = FloorplanSettings(),
     frontier: BoolArray | None = None,
-) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
+) -> Floorplan:
     """Places and corridors of free space (h, w), row 0 at the smallest y, column 0 at the smallest
     x.
 
-    Every obstacle counts as wall; remove small islands first (`without_islands`). frontier: (h, w)
-    free cells next to unknown ones; none by default. A corridor that ends without a junction gets a
-    dead end. A corridor that leads into the unknown is a branch of its junction only. Loops without
-    a junction are left out. Raises ValueError on a grid that is not two-dimensional or a resolution
-    that is not positive. O(h w) per variant.
+    frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
+    a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
+    farther than the disc around its junction. Loops without a junction are left out. Raises
+    ValueError on a grid that is not two-dimensional or a resolution that is not positive.
+    O(h w log(h w)).
     """
     free = np.asarray(free, bool)
     if free.ndim != 2 or not resolution_m > 0:
         raise ValueError("a grid of two dimensions and a positive resolution are needed")
     if not free.any():
-        return (), ()
-    padded = np.pad(free, 1)
-    clearance = ndimage.distance_transform_edt(padded) * resolution_m
-    opening = _openings(frontier, clearance, resolution_m, 2 * settings.skeleton.clearance_m)
-    lines: dict[float, Lines] = {}
-    for s in settings.variants:
-        if s.clearance_m not in lines:
-            skeleton = thin(clearance > s.clearance_m)
-            found = lines_of(skeleton, clearance, resolution_m, opening)
-            lines[s.clearance_m] = _without_corners(found, opening, resolution_m)
-    traced_from = [lines[s.clearance_m] for s in settings.variants]
-    return _places(traced_from, clearance, opening, resolution_m, settings)
+        return Floorplan((), ())
+    free = np.pad(free, 1)
+    edge = np.zeros_like(free) if frontier is None else np.pad(np.asarray(frontier, bool), 1)
+    yaw = wall_yaw(free, edge, resolution_m)
+    shown = {}
+    for unknown_m in sorted({v.unknown_m for v in settings.variants}):
+        left = _receded(free, edge, unknown_m / resolution_m)
+        shown[unknown_m] = _Axes.of(left, edge, resolution_m, yaw, settings)
+    base = shown[0.0]
+    known: Known = {}
+    graph, own = with_crossings(
+        base.graph(settings.skeleton),
+        base.space.clearance_m,
+        base.space.cell_m,
+        settings.skeleton,
+        known=known,
+    )
+    others = []
+    for variant in settings.variants[1:]:
+        axes = shown[variant.unknown_m]
+        other = axes.graph(variant.skeleton)
+        every = crossings(
+            other,
+            range(len(other.nodes)),
+            axes.space.clearance_m,
+            axes.space.cell_m,
+            variant.skeleton,
+            known=known if axes is base else None,
+        )
+        others.append(list(every.places.values()))
+    agreement = _agreement(own, others, settings)
+    drivable = Drivable.of(base.space, settings.skeleton.clearance_m)
+    plan = _floorplan(graph, own, agreement, base, drivable)
+    return _from_corner(plan, base.lattice, resolution_m)
+
+
+def _receded(free: BoolArray, frontier: BoolArray, cells: float) -> BoolArray:
+    """The free cells farther than so many cells from the frontier."""
+    if cells == 0 or not frontier.any():
+        return free
+    return np.asarray(free & (ndimage.distance_transform_edt(~frontier) > cells))
+
+
+CELL_M = 0.05
+"""Cells of the lattice that skeletons are traced in, whatever those of the grid."""
+
+FINER = 3
+"""The lattice's cells are at most so many times smaller than the grid's: there is no more in it."""
+
+MOST_CELLS = 1 << 22
+"""Most cells of the lattice, about as many as of the grid (`coarse_grid`)."""
+
+MOST_PEELED = 1 << 27
+"""Thinning visits all cells for every layer of the widest open space. This many visits take half a
+second; wider spaces are traced in larger cells."""
+
+
+@dataclass(slots=True, eq=False)
+class _Axes:
+    """The skeleton of an open space, in a lattice along its walls. opening: see `_openings`; lines:
+    its lines for each clearance asked for."""
+
+    space: OpenSpace
+    lattice: Lattice
+    opening: BoolArray
+    lines: dict[float, Lines] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        free: BoolArray,
+        frontier: BoolArray,
+        cell_m: float,
+        yaw: float,
+        settings: FloorplanSettings,
+    ) -> _Axes:
+        """frontier: free cells beside unknown ones; yaw: of the lattice."""
+        radius_m = settings.skeleton.clearance_m
+        space = open_space(free, cell_m, radius_m, settings.island_m)
+        opening = _openings(frontier, space.clearance_m, cell_m, 2 * radius_m)
+        area, wide_m = free.size * cell_m**2, float(space.clearance_m.max())
+        peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
+        own_m = max(CELL_M, cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
+        lattice = Lattice.along(yaw, free.shape, cell_m, own_m)
+        on = space.on(lattice)
+        return cls(on, lattice, lattice.of(opening, cell_m).astype(bool))
+
+    def graph(self, settings: SkeletonSettings) -> SkeletonGraph:
+        """The graph of where there is the clearance of the settings."""
+        least_m, clearance_m = settings.clearance_m, self.space.clearance_m
+        if least_m not in self.lines:
+            found = lines_of(
+                thin(clearance_m > least_m), clearance_m, self.space.cell_m, self.opening
+            )
+            self.lines[least_m] = _without_corners(found, self.opening, self.space.cell_m)
+        return traced(self.lines[least_m], settings)
 
 
 def _openings(
@@ -126,58 +248,130 @@ def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
     as leading to the border: the line that forks leads on, not they."""
     columns, rows = np.rint(lines.fork_xy / cell_m).astype(np.int64).T
     in_front = opening[rows, columns]
-    ends = Counter(line for line, _ in lines.touching)
-    corners = {line for line, fork in lines.touching if ends[line] == 1 and in_front[fork]}
+    forks = lines.ends.max(axis=1)
+    single = (lines.ends > 0).sum(axis=1) == 1
+    corners = set(np.flatnonzero(single & in_front[forks]).tolist())
     return replace(lines, border=lines.border - corners)
 
 
-def _places(
-    lines: list[Lines],
-    clearance_m: FloatArray,
-    opening: BoolArray,
-    cell_m: float,
-    settings: FloorplanSettings,
-) -> tuple[tuple[Place, ...], tuple[Corridor, ...]]:
-    """Places, with the agreement of the variants on them, and corridors. lines: of the skeleton
-    under each of the variants; opening: see `_openings`."""
-    known: Known = {}
-    graph, own = with_crossings(
-        traced(lines[0], settings.skeleton), clearance_m, cell_m, settings.skeleton, known=known
-    )
-    shown = []
-    for found, variant in zip(lines[1:], settings.variants[1:], strict=True):
-        other = traced(found, variant)
-        every = crossings(other, range(len(other.nodes)), clearance_m, cell_m, variant, known=known)
-        shown.append(list(every.places.values()))
-    agreement = _agreement(own, shown, settings)
-    # The middle of the padded grid's first cell lies half a cell before the corner.
-    shift = np.array([-0.5, -0.5]) * cell_m
+def _floorplan(
+    graph: SkeletonGraph,
+    crossed: Sequence[Crossing],
+    agreement: Sequence[float],
+    axes: _Axes,
+    drivable: Drivable,
+) -> Floorplan:
+    """Places, and the ways between them that can be driven, from the corner of the lattice."""
+    cell_m = drivable.cell_m
+    centres = [drivable.moved(node.xy) for node in crossed]
     places = [
-        Place(place.xy + shift, place.headings, "junction", share)
-        for place, share in zip(own, agreement, strict=True)
+        Place(xy, node.headings, "junction", share)
+        for xy, node, share in zip(centres, crossed, agreement, strict=True)
     ]
-    corridors = []
+    corridors, blocked = [], 0
     used = [[False] * len(node.ends) for node in graph.nodes]
-    for number, (edge, way) in enumerate(zip(graph.edges, _polylines(graph, cell_m), strict=True)):
-        if way is None:
+    for number, edge in enumerate(graph.edges):
+        source, target = edge.nodes
+        line = _polyline(edge, graph.nodes, cell_m)
+        if line is None:
             continue
-        path, (source, target) = way, edge.nodes
         source_branch, target_branch = _take(graph, used, source, number), 0
+        line[0] = centres[source]
         if target >= 0:
             target_branch = _take(graph, used, target, number)
+            line[-1] = centres[target]
+            way = driven(line, drivable, _reach(line, axes, drivable))
         else:
-            column, row = np.rint(way[-1] / cell_m).astype(np.int64)
-            if opening[row, column]:
+            kind, line = _ended(line, axes, drivable)
+            if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
                 continue
-            target, path = len(places), _ended(way, clearance_m, cell_m)
-            back = path[-min(len(path), 1 + round(1.0 / cell_m))] - path[-1]
-            heading = wrap(np.array([np.arctan2(back[1], back[0])]))
-            places.append(Place(path[-1] + shift, heading, "dead_end", 0.5))
-        corridors.append(Corridor(source, target, source_branch, target_branch, path + shift))
-    return tuple(places), tuple(corridors)
+            way = _driven_in(line, axes, drivable, graph.nodes[source].clearance_m)
+        if way is None:
+            blocked += 1
+            continue
+        if target < 0:
+            target = len(places)
+            places.append(_end_of(way, kind))
+        ends = source, target, source_branch, target_branch
+        corridors.append(Corridor(*ends, *way))
+    return Floorplan(tuple(places), tuple(corridors), blocked)
 
 
-def _ended(path: FloatArray, clearance_m: FloatArray, cell_m: float) -> FloatArray:
+def _from_corner(plan: Floorplan, lattice: Lattice, cell_m: float) -> Floorplan:
+    """A floor plan from the corner of its lattice, from that of the grid."""
+    # The middle of the padded grid's first cell lies half a cell before the corner.
+    shift = np.array([-0.5, -0.5]) * cell_m
+    places = []
+    for place in plan.places:
+        headings = np.asarray(wrap(place.branches + lattice.yaw))
+        places.append(replace(place, xy=lattice.out(place.xy) + shift, branches=headings))
+    corridors = [replace(c, path=lattice.out(c.path) + shift) for c in plan.corridors]
+    return plan._replace(places=tuple(places), corridors=tuple(corridors))
+
+
+def _reach(line: FloatArray, axes: _Axes, drivable: Drivable) -> FloatArray:
+    """(k,) distance of the walls from each point of a line [m]."""
+    return axes.space.clearance_m[drivable.at(line)]
+
+
+def _driven_in(line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: float) -> Way | None:
+    """The way to the end of a line, else as far as it can be driven straight along it, if that is
+    beyond the disc around its junction."""
+    way = driven(line, drivable, _reach(line, axes, drivable))
+    if way is not None:
+        return way
+    fits = drivable.cells[drivable.at(line)]
+    fits[0] = True
+    until = len(line) if fits.all() else int(np.argmin(fits))
+    if until < 2 or way_of(line[:until])[-1] <= beyond_m:
+        return None
+    return driven(line[:until], drivable, _reach(line[:until], axes, drivable))
+
+
+HEADING_M = 1.0
+"""Distance from a dead end at which the heading of its one branch is measured."""
+
+
+def _end_of(way: Way, kind: Literal["dead_end", "frontier"]) -> Place:
+    """The place at the end of a way."""
+    along = way_of(way.path)
+    at = max(along[-1] - HEADING_M, 0.0)
+    back = [np.interp(at, along, way.path[:, k]) - way.path[-1, k] for k in (0, 1)]
+    heading = wrap(np.array([np.arctan2(back[1], back[0])]))
+    return Place(way.path[-1], heading, kind, 0.5)
+
+
+def _polyline(edge: Edge, nodes: Sequence[Node], cell_m: float) -> FloatArray | None:
+    """(k, 2) an edge from the centre of its first place to that of the other, or to its end; None
+    if it has neither, or nothing between."""
+    source, target = edge.nodes
+    if source < 0 or (len(edge.cells) == 0 and target < 0):
+        return None
+    points = edge.cells[:, ::-1] * cell_m
+    half = len(points) // 2 if source == target else len(points)
+    begin, end = nodes[source].xy, nodes[target].xy
+    first = int(np.argmin(np.hypot(*(points[:half] - begin).T))) if half else 0
+    if target < 0:
+        return np.concatenate([begin[None], points[first:]])
+    later = max(first, half if source == target else 0)
+    last = later + int(np.argmin(np.hypot(*(points[later:] - end).T))) if half else 0
+    return np.concatenate([begin[None], points[first : last + 1], end[None]])
+
+
+def _ended(
+    line: FloatArray, axes: _Axes, drivable: Drivable
+) -> tuple[Literal["dead_end", "frontier"], FloatArray]:
+    """What a line ends at, and the line up to there."""
+    cells = drivable.at(line)
+    if axes.opening[cells[0][-1], cells[1][-1]]:
+        before = np.flatnonzero(~axes.opening[cells])
+        return "frontier", line[: max(2, int(before[-1]) + 2 if len(before) else 2)]
+    line = _to_widest(line, axes.space.clearance_m, axes.space.cell_m)
+    line[-1] = drivable.moved(line[-1])
+    return "dead_end", line
+
+
+def _to_widest(path: FloatArray, clearance_m: FloatArray, cell_m: float) -> FloatArray:
     """A path into a dead end, cut at the centre of its widest part.
 
     Where exactly a skeleton ends in a room, and with what hook, is arbitrary. The widest part is
@@ -226,67 +420,3 @@ def _placed(places: Sequence[Node], settings: FloorplanSettings) -> FloatArray:
     xy = np.array([place.xy for place in places]).reshape(-1, 2)
     branches = np.array([len(place.ends) for place in places])
     return np.column_stack([xy, 2 * settings.agree_m * branches])
-
-
-def _polylines(graph: SkeletonGraph, cell_m: float) -> list[FloatArray | None]:
-    """For each edge its cells in order, between the centres of its places; None if it has
-    neither."""
-    begun = [k for k, edge in enumerate(graph.edges) if edge.nodes[0] >= 0 and len(edge.cells)]
-    ways = []
-    for edge in (graph.edges[k] for k in begun):
-        away = edge.away(graph.nodes[edge.nodes[0]].xy, cell_m)
-        first = int(np.argmin(np.hypot(*away.T)))
-        ways.append(_Way(edge.cells, first, edge.nodes[0] == edge.nodes[1]))
-    chains = dict(zip(begun, _chains(ways), strict=True))
-    return [_polyline(edge, graph, chains.get(k), cell_m) for k, edge in enumerate(graph.edges)]
-
-
-def _polyline(
-    edge: Edge, graph: SkeletonGraph, chain: IntArray | None, cell_m: float
-) -> FloatArray | None:
-    centres = [graph.nodes[node].xy[None] for node in edge.nodes if node >= 0]
-    if edge.nodes[0] < 0 or (chain is None and len(centres) < 2):
-        return None
-    between = edge.cells[:0] if chain is None else edge.cells[chain]
-    return np.concatenate([centres[0], between[:, ::-1] * cell_m, *centres[1:]])
-
-
-class _Way(NamedTuple):
-    """Cells (k, 2) of an edge, unordered, the index of the first one, and whether it is a ring."""
-
-    cells: IntArray
-    first: int
-    ring: bool
-
-
-def _chains(ways: list[_Way]) -> list[IntArray]:
-    """For each edge the rows of its cells along the shortest path from the first to the farthest
-    one.
-
-    Neighbouring cells are connected; gaps left by removed nodes are bridged at a higher cost. All
-    edges are components of one graph.
-    """
-    if not ways:
-        return []
-    cells = np.concatenate([way.cells for way in ways])
-    size = np.array([len(way.cells) for way in ways])
-    owner, begin = np.repeat(np.arange(len(ways)), size), np.cumsum(size) - size
-    first = begin + [way.first for way in ways]
-    # Ways lie in planes so far apart that no two are near each other.
-    pairs = cKDTree(np.column_stack([cells, 8 * owner])).query_pairs(4.0, output_type="ndarray")
-    gap = np.hypot(*(cells[pairs[:, 0]] - cells[pairs[:, 1]]).T)
-    # The two ends of a ring come near each other at the place that they hang on.
-    home = np.hypot(*(cells - cells[first[owner]]).T) < 8
-    home &= np.array([way.ring for way in ways])[owner]
-    across = (gap > 1.5) & home[pairs].all(axis=1)
-    pairs, gap = pairs[~across], gap[~across]
-    graph = coo_array((gap**3, (pairs[:, 0], pairs[:, 1])), shape=(len(cells),) * 2).tocsr()
-    distance, before, _ = dijkstra(graph, False, first, return_predecessors=True, min_only=True)
-    distance = np.where(np.isfinite(distance), distance, -1.0)
-    steps, out = before.tolist(), []
-    for k, start in enumerate(begin.tolist()):
-        chain = [start + int(np.argmax(distance[start : start + size[k]]))]
-        while chain[-1] != first[k]:
-            chain.append(steps[chain[-1]])
-        out.append(np.array(chain[::-1], np.int64) - start)
-    return out

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,12 +18,20 @@ class SkeletonSettings:
 
     clearance_m: float = 0.25
     """Half the width of the narrowest corridor: half the width of a small robot."""
-    spur_m: float = 1.5
-    spur_beyond_m: float = 0.5
-    """Branches that end within `spur_m`, or within the node's clearance plus this, are corners."""
+    spur_m: float = 0.4
+    """Branches that end are corners if they show less corridor than this (`Reach`). At 0.4, 0.6 and
+    1.0 the junctions of a real building come back with the same branches in .93, .91 and .86 of
+    passes."""
+    taper: float = 0.5
+    """Clearance lost per way towards the tip that is no corridor any more: that of a corner of 60
+    degrees; right angles lose 0.71."""
+    border_m: float = 0.0
+    """The same of branches that run into the border: by default none is a corner."""
     join_m: float = 1.0
     """Nodes nearer to each other along the skeleton are merged: a crossing appears as two adjacent
     forks."""
+    axes_m: float = float("inf")
+    """Forks with more clearance stay where they are: a hall has no axes that cross."""
     chord_m: float = 1.5
     chord_beyond_m: float = 0.3
     """A branch's heading is measured at a distance of `chord_m`, or of the node's clearance plus
@@ -30,7 +39,7 @@ class SkeletonSettings:
 
     def with_spurs(self, factor: float) -> SkeletonSettings:
         """The same, with spurs of `factor` times the length pruned."""
-        return replace(self, spur_m=factor * self.spur_m, spur_beyond_m=factor * self.spur_beyond_m)
+        return replace(self, spur_m=factor * self.spur_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +69,7 @@ class SkeletonGraph:
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
     """A line of the skeleton. nodes: at its ends, -1 for none (a dead end, or the border); cells:
-    (k, 2) row and column, unordered; length_m: along it."""
+    (k, 2) row and column, from the first node to the other; length_m: along it."""
 
     nodes: tuple[int, int]
     cells: IntArray
@@ -71,14 +80,67 @@ class Edge:
         return self.cells[:, ::-1] * cell_m - xy
 
 
+HALF_M = 0.6
+"""Half the width up to which corridors count by their length: wider ones count by how much longer
+than wide they are, so that no part of a room is a corridor."""
+
+
+class Reach(NamedTuple):
+    """How much of a line is a corridor, walking along it in one direction.
+
+    With s the way walked [m], r the clearance and t the taper of the settings, f = s - r / t rises
+    along corridors and falls along the bisector of a corner, whose clearance grows with the way.
+    Steps where r exceeds `HALF_M` count HALF_M / r. `most` is the largest rise of f between two
+    points of the line: the length of a corridor of constant width, more beyond a door, next to
+    nothing for a corner of any size. Like the erosion thickness (Liu, Chambers, Letscher and Ju,
+    Extended grassfire transform on medial axes of 2D shapes, 2011), which counts corners by their
+    size, it changes little when walls do.
+
+    total: rise from end to end; first, last: largest rise from the beginning, and up to the end.
+    """
+
+    total: float
+    first: float
+    last: float
+    most: float
+
+    def then(self, other: Reach) -> Reach:
+        """Of this line and another one that goes on where it ends."""
+        return Reach(
+            self.total + other.total,
+            max(self.first, self.total + other.first),
+            max(other.last, other.total + self.last),
+            max(self.most, other.most, self.last + other.first),
+        )
+
+
 @dataclass(slots=True, eq=False)
 class _Segment:
-    """A line of the skeleton while the graph is being simplified."""
+    """A line of the skeleton while the graph is being simplified. parts: numbers of its lines in
+    order, negative where they are passed backwards; ends: the nodes that it leads from and to, 0
+    for none; along, back: its reach in this direction, and in the other one."""
 
     parts: list[int]
-    nodes: list[int]
+    ends: tuple[int, int]
     length: float
     border: bool
+    along: Reach
+    back: Reach
+
+    @property
+    def nodes(self) -> list[int]:
+        """The nodes at its ends."""
+        return [node for node in self.ends if node]
+
+    def reversed(self) -> _Segment:
+        """The same, in the other direction."""
+        ends, parts = (self.ends[1], self.ends[0]), [-k for k in reversed(self.parts)]
+        return replace(self, parts=parts, ends=ends, along=self.back, back=self.along)
+
+    def without(self, node: int) -> tuple[int, int]:
+        """Its ends, where it no longer leads to a node."""
+        first, last = self.ends
+        return (0 if first == node else first, 0 if last == node else last)
 
 
 @dataclass(slots=True, eq=False)
@@ -91,8 +153,6 @@ class _Net:
     segments: dict[int, _Segment]
     incident: dict[int, list[int]] = field(default_factory=dict)
     """Segment numbers by node, twice for a loop."""
-    joints: dict[int, list[int]] = field(default_factory=dict)
-    """Segments absorbed by a node when nodes were merged."""
     changed: list[int] = field(default_factory=list)
     """Segments changed since they were last examined."""
 
@@ -110,20 +170,19 @@ def traced(lines: Lines, settings: SkeletonSettings = SkeletonSettings()) -> Ske
 
     Spurs are pruned shortest first, nodes with two branches dissolved, near ones merged.
     """
-    net = _net(lines)
+    net = _net(lines, settings)
     _simplify(net, settings)
     return _graph(net, lines)
 
 
-def _net(lines: Lines) -> _Net:
+def _net(lines: Lines, settings: SkeletonSettings) -> _Net:
+    reaches = _reaches(lines, settings.taper)
+    ends = lines.ends.tolist()
     segments = {
-        k: _Segment([k], [], length, k in lines.border)
+        k: _Segment([k], (ends[k][0], ends[k][1]), length, k in lines.border, *reaches[k])
         for k, length in enumerate(lines.length_m.tolist())
         if k > 0
     }
-    for line, fork in lines.touching:
-        # A ring hangs on its one fork by both ends; a fork's own two pixels are no ring.
-        segments[line].nodes.append(fork)
     numbers = range(1, len(lines.fork_xy))
     clearance, weight = lines.fork_clearance_m.tolist(), lines.fork_cells.tolist()
     net = _Net(
@@ -133,19 +192,66 @@ def _net(lines: Lines) -> _Net:
         segments,
     )
     net.incident = {k: [] for k in net.centre}
-    net.joints = {k: [] for k in net.centre}
     for k, segment in segments.items():
-        del segment.nodes[2:]
+        # A ring hangs on its one fork by both ends.
         for node in segment.nodes:
             net.incident[node].append(k)
+    for node in numbers:
+        _dissolve(net, node)
     return net
+
+
+def _reaches(lines: Lines, taper: float) -> list[tuple[Reach, Reach]]:
+    """Of every line along its cells, and back; forks are points at their ends. O(c)."""
+    count = len(lines.length_m)
+    at = [lines.cells[:, ::-1] * lines.cell_m, lines.fork_xy[lines.ends.ravel()]]
+    clear = [lines.clearance_m, lines.fork_clearance_m[lines.ends.ravel()]]
+    number = np.arange(count)
+    owner = np.concatenate([lines.line, np.repeat(number, 2)])
+    place = np.concatenate([np.ones(len(lines.line)), np.tile([0, 2], count)])
+    there = np.concatenate([np.ones(len(lines.line), bool), lines.ends.ravel() > 0])
+    order = np.lexsort((place, owner))
+    order = order[there[order] & (owner[order] > 0)]
+    xy, r, owner = np.concatenate(at)[order], np.concatenate(clear)[order], owner[order]
+    step = np.zeros(len(xy))
+    step[1:] = np.where(np.diff(owner) == 0, np.hypot(*np.diff(xy, axis=0).T), 0.0)
+    wide = np.maximum(1.0, r / HALF_M)
+    fall = np.diff(r, prepend=0.0) / taper
+    fall[step == 0] = 0
+    up, down = ((step * k - fall) / wide for k in (1, -1))
+    out = []
+    for side in (_rises(np.cumsum(up), owner), _rises(np.cumsum(down)[::-1], owner[::-1])):
+        out.append([_NONE] * count)
+        for k, row in side.items():
+            out[-1][k] = row
+    return list(zip(*out, strict=True))
+
+
+_NONE = Reach(0.0, 0.0, 0.0, 0.0)
+
+
+def _rises(f: FloatArray, owner: IntArray) -> dict[int, Reach]:
+    """The reach of every line whose values stand one after another, by number."""
+    if len(f) == 0:
+        return {}
+    first = np.flatnonzero(np.concatenate([[True], np.diff(owner) != 0]))
+    last = np.append(first[1:], len(f)) - 1
+    # Every line lies below all before it: the running least starts anew at each.
+    rank = np.repeat(np.arange(len(first)), last - first + 1)
+    low = f - rank * (2 * float(np.ptp(f)) + 1.0)
+    most = np.maximum.reduceat(low - np.minimum.accumulate(low), first)
+    total = f[last] - f[first]
+    begun = np.maximum.reduceat(f, first) - f[first]
+    ended = f[last] - np.minimum.reduceat(f, first)
+    rows = zip(*(c.tolist() for c in (total, begun, ended, most)), strict=True)
+    return {k: Reach(*row) for k, row in zip(owner[first].tolist(), rows, strict=True)}
 
 
 def _simplify(net: _Net, settings: SkeletonSettings) -> None:
     """Prune spurs, dissolve nodes with two branches, merge near ones, until nothing changes.
 
-    Spurs go before nodes are merged, the shortest first. Candidates are kept in heaps by length;
-    outdated entries are skipped. O(n log n).
+    Spurs go before nodes are merged, the least first. Candidates are kept in heaps; outdated
+    entries are skipped. O(n log n).
     """
     spurs: list[tuple[float, int]] = []
     joints: list[tuple[float, int]] = []
@@ -153,7 +259,7 @@ def _simplify(net: _Net, settings: SkeletonSettings) -> None:
     while True:
         for k in net.changed:
             if _is_spur(net, k, settings):
-                heappush(spurs, (net.segments[k].length, k))
+                heappush(spurs, (_corridor(net.segments[k]), k))
             elif (rank := _joint_rank(net, k, settings)) is not None:
                 heappush(joints, rank)
         net.changed.clear()
@@ -164,26 +270,32 @@ def _simplify(net: _Net, settings: SkeletonSettings) -> None:
 def _is_spur(net: _Net, k: int, settings: SkeletonSettings) -> bool:
     """Whether segment k is a corner of the free space."""
     segment = net.segments.get(k)
-    if segment is None or len(segment.nodes) != 1 or segment.border:
+    if segment is None or len(segment.nodes) != 1:
         return False
-    clear = net.clearance[segment.nodes[0]]
-    return segment.length < max(settings.spur_m, clear + settings.spur_beyond_m)
+    return _corridor(segment) < (settings.border_m if segment.border else settings.spur_m)
+
+
+def _corridor(segment: _Segment) -> float:
+    """How much corridor a segment shows from its tip to its one node [m]."""
+    return (segment.along if segment.ends[1] else segment.back).most
 
 
 def _joint_rank(net: _Net, k: int, settings: SkeletonSettings) -> tuple[float, int] | None:
     """Sort key of segment k among those whose two ends are merged, rings first; None if it is too
     long for that."""
     segment = net.segments.get(k)
-    if segment is None or len(segment.nodes) != 2 or segment.length >= settings.join_m:
+    if segment is None or len(segment.nodes) != 2:
+        return None
+    if segment.length >= settings.join_m:
         return None
     return (segment.length, k) if segment.nodes[0] != segment.nodes[1] else (-1.0, -k)
 
 
 def _prune(net: _Net, spurs: list[tuple[float, int]], settings: SkeletonSettings) -> bool:
-    """Remove the shortest spur; False if there is none."""
+    """Remove the spur that shows the least corridor; False if there is none."""
     while spurs:
-        length, at = heappop(spurs)
-        if _is_spur(net, at, settings) and net.segments[at].length == length:
+        shown, at = heappop(spurs)
+        if _is_spur(net, at, settings) and _corridor(net.segments[at]) == shown:
             break
     else:
         return False
@@ -206,16 +318,15 @@ def _join(net: _Net, joints: list[tuple[float, int]], settings: SkeletonSettings
     a, b = segment.nodes
     for node in (a, b):
         net.incident[node].remove(at)
-    net.joints[a] += segment.parts
     if a != b:
         total = net.weight[a] + net.weight[b]
         net.centre[a] = (net.centre[a] * net.weight[a] + net.centre[b] * net.weight[b]) / total
         net.weight[a] = total
         net.clearance[a] = max(net.clearance[a], net.clearance.pop(b))
         for other in net.incident.pop(b):
-            net.segments[other].nodes = [a if n == b else n for n in net.segments[other].nodes]
+            first, last = net.segments[other].ends
+            net.segments[other].ends = (a if first == b else first, a if last == b else last)
             net.incident[a].append(other)
-        net.joints[a] += net.joints.pop(b)
         del net.centre[b], net.weight[b]
     net.changed += net.incident[a]
     _dissolve(net, a)
@@ -228,46 +339,51 @@ def _dissolve(net: _Net, node: int) -> None:
     if len(ends) >= 3:
         return
     net.changed += ends
-    extra = net.joints[node]
     if len(ends) == 2 and ends[0] != ends[1]:
         first, second = (net.segments[k] for k in ends)
-        others = [n for n in second.nodes if n != node]
-        first.nodes = [n for n in first.nodes if n != node] + others
-        first.parts += second.parts + extra
-        first.length += second.length
-        first.border |= second.border
-        for other in others:
+        first = first if first.ends[1] == node else first.reversed()
+        second = second if second.ends[0] == node else second.reversed()
+        other = second.ends[1]
+        net.segments[ends[0]] = _Segment(
+            first.parts + second.parts,
+            (first.ends[0], other),
+            first.length + second.length,
+            first.border or second.border,
+            first.along.then(second.along),
+            second.back.then(first.back),
+        )
+        if other:
             net.incident[other] = [ends[0] if k == ends[1] else k for k in net.incident[other]]
         del net.segments[ends[1]]
     else:
         for k in set(ends):
-            net.segments[k].nodes = [n for n in net.segments[k].nodes if n != node]
-            net.segments[k].parts += extra
-    for table in (net.centre, net.clearance, net.weight, net.incident, net.joints):
+            net.segments[k].ends = net.segments[k].without(node)
+    for table in (net.centre, net.clearance, net.weight, net.incident):
         table.pop(node, None)
 
 
 def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
-    """The remaining graph, with the cells of every edge."""
-    home = np.zeros(len(lines.length_m), np.int64)
-    kept = sorted(net.segments)
-    for number, k in enumerate(kept, start=1):
-        home[net.segments[k].parts] = number
-    owner = home[lines.line]
-    left = np.flatnonzero(owner > 0)
-    order = left[np.argsort(owner[left], kind="stable")]
-    cells = lines.cells[order]
-    bounds = np.searchsorted(owner[order], np.arange(1, len(kept) + 2))
+    """The remaining graph, with the cells of every edge in order."""
+    bounds = np.searchsorted(lines.line, np.arange(1, len(lines.length_m) + 1)).tolist()
+
+    def cells_of(part: int) -> IntArray:
+        own = lines.cells[bounds[abs(part) - 1] : bounds[abs(part)]]
+        return own if part > 0 else own[::-1]
+
     names = {node: index for index, node in enumerate(sorted(net.centre))}
+    kept = sorted(net.segments)
     edges = []
-    for number, k in enumerate(kept):
+    for k in kept:
         segment = net.segments[k]
-        ends = [names[n] for n in segment.nodes] + [-1, -1]
-        own = cells[bounds[number] : bounds[number + 1]]
-        edges.append(Edge((ends[0], ends[1]), own, segment.length))
+        if segment.ends[0] == 0:
+            segment = segment.reversed()
+        cells = np.concatenate([cells_of(part) for part in segment.parts])
+        ends = names.get(segment.ends[0], -1), names.get(segment.ends[1], -1)
+        edges.append(Edge(ends, cells, segment.length))
     place = {k: number for number, k in enumerate(kept)}
     nodes = [
         Node(net.centre[n], net.clearance[n], tuple(place[k] for k in net.incident[n]))
         for n in names
     ]
-    return SkeletonGraph(tuple(nodes), tuple(edges), cells)
+    every = np.concatenate([lines.cells[:0], *(edge.cells for edge in edges)])
+    return SkeletonGraph(tuple(nodes), tuple(edges), every)

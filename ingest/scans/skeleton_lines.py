@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.errors import DataError
@@ -31,21 +33,24 @@ _AROUND = np.ones((3, 3), np.int8)
 class Lines:
     """Forks and lines of a skeleton, each numbered from 1 on.
 
-    cells: (c, 2) row and column of all cells of lines; line: (c,) line of each; fork_xy: (f + 1, 2)
-    centre of each fork, from that of the first cell [m]; fork_clearance_m: (f + 1,) distance of the
-    nearest wall; fork_cells: (f + 1,) number of cells; length_m: (l + 1,) of each line, including
-    its ends in the forks; touching: line and fork of every end of a line; border: lines that run
-    into the border of the grid.
+    cells: (c, 2) row and column of all cells of lines, one line after another, each in the order
+    along it; clearance_m: (c,) distance of the nearest wall; line: (c,) line of each; fork_xy:
+    (f + 1, 2) centre of each fork, from that of the first cell [m]; fork_clearance_m: (f + 1,);
+    fork_cells: (f + 1,) number of cells; length_m: (l + 1,) of each line, including its ends in the
+    forks; ends: (l + 1, 2) fork at the first cell of each line, and at the last one, 0 for none;
+    border: lines that run into the border of the grid; cell_m: size of a cell.
     """
 
     cells: IntArray
+    clearance_m: FloatArray
     line: Labels
     fork_xy: FloatArray
     fork_clearance_m: FloatArray
     fork_cells: FloatArray
     length_m: FloatArray
-    touching: tuple[tuple[int, int], ...]
+    ends: IntArray
     border: frozenset[int]
+    cell_m: float
 
 
 def lines_of(
@@ -65,6 +70,7 @@ def lines_of(
     line_label, lines = labelled(line)
     cells = np.argwhere(line)
     _check(len(cells), lines)
+    cells, owner = _ordered(cells, line_label, lines)
     rows, columns = np.nonzero(fork)
     number = fork_label[rows, columns]
     size = np.bincount(number, minlength=forks + 1)
@@ -76,14 +82,39 @@ def lines_of(
     ends = np.unique(line_label[_outline(skeleton) if border is None else border])
     return Lines(
         cells,
-        line_label[tuple(cells.T)],
+        np.asarray(clearance_m[cells[:, 0], cells[:, 1]], np.float64),
+        owner,
         np.stack([x, y], axis=1),
         wide,
         size.astype(np.float64),
         _lengths(skeleton, line_label, lines) * cell_m,
-        tuple(_touching(fork_label, line_label)),
+        _ends(fork_label, line_label, cells, owner),
         frozenset(ends[ends > 0].tolist()),
+        cell_m,
     )
+
+
+def _ordered(cells: IntArray, label: Labels, lines: int) -> tuple[IntArray, Labels]:
+    """The cells (c, 2) of lines, one line after another, each from one end to the other; the line
+    of each. O(c log c)."""
+    if len(cells) == 0:
+        return cells, np.zeros(0, np.int32)
+    h, w = label.shape
+    number = np.full((h + 2, w + 2), -1, np.int64)
+    rows, columns = cells.T + 1
+    number[rows, columns] = np.arange(len(cells))
+    one = np.concatenate([number[rows, columns]] * 4)
+    step = ((0, 1), (1, 0), (1, 1), (1, -1))
+    other = np.concatenate([number[rows + dy, columns + dx] for dy, dx in step])
+    one, other = one[other >= 0], other[other >= 0]
+    beside = np.bincount(one, minlength=len(cells)) + np.bincount(other, minlength=len(cells))
+    owner = label[cells[:, 0], cells[:, 1]]
+    # A line begins at a cell with one neighbour or none; a ring anywhere.
+    first = np.lexsort((beside, owner))[np.searchsorted(np.sort(owner), np.arange(1, lines + 1))]
+    graph = coo_array((np.ones(len(one)), (one, other)), shape=(len(cells),) * 2).tocsr()
+    away = dijkstra(graph, False, first, unweighted=True, min_only=True)
+    order = np.lexsort((away, owner))
+    return cells[order], owner[order]
 
 
 def _around(mask: BoolArray) -> NDArray[np.int8]:
@@ -140,9 +171,29 @@ def _lengths(skeleton: BoolArray, label: Labels, count: int) -> FloatArray:
     return out
 
 
-def _touching(fork: Labels, line: Labels) -> list[tuple[int, int]]:
-    """(line, fork) numbers that touch, a fork twice for a line that touches it with both ends."""
-    pairs = []
+def _ends(fork: Labels, line: Labels, cells: IntArray, owner: Labels) -> IntArray:
+    """(l + 1, 2) fork at the first cell of every line, and at the last one; 0 for none."""
+    touching = _touching(fork, line)
+    out = np.zeros((int(owner.max(initial=0)) + 1, 2), np.int64)
+    bounds = np.searchsorted(owner, np.arange(len(out) + 1))
+    around = np.pad(fork, 1)
+    for number, forks in touching.items():
+        row, column = cells[bounds[number]].tolist()
+        begin = around[row : row + 3, column : column + 3]
+        row, column = cells[bounds[number + 1] - 1].tolist()
+        end = around[row : row + 3, column : column + 3]
+        if len(forks) == 1:
+            alone = (begin == forks[0]).any()
+            out[number] = (forks[0], 0) if alone else (0, forks[0])
+        else:
+            straight = (begin == forks[0]).any() and (end == forks[1]).any()
+            out[number] = forks if straight else forks[::-1]
+    return out
+
+
+def _touching(fork: Labels, line: Labels) -> dict[int, list[int]]:
+    """The forks that each line touches, at most two: one twice if it touches it with both ends."""
+    out: dict[int, list[int]] = {}
     ends_line, ends_fork, cells = [], [], []
     width = fork.shape[1]
     rows, columns = np.nonzero(fork)
@@ -162,9 +213,10 @@ def _touching(fork: Labels, line: Labels) -> list[tuple[int, int]]:
     for row, by, cell in zip(*(column.tolist() for column in found), strict=True):
         beside = last is not None and last[:2] == (row, by) and _adjacent(last[2], cell, width)
         if not beside:
-            pairs.append((row, by))
+            out.setdefault(row, []).append(by)
         last = (row, by, cell)
-    return pairs
+    # A fork's own two cells are no ring: two ends at most.
+    return {row: forks[:2] for row, forks in out.items()}
 
 
 def _adjacent(a: int, b: int, width: int) -> bool:

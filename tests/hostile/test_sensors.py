@@ -8,7 +8,7 @@ import logs_sensors
 import numpy as np
 import pytest
 
-from topobatch.ingest.coarse_grid import MOST_CELLS, MOST_PEELED, affordable
+from topobatch.ingest.coarse_grid import MOST_CELLS, lattice
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
 from topobatch.ingest.logs.clouds import MOST_POINTS, wire_cloud
@@ -91,32 +91,32 @@ def cross(cells: int, resolution: float) -> Grid:
     return Grid(free, np.zeros_like(free), resolution, (0.0, 0.0, 0.0))
 
 
-def test_a_grid_of_too_many_cells_is_mapped_in_larger_ones():
+def test_fine_cells_are_joined_before_they_are_mapped():
     large = cross(2500, 0.01)
-    assert large.free.size > MOST_CELLS
+    grid, told = lattice(large)
+    assert grid.free.shape == (500, 500)
+    assert grid.resolution_m == pytest.approx(0.05)
+    assert not told
     (found,) = map_of_grid(GridLog("run", large, {})).xy[:1]
     small = map_of_grid(GridLog("run", cross(250, 0.1), {}))
     assert np.hypot(*(found - small.xy[0])) < 0.2
-    _, _, told = affordable(large)
-    assert "cells of 0.02 m are taken" in told[0]
 
 
-def test_open_space_without_end_costs_no_more_than_its_cells():
-    for cells in (600, 3000):
-        free = np.ones((cells, cells), bool)
-        grid, _, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
-        assert grid.free.all()
-        assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
-        assert bool(told) == (grid.free.size < free.size)
+def test_a_grid_of_too_many_cells_is_mapped_in_larger_ones():
+    large = cross(3000, 0.05)
+    assert large.free.size > MOST_CELLS
+    grid, told = lattice(large)
+    assert grid.free.size <= MOST_CELLS
+    assert "cells of 0.1 m are taken" in told[0]
 
 
-def test_open_space_with_pillars_costs_no_more_either():
-    """They are filled before it is thinned."""
+@pytest.mark.parametrize("every", [3000, 21])
+def test_open_space_without_end_is_refused_soon(every: int):
+    """With or without specks, which are filled before it is thinned, in larger cells."""
     free = np.ones((1500, 1500), bool)
-    free[::21, ::21] = False
-    grid, _, told = affordable(Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)))
-    assert grid.free.size * min(grid.free.shape) / 2 <= 1.1 * MOST_PEELED
-    assert told
+    free[::every, ::every] = False
+    with pytest.raises(DataError, match="shows no junction"):
+        map_of_grid(GridLog("run", Grid(free, ~free, 0.05, (0.0, 0.0, 0.0)), {}))
 
 
 def test_noise_is_refused_before_its_ways_are_counted_against_each_other():

@@ -12,12 +12,15 @@ from scipy.spatial import cKDTree
 
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
+from topobatch.ingest.mapping import map_of_log
+from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import World, make_world
 from topobatch.simulation.walls import free_space
 from topobatch.simulation.world import polyline_at
 from topobatch.topology.document import map_from_document, map_to_document
-from topobatch.topology.errors import DataError
+from topobatch.topology.errors import DataError, UsageError
+from topobatch.topology.polyline import densely
 from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, fit_rigid
 from topobatch.topology.topomap import TopoMap
@@ -131,3 +134,60 @@ def test_the_origin_places_the_map() -> None:
     np.testing.assert_allclose(moved.xy, apply(np.array([5.0, -3.0, 1.0]), plain.xy), atol=2e-3)
     np.testing.assert_allclose(fit_rigid(moved.xy, plain.xy), (5.0, -3.0, 1.0), atol=2e-3)
     np.testing.assert_array_equal(moved.degree, plain.degree)
+
+
+def pillars() -> Grid:
+    """A room of 6 x 6 m with nine round pillars, 1.1 m from each other."""
+    y, x = np.mgrid[-3:3:0.05, -3:3:0.05]
+    free = (np.abs(x) < 2.4) & (np.abs(y) < 2.4)
+    for a in (-1.1, 0.0, 1.1):
+        for b in (-1.1, 0.0, 1.1):
+            free &= np.hypot(x - a, y - b) > 0.15
+    return Grid(free, np.zeros_like(free), 0.05, (-3.0, -3.0, 0.0))
+
+
+def test_a_room_with_pillars_has_junctions_between_them() -> None:
+    found = topomap("pillars", pillars())
+    between = np.array([(x, y) for x in (-0.55, 0.55) for y in (-0.55, 0.55)])
+    away = np.hypot(*(found.xy[:, None] - between[None]).transpose(2, 0, 1)).min(axis=0)
+    assert away.max() < 0.2
+    for path in found.paths:
+        for a in (-1.1, 0.0, 1.1):
+            for b in (-1.1, 0.0, 1.1):
+                assert np.hypot(*(densely(path, 0.02) - (a, b)).T).min() > 0.15 + 0.2
+
+
+@pytest.mark.parametrize("degrees", [17.0, 45.0, 72.0])
+def test_a_turned_picture_shows_the_same_junctions(degrees: float) -> None:
+    plain = grid_of(make_world("office", 30, 3))
+    yaw = np.radians(degrees)
+    h, w = plain.free.shape
+    side = 2 * int(np.hypot(h, w) / 2) + 3
+    at = (np.indices((side, side))[::-1].reshape(2, -1).T - side / 2 + 0.5) * plain.resolution_m
+    middle = np.array([w, h]) * plain.resolution_m / 2
+    column, row = np.floor(apply((*middle, yaw), at) / plain.resolution_m).astype(int).T
+    inside = (row >= 0) & (row < h) & (column >= 0) & (column < w)
+    free, unknown = np.zeros(side * side, bool), np.ones(side * side, bool)
+    free[inside] = plain.free[row[inside], column[inside]]
+    unknown[inside] = plain.unknown[row[inside], column[inside]]
+    corner = apply((*middle, yaw), np.full(2, -side / 2 * plain.resolution_m))
+    origin = (*(corner + np.array(plain.origin[:2])).tolist(), float(yaw))
+    grid = Grid(free.reshape(side, side), unknown.reshape(side, side), 0.05, origin)
+    one, other = topomap("plain", plain), topomap("turned", grid)
+    junctions = [m.xy[[kind == "junction" for kind in m.kind]] for m in (one, other)]
+    away = np.hypot(*(junctions[0][:, None] - junctions[1][None]).transpose(2, 0, 1))
+    assert away.min(axis=1).max() < 0.3
+    assert away.min(axis=0).max() < 0.3
+
+
+def test_a_larger_robot_has_fewer_ways() -> None:
+    """A corridor of 2 m with an arm of 0.9 m."""
+    free = np.zeros((120, 200), bool)
+    free[20:60, 10:190] = True
+    free[60:115, 90:108] = True
+    log = GridLog("door", Grid(free, np.zeros_like(free), 0.05, (0.0, 0.0, 0.0)), {})
+    assert "junction" in map_of_log(log).kind
+    with pytest.raises(DataError, match="shows no junction"):
+        map_of_log(log, MappingSettings(robot_radius_m=0.6))
+    with pytest.raises(UsageError, match="--robot-radius 0"):
+        MappingSettings(robot_radius_m=0.0)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from topobatch.ingest.scans.floorplan import skeleton_graph
+from topobatch.ingest.scans.floorplan import Floorplan, skeleton_graph
 from topobatch.ingest.scans.grid import GridSettings, without_islands
+from topobatch.topology.polyline import way_of
 from topobatch.topology.se2 import wrap
 
 from .building import RING
@@ -25,12 +26,20 @@ CROSS = grid((90, 20, 110, 280), (10, 140, 190, 160))
 CELL = 0.1
 
 
+def in_free_cells(path: np.ndarray, free: np.ndarray) -> bool:
+    """Whether every point along a path lies in a free cell."""
+    way = way_of(path)
+    at = np.arange(0, way[-1], CELL / 4)
+    columns, rows = (np.interp(at, way, path[:, k]) // CELL for k in (0, 1))
+    return bool(free[rows.astype(int), columns.astype(int)].all())
+
+
 def headings_off(branches: np.ndarray, wanted: list[float]) -> float:
     return float(np.abs(wrap(branches[:, None] - np.array(wanted))).min(axis=0).max())
 
 
 def test_cross() -> None:
-    places, corridors = skeleton_graph(CROSS, CELL)
+    places, corridors, _ = skeleton_graph(CROSS, CELL)
     junctions = [p for p in places if p.kind == "junction"]
     assert len(junctions) == 1
     assert np.hypot(*(junctions[0].xy - (15.0, 10.0))) < 0.2
@@ -42,8 +51,8 @@ def test_cross() -> None:
         ends = places[corridor.source], places[corridor.target]
         for place, point in zip(ends, corridor.path[[0, -1]], strict=True):
             assert np.hypot(*(place.xy - point)) < 0.3
-        assert np.hypot(*np.diff(corridor.path, axis=0).T).max() < 0.5
-        leaving = corridor.path[min(15, len(corridor.path) - 1)] - corridor.path[0]
+        assert in_free_cells(corridor.path, CROSS)
+        leaving = corridor.path[1] - corridor.path[0]
         branch = ends[0].branches[corridor.source_branch]
         assert abs(wrap(np.arctan2(leaving[1], leaving[0]) - branch)) < 0.3
 
@@ -54,7 +63,8 @@ def test_two_forks_whose_axes_cross_at_one_place_are_one(sharp: float) -> None:
     y, x = np.mgrid[-10:10:CELL, -10:10:CELL]
     wanted = np.radians([0, sharp])
     free = np.any([np.abs(np.cos(h) * y - np.sin(h) * x) <= 0.7 for h in wanted], axis=0)
-    places, corridors = skeleton_graph(free & (np.hypot(x, y) < 9), CELL)
+    free &= np.hypot(x, y) < 9
+    places, corridors, _ = skeleton_graph(free, CELL)
     (crossing,) = [k for k, p in enumerate(places) if p.kind == "junction"]
     assert np.hypot(*(places[crossing].xy - (10.05, 10.05))) < 0.2
     wanted = wrap(np.concatenate([wanted, wanted + np.pi]))
@@ -64,27 +74,26 @@ def test_two_forks_whose_axes_cross_at_one_place_are_one(sharp: float) -> None:
     assert {c.source for c in corridors} == {crossing}
     for corridor in corridors:
         assert np.hypot(*(corridor.path[0] - places[crossing].xy)) < 0.1
-        assert np.hypot(*np.diff(corridor.path, axis=0).T).max() < 1.2
+        assert in_free_cells(corridor.path, free)
 
 
 def test_ring_hangs_on_its_place_by_two_branches() -> None:
     free = grid((20, 20, 40, 280), (20, 180, 180, 200), (160, 180, 180, 280), (20, 260, 180, 280))
-    places, corridors = skeleton_graph(free, CELL)
+    places, corridors, _ = skeleton_graph(free, CELL)
     (junction,) = [k for k, p in enumerate(places) if p.kind == "junction"]
     (ring,) = [c for c in corridors if c.source == c.target]
     assert ring.source == junction
     assert ring.source_branch != ring.target_branch
-    length = np.hypot(*np.diff(ring.path, axis=0).T).sum()
-    assert length == pytest.approx(2 * (8 + 14), rel=0.1)
-    assert np.hypot(*np.diff(ring.path, axis=0).T).max() < 1.0
+    assert ring.length_m == pytest.approx(2 * (8 + 14), rel=0.1)
+    assert in_free_cells(ring.path, free)
 
 
 def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
     """A pillar, a gap of 0.3 m and a corner beside one side corridor, which makes the only one."""
-    rooms = (80, 20, 120, 280), (120, 150, 190, 153), (10, 220, 80, 250), (120, 60, 190, 90)
+    rooms = (80, 20, 120, 280), (120, 150, 190, 153), (10, 235, 80, 265), (120, 60, 190, 90)
     free = grid(*rooms)
     free[98:102, 150:154] = False
-    places, _ = skeleton_graph(without_islands(free, GridSettings(cell_m=CELL)), CELL)
+    places = skeleton_graph(without_islands(free, GridSettings(cell_m=CELL)), CELL).places
     (junction,) = [p for p in places if p.kind == "junction"]
     assert np.hypot(*(junction.xy - (7.5, 10.0))) < 0.3
     assert headings_off(junction.branches, [0.0, np.pi / 2, np.pi]) < 0.1
@@ -93,8 +102,8 @@ def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
 
 def test_turned_grid_gives_the_turned_graph() -> None:
     free = without_islands(np.ascontiguousarray(RING.free[::5, ::5]), GridSettings(cell_m=CELL))
-    places, corridors = skeleton_graph(free, CELL)
-    turned, others = skeleton_graph(np.ascontiguousarray(np.rot90(free)), CELL)
+    places, corridors, _ = skeleton_graph(free, CELL)
+    turned, others, _ = skeleton_graph(np.ascontiguousarray(np.rot90(free)), CELL)
     assert len(corridors) == len(others)
     width = free.shape[1] * CELL
     for place in places:
@@ -125,20 +134,24 @@ def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
         assert not any(p.kind == "junction" for p in skeleton_graph(free, CELL)[0])
     beyond = rows >= 118 + slope * (columns - 140)
     frontier = free & binary_dilation(beyond & (columns >= 140) & (columns < 160))
-    places, corridors = skeleton_graph(free, CELL, frontier=frontier)
+    places, corridors, _ = skeleton_graph(free, CELL, frontier=frontier)
     (junction,) = [p for p in places if p.kind == "junction"]
     assert np.hypot(*(junction.xy - (15.0, 10.0))) < 0.3
     assert headings_off(junction.branches, [0, np.pi / 2, np.pi]) < 0.3
-    assert sorted(p.kind for p in places) == ["dead_end", "dead_end", "junction"]
+    ends = [p.kind for p in places if p.kind != "frontier"]
+    assert sorted(ends) == ["dead_end", "dead_end", "junction"]
     (up,) = np.flatnonzero(np.abs(junction.branches - np.pi / 2) < 0.5)
-    assert {c.source_branch for c in corridors} == {0, 1, 2} - {int(up)}
+    followed = {c.source_branch: places[c.target].kind for c in corridors}
+    assert followed.pop(int(up), "frontier") == "frontier"
+    assert set(followed.values()) == {"dead_end"}
+    assert all(in_free_cells(c.path, free) for c in corridors)
 
 
 def test_a_gap_that_no_robot_fits_through_opens_nothing() -> None:
-    free = grid((90, 20, 110, 280), (110, 140, 130, 160))
+    free = grid((90, 20, 110, 280), (110, 140, 140, 160))
     frontier = np.zeros_like(free)
-    frontier[129, 148:152] = True
-    places, _ = skeleton_graph(free, CELL, frontier=frontier)
+    frontier[139, 148:152] = True
+    places = skeleton_graph(free, CELL, frontier=frontier).places
     assert sorted(p.kind for p in places) == ["dead_end"] * 3 + ["junction"]
 
 
@@ -146,7 +159,7 @@ def test_a_gap_that_no_robot_fits_through_opens_nothing() -> None:
 def test_a_dead_end_is_in_the_middle_of_its_room(turns: int) -> None:
     rooms = grid((10, 30, 41, 58), (41, 36, 61, 54), (61, 5, 79, 290))
     free = np.ascontiguousarray(np.rot90(rooms, turns))
-    places, _ = skeleton_graph(free, CELL)
+    places = skeleton_graph(free, CELL).places
     middle = np.zeros_like(rooms)
     middle[25, 44] = True
     row, column = np.argwhere(np.rot90(middle, turns))[0]
@@ -157,9 +170,9 @@ def test_a_dead_end_is_in_the_middle_of_its_room(turns: int) -> None:
 
 
 def test_nothing_free() -> None:
-    assert skeleton_graph(np.zeros((20, 30), bool), CELL) == ((), ())
-    assert skeleton_graph(np.zeros((0, 0), bool), CELL) == ((), ())
-    assert skeleton_graph(grid((10, 10, 12, 12)), CELL) == ((), ())
+    assert skeleton_graph(np.zeros((20, 30), bool), CELL) == Floorplan((), ())
+    assert skeleton_graph(np.zeros((0, 0), bool), CELL) == Floorplan((), ())
+    assert skeleton_graph(grid((10, 10, 12, 12)), CELL) == Floorplan((), ())
 
 
 @pytest.mark.parametrize(("free", "cell"), [(np.ones(5, bool), 0.1), (CROSS, 0.0), (CROSS, -1.0)])

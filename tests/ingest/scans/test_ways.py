@@ -1,0 +1,54 @@
+"""Ways that a robot can drive."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.ingest.scans.open_space import open_space
+from topobatch.ingest.scans.ways import Drivable, driven
+from topobatch.topology.polyline import densely
+
+CELL = 0.05
+
+
+def corridor(*obstacles: tuple[int, int, int, int]) -> Drivable:
+    """A corridor of 3 m with obstacles (row, column, row, column) in it, for a robot of 0.25 m."""
+    free = np.pad(np.ones((60, 300), bool), 1)
+    for a, b, c, d in obstacles:
+        free[a:c, b:d] = False
+    return Drivable.of(open_space(free, CELL, 0.25, 2.0), 0.25)
+
+
+ALONG = np.column_stack([np.arange(20, 281), np.full(261, 30)]) * CELL
+REACH = np.full(len(ALONG), 1.5)
+
+
+def test_a_free_way_is_straight() -> None:
+    way = driven(ALONG, corridor(), REACH)
+    assert way is not None
+    assert way.length_m == pytest.approx(13.0, abs=0.01)
+    np.testing.assert_allclose(way.path, ALONG[[0, -1]])
+
+
+def test_an_obstacle_is_driven_round() -> None:
+    drivable = corridor((20, 140, 45, 160))
+    way = driven(ALONG, drivable, REACH)
+    assert way is not None
+    points = densely(way.path, 0.01) / CELL
+    # A box of 1 m: the robot keeps its radius from it, up to a cell.
+    beside = np.maximum(np.abs(points - [149.5, 32]) - [10, 12.5], 0)
+    assert np.hypot(*beside.T).min() * CELL > 0.2
+    assert 13.05 < way.length_m < 14.5
+    np.testing.assert_allclose(way.path[[0, -1]], ALONG[[0, -1]])
+
+
+def test_what_closes_the_corridor_is_not_driven_through() -> None:
+    assert driven(ALONG, corridor((0, 140, 55, 160)), REACH) is None
+
+
+def test_a_place_in_an_obstacle_is_moved_out_of_it() -> None:
+    drivable = corridor((20, 140, 45, 160))
+    moved = drivable.moved(np.array([150.0, 30.0]) * CELL)
+    assert drivable.holds(np.array([moved, moved]))
+    assert np.hypot(*(moved - np.array([150.0, 30.0]) * CELL)) < 1.2
