@@ -44,8 +44,8 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     grid, coarser = lattice(_cropped(log.grid))
     warnings = (*log.warnings, *coarser)
     frontier = grid.free & binary_dilation(grid.unknown)
-    # A room with pillars has junctions between these alone.
-    for tried in (settings, settings.among_pillars):
+    # A room with pillars has junctions between these alone, a small home behind narrow doors.
+    for tried in (settings, settings.among_pillars, settings.through_narrow_doors):
         places, corridors, blocked = skeleton_graph(grid.free, grid.resolution_m, tried, frontier)
         if any(place.kind == "junction" for place in places):
             break
@@ -56,6 +56,11 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
             + "; ".join((*coarser, "nothing can be mapped"))
             + f" (with --robot-radius {settings.skeleton.clearance_m:g}: smaller robots fit "
             "through narrower doors)"
+        )
+    if tried.skeleton.clearance_m < settings.skeleton.clearance_m:
+        warnings += (
+            f"no junction for a robot of {settings.skeleton.clearance_m:g} m radius; mapped for "
+            f"one of {tried.skeleton.clearance_m:g} m, which fits through narrower doors",
         )
     if blocked:
         warnings += (f"{counted(blocked, 'corridor')} left out: a robot cannot drive there",)

@@ -59,6 +59,11 @@ class FloorplanSettings:
         return replace(self, skeleton=near, island_m=0.0)
 
     @property
+    def through_narrow_doors(self) -> FloorplanSettings:
+        """The same for a robot of half the radius: a map was recorded by something that passed."""
+        return FloorplanSettings.of_robot(0.5 * self.skeleton.clearance_m)
+
+    @property
     def variants(self) -> tuple[Variant, ...]:
         """The settings and six variations, each in one parameter."""
         s = self.skeleton

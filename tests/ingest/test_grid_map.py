@@ -191,3 +191,19 @@ def test_a_larger_robot_has_fewer_ways() -> None:
         map_of_log(log, MappingSettings(robot_radius_m=0.6))
     with pytest.raises(UsageError, match="--robot-radius 0"):
         MappingSettings(robot_radius_m=0.0)
+
+
+def test_a_home_with_narrow_doors_is_mapped_for_a_smaller_robot() -> None:
+    """Two rooms on either side of a hall, behind doors of 0.4 m."""
+    free = np.zeros((160, 240), bool)
+    free[60:100, 20:220] = True
+    for left in (30, 130):
+        for low, high in ((5, 57), (103, 155)):
+            free[low:high, left : left + 70] = True
+            free[57:103, left + 31 : left + 39] = True
+    free[60:100, 100:104] = False
+    free[76:84, 100:104] = True
+    home = GridLog("home", Grid(free, np.zeros_like(free), 0.05, (0.0, 0.0, 0.0)), {})
+    m = map_of_grid(home)
+    assert "junction" in m.kind
+    assert any("narrower doors" in warning for warning in m.info["warnings"])
