@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import chain, islice
 
 import numpy as np
@@ -29,6 +30,10 @@ three times those of few long ones. At 5 Hz some come early by a tenth."""
 LOOSE_M = 0.05
 """1 sigma of the motion above which scans do not determine the distance of a step."""
 
+
+ANY_TURN = replace(ALIGNMENT, search_rad=np.pi)
+"""Where a scan does not fit the one before, all turns are tried: logs have gaps of seconds, in
+which a robot turns by more than is searched beside an odometry (a quarter turn in 3 s of aces)."""
 
 SPEED_M_PER_S, TURN_RAD_PER_S = 1.0, 1.0
 """Prior of the motion: 1 sigma of speed and of turning rate."""
@@ -91,7 +96,7 @@ def _posed(
     information[:, 2, 2] = (TURN_RAD_PER_S * seconds) ** -2
     pairs = np.arange(1, len(frames)), np.arange(len(frames) - 1)
     still = Steps(np.zeros((len(seconds), 3)), information)
-    found = match_steps(scans, pairs, still, ALIGNMENT)
+    found = match_steps(scans, pairs, still, ANY_TURN)
     motion = found.motion
     if (found.loose_m > LOOSE_M).any() and (found.loose_m <= LOOSE_M).any():
         # Along bare walls: match again, expecting the speed of the well-determined steps around.
@@ -99,7 +104,7 @@ def _posed(
         when = np.cumsum(seconds)
         pace_of = [np.interp(when, when[sure], (motion[:, k] / seconds)[sure]) for k in range(3)]
         going = Steps(np.stack(pace_of, axis=1) * seconds[:, None], 4 * information)
-        again = match_steps(scans, pairs, going, ALIGNMENT).motion
+        again = match_steps(scans, pairs, going, ANY_TURN).motion
         motion = np.where(sure[:, None], motion, again)
     mount = batch.T_body_laser
     own = compose(compose(mount, motion), inverse(mount))
