@@ -160,7 +160,6 @@ class Findings:
     truncated: bool = False
     unreadable_bytes: int = 0
     broken_rows: int = 0
-    damaged_pages: int = 0
     damaged_chunks: Counter[str] = field(default_factory=Counter)
     repaired: int = 0
     too_large: Counter[tuple[str, int]] = field(default_factory=Counter)
@@ -206,7 +205,6 @@ class Findings:
             truncated=self.truncated and not any(k.truncated for k in known),
             unreadable_bytes=more(self.unreadable_bytes, (k.unreadable_bytes for k in known)),
             broken_rows=more(self.broken_rows, (k.broken_rows for k in known)),
-            damaged_pages=more(self.damaged_pages, (k.damaged_pages for k in known)),
             damaged_chunks=each(self.damaged_chunks, [k.damaged_chunks for k in known]),
             repaired=more(self.repaired, (k.repaired for k in known)),
             too_large=each(self.too_large, [k.too_large for k in known]),
@@ -239,8 +237,6 @@ class Findings:
             lost[topic] -= count
         if self.unreadable_bytes:
             out.append(f"{several(self.unreadable_bytes, 'byte')} could not be read as messages")
-        if self.damaged_pages:
-            out.append(f"{several(self.damaged_pages, 'damaged page')} of the database skipped")
         if self.broken_rows:
             out.append(f"{several(self.broken_rows, 'row')} of the database without a message")
         if self.truncated:

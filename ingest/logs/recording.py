@@ -22,8 +22,8 @@ from .messages import UNWANTED, Container, Findings, printable
 from .metadata import BAG_INFORMATION, METADATA_BYTES, Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
 from .spelling import one_bit_apart
-from .sqlite_file import MAGIC as SQLITE_MAGIC
-from .sqlite_file import SqliteFile
+from .sqlite import MAGIC as SQLITE_MAGIC
+from .sqlite import SqliteFile
 
 METADATA = "metadata.yaml"
 NOTES = 12

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.ingest.logs.sqlite_file import SqliteFile
+from topobatch.ingest.logs.sqlite import SqliteFile
 from topobatch.ingest.reading import inspect_log, log_size, read_run
 
 MCAPS = {

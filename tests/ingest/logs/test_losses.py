@@ -543,18 +543,6 @@ def test_clouds_of_a_database_that_is_cut_short_are_read(logs, sensors, tmp_path
     refused(path, "the log is cut short")
 
 
-def test_pages_in_a_circle_cost_their_cloud(logs, sensors, tmp_path):
-    path = clouded(logs, sensors, tmp_path / "run", "db3", {})
-    (database,) = path.glob("*.db3")
-    last, raw = overflow_pages(database), bytearray(database.read_bytes())
-    first = last[4] - 1
-    raw[4096 * first : 4096 * first + 4] = first.to_bytes(4, "big")
-    database.write_bytes(raw[: 4096 * last[6]])
-    run = read_run(path)
-    assert run.source["junctions"]["messages"] == 5
-    assert "1 message of /points is lost in damaged places" in run.warnings
-
-
 @pytest.mark.parametrize("storage", ["db3", "mcap"])
 def test_the_largest_grid_is_read(logs, sensors, tmp_path, storage):
     from rosbags.rosbag2 import StoragePlugin, Writer
