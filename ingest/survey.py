@@ -79,7 +79,7 @@ def walk(
 
         known = index.log if index is not None else None
         packed = known is None and sniff(file) == "zstd"
-        with opened(file) if known is None else nullcontext(known) as log:
+        with opened(file, index is not None) if known is None else nullcontext(known) as log:
             for block in log.blocks(intake.want, findings, None if packed else progress):
                 intake.take(block)
                 del block  # its memory, still in the processor's cache, serves the next one

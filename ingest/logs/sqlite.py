@@ -19,7 +19,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, IntArray
 from ...topology.errors import LogError
-from .described import DEFINITION_BYTES
+from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
 from .limits import longest_message
 from .messages import (
@@ -165,7 +165,10 @@ class _Reader:
         wanted = [key for key, sink in self._sink.items() if sink != UNWANTED]
         chosen = f"topic_id IN ({','.join(map(str, wanted))}) AND length(data) <= {LARGE_BYTES}"
         data = f"CASE WHEN {chosen} THEN data ELSE length(data) END"
-        self._query = f"SELECT rowid, topic_id, timestamp, {data} FROM messages WHERE rowid "
+        # The number of a row is its id, but in tables of other writers.
+        columns = base.execute("PRAGMA table_info(messages)").fetchall()
+        self._id = "id" if any(row[1] == "id" and row[5] for row in columns) else "rowid"
+        self._query = f"SELECT {self._id}, topic_id, timestamp, {data} FROM messages "
         self._read_bytes = self._last = self._missing = 0
 
     def blocks(self) -> Iterator[Block]:
@@ -183,7 +186,7 @@ class _Reader:
         last = -(1 << 63)
         for _ in range(PATIENCE):
             try:
-                found = self._base.execute(f"{self._query} > ? ORDER BY rowid", (last,))
+                found = self._base.execute(f"{self._query}{self._from('>')}", (last,))
                 while rows := found.fetchmany(ROWS):
                     last = rows[-1][0]
                     yield rows
@@ -207,7 +210,7 @@ class _Reader:
         """
         rows: list[_Row] = []
         with suppress(*_ERRORS):
-            for row in self._base.execute(f"{self._query} > ? ORDER BY rowid", (last,)):
+            for row in self._base.execute(f"{self._query}{self._from('>')}", (last,)):
                 rows.append(row)
                 if len(rows) == ROWS:
                     break
@@ -236,15 +239,18 @@ class _Reader:
     def _first_from(self, number: int) -> _Row | None:
         """The first row from a number on, None if it cannot be read."""
         with suppress(*_ERRORS):
-            query = f"{self._query} >= ? ORDER BY rowid LIMIT 1"
+            query = f"{self._query}{self._from('>=')} LIMIT 1"
             found: _Row | None = self._base.execute(query, (number,)).fetchone()
             return found
         return None
 
+    def _from(self, compared: str) -> str:
+        return f"WHERE {self._id} {compared} ? ORDER BY {self._id}"
+
     def _largest(self) -> int:
         """The largest number of a row, or a larger one: a row takes 8 bytes and more."""
         with suppress(*_ERRORS):
-            (found,) = self._base.execute("SELECT max(rowid) FROM messages").fetchone()
+            (found,) = self._base.execute(f"SELECT max({self._id}) FROM messages").fetchone()
             return int(found or 0)
         (pages,) = self._base.execute("PRAGMA page_count").fetchone()
         return int(pages) * 512
@@ -252,7 +258,7 @@ class _Reader:
     def _lost(self, number: int) -> None:
         """Count a row whose payload alone is damaged."""
         with suppress(*_ERRORS):
-            query = "SELECT topic_id FROM messages WHERE rowid = ?"
+            query = f"SELECT topic_id FROM messages WHERE {self._id} = ?"
             found = self._base.execute(query, (number,)).fetchone()
             if found is not None and found[0] in self._channels:
                 self._findings.lost[self._channels[found[0]].topic] += 1
@@ -309,7 +315,7 @@ class _Reader:
             return None
         payload = None
         with suppress(*_ERRORS):
-            query = "SELECT data FROM messages WHERE rowid = ?"
+            query = f"SELECT data FROM messages WHERE {self._id} = ?"
             (payload,) = self._base.execute(query, (number,)).fetchone()
             if isinstance(payload, bytes):
                 return payload

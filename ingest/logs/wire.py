@@ -13,13 +13,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ...topology.arrays import IntArray
-from .columns import MANY, Shape, column, gather
+from .columns import Shape, column, gather
 from .messages import NAME_BYTES, Bytes, DamageError, text
 from .poses import Frames, Heads, Poses, join
 
 Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
 
 POSE_BYTES = 56
+MANY = 1024
+"""Messages of one size from which on those that are alike and broken are counted together."""
+
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
 

@@ -116,9 +116,11 @@ def read_write_ahead(path: Path) -> WriteAhead | None:
         rest = (log.stat().st_size - HEAD_BYTES) % (FRAME_HEAD + size)
     own = frames.own.nonzero()[0]
     count = int(own[-1]) + 1 if len(own) else 0
-    columns = (column[:count] for column in (frames.page, frames.pages, frames.holds))
     rest = rest if count == len(frames.own) else 0
-    return WriteAhead(path, *columns, size, bool(head_holds), rest) if count or rest else None
+    if count == rest == 0:
+        return None
+    page, pages, holds = frames.page[:count], frames.pages[:count], frames.holds[:count]
+    return WriteAhead(path, page, pages, holds, size, bool(head_holds), rest)
 
 
 class _Frames(NamedTuple):
