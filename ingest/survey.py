@@ -68,6 +68,7 @@ def walk(
     index: from `surveyed`; what it has read is not read again.
     """
     findings = Findings()
+    intake.expect(recording.bytes)
     for file in recording.files:
         told = 0
 

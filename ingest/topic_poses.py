@@ -65,7 +65,7 @@ class TopicPoses:
             sum(sink.not_finite for sink in sinks),
             sum(sink.zero_quaternion for sink in sinks),
             sum(sink.empty for sink in sinks),
-            reason=next((sink.decoder.reason for sink in sinks if sink.decoder.reason), ""),
+            reason=next((sink.reason for sink in sinks if sink.reason), ""),
         )
 
     def __len__(self) -> int:

@@ -240,9 +240,11 @@ class Findings:
         if self.unknown:
             unknown = several(self.unknown, "message")
             out.append(f"{unknown} of channels that the log does not describe")
+        damaged = self.damaged_chunks or self.unreadable_bytes or self.truncated
+        where = "what is left out" if self.beyond_limit and not damaged else "damaged places"
         for topic, count in sorted((+lost).items()):
             told = f"{'at least ' * self.lost_at_least}{several(count, 'message')} of {topic}"
-            out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
+            out.append(f"{told} {'is' if count == 1 else 'are'} lost in {where}")
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(

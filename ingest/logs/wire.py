@@ -20,6 +20,9 @@ from .poses import Frames, Heads, Poses, join
 Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
 
 POSE_BYTES = 56
+MOST_POSES = 1024
+"""Most poses of one message: of a junction 32 count, of particles there are some hundreds."""
+
 MANY = 1024
 """Messages of one size from which on those that are alike and broken are counted together."""
 
@@ -150,6 +153,8 @@ def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
         child = parser.string() if kind == "odometry" else ""
         many = kind in ("pose_array", "foxglove_poses")
         count = parser.count() if many else 1
+        if count > MOST_POSES:
+            raise DamageError(f"more than {MOST_POSES} poses in a message, which is the limit")
         runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count))
     shape = Shape.of(np.frombuffer(raw, np.uint8, parser.position), tuple(parser.fixed))
     return Template(parser.position, shape, tuple(runs), parser.order, ros1)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from topobatch.ingest.logs import intake, wire
 from topobatch.ingest.logs.messages import several_that
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
 from topobatch.ingest.sightings import SightingSettings
@@ -465,3 +466,19 @@ def test_a_short_last_part_does_not_cost_the_others(logs, tmp_path, storage, len
     run = read_run(folder)
     assert (len(run.odometry), len(run.detections)) == (300, 30)
     assert run.warnings
+
+
+def test_more_poses_than_a_junction_has_are_left_out_by_a_limit(logs, tmp_path, monkeypatch):
+    """They compress well: 100 KB can hold millions."""
+    drive = logs.drive()
+    many = tuple(logs.yaw_pose(0.5, 0.0, 0.0) for _ in range(wire.MOST_POSES + 1))
+    last = [replace(m, poses=many) if m.topic == "/junctions" else m for m in drive[220:]]
+    run = read_run(logs.mcap(tmp_path / "run.mcap", [*drive[:220], *last]))
+    assert len(run.detections) == 20
+    assert any("10 messages could not be decoded (more than 1024" in w for w in run.warnings)
+    monkeypatch.setattr(intake, "MOST_KEPT", 30)
+    monkeypatch.setattr(intake, "BYTES_PER_POSE", 1 << 40)
+    monkeypatch.setattr(intake, "PENDING_BYTES", 1)
+    run = read_run(logs.mcap(tmp_path / "run.mcap", drive, chunk_size=40_000))
+    assert 0 < len(run.detections) < 30
+    assert any("more than 30 poses, which is the limit" in text for text in run.warnings)
