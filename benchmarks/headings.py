@@ -34,7 +34,7 @@ from topobatch.ingest.scans.noise import matched_noise
 from topobatch.topology.columns import joined
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import compose, inverse, wrap
 from topobatch.topology.track import way_at
 
@@ -84,10 +84,10 @@ def branches_again(log: Log) -> str:
     """Differences of headings of one branch, each pass of a place against the one before it."""
     result = detect(log.odometry, log.scans)
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    run = Run(log.name, result.odometry, none, scanned=Scanned(result.passes, result.noise))
+    run = Run(log.name, result.odometry, none, scanned=result.scanned)
     noise = build_map(run).fitted_noise
     assert noise is not None
-    passes, (centre, turn) = result.passes, true_passes(log, result)
+    passes, (centre, turn) = result.scanned.passes, true_passes(log, result)
     pose = result.odometry.at(passes.time_ns)
     off = []
     for k in range(len(passes)):

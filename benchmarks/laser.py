@@ -57,7 +57,7 @@ from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.ingest.scans.stream import Mounting, ScanStream
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, compose, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.track import way_at
@@ -283,7 +283,7 @@ def matching_rate(log: Log) -> float:
 def claimed(log: Log, result: ScanResult, time_ns: IntArray, ours: FloatArray) -> str:
     """Shares of heading errors after 20 m within the central 68.3 and 95.4 % claimed."""
     told = []
-    for name, p in central(log, result.noise, time_ns, ours).items():
+    for name, p in central(log, result.scanned.noise, time_ns, ours).items():
         told.append(f"{name} {np.mean(p < 0.683):.3f} {np.mean(p < 0.954):.3f} (n {len(p)})")
     return "within 68.3 and 95.4 %: " + ", ".join(told) if told else "too short"
 
@@ -313,7 +313,7 @@ def central(
 
 def junctions(log: Log, result: ScanResult) -> str:
     """Passes against the crossings of a simulated world."""
-    known, passes = log.crossings, result.passes
+    known, passes = log.crossings, result.scanned.passes
     assert known is not None
     centre, degree = true_centres(log, result), passes.branches.counts
     away = np.hypot(*(centre[:, None] - known.xy).transpose(2, 0, 1))
@@ -348,7 +348,7 @@ def true_centres(log: Log, result: ScanResult) -> FloatArray:
 
 def true_passes(log: Log, result: ScanResult) -> tuple[FloatArray, FloatArray]:
     """`true_centres`, and (p,) by how much the odometry's frame is turned to the truth's there."""
-    passes, odometry = result.passes, result.odometry
+    passes, odometry = result.scanned.passes, result.odometry
     way = way_at(odometry, log.truth.time_ns)
     at = way_at(odometry, passes.time_ns)
     own = odometry.at(log.truth.time_ns)[:, :2]
@@ -377,7 +377,7 @@ def dead_ends(crossings: Crossings, truth: Odometry, topomap: TopoMap) -> str:
 
 
 def repeatability(log: Log, result: ScanResult) -> str:
-    passes, centre = result.passes, true_centres(log, result)
+    passes, centre = result.scanned.passes, true_centres(log, result)
     degree = passes.branches.counts
     time_ns = result.odometry.time_ns
     way, at = way_at(result.odometry, time_ns), way_at(result.odometry, passes.time_ns)
@@ -414,8 +414,8 @@ def _visits(inside: NDArray[np.bool_], way: FloatArray) -> list[tuple[float, flo
 
 
 def closure(log: Log, result: ScanResult, topomap: TopoMap) -> str:
-    row = np.searchsorted(result.passes.time_ns, topomap.observation_time_ns)
-    centre = true_centres(log, result)[np.minimum(row, len(result.passes) - 1)]
+    row = np.searchsorted(result.scanned.passes.time_ns, topomap.observation_time_ns)
+    centre = true_centres(log, result)[np.minimum(row, len(result.scanned.passes) - 1)]
     home = topomap.observation_vertex
     a, b = np.triu_indices(len(home), 1)
     apart, one = np.hypot(*(centre[a] - centre[b]).T), home[a] == home[b]
@@ -436,7 +436,7 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> Log:
     result = detect(None if alone else log.odometry, log.scans)
     detected = time.process_time()
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    run = Run(log.name, result.odometry, none, scanned=Scanned(result.passes, result.noise))
+    run = Run(log.name, result.odometry, none, scanned=result.scanned)
     topomap = build_map(run)
     done = time.process_time()
     t = log.truth.time_ns
@@ -487,7 +487,7 @@ def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
     from PIL import Image, ImageDraw
 
     layers = []
-    for layer in (result.picture.walls, result.picture.skeleton):
+    for layer in (result.scanned.picture.walls, result.scanned.picture.skeleton):
         layers.append(apply(result.odometry.at(layer.anchor_ns)[layer.anchor], layer.xy))
     low, high = layers[0].min(axis=0) - 1, layers[0].max(axis=0) + 1
     scale = 1400 / float((high - low).max())
@@ -502,10 +502,10 @@ def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
     pen.point(at(layers[0]), fill=(150, 150, 150))
     pen.point(at(layers[1]), fill=(0, 150, 0))
     pen.line(at(result.odometry.pose[:, :2]), fill=(90, 120, 230))
-    pose = result.odometry.at(result.passes.time_ns)
-    for k, centre in enumerate(apply(pose, result.passes.centre)):
-        strong = result.passes.confidence[k] > 5.5 / 7
-        _star(pen, at, centre, result.passes.branches[k] + pose[k, 2], 0.0, strong=strong)
+    pose = result.odometry.at(result.scanned.passes.time_ns)
+    for k, centre in enumerate(apply(pose, result.scanned.passes.centre)):
+        strong = result.scanned.passes.confidence[k] > 5.5 / 7
+        _star(pen, at, centre, result.scanned.passes.branches[k] + pose[k, 2], 0.0, strong=strong)
     T = fit_rigid(
         result.odometry.at(topomap.observation_time_ns)[:, :2],
         topomap.xy[topomap.observation_vertex],

@@ -9,7 +9,14 @@ import typer
 
 from ..topology.errors import DocumentError
 from ..topology.wording import counted, utc
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption
+from .options import (
+    DEFAULT_WORKSPACE,
+    ComponentOption,
+    JsonOption,
+    MergeOption,
+    WorkspaceOption,
+    complete_site,
+)
 from .output import say, say_lines
 from .workspace import MERGED, Workspace
 
@@ -18,9 +25,15 @@ if TYPE_CHECKING:
 
 
 def changes(
-    component: Annotated[
-        int | None, typer.Option(metavar="N", min=0, help="Only this component of the merged map.")
+    site: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SITE",
+            help="Only this site (topobatch list).",
+            autocompletion=complete_site,
+        ),
     ] = None,
+    component: ComponentOption = None,
     everything: Annotated[
         bool, typer.Option("--all", help="Also differences that may be due to chance.")
     ] = False,
@@ -37,6 +50,8 @@ def changes(
 
     \b
       topobatch changes
+      topobatch site run1 north
+      topobatch changes north
       topobatch changes --all --json
     """
     from ..merge.changes import change_to_document
@@ -45,8 +60,8 @@ def changes(
     place = Workspace(workspace, merge)
     document = place.read_merged()
     entries = {c.id: c for c in document.graph.components}
-    if component is not None and component not in entries:
-        raise place.no_component(component, list(entries))
+    names = {c.id: c.site or f"component {c.id}" for c in document.graph.components}
+    component = place.component(document.graph, component, site)
     found: list[Change] = []
     several = 0
     for number, entry in entries.items():
@@ -60,25 +75,26 @@ def changes(
             raise DocumentError(f"{place.merged_json}: component {number}: {error}") from error
     shown = [c for c in found if everything or c.sure]
     if as_json:
-        say_lines(json.dumps([change_to_document(c) for c in shown]))
+        told = [change_to_document(c) | {"site": entries[c.component].site} for c in shown]
+        say_lines(json.dumps(told))
         return
     for change in shown:
-        for line in _lines(change):
+        for line in _lines(change, names[change.component]):
             say(line)
     unsure = sum(not c.sure for c in found)
-    told = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
+    more = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""
     say(
-        f"{counted(len(found) - unsure, 'change')}{told}{hint}"
+        f"{counted(len(found) - unsure, 'change')}{more}{hint}"
         if several
         else "no two runs were merged: nothing to compare"
     )
 
 
-def _lines(change: Change) -> list[str]:
+def _lines(change: Change, site: str) -> list[str]:
     """A change with its witnesses and its evidence."""
     x, y = change.xy
-    at = f"at ({x:.1f}, {y:.1f}) m in component {change.component}"
+    at = f"at ({x:.1f}, {y:.1f}) m in {site}"
     if change.thing == "corridor":
         u, v = change.junctions
         what = f"corridor of {change.length:.1f} m between junctions {u} and {v}, {at}"

@@ -126,6 +126,9 @@ def _discard_run(place: Workspace, run: str) -> None:
     left = tuple(lock for lock in locks if run not in (lock.a, lock.b))
     if len(left) < len(locks):
         place.write_locks(left)
+    sites = place.sites()
+    if any(run in runs for runs in sites.values()):
+        place.write_sites({site: set(runs) - {run} for site, runs in sites.items()})
     discards = place.discards()
     kept = frozenset(pair for pair in discards if run not in pair)
     if len(kept) < len(discards):

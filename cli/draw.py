@@ -10,7 +10,7 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
-from .output import say
+from .output import checked_output, say
 from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
@@ -23,9 +23,9 @@ def draw(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="RUN|merged|A:B",
-            help="A run, for its map; merged, or the --output NAME of a merge; or two runs, for "
-            "why they were merged or not.",
+            metavar="RUN|SITE|merged|A:B",
+            help="A run or a site, for its map; merged, or the --output NAME of a merge; or two "
+            "runs, for why they were merged or not.",
             autocompletion=complete_map,
         ),
     ],
@@ -42,15 +42,17 @@ def draw(
 
     A run's map: junctions coloured by their branches, corridors wider the more often they were
     driven. The merged map: every corridor a ribbon with a strand for each run that drove it. A
-    pair: one map laid over the other with the matched junctions tied; of an ambiguous pair both
-    placements side by side.
+    site: the same, with the numbers of its junctions in merged.json. A pair: one map laid over the
+    other with the matched junctions tied; of an ambiguous pair both placements side by side.
 
     \b
       topobatch draw run1 run1.svg
       topobatch draw merged merged.png --theme dark
+      topobatch site run1 north
+      topobatch draw north north.svg
       topobatch draw run1:run2 why.svg
     """
-    form = format_of(out)
+    form = format_of(checked_output(out))
     quiet_fonts()
     from ..topology.files import write_atomically
     from ..viz.theme import DARK, LIGHT
@@ -88,7 +90,10 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
         from .explain import decided
 
         return drawings.draw_decision(*decided(place, pair), theme)
-    return drawings.draw_merged(read_result(_merge_of(place, what)), theme)
+    merge = _merge_of(place, what)
+    if merge is not None:
+        return drawings.draw_merged(read_result(merge), theme)
+    return drawings.draw_site(*_site(place, what), theme)
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
@@ -99,15 +104,22 @@ def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
     return found[0] if found else None
 
 
-def _merge_of(place: Workspace, what: str) -> Workspace:
-    """The workspace with the named merge; otherwise an error that lists what there is."""
+def _merge_of(place: Workspace, what: str) -> Workspace | None:
+    """The workspace with the named merge; None where there is none."""
     if what == MERGED:
         place.require_merge()
         return place
-    merge = None if ":" in what else place.merge_named(what)
-    if merge is None:
-        raise place.unknown([what], "run, merge or pair A:B named")
-    return merge
+    return None if ":" in what else place.merge_named(what)
+
+
+def _site(place: Workspace, what: str) -> tuple[MergeResult, int]:
+    """The merge, and the component of a site; otherwise an error that lists what there is."""
+    if place.merged_json.is_file():
+        result = read_result(place)
+        for component in result.components:
+            if component.site == what:
+                return result, component.id
+    raise place.unknown([what], "run, site, merge or pair A:B named")
 
 
 def read_result(place: Workspace) -> MergeResult:

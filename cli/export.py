@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -12,8 +12,15 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed, utc
-from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_map
-from .output import Screen, say_text
+from .options import (
+    DEFAULT_WORKSPACE,
+    ComponentOption,
+    QuietOption,
+    SiteOption,
+    WorkspaceOption,
+    complete_map,
+)
+from .output import Screen, checked_output, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -36,14 +43,6 @@ Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "g2o", "tum", "csv"]
 
 
 def export(
-    what: Annotated[
-        str,
-        typer.Argument(
-            metavar="RUN|merged",
-            help="A run, or the merged map (merged, or the --output NAME of a merge).",
-            autocompletion=complete_map,
-        ),
-    ],
     form: Annotated[
         Format,
         typer.Option(
@@ -54,6 +53,16 @@ def export(
             "tum: trajectories; csv: two tables.",
         ),
     ],
+    what: Annotated[
+        str,
+        typer.Argument(
+            metavar="[RUN|SITE|merged]",
+            help="A run, a site, or all sites of the merged map (merged, which is the default, or "
+            "the --output NAME of a merge).",
+            show_default=False,
+            autocompletion=complete_map,
+        ),
+    ] = MERGED,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -63,12 +72,8 @@ def export(
             help="File to write, - for the standard output; default: in the workspace's exports/.",
         ),
     ] = None,
-    component: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", min=0, help="Only this component of the merged map; default: a file each."
-        ),
-    ] = None,
+    site: SiteOption = None,
+    component: ComponentOption = None,
     tolerance: Annotated[
         float,
         typer.Option(
@@ -90,16 +95,20 @@ def export(
 ) -> None:
     """Write a map in a format that others load.
 
-    The merged map has components that share no frame: each becomes a file of its own, numbered like
-    the components of topobatch merge; files of components that are no more go from exports/.
-    Trajectories (tum) are read from the run's log again.
+    Sites share no frame: each becomes a file of its own, called like the site (topobatch list);
+    files of sites that are no more go from exports/. Trajectories (tum) are read from the run's log
+    again.
 
     \b
-      topobatch export merged --format nav2 --output site.geojson
+      topobatch export --format nav2
+      topobatch site run1 north
+      topobatch export --site north --format nav2 --output north.geojson
       topobatch export run1 --format tum
     """
     place, screen = Workspace(workspace), Screen(quiet)
-    sources = _sources(place, what, component, screen)
+    if output not in (None, STDOUT):
+        checked_output(output)
+    sources = _sources(place, what, component, site, screen)
     texts: dict[str, str] = {}
     for source in sources:
         for ending, text in _texts(place, source, form, tolerance, log, screen).items():
@@ -113,8 +122,9 @@ def export(
     for path, text in paths.items():
         _write(path, text)
         screen.line(str(path))
-    if output is None and component is None and sources[0].document is not None:
-        for path in _superseded(place, what, form, paths):
+    merged = _merge_named(place, what)
+    if merged is not None and output is None and site is None and component is None:
+        for path in _superseded(merged, form, paths):
             path.unlink(missing_ok=True)
 
 
@@ -129,35 +139,44 @@ class _Source:
     component: int = 0
 
 
-def _sources(place: Workspace, what: str, component: int | None, screen: Screen) -> list[_Source]:
-    """The maps to export: a run's, or one for each component of a merge."""
+def _sources(
+    place: Workspace, what: str, component: int | None, site: str | None, screen: Screen
+) -> list[_Source]:
+    """The maps to export: a run's, or one for each chosen component of a merge."""
     merged = _merge_named(place, what)
+    if merged is None and _is_site(place, what):
+        return _sources(place, MERGED, component, what, screen)
     if merged is None:
-        if component is not None:
-            raise UsageError(f"--component goes with the merged map; {what!r} is a run")
+        if component is not None or site is not None:
+            option = "--site" if component is None else "--component"
+            raise UsageError(f"{option} goes with the merged map; {what!r} is a run")
         (run,) = place.chosen_runs([what], False)
         topomap = place.read_map(run)
         return [_Source(run, topomap, {run: topomap})]
     document = merged.read_merged()
     ids = [c.id for c in document.graph.components]
-    if component is not None and component not in ids:
-        raise merged.no_component(component, ids)
-    chosen = ids if component is None else [component]
-    several = len(ids) > 1
-    if several and component is None:
+    one = merged.component(document.graph, component, site)
+    chosen = ids if one is None else [one]
+    if len(chosen) > 1:
         held = (
-            f"{c.id}: {listed(sorted(c.runs), MOST_NAMED)}"
+            f"{c.site or c.id}: {listed(sorted(c.runs), MOST_NAMED)}"
             for c in document.graph.components[:MOST_NAMED]
         )
         more = f"; and {len(ids) - MOST_NAMED} more" if len(ids) > MOST_NAMED else ""
         screen.warn(
-            f"{counted(len(ids), 'component')} that share no frame: a file each "
-            f"({'; '.join(held)}{more}); choose one by --component"
+            f"{counted(len(ids), 'site')} that share no frame: a file each "
+            f"({'; '.join(held)}{more}); choose one by --site"
         )
-    stem = merged.merge
-    return [
-        _component(merged, document, c, f"{stem}-{c}" if several else stem, screen) for c in chosen
-    ]
+    names = {c.id: c.site or f"{MERGED}-{c.id}" for c in document.graph.components}
+    stem = "" if merged.merge == MERGED else f"{merged.merge}-"
+    return [_component(merged, document, c, f"{stem}{names[c]}", screen) for c in chosen]
+
+
+def _is_site(place: Workspace, what: str) -> bool:
+    """Whether this is the name of a site and not of a run."""
+    if what in place.runs() or not place.merged_json.is_file():
+        return False
+    return what in place.read_merged().graph.sites.values()
 
 
 def _merge_named(place: Workspace, what: str) -> Workspace | None:
@@ -314,7 +333,7 @@ def _differs(topomap: TopoMap, found: Run) -> str | None:
 
 def _to_stdout(texts: dict[str, str], sources: list[_Source]) -> None:
     if len(texts) > 1:
-        why = "choose one by --component" if len(sources) > 1 else "write them to files"
+        why = "choose one by --site" if len(sources) > 1 else "write them to files"
         raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
     for text in texts.values():
         say_text(text)
@@ -329,29 +348,40 @@ def _paths(
         return {place.exports / name: text for name, text in texts.items()}
     if len(texts) == 1:
         return dict(zip([output], texts.values(), strict=True))
-    # The names differ after their common prefix.
-    shared = sources[0].name if len(sources) == 1 else sources[0].name.rpartition("-")[0]
     out = {}
     for name, text in texts.items():
-        own = name.removeprefix(shared).removesuffix(output.suffix)
+        own = name.removeprefix(sources[0].name) if len(sources) == 1 else f"-{name}"
+        own = own.removesuffix(output.suffix)
         out[output.with_name(f"{output.stem}{own}{output.suffix}")] = text
     return out
 
 
-def _superseded(
-    place: Workspace, merge: str, form: Format, written: Collection[Path]
-) -> Iterator[Path]:
-    """What the last export of a merge wrote and this one did not, as the components are others."""
+def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> list[Path]:
+    """What exports of a merge wrote and this one did not, as the sites are others; records what
+    this one wrote. place: with the merge. Earlier versions called files by the merge and a
+    number."""
+    from ..topology.files import read_json, write_json
     from ..viz.exports import ENDINGS
 
+    try:
+        found = read_json(place.export_record)
+    except DocumentError:
+        found = None  # a cache: without it old files are left
+    record = dict(found) if isinstance(found, dict) else {}
+    last = record.get(form)
+    write_json(place.export_record, record | {form: sorted(path.name for path in written)})
     endings = "|".join(map(re.escape, ENDINGS[form]))
     run = r"\..+" if form == "tum" else ""
-    own = re.compile(rf"{re.escape(merge)}(-[0-9]+)?{run}({endings})")
+    own = re.compile(rf"{re.escape(place.merge)}(-[0-9]+)?{run}({endings})")
     named = (*place.runs(), *(each.merge for each in place.merges()))
-    others = tuple(f"{name}." for name in named if name != merge)
-    for path in place.exports.iterdir():
-        if own.fullmatch(path.name) and path not in written and not path.name.startswith(others):
-            yield path
+    others = tuple(f"{name}." for name in named if name != place.merge)
+    return [
+        path
+        for path in place.exports.iterdir()
+        if path not in written
+        and not path.name.startswith(others)
+        and (own.fullmatch(path.name) or (isinstance(last, list) and path.name in last))
+    ]
 
 
 def _write(path: Path, text: str) -> None:

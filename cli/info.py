@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -18,14 +17,14 @@ from .ingest import (
     JunctionFields,
     JunctionTopic,
     OdometryTopic,
+    Separate,
     TimeSource,
     read_settings,
 )
-from .log_paths import logs_at, packed_below
+from .log_paths import logs_of
 from .options import JsonOption
 from .output import Screen, complain, say, say_lines, table, warn
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic
-from .workspace import run_named_after
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -55,6 +54,7 @@ def info(
     cloud_band: CloudBand = None,
     base_frame: BaseFrame = None,
     time: TimeSource = "header",
+    separate: Separate = False,
     allow_scan: AllowScan = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -72,6 +72,7 @@ def info(
     """
     from ..ingest.reading import inspect_log
     from ..ingest.remote.path import log_path
+    from .run_names import run_names
 
     settings = read_settings(
         odometry_topic=odometry_topic,
@@ -86,46 +87,30 @@ def info(
         time=time,
     )
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
-    failed, told = False, []
-    for each in _each_log(given):
+    known, missing = logs_of(given, warn, separate=separate)
+    for _, error in missing:
+        complain(str(error))
+    failed, told = bool(missing), []
+    for each, run in run_names(known).items():
         try:
-            if isinstance(each, LogError):
-                raise each
-            found = inspect_log(each, settings)
-            found = replace(found, name=run_named_after(found.name))
+            found = replace(inspect_log(each, settings), name=run)
         except LogError as error:
             complain(str(error))
             failed = True
             continue
-        if not as_json:
-            for line in described(found):
-                say(line)
         if _read_whole(found):
             found = _tried(found, each, replace(settings, strict=not found.problems))
         if as_json:
             told.append(_as_json(found))
         else:
+            for line in described(found):
+                say(line)
             _show_faults(found)
         failed |= bool(found.problems)
     if as_json:
         say_lines(json.dumps(told))
     if failed:
         raise typer.Exit(1)
-
-
-def _each_log(given: list[LogPath]) -> Iterator[LogPath | LogError]:
-    """Every log once; an error for a path without any."""
-    seen: set[LogPath] = set()
-    for path in given:
-        try:
-            found = logs_at(path)
-        except LogError as error:
-            yield error
-            continue
-        if passed_over := packed_below(path):
-            warn(f"{path}: {passed_over}")
-        yield from (log for log in found if log not in seen)
-        seen.update(found)
 
 
 def _as_json(found: LogInfo) -> dict[str, Any]:
@@ -150,6 +135,7 @@ def _read_whole(found: LogInfo) -> bool:
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
     """The contents of a log with why ingest with these settings would reject it, or warn of it,
     beyond the problems that are known."""
+    from ..ingest.inspection import as_read
     from ..ingest.mapping import require_junctions
     from ..ingest.reading import log_size, read_log
 
@@ -169,6 +155,7 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             for problem in found.problems:
                 told = told.replace(f"; {problem}", "")
             return replace(found, problems=tuple(dict.fromkeys([*found.problems, told])))
+    found = as_read(found, run.source)
     return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
 
 

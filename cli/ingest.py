@@ -3,24 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from contextlib import closing, suppress
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..topology.errors import LogError, UsageError
+from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from .journal import note
-from .log_paths import logs_at, packed_below
+from .log_paths import logs_of
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
 from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic, numbers
-from .workspace import Workspace, checked_run_name, plain_name, run_named_after
+from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
-    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.reading import ReadSettings
     from ..ingest.remote.path import LogPath
+    from ..topology.errors import LogError
     from .ingest_worker import IngestJob, IngestOutcome
 
 # A process takes about as long to start as reading this takes.
@@ -66,6 +69,14 @@ Strict = Annotated[
     typer.Option(
         "--strict",
         help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
+    ),
+]
+
+Separate = Annotated[
+    bool,
+    typer.Option(
+        "--separate",
+        help="Take parts of a split recording (run_0.bag, run_1.bag) as runs of their own.",
     ),
 ]
 
@@ -120,6 +131,7 @@ def ingest(
         bool, typer.Option("--force", help="Redo finished runs; replace maps made from other logs.")
     ] = False,
     strict: Strict = False,
+    separate: Separate = False,
     allow_scan: AllowScan = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
@@ -129,11 +141,12 @@ def ingest(
     Writes maps/RUN.json and maps/RUN.rrd in the workspace; where the odometry was reset and nothing
     ties the pieces together, also RUN#2 and so on.
 
-    Reads .mcap, .bag and ROS 2 bag folders, recognised by content. A run is named after its log,
-    with - for colons. Without junction detections, junctions are found in laser scans, clouds of
-    points or a grid. Finished runs are skipped unless their log or the settings changed. One bad
-    log does not stop the others; the exit code is then 1, or 2 if all that is wrong is a missing
-    option.
+    Reads .mcap, .bag and ROS 2 bag folders, recognised by content; parts of a split recording are
+    one. A run is named after its log, with - for colons; where several logs have one name, after
+    their folders as well (robot1-run01). It keeps its name. Without junction detections, junctions
+    are found in laser scans, clouds of points or a grid. Finished runs are skipped unless their log
+    or the settings changed. One bad log does not stop the others; the exit code is then 1, or 2 if
+    all that is wrong is a missing option.
 
     Of a log in a bucket (s3://bucket/prefix/), the index and the chunks that hold wanted topics are
     read, and nothing is copied here; needs topobatch[remote].
@@ -144,6 +157,7 @@ def ingest(
     """
     from ..ingest.mapping_settings import MappingSettings
     from ..ingest.remote.path import log_path
+    from .ingest_worker import IngestJob
 
     read = read_settings(
         odometry_topic=odometry_topic,
@@ -160,7 +174,9 @@ def ingest(
     )
     place, screen = Workspace(workspace), Screen(quiet, verbose)
     given = [log_path(log, allow_scan=allow_scan) for log in logs]
-    planned = _plan(given, name, place, read, MappingSettings(closure=closure), force, screen)
+    found, missing = logs_of(given, screen.warn, separate=separate)
+    mapping = MappingSettings(closure=closure)
+    planned = _plan(found, missing, name, IngestJob(Path(), "", place, read, mapping, force))
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []
         before = _records(planned)
@@ -194,74 +210,45 @@ def read_settings(laser_pose: str | None, cloud_band: str | None, **others: Any)
 
 
 def _plan(
-    given: list[LogPath],
+    logs: Sequence[LogPath],
+    missing: Sequence[tuple[LogPath, LogError]],
     name: str | None,
-    place: Workspace,
-    read: ReadSettings,
-    mapping: MappingSettings,
-    force: bool,
-    screen: Screen,
+    like: IngestJob,
 ) -> list[IngestJob | IngestOutcome]:
-    """A job for each log found, or its outcome if it is known already."""
-    from .ingest_worker import IngestJob, IngestOutcome
+    """A job for each log, with the settings of one, or its outcome if it is known already.
 
-    logs, missing = _logs_of(given, screen)
-    planned: list[IngestJob | IngestOutcome] = [*missing]
+    missing: paths without logs, and why.
+    """
+    from .ingest_worker import IngestOutcome
+    from .run_names import run_names
+
+    planned: list[IngestJob | IngestOutcome] = [
+        IngestOutcome(path.name, "failed", str(error)) for path, error in missing
+    ]
     if name is not None and len(logs) + len(planned) != 1:
         raise UsageError(f"--name goes with one log; found {len(logs) + len(planned)}")
-    named: dict[str, dict[LogPath, LogPath]] = {}
-    for log in logs:
+    # Of several ways to one log, the first counts.
+    logs = list({_at(log): log for log in reversed(logs)}.values())[::-1]
+    names = dict.fromkeys(logs, name) if name is not None else {}
+    names = names or run_names(logs, like.place, replace=like.force)
+    used: dict[str, LogPath] = {}
+
+    def known(run: str) -> bool:
+        return like.place.map_json(run).is_file() or like.place.ingested(run) is not None
+
+    for log, run in names.items():
         try:
-            run = _run_of(log, place) if name is None else checked_run_name(name)
-            place.check_run(run)
+            # A run that is there may have a name that earlier versions gave.
+            like.place.check_run(run if known(run) else checked_run_name(run))
+            if run in used:
+                raise UsageError(f"{used[run]} would become run {run!r} as well")
         except UsageError as error:
             text = f"{log}: {error}; give it another by --name"
             planned.append(IngestOutcome(log.name, "failed", text, needs_option=True))
             continue
-        named.setdefault(run, {}).setdefault(_at(log), log)  # or the same by another way
-    for run, of_it in named.items():
-        first, *others = of_it.values()
-        for log, other in zip(of_it.values(), [*others, first] if others else [], strict=False):
-            text = (
-                f"{log}: {other} would become run {run!r} as well; "
-                "rename one, or ingest it alone with --name"
-            )
-            planned.append(IngestOutcome(log.name, "failed", text, needs_option=True))
-        if not others:
-            planned.append(IngestJob(first, run, place, read, mapping, force))
+        used[run] = log
+        planned.append(replace(like, log=log, run=run))
     return planned
-
-
-def _run_of(log: LogPath, place: Workspace) -> str:
-    """The run that a log becomes (`run_named_after`); one that earlier versions
-    named with its colons stays that. UsageError if no run can be called so."""
-    from ..ingest.reading import run_name
-
-    name = run_name(log)
-    if ":" in plain_name(name) and (place.map_json(name).is_file() or place.ingested(name)):
-        return name
-    return checked_run_name(run_named_after(name))
-
-
-def _logs_of(
-    given: list[LogPath], screen: Screen
-) -> tuple[dict[LogPath, None], list[IngestOutcome]]:
-    """The logs at some paths, each once, and outcomes for paths without any."""
-    from .ingest_worker import IngestOutcome
-
-    logs: dict[LogPath, None] = {}
-    missing = []
-    for path in given:
-        try:
-            logs |= dict.fromkeys(logs_at(path))
-            if passed_over := packed_below(path):
-                screen.warn(f"{path}: {passed_over}")
-        except LogError as error:
-            missing.append(IngestOutcome(path.name, "failed", str(error)))
-        except OSError as error:
-            text = f"{error.filename or path}: {error.strerror or error}"
-            missing.append(IngestOutcome(path.name, "failed", text))
-    return logs, missing
 
 
 def _at(log: LogPath) -> LogPath:

@@ -11,6 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from .ingest_worker import IngestJob, IngestOutcome, ingest_one
+from .process import ENDING
 from .workers import start_worker
 
 POLL_S = 0.1
@@ -60,7 +61,7 @@ def _side_by_side(
     counter, begin = context.Value("q", 0), context.Semaphore(0)
     with ProcessPoolExecutor(workers, context, _start_worker, (counter, begin)) as pool:
         try:
-            with _interrupts_deferred():  # a worker stopped half-started would complain
+            with _signals_deferred():  # a worker stopped half-started would complain
                 futures = dict(_submitted(pool, jobs))
             # A process that dies while others are started can block the pool for good; one that
             # dies waiting for an Event, who sets it.
@@ -102,21 +103,20 @@ def _counted(job: IngestJob) -> IngestOutcome:
 
 
 @contextmanager
-def _interrupts_deferred() -> Iterator[None]:
-    """Defers Ctrl-C in the body to its end."""
-    interrupted = False
-
-    def note(*_: object) -> None:
-        nonlocal interrupted
-        interrupted = True
-
-    before = signal.signal(signal.SIGINT, note)
+def _signals_deferred() -> Iterator[None]:
+    """Defers Ctrl-C and other signals that end the process in the body to its end."""
+    came: list[int] = []
+    before = {
+        number: signal.signal(number, lambda number, _: came.append(number))
+        for number in (signal.SIGINT, *ENDING)
+    }
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
-    if interrupted:
-        raise KeyboardInterrupt
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    for number in came:
+        signal.raise_signal(number)
 
 
 def _submitted(
@@ -126,7 +126,7 @@ def _submitted(
     for job in jobs:
         try:
             yield pool.submit(_counted, job), job
-        except BrokenProcessPool:
+        except (BrokenProcessPool, EOFError, ConnectionError):  # the last two: no server any more
             return
 
 
@@ -145,11 +145,13 @@ def _context() -> Any:
 
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["topobatch.cli.ingest_pool", "rerun"])
-    # Ctrl-C reaches the server as well, and would end it while it imports. It begins with what is
-    # blocked here; the tracker that it needs would unblock it again.
-    resource_tracker.ensure_running()
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # Signals to a terminal's or a service's processes reach the server and the tracker that it
+    # needs as well, and would end them before their time. Both begin with what is blocked here. The
+    # tracker would unblock Ctrl-C and SIGTERM again, also here, and ignores them itself.
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
     try:
+        resource_tracker.ensure_running()
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)

@@ -25,6 +25,7 @@ from ..topology.made_from import junctions_told
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, to_turning_points
+from .process import lack_of_memory
 from .version import VERSION
 from .workspace import Workspace, plain_name
 
@@ -84,8 +85,9 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
     except Exception as error:
         if os.environ.get("TOPOBATCH_DEBUG"):
             raise
-        # A bug that one log triggers must not stop the others.
-        text = f"{job.log}: internal error, please report it: {type(error).__name__}: {error}"
+        # What one log triggers must not stop the others.
+        why = f"internal error, please report it: {type(error).__name__}: {error}"
+        text = f"{job.log}: {lack_of_memory(error) or why}"
         return IngestOutcome(job.run, "failed", text)
     finally:
         if isinstance(job.log, RemotePath):
@@ -95,7 +97,8 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started = time.monotonic()
     job = replace(job, run=called(job.place, job.run))
-    key = _content_key(job)
+    content = log_fingerprint(job.log)
+    key = _key(job, content)
     before = job.place.ingested(job.run) or {}
     had = _kept(job, key)
     if had:
@@ -126,6 +129,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run is finished only when all of its files exist.
     doc = {"key": key, "log": origin(job.log), "runs": runs, "read": _read_how(job.read)}
+    doc["content"] = content
     # Of a log of several files the size of the one that is named, by which `list` goes.
     own = job.log.stat().st_size if isinstance(job.log, Path) and job.log.is_file() else None
     doc |= {"version": VERSION, "bytes": job_size(job) if own is None else own}
@@ -142,7 +146,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
 def is_unchanged(job: IngestJob) -> bool:
     """Whether `ingest_one` has nothing to do."""
     job = replace(job, run=called(job.place, job.run))
-    return bool(_kept(job, _content_key(job)))
+    return bool(_kept(job, _key(job, log_fingerprint(job.log))))
 
 
 def _kept(job: IngestJob, key: str) -> list[str]:
@@ -211,9 +215,9 @@ def _summary(maps: Sequence[TopoMap], odometry: Odometry | None) -> str:
     return f"{way}, {counted(visits, 'junction pass', 'junction passes')} → {found}"
 
 
-def _content_key(job: IngestJob) -> str:
-    """A digest of the log's content, the settings and the program."""
-    parts = [VERSION, log_fingerprint(job.log), asdict(job.read), asdict(job.mapping)]
+def _key(job: IngestJob, content: str) -> str:
+    """A digest of the log's content (its fingerprint), the settings and the program."""
+    parts = [VERSION, content, asdict(job.read), asdict(job.mapping)]
     text = json.dumps(parts, sort_keys=True, default=str)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 

@@ -5,6 +5,7 @@ Nothing here prints, exits, or writes a file. All deliberate errors are Topobatc
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
@@ -23,7 +24,7 @@ __all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
 
 
 def ingest(
-    log: str | Path,
+    log: str | os.PathLike[str] | Iterable[str | os.PathLike[str]],
     *,
     name: str | None = None,
     odometry_topic: str | None = None,
@@ -38,9 +39,10 @@ def ingest(
     time: Literal["header", "log"] = "header",
     closure: Literal["none", "gated", "full"] = "full",
     strict: bool = False,
+    separate: bool = False,
     allow_scan: bool = False,
 ) -> tuple[TopoMap, ...]:
-    """Turn one log into its topological map.
+    """Turn a log into its topological map, or several into theirs.
 
     Linear algebra runs on one thread meanwhile: its matrices are small.
 
@@ -48,21 +50,24 @@ def ingest(
     ----------
     log
         An MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a saved map; or the address of one
-        elsewhere (``s3://bucket/run1.mcap``; docs/remote.md).
+        elsewhere (``s3://bucket/run1.mcap``; docs/remote.md). Or several of them, and folders of
+        logs, in a list.
     name
-        What to call the run; after the log by default.
+        What to call the run; after the log by default, of several logs of one name after their
+        folders as well.
     laser_pose
         x, y [m] and yaw [rad] of the laser on the robot.
     cloud_band
         Lowest and highest points of a cloud that make a scan, above the robot's frame [m].
     odometry_topic, junction_topic, junction_fields, junctions_from, scan_topic, scan_stamp, \
-    base_frame, time, closure, strict, allow_scan
+    base_frame, time, closure, strict, separate, allow_scan
         As the options of ``topobatch ingest``; by default the log tells them.
 
     Returns
     -------
     tuple of TopoMap
-        One map; more only where the odometry broke and nothing ties its pieces together.
+        One map of each log, by the order of the list and, of a folder, by name; more only where
+        the odometry broke and nothing ties its pieces together.
 
     Raises
     ------
@@ -71,8 +76,8 @@ def ingest(
     DataError
         What it holds makes no map: no junction was passed, or the odometry does not move.
     UsageError
-        The log has several topics to choose from, an option makes no sense, or a folder holds
-        several logs.
+        The log has several topics to choose from, an option makes no sense, or a folder that is
+        not in a list holds several logs.
 
     Examples
     --------
@@ -89,15 +94,24 @@ def ingest(
     from ..merge.pieces import joined_pieces
     from ..topology.errors import UsageError
     from ..topology.wording import listed
-    from .log_paths import logs_at
+    from .log_paths import logs_of
+    from .run_names import run_names
     from .workspace import checked_run_name
 
-    place = log_path(log, allow_scan=allow_scan)
-    logs = logs_at(place)
-    if len(logs) > 1:
-        raise UsageError(
-            f"{place}: holds {len(logs)} logs; name one: {listed([str(each) for each in logs], 3)}"
-        )
+    several = not isinstance(log, str | os.PathLike)
+    given = [
+        log_path(os.fspath(each), allow_scan=allow_scan)
+        for each in ([log] if isinstance(log, str | os.PathLike) else log)
+    ]
+    logs, missing = logs_of(given, warn=lambda _: None, separate=separate)
+    for _, error in missing:
+        raise error
+    if len(logs) > 1 and not several:
+        told = listed([str(each) for each in logs], 3)
+        raise UsageError(f"{given[0]}: holds {len(logs)} logs; name one: {told}; or give a list")
+    if len(logs) > 1 and name is not None:
+        raise UsageError(f"name goes with one log; {len(logs)} are given")
+    names = run_names(logs) if name is None else dict.fromkeys(logs, checked_run_name(name))
     settings = ReadSettings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
@@ -112,10 +126,9 @@ def ingest(
         strict=strict,
     )
     with _on_one_thread():
-        found = read_log(logs[0], settings)
-        if name is not None:
-            found = replace(found, name=checked_run_name(name))
-        return joined_pieces(map_of_log(found, MappingSettings(closure=closure)))
+        read = (replace(read_log(log, settings), name=run) for log, run in names.items())
+        mapped = (map_of_log(found, MappingSettings(closure=closure)) for found in read)
+        return tuple(piece for each in mapped for piece in joined_pieces(each))
 
 
 def read_map(path: str | Path) -> TopoMap:

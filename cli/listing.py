@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import stat
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
 
 import typer
 
@@ -18,14 +20,17 @@ from .unchanged import changed_since
 from .version import VERSION
 from .workspace import Workspace
 
+if TYPE_CHECKING:
+    from ..merge.merged_schema import MergedDocument
+
 ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A run. health: "ok", warnings, or why its map cannot be read; component, runs: its component
-    in the last merge, and the number of runs in it; recorded: time of its first junction pass,
-    ingested: when its map was made, in UTC; stale: what changed since."""
+    """A run. health: "ok", warnings, or why its map cannot be read; component, runs, site: its
+    component in the last merge, the number of runs in it, and its name; recorded: time of its first
+    junction pass, ingested: when its map was made, in UTC; stale: what changed since."""
 
     run: str
     junctions: int | None
@@ -37,18 +42,20 @@ class Listed:
     recorded: str | None
     ingested: str
     stale: tuple[str, ...]
+    site: str | None
 
 
 def list_runs(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     as_json: JsonOption = False,
 ) -> None:
-    """List the runs of the workspace.
+    """List the runs of the workspace, by site.
 
-    How large each map is and what is wrong with it, its component in the last merge, when the robot
-    first passed a junction (its log may begin earlier), and what is stale: maps that changed since
-    the merge, logs that changed or were read by another version. The exit code is 1 if a map cannot
-    be read.
+    The sites of the last merge, largest first, each with its junctions and corridors; their names
+    are what draw, export and changes take (topobatch site gives others). Of every run how large its
+    map is and what is wrong with it, when the robot first passed a junction (its log may begin
+    earlier), and what is stale: maps that changed since the merge, logs that changed or were read
+    by another version. The exit code is 1 if a map cannot be read.
 
     \b
       topobatch list
@@ -63,9 +70,13 @@ def list_runs(
         say_lines(json.dumps([asdict(row) for row in rows]))
         _fail_if_unreadable(rows)
         return
-    head = ("run", "junctions", "corridors", "component", "first pass (UTC)", "health", "stale")
-    for line in table(head, [_row(row) for row in rows], indent=""):
-        say(line)
+    head = ("run", "junctions", "corridors", "first pass (UTC)", "health", "stale")
+    first, *lines = table(head, [_row(row) for row in rows])
+    say(first)
+    for title, own in _by_site(rows, merged):
+        say(title)
+        for k in own:
+            say(lines[k])
     gone = sorted(set(merged.home) - {row.run for row in rows})
     if gone:
         say(f"in the last merge, but not here any more: {counted(len(gone), 'run')}")
@@ -82,21 +93,40 @@ def _fail_if_unreadable(rows: Sequence[Listed]) -> None:
 
 
 def _row(row: Listed) -> tuple[str, ...]:
-    home = "-" if row.component is None else f"{row.component} ({counted(row.runs or 1, 'run')})"
     junctions = "?" if row.junctions is None else f"{row.junctions:,}"
     corridors = "?" if row.corridors is None else f"{row.corridors:,} ({row.length_m:,.0f} m)"
     recorded = (row.recorded or "?")[:16].replace("T", " ")
-    return (row.run, junctions, corridors, home, recorded, row.health, "; ".join(row.stale))
+    return (row.run, junctions, corridors, recorded, row.health, "; ".join(row.stale))
+
+
+def _by_site(rows: Sequence[Listed], merged: _Merge) -> list[tuple[str, list[int]]]:
+    """Titles, each with the numbers of the rows below it: the sites of several runs, the largest
+    first; runs that are alone; runs that were not merged."""
+    groups: dict[tuple[int, int, str], list[int]] = {}
+    for k, row in enumerate(rows):
+        if row.component is None:
+            key = (1, 0, "not merged")
+        elif row.runs == 1 and row.site in (None, row.run):
+            key = (0, -1, "alone")
+        else:
+            called = row.site or f"component {row.component}"
+            size = merged.sizes.get(row.component, "")
+            key = (0, -(row.runs or 0), f"{called}: {counted(row.runs or 0, 'run')}{size}")
+        groups.setdefault(key, []).append(k)
+    return [(title, own) for (*_, title), own in sorted(groups.items())]
 
 
 @dataclass(frozen=True, slots=True)
 class _Merge:
     """The last merge: component and its size of every run, `contents` of the merged maps if
-    recorded, and its time [ns], None without a merge."""
+    recorded, and its time [ns], None without a merge; sites: the name of every run's site; sizes:
+    of every component, in words."""
 
     home: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     documents: Mapping[str, str] = field(default_factory=dict)
     when_ns: int | None = None
+    sites: Mapping[str, str] = field(default_factory=dict)
+    sizes: Mapping[int, str] = field(default_factory=dict)
 
     def change(self, place: Workspace, run: str, made_ns: int) -> list[str]:
         """How a map changed since; without its content, by its time."""
@@ -115,13 +145,34 @@ def _merge(place: Workspace) -> _Merge:
     if not os.path.lexists(place.merged_json):
         return _Merge()
     try:
-        graph = place.read_merged().graph
+        document = place.read_merged()
+        graph = document.graph
         when = os.stat(place.merged_json).st_mtime_ns
     except (DataError, OSError) as error:
         warn(f"{error}; listed without it")
         return _Merge()
     home = {run: (c.id, len(c.runs)) for c in graph.components for run in c.runs}
-    return _Merge(home, graph.maps or {}, when)
+    return _Merge(home, graph.maps or {}, when, graph.sites, _sizes(document))
+
+
+def _sizes(document: MergedDocument) -> dict[int, str]:
+    """Junctions and corridors of every component."""
+    from ..topology.turning_points import KINDS
+
+    home = {node.id: node.component for node in document.nodes if node.kind not in KINDS}
+    junctions = Counter(home.values())
+    corridors: Counter[int] = Counter()
+    length: dict[int, float] = {}
+    for edge in document.edges:
+        at = home.get(edge.source)
+        if at is not None and edge.target in home:
+            corridors[at] += 1
+            length[at] = length.get(at, 0.0) + edge.length
+    out = {}
+    for c, n in junctions.items():
+        ways = f"{counted(corridors[c], 'corridor')} ({length.get(c, 0):,.0f} m)"
+        out[c] = f", {counted(n, 'junction')}, {ways}"
+    return out
 
 
 def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
@@ -129,12 +180,13 @@ def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
     made_ns = os.lstat(path).st_mtime_ns
     old = merged.change(place, run, made_ns)
     component, runs = merged.home.get(run, (None, None))
+    site = merged.sites.get(run)
     try:
         m = place.read_map(run)
     except (DataError, OSError) as error:
         return Listed(
             run, None, None, None, f"unreadable: {error}", component, runs, None,
-            utc(made_ns, ISO), tuple(old),
+            utc(made_ns, ISO), tuple(old), site,
         )  # fmt: skip
     times = m.observation_time_ns
     warnings = m.info.get("warnings")
@@ -150,6 +202,7 @@ def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
         recorded=utc(int(times.min()), ISO) if len(times) else None,
         ingested=utc(made_ns, ISO),
         stale=(*old, *_log_changes(place, run)),
+        site=site,
     )
 
 

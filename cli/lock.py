@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import UsageError
+from ..topology.errors import DataError, UsageError
 from .journal import note
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
-from .output import say, warn
+from .output import confirmed, say, warn
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -41,12 +42,19 @@ def lock(
             'the numbers their maps give them: "3,7".',
         ),
     ] = None,
+    yes: Annotated[
+        bool,
+        typer.Option(
+            "--yes", "-y", help="Keep the lock whatever the maps say, without asking on a terminal."
+        ),
+    ] = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Say that two runs belong together, or never do.
 
-    Kept in the workspace (locks.json) and honoured by every later merge. Without runs, lists the
-    locks.
+    Kept in the workspace (locks.json) and honoured by every later merge. Where the maps speak
+    against --same (it may be another copy of the place, they contradict each other), that is shown
+    first, and on a terminal asked back. Without runs, lists the locks.
 
     \b
       topobatch lock run1 run2 --same
@@ -69,21 +77,44 @@ def lock(
         raise UsageError("--at goes with --same; --never is about whole runs")
     from ..merge.locks import Lock, with_lock, without_lock
 
+    wanted = None if clear else Lock(a, b, _decision(same), _pair(at))
+    place.require()
+    if wanted is not None:
+        place.chosen_runs([a, b], False)
+        _check(place, wanted)
+        if not _confirmed(place, wanted, yes):
+            raise typer.Exit(1)
     with place.held(warn, make=False):
-        if clear:
-            kept = without_lock(place.locks(), a, b)
-        else:
-            place.chosen_runs([a, b], False)
-            pair = min(a, b), max(a, b)
-            if same and pair in place.discards():
-                first = place.call("discard", ":".join(pair), "--undo")
-                raise UsageError(f"the match of {a} and {b} was discarded; first: {first}")
-            kept = with_lock(place.locks(), _checked(place, Lock(a, b, _decision(same), _pair(at))))
+        locks = place.locks()
+        kept = without_lock(locks, a, b) if wanted is None else with_lock(locks, wanted)
         place.write_locks(kept)
         done = "clear" if clear else _decision(same)
         note(place, "lock", f"{min(a, b)} + {max(a, b)}: {done}", warn)
     _show(kept)
     say(f"next: {place.call('merge', '--all')}")
+
+
+def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
+    """Whether a lock is to be kept, also if the maps of its runs speak against it."""
+    from ..merge.robust.entries import doubt
+    from .explain import decided
+
+    if lock.decision == "never":
+        return True
+    try:
+        *_, decision = decided(place, (lock.a, lock.b))
+    except DataError as error:
+        warn(f"what the maps say is not known: {error}")
+        return True
+    # The verdict of a merge may be by an older lock; the placement is that of the maps.
+    best = decision.placements[0].alignment if decision.placements else decision.said.best
+    why = doubt(replace(decision.said, best=best))
+    if not why:
+        return True
+    warn(
+        f"by the maps of {lock.a} and {lock.b}, {why}; see: {place.call('explain', lock.a, lock.b)}"
+    )
+    return yes or confirmed("lock them as the same?")
 
 
 def _decision(same: bool) -> Literal["same", "never"]:
@@ -99,13 +130,15 @@ def _pair(at: str | None) -> tuple[int, int] | None:
     return int(found[1]), int(found[2])
 
 
-def _checked(place: Workspace, wanted: Lock) -> Lock:
-    """The lock, if both junctions exist; else UsageError."""
-    for run, vertex in zip((wanted.a, wanted.b), wanted.at or (), strict=False):
+def _check(place: Workspace, lock: Lock) -> None:
+    """UsageError if the match of the runs was discarded, or a junction does not exist."""
+    if lock.decision == "same" and (lock.a, lock.b) in place.discards():
+        first = place.call("discard", f"{lock.a}:{lock.b}", "--undo")
+        raise UsageError(f"the match of {lock.a} and {lock.b} was discarded; first: {first}")
+    for run, vertex in zip((lock.a, lock.b), lock.at or (), strict=False):
         junctions = len(place.read_map(run))
         if vertex >= junctions:
             raise UsageError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
-    return wanted
 
 
 def _show(locks: tuple[Lock, ...]) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,36 @@ PACKED = {
 _PACKED_LOG = re.compile(r"\.(mcap|bag|db3)(\.active)?\.(gz|zip|bz2|xz|7z)$", re.IGNORECASE)
 
 
-def logs_at(path: LogPath) -> list[LogPath]:
+def logs_of(
+    given: Sequence[LogPath], warn: Callable[[str], None], *, separate: bool = False
+) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
+    """The logs at some paths, each once, and the errors of paths without any; warns of packed ones.
+
+    separate: parts of split recordings are logs of their own.
+    """
+    logs: dict[LogPath, None] = {}
+    missing, files = [], []
+    for path in given:
+        try:
+            found = logs_at(path, separate=separate)
+        except (LogError, OSError) as error:
+            if isinstance(error, OSError):
+                error = LogError(f"{error.filename or path}: {error.strerror or error}")
+            missing.append((path, error))
+            continue
+        if passed_over := packed_below(path):
+            warn(f"{path}: {passed_over}")
+        logs |= dict.fromkeys(found)
+        files += [path] if found == [path] else []
+    if not separate and len(files) > 1:
+        from ..ingest.reading import with_parts_joined
+
+        whole = dict.fromkeys(with_parts_joined(files))
+        logs = {log: None for log in logs if log in whole or log not in files} | whole
+    return list(logs), missing
+
+
+def logs_at(path: LogPath, *, separate: bool = False) -> list[LogPath]:
     """Every log at or below a path, as `find_logs`; metadata.yaml of a ROS 2 bag stands for its
     folder.
 
@@ -36,7 +65,7 @@ def logs_at(path: LogPath) -> list[LogPath]:
     from ..ingest.reading import find_logs
 
     try:
-        return find_logs([path])
+        return find_logs([path], separate=separate)
     except LogError as error:
         if not isinstance(path, Path):
             raise

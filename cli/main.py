@@ -1,14 +1,16 @@
 """The `topobatch` command.
 
 Exit codes: 0 all was done, if with warnings; 1 the data is at fault (some or all of it); 2 the call
-is at fault; 70 topobatch itself is at fault; 130 interrupted.
+is at fault; 70 topobatch itself is at fault; 130 interrupted (128 + N by signal N).
 """
 
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable
+from difflib import get_close_matches
 from io import TextIOWrapper
 from typing import Annotated
 
@@ -27,11 +29,14 @@ from .journal import history
 from .listing import list_runs
 from .lock import lock
 from .merge import merge
+from .next_drives import next_drives
 from .output import complain, say, say_lines
+from .process import lack_of_memory, require_memory
 from .rename import rename
 from .report import report
 from .schema import schema
 from .simulate import simulate
+from .site import site
 from .transfer import transfer
 from .version import VERSION
 from .view import view
@@ -64,6 +69,8 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("export", export),
     ("transfer", transfer),
     ("changes", changes),
+    ("next", next_drives),
+    ("site", site),
     ("lock", lock),
     ("discard", discard),
     ("rename", rename),
@@ -75,6 +82,10 @@ for name, command in COMMANDS:
     app.command(name)(command)
 
 
+LIGHT = ("list", "history", "schema")
+"""Commands without large arrays."""
+
+
 def _version(wanted: bool) -> None:
     if wanted:
         say(f"topobatch {VERSION}")
@@ -83,6 +94,7 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def topobatch(
+    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -94,6 +106,8 @@ def topobatch(
     pair of runs topobatch says how sure it is that they overlap. Results land in a workspace
     folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
     """
+    if context.invoked_subcommand not in LIGHT and not {"-h", "--help"} & set(sys.argv):
+        require_memory()
 
 
 def _say_what_is_wrong(error: TyperException) -> None:
@@ -109,6 +123,9 @@ def _say_what_is_wrong(error: TyperException) -> None:
     line = line.replace(": Value error, ", ": ").replace(": Input should be ", ": must be ")
     if line.startswith("No such command") and os.path.exists(sys.argv[1]):
         line += f"; did you mean `topobatch ingest {sys.argv[1]}`?"
+    if choice := re.search(r"'([^']*)' is not one of ('.+')$", line):
+        near = get_close_matches(choice[1], choice[2][1:-1].split("', '"), 1, 0.7)
+        line += "".join(f"; did you mean {each!r}?" for each in near)
     see = "" if line.endswith("?") else ";"
     complain(f"{line[:1].lower()}{line[1:]}{see} see `{command} --help`")
 
@@ -135,6 +152,9 @@ def main() -> None:
     except Exception as error:
         if os.environ.get("TOPOBATCH_DEBUG"):
             raise
+        if lacking := lack_of_memory(error):
+            complain(lacking)
+            sys.exit(EXIT_DATA)
         complain(
             f"internal error, please report it: {type(error).__name__}: {error} "
             "(set TOPOBATCH_DEBUG=1 to see where)"

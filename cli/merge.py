@@ -25,6 +25,7 @@ from .options import (
     complete_run,
 )
 from .output import Screen
+from .site_names import sites_before, with_sites
 from .workers import start_worker
 from .workspace import MERGED, Workspace
 
@@ -145,6 +146,10 @@ def merge(
     )
     if method == "robust":
         options.refuse()
+    if cluster is not None:
+        from .cluster import require_cluster
+
+        require_cluster(cluster)
     workers = partial(_workers, jobs, cluster)
     if shard is not None:
         if not everything or runs or method != "robust":
@@ -167,15 +172,18 @@ def merge(
         said = recalled(place, asked)
         if said is None:
             settings = _settings(method, false_merge_rate, options)
-            before = set() if replace_last else _merged_before(place, chosen, everything, screen)
+            before = {} if replace_last else _merged_before(place, chosen, everything, screen)
             store = _store(place, settings, screen)
             maps, broken = read_maps(place, chosen, screen, store)
-            if lost := before & set(broken):
+            if lost := before.keys() & set(broken):
                 raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
             result = _merged(place, maps, settings, workers, everything, screen, store)
+            result, moved = with_sites(place, result, maps, before or sites_before(place))
             _write(place, result, maps, documents)
-            told = f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}"
-            said = Said(tuple(_summary(result, place)), told)
+            told = "; ".join(
+                [f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}", *moved]
+            )
+            said = Said((*_summary(result, place), *(("folded", each) for each in moved)), told)
             if not broken:
                 remember(place, asked, said, screen)
         else:
@@ -223,10 +231,9 @@ def _repeat(
         how = place.call("merge", "--all") if place.merge == MERGED else how
         screen.warn(f"{error}; merge again: {how}")
         return
-    before = set(graph.home)
-    if not before & set(affected):
+    if not graph.home.keys() & set(affected):
         return
-    runs = sorted({new.get(run, run) for run in before} & set(place.runs()))
+    runs = sorted({new.get(run, run) for run in graph.home} & set(place.runs()))
     if not runs:
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
@@ -237,9 +244,14 @@ def _repeat(
     maps, _ = read_maps(place, runs, screen, store)
     everything = runs == place.runs()
     result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen, store)
+    # A run alone is a site of its own name, old or new.
+    before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
+    result, moved = with_sites(place, result, maps, before)
     _write(place, result, maps, documents)
     name = "" if place.merge == MERGED else f", {place.merge}"
     screen.line(f"merged again{name}: {counted(len(maps), 'run')}, {_counts(result)}")
+    for each in moved:
+        screen.line(each)
 
 
 def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:
@@ -265,8 +277,8 @@ def _settings_of(graph: MergedGraph) -> MergeSettings:
 
 def _merged_before(
     place: Workspace, chosen: list[str], everything: bool, screen: Screen
-) -> set[str]:
-    """The runs of the merge that will be overwritten.
+) -> dict[str, str]:
+    """The runs of the merge that will be overwritten, with their sites ("" without a name).
 
     UsageError if it has others than the chosen ones, or if no merge is there but something else;
     that a merge of everything overwrites, except under a name of its own.
@@ -275,21 +287,22 @@ def _merged_before(
 
     path = place.merged_json
     if not path.exists():
-        return set()
+        return {}
     try:
-        before = set(read_merged(path).graph.home)
+        graph = read_merged(path).graph
+        before = {run: graph.sites.get(run, "") for run in graph.home}
     except DocumentError as error:
         if not everything or place.merge != MERGED:
             raise UsageError(f"{error}; {OVERWRITE}") from error
         screen.warn(f"{error}; it is overwritten")
-        return set()
-    if lost := {run for run in before - set(chosen) if not _was_piece(place, run, chosen)}:
+        return {}
+    if lost := {run for run in before.keys() - set(chosen) if not _was_piece(place, run, chosen)}:
         why = ", without a map (their logs, ingested again, make them)" if everything else ""
         raise UsageError(_leaves_out(place, before, lost, why))
     return before
 
 
-def _leaves_out(place: Workspace, before: set[str], lost: set[str], why: str) -> str:
+def _leaves_out(place: Workspace, before: Collection[str], lost: set[str], why: str) -> str:
     """That a merge with the runs `before` is not overwritten by one without `lost`."""
     return (
         f"{place.merged_json}: is the merge of {counted(len(before), 'run')}, and this one leaves "
@@ -414,7 +427,7 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
     home = {run: component.id for component in result.components for run in component.poses}
     for component in result.components:
         if len(component.poses) > 1:
-            yield "folded", f"component {component.id}: {listed(sorted(component.poses))}"
+            yield "folded", f"site {component.name}: {listed(sorted(component.poses))}"
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
         yield "folded", f"alone: {listed(alone)}"
@@ -446,10 +459,14 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
 
 def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:
     """Warnings about a merge; home: the component of every run."""
+    from ..merge.robust.entries import doubt
+
     yield from map(str, result.info.get("warnings") or ())
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             yield f"{pair.a} and {pair.b} are not joined: {pair.reason}"
+        if pair.accepted_by == "lock" and (why := doubt(pair)):
+            yield f"{pair.a} and {pair.b} are joined by a lock; by their maps {why}"
 
 
 def _counts(result: MergeResult) -> str:
@@ -465,5 +482,5 @@ def _counts(result: MergeResult) -> str:
         f"{count[Standing.AMBIGUOUS]:,} ambiguous, "
         f"{count[Standing.UNRELATED]:,} unrelated"
         f"{f', {kept_out:,} kept out' if kept_out else ''}; "
-        f"{counted(len(result.components), 'component')}"
+        f"{counted(len(result.components), 'site')}"
     )

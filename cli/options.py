@@ -32,6 +32,18 @@ MergeOption = Annotated[
     typer.Option("--merge", metavar="NAME", help="The merge to use, by its --output NAME."),
 ]
 
+SiteOption = Annotated[
+    str | None,
+    typer.Option(
+        "--site", metavar="NAME", help="Only this site of the merged map (topobatch list)."
+    ),
+]
+
+ComponentOption = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=0, help="Only this component of the merged map, by its number."),
+]
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what is being done.")]
@@ -47,7 +59,18 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
 
 
+def complete_site(ctx: typer.Context, incomplete: str) -> list[str]:
+    """Sites of the merge with this prefix."""
+    named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
+    try:
+        graph = Workspace(Path(named or DEFAULT_WORKSPACE)).read_merged().graph
+    except (TopobatchError, OSError):
+        return []
+    return sorted(name for name in {*graph.sites.values()} if name.startswith(incomplete))
+
+
 def complete_map(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The same, and the merged map."""
+    """The same, the merged map and its sites."""
     merged = [MERGED] if MERGED.startswith(incomplete) else []
-    return [*merged, *complete_run(ctx, incomplete)]
+    named = [*complete_site(ctx, incomplete), *complete_run(ctx, incomplete)]
+    return [*merged, *dict.fromkeys(named)]

@@ -9,14 +9,18 @@ types are untrusted, and control characters are escaped.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from textwrap import wrap
 from typing import Any
 
 import typer
+
+from ..topology.errors import UsageError
 
 WIDTH = 79
 """Line width of advice: the smallest usual terminal."""
@@ -82,6 +86,23 @@ def say_text(text: str) -> None:
         say_lines(text.removesuffix("\n"))
     else:
         typer.echo(text.encode(), nl=False)
+
+
+def checked_output(path: Path) -> Path:
+    """The path of a file to write; UsageError for what is none: a device, a FIFO or a socket, also
+    by a link, which a file would take the place of."""
+    folder = path.parent.resolve()
+    system = folder == Path("/dev") or Path("/proc") in (folder, *folder.parents)
+    if system or (os.path.exists(path) and not path.is_file() and not path.is_dir()):
+        raise UsageError(f"{path}: is no file that could be written; name another")
+    return path
+
+
+def confirmed(question: str) -> bool:
+    """Whether the user agrees, if there is one to ask: a terminal for question and answer."""
+    if sys.stdin.isatty() and sys.stderr.isatty():
+        return typer.confirm(plain(question), err=True)
+    return True
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:

@@ -13,6 +13,7 @@ from typing import TextIO
 
 from ..topology.errors import DataError
 from ..topology.map_schema import FARTHEST_M
+from ..topology.wording import quoted_formula
 
 MOST_BYTES = 16 << 20
 MOST_PLACES = 100_000
@@ -64,7 +65,7 @@ def read_places(path: Path) -> Places:
 def _places(path: Path, file: TextIO) -> Places:
     reader = csv.DictReader(file, strict=True)
     try:
-        names = [name.strip() for name in reader.fieldnames or ()]
+        names = [_unquoted(name.strip()) for name in reader.fieldnames or ()]
         reader.fieldnames = names
         missing = [name for name in OWN[:3] if name not in names]
         if missing or len(set(names)) < len(names):
@@ -88,7 +89,7 @@ def _places(path: Path, file: TextIO) -> Places:
 def _place(path: Path, line: int, row: Mapping[str | None, str | None]) -> Place:
     if None in row or None in row.values():
         raise DataError(f"{path}:{line}: has more or fewer values than the first line")
-    values = {str(key): str(value) for key, value in row.items()}
+    values = {str(key): _unquoted(str(value)) for key, value in row.items()}
     theta = values.get("theta", "").strip()
     return Place(
         line=line,
@@ -111,9 +112,13 @@ def _number(path: Path, line: int, column: str, text: str) -> float:
 
 
 def places_text(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> str:
-    """A table as CSV."""
+    """A table as CSV, its formulas quoted (`quoted_formula`); `read_places` takes that away."""
     out = io.StringIO()
-    writer = csv.DictWriter(out, list(header), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(map(quoted_formula, header))
+    writer.writerows([quoted_formula(row[name]) for name in header] for row in rows)
     return out.getvalue()
+
+
+def _unquoted(cell: str) -> str:
+    return cell[1:] if cell[:1] == "'" and quoted_formula(cell[1:]) == cell else cell

@@ -89,7 +89,7 @@ def _rename(place: Workspace, old: str, new: str) -> None:
 
 
 def _in_decisions(place: Workspace, names: dict[str, str]) -> None:
-    """Replace the names in locks and discarded matches."""
+    """Replace the names in locks, discarded matches and sites."""
     from ..merge.locks import Lock
 
     locks = place.locks()
@@ -101,3 +101,6 @@ def _in_decisions(place: Workspace, names: dict[str, str]) -> None:
     if any(run in names for pair in discards for run in pair):
         renamed = (sorted(names.get(run, run) for run in pair) for pair in discards)
         place.write_discards((a, b) for a, b in renamed)
+    sites = place.sites()
+    if any(run in names for runs in sites.values() for run in runs):
+        place.write_sites({s: [names.get(run, run) for run in own] for s, own in sites.items()})

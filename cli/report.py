@@ -10,12 +10,15 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from .draw import quiet_fonts, read_result
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
-from .output import complain, say
+from .output import checked_output, complain, say
 from .version import VERSION
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..topology.topomap import TopoMap
+
+MOST_DRIVES = 3
+"""Drives to record next with a picture: after one of them all others are worth another look."""
 
 STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "matplotlib", "rerun-sdk")
 
@@ -30,16 +33,17 @@ def report(
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 
-    One HTML file that needs nothing else and no network: how many runs belong together, the map,
-    undecided pairs with both placements, the verdict of every pair with its reason, how well each
-    run was measured, settings and versions. Light or dark, as the browser asks.
+    One HTML file that needs nothing else and no network: how many sites the runs are of, the map,
+    what to record next, undecided pairs with both placements, the verdict of every pair with its
+    reason, how well each run was measured, settings and versions. Light or dark, as the browser
+    asks.
 
     \b
       topobatch report
       topobatch report site.html
     """
     place = Workspace(workspace, merge)
-    page = place.root / "report.html" if out is None else out
+    page = place.root / "report.html" if out is None else checked_output(out)
     if page.suffix.lower() not in (".html", ".htm"):
         raise UsageError(f"{page}: a report's name ends in .html")
     if merge != MERGED:
@@ -47,6 +51,7 @@ def report(
     if not place.runs():
         raise place.no_maps()
     quiet_fonts()
+    from ..merge.drives import drives
     from ..topology.files import write_text
     from ..viz.report import Report, report_page
     from .unchanged import changed_since, told_changed
@@ -56,7 +61,8 @@ def report(
     new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
     warnings = [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])]
     locks = [str(lock) for lock in place.locks()]
-    html = report_page(Report(maps, result, warnings, locks, _versions()))
+    plan = drives(result, MOST_DRIVES) if result else ()
+    html = report_page(Report(maps, result, warnings, locks, _versions(), plan))
     try:
         write_text(page, html)
     except PermissionError as error:

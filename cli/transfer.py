@@ -16,7 +16,7 @@ from .options import (
     complete_map,
     complete_run,
 )
-from .output import Screen, say_text
+from .output import Screen, checked_output, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -85,6 +85,9 @@ def transfer(
 
     screen = Screen(quiet)
     place = Workspace(workspace, merge)
+    to_file = output is not None and str(output) != "-"
+    if output is not None and to_file:
+        checked_output(output)
     table = read_places(places)
     found, why = _carried(place, table, source, target)
     rows = [
@@ -92,7 +95,7 @@ def transfer(
         for k, p in enumerate(table.rows)
     ]
     text = places_text(_header(table), rows)
-    if output is None or str(output) == "-":
+    if output is None or not to_file:
         say_text(text)
     else:
         from ..topology.files import write_text

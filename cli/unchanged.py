@@ -1,7 +1,8 @@
 """Recognising a merge without changes since the last one, whose output is then repeated.
 
 A record in the cache is used if the program, its libraries, the options, the documents of all runs,
-locks, discards and the files of the merge all have the recorded checksums; else the merge is done.
+locks, discards, names of sites and the files of the merge all have the recorded checksums; else the
+merge is done.
 """
 
 from __future__ import annotations
@@ -67,9 +68,8 @@ def told_changed(runs: Sequence[str]) -> str:
 
 def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
     """A digest of everything that a merge depends on; documents: the runs' `contents`."""
-    spoken = [
-        (os.path.lexists(path), _content(path)) for path in (place.locks_json, place.discards_json)
-    ]
+    decisions = (place.locks_json, place.discards_json, place.sites_json)
+    spoken = [(os.path.lexists(path), _content(path)) for path in decisions]
     libraries = [sys.version, *map(version, LIBRARIES)]
     where = [str(place.root), place.call("view", place.merge)]  # which is said
     every = [_program(), libraries, where, repr(options), dict(documents), spoken]

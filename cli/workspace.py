@@ -6,7 +6,7 @@ import hashlib
 import os
 import shlex
 import stat
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from ..topology.wording import listed
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
     from ..merge.locks import Lock
-    from ..merge.merged_schema import MergedDocument
+    from ..merge.merged_schema import MergedDocument, MergedGraph
     from ..topology.topomap import TopoMap
 
 
@@ -35,10 +35,10 @@ NAME_BYTES = 200
 """Longest run name: file names have 255 bytes for it and suffixes."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, init=False)
 class Workspace:
     """The folder of the command's results: `maps/<run>.json`, `maps/<run>.rrd`, `merged.json`,
-    `merged.rrd`, `locks.json`, `discards.json`, `history.jsonl`, `cache/`.
+    `merged.rrd`, `locks.json`, `discards.json`, `sites.json`, `history.jsonl`, `cache/`.
 
     Its contents are untrusted. Raises DataError if one of its folders is a link or no folder, so
     that nothing is written or removed elsewhere. Names must be plain file names, else UsageError.
@@ -49,7 +49,9 @@ class Workspace:
     root: Path
     merge: str = MERGED
 
-    def __post_init__(self) -> None:
+    def __init__(self, root: str | os.PathLike[str], merge: str = MERGED) -> None:
+        object.__setattr__(self, "root", Path(root))
+        object.__setattr__(self, "merge", merge)
         cache = self.root / "cache"
         for folder in (
             self.maps,
@@ -58,6 +60,7 @@ class Workspace:
             cache / "log",
             self.pairs,
             self.merge_record.parent,
+            self.export_record.parent,
             self.root / "explain",
             self.exports,
         ):
@@ -97,7 +100,7 @@ class Workspace:
         """UsageError if the name of the merge is too long, or used for something else."""
         checked_file_name(self.merge, MERGE)
         folders = (self.maps.name, "cache", "explain", self.exports.name)
-        kept = (self.locks_json.stem, self.discards_json.stem, *folders)
+        kept = (*(path.stem for path in self._decisions), *folders)
         if self.merge.casefold() == MERGED:
             raise UsageError(f"{self.merge!r} cannot name a merge: that is one without --output")
         if self.merge.casefold() in kept or self.merge in self.runs():
@@ -106,14 +109,23 @@ class Workspace:
     def check_run(self, run: str) -> None:
         """UsageError if a merge has the name of the run, which would be ambiguous."""
         merge = self.root / f"{plain_name(run)}.json"
-        others = (self.locks_json, self.discards_json)
-        if run.casefold() == MERGED or (merge not in others and os.path.lexists(merge)):
+        if run.casefold() == MERGED or (merge not in self._decisions and os.path.lexists(merge)):
             raise UsageError(f"{run!r} cannot name a run: a merge is called so")
 
     @property
     def locks_json(self) -> Path:
         """Decisions by a person about pairs of runs."""
         return self.root / "locks.json"
+
+    @property
+    def sites_json(self) -> Path:
+        """Names that a person gave sites."""
+        return self.root / "sites.json"
+
+    @property
+    def _decisions(self) -> tuple[Path, ...]:
+        """Documents of what a person decided, which are no merges."""
+        return self.locks_json, self.discards_json, self.sites_json
 
     def map_json(self, run: str) -> Path:
         """The map document of a run."""
@@ -171,13 +183,14 @@ class Workspace:
 
         DataError if it is not recorded or does not exist; `otherwise`: advice in that case.
         """
+        from ..ingest.logs.recording import log_exists
         from ..ingest.remote.path import log_path
 
         log = (self.ingested(run) or {}).get("log")
         if not isinstance(log, str):
             raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
         place = log_path(log)
-        if isinstance(place, Path) and not place.exists():
+        if isinstance(place, Path) and not log_exists(place):
             raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
         return place
 
@@ -190,6 +203,11 @@ class Workspace:
     def merge_record(self) -> Path:
         """The record of how the merge was made; may be deleted at any time."""
         return self.root / "cache" / "merged" / f"{plain_name(self.merge, MERGE)}.json"
+
+    @property
+    def export_record(self) -> Path:
+        """The record of the files that exports of the merge wrote; may be deleted at any time."""
+        return self.root / "cache" / "exports" / f"{plain_name(self.merge, MERGE)}.json"
 
     def raw_log_rrd(self, run: str) -> Path:
         """The recording of a run with its log; may be deleted at any time."""
@@ -248,7 +266,7 @@ class Workspace:
     def merges(self) -> list[Workspace]:
         """This workspace with each of its merges, the one with the default name first."""
         usual = Workspace(self.root)
-        others = {p.stem for p in (self.locks_json, self.discards_json, usual.merged_json)}
+        others = {p.stem for p in (*self._decisions, usual.merged_json)}
         named = sorted({path.stem for path in self.root.glob("*.json")} - others)
         # A document without a recording beside it is none of topobatch's.
         written = [m for m in map(self.merge_named, named) if m and m.merged_rrd.is_file()]
@@ -311,6 +329,35 @@ class Workspace:
             raise self.no_maps()
         how = self.call("merge", "--all")
         raise DataError(f"{self.merged_json}: is not there yet; make it with `{how}`")
+
+    def component(
+        self, graph: MergedGraph, number: int | None = None, site: str | None = None
+    ) -> int | None:
+        """The component of a number, or of a site's name; None if neither is given. UsageError if
+        there is none, or both are given."""
+        if number is not None and site is not None:
+            raise UsageError("name a site or a --component, not both")
+        if number is not None and number not in {c.id for c in graph.components}:
+            raise self.no_component(number, [c.id for c in graph.components])
+        if site is None:
+            return number
+        ids = {c.site: c.id for c in graph.components if c.site is not None}
+        if site not in ids:
+            raise self.no_site(site, list(ids))
+        return ids[site]
+
+    def no_site(self, site: str, there: Sequence[str]) -> UsageError:
+        """What to say where a site is named that the merge does not have."""
+        from difflib import get_close_matches
+
+        near = get_close_matches(site, there, 1)
+        meant = f"; did you mean {near[0]}?" if near else ";"
+        known = listed(sorted(there)) or "none"
+        if not there:
+            known = f"none (merge again, which names them: {self.call('merge', '--all')})"
+        return UsageError(
+            f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}"
+        )
 
     def no_component(self, number: int, ids: Sequence[int]) -> UsageError:
         """What to say where a component is named that the merge does not have."""
@@ -379,6 +426,22 @@ class Workspace:
         else:
             self.discards_json.unlink(missing_ok=True)
 
+    def sites(self) -> dict[str, tuple[str, ...]]:
+        """Names that a person gave sites, with their runs; DocumentError if that cannot be read."""
+        from ..merge.sites import sites_from_document
+        from ..topology.files import read_json
+
+        if not os.path.lexists(self.sites_json):
+            return {}
+        return sites_from_document(read_json(self.sites_json), str(self.sites_json))
+
+    def write_sites(self, given: Mapping[str, Iterable[str]]) -> None:
+        """Keep these names."""
+        from ..merge.sites import sites_to_document
+        from ..topology.files import write_json
+
+        write_json(self.sites_json, sites_to_document(given))
+
     @contextmanager
     def held(self, say: Callable[[str], None], *, make: bool = True) -> Iterator[None]:
         """Keep other topobatch processes out of the workspace, waiting for them if need be.
@@ -429,7 +492,9 @@ class Workspace:
     def _clear_left_overs(self) -> None:
         from ..topology.files import LEFT_OVER
 
-        records = (self.ingest_record("x").parent, self.merge_record.parent)
+        records = (
+            self.ingest_record("x").parent, self.merge_record.parent, self.export_record.parent,
+        )  # fmt: skip
         for folder in (self.root, self.maps, *records, self.pairs):
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():

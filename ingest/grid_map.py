@@ -20,6 +20,7 @@ from .coarse_grid import affordable
 from .grid_log import GridLog
 from .logs.messages import several_that
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
+from .scans.views import grid_views
 
 SMOOTH_M = 0.5
 """Length over which the staircase steps of skeletons are smoothed; corridors are straight over
@@ -65,10 +66,11 @@ def map_of_grid(log: GridLog) -> TopoMap:
     place_of_branch = {old: order for old, (_, order) in zip(kept, rows, strict=True)}
     paths = [_path(c, places, grid) for c in used]
     length = np.array([way_of(path)[-1] for path in paths], np.float64)
+    xy = apply(np.array(grid.origin), np.array([places[k].xy for k in kept]))
     return TopoMap(
         run=log.name,
         frame=grid.frame,
-        xy=apply(np.array(grid.origin), np.array([places[k].xy for k in kept])),
+        xy=xy,
         branches=branches,
         kind=tuple(places[k].kind for k in kept),
         source=np.array([number[c.source] for c in used], np.int64),
@@ -84,6 +86,7 @@ def map_of_grid(log: GridLog) -> TopoMap:
         noise=GRID_NOISE,
         confidence=np.array([places[k].confidence for k in kept]),
         shows_bends=False,
+        views=grid_views(log.grid, np.concatenate([xy, *paths])),
         info={
             "source": dict(log.source),
             "settings": asdict(FLOORPLAN),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from ..topology.errors import LogError, UsageError
 from .channels import check_mapping
@@ -13,7 +14,7 @@ from .logs.intake import Intake
 from .logs.messages import Channel
 from .logs.recording import Recording, recording_at, run_name, sniff
 from .logs.saved_map import is_saved_map, read_saved_map
-from .logs.topics import JUNCTION_KINDS, choose_odometry
+from .logs.topics import JUNCTION_KINDS, choose_odometry, odometry_topics
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .remote.path import LogPath
 from .survey import Index, damage_of, surveyed, walk
@@ -82,19 +83,32 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     )
 
 
+def as_read(found: LogInfo, source: Mapping[str, Any]) -> LogInfo:
+    """The contents of a log, with what was left out of it once it was read; source: of the run."""
+    left_out = source.get("left_out", {})
+
+    def told(topic: TopicInfo) -> TopicInfo:
+        why = left_out.get(topic.topic)
+        return topic if why is None else replace(topic, use="", why=f"not used: {why}")
+
+    return replace(found, topics=tuple(told(topic) for topic in found.topics))
+
+
 def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
     """A saved map, as a log with one message."""
     problems: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     why = ""
     try:
-        grid = read_saved_map(path)
+        grid, notes = read_saved_map(path)
         height, width = grid.free.shape
         why = f"{width} x {height} cells of {grid.resolution_m:g} m"
     except LogError as error:
         problems = (str(error),)
     image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
     name = run_name(path)
-    return LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
+    found = LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
+    return replace(found, warnings=notes)
 
 
 def _uses(
@@ -123,10 +137,14 @@ def _uses(
         if source is None or source.way == "topic" or isinstance(error, UsageError):
             problems.append(str(error))
     problems += missing
+    chosen = [topic for topic, (use, _) in uses.items() if use == "odometry"]
+    for topic in odometry_topics(counts) if chosen else []:
+        uses.setdefault(topic, ("", f"not used; --odometry-topic {topic} takes it for odometry"))
     for topic, way in sensor_topics(counts):
         uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
     if source is not None:
-        for choice in (source.choice, *(source.beside if source.way == "scan" else ())):
+        beside = source.beside if source.way in ("scan", "cloud") else ()
+        for choice in (source.choice, *beside):
             uses[choice.topic] = (NAMES[source.way], choice.why + _instead(source.way, counts))
     return uses
 

@@ -105,11 +105,11 @@ def _choices(
     kinds, types, usual = SENSORS[way]
     found = choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
     # Of several robots in a log, that of the odometry has its sensors beside it.
-    own = _namespace(counts, settings, log)
+    own = namespace(counts, settings, log)
     return sorted(found, key=lambda choice: not choice.topic.startswith(own))
 
 
-def _namespace(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> str:
+def namespace(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> str:
     """The name of the odometry's topic up to its last slash; "/" if there is no such topic."""
     try:
         odometry = choose_odometry(counts, settings.odometry_topic, log)[0]

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ..topology.arrays import BoolArray
 from ..topology.errors import LogError
 from .frames import NOWHERE_ELSE
-from .junction_source import JunctionSource
+from .junction_source import SENSORS, JunctionSource, namespace
 from .logs.intake import PoseColumns
 from .logs.topics import Choice
 from .mounting import Joined, joined
+from .scans.field_of_view import adds, directions
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
 from .topic_poses import TopicPoses
@@ -25,10 +27,11 @@ ANYWHERE = Mounting(otherwise=lambda _: np.array(NOWHERE_ELSE))
 
 @dataclass(frozen=True, slots=True)
 class Laser:
-    """A topic; the frames of its first scans, and their times."""
+    """A topic; the directions that its first scans look in, by frame (`directions`), and their
+    times."""
 
     choice: Choice
-    frames: frozenset[str]
+    views: Mapping[str, BoolArray]
     times: TopicPoses
 
     @property
@@ -36,79 +39,129 @@ class Laser:
         """Its name."""
         return self.choice.topic
 
+    @property
+    def frames(self) -> frozenset[str]:
+        """Of its first scans."""
+        return frozenset(self.views)
+
     @classmethod
     def of(cls, read: LogRead, choice: Choice) -> Laser:
         """Read the first scans; LogError if none can be decoded."""
         stream = ScanStream(read.recording, choice.topic, ANYWHERE, on_walked=read.faults.add)
-        frames: set[str] = set()
+        views: dict[str, BoolArray] = {}
         stamp_ns, log_ns, scans = [], [], 0
         for timed in stream.raw():
-            frames.add(timed.scans.geometry.frame)
+            frame, view = timed.scans.geometry.frame, directions(timed.scans)
+            views[frame] = view | views.get(frame, view)
             stamp_ns.append(timed.scans.stamp_ns)
             log_ns.append(timed.log_ns)
             scans += len(timed.log_ns)
             if scans >= FIRST_SCANS:
                 break
-        if not frames:
+        if not views:
             why = "; ".join(stream.tally.warnings(choice.topic)) or "it holds no scan"
             raise LogError(f"{read.log}: nothing can be made of {choice.topic}: {why}")
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
         columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
-        return cls(choice, frozenset(frames), TopicPoses(columns, (), messages=scans))
+        return cls(choice, views, TopicPoses(columns, (), messages=scans))
 
 
 @dataclass(frozen=True, slots=True)
 class Lasers:
-    """used: the main one first; where: the log's transforms; warnings: one for each laser that is
-    left out, and on contradictory transforms."""
+    """used: the main one first; where: the log's transforms; left_out: why others are not used, by
+    topic; warnings: one for each that might be, and on contradictory transforms."""
 
     used: tuple[Laser, ...]
     where: Joined
-    warnings: tuple[str, ...]
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def widest(self) -> Lasers:
+        """The one with the widest view alone: without odometry, each scan is matched to the one
+        before, of the same laser."""
+        first = max(self.used, key=_width)
+        others = {laser.topic: ONE_ALONE for laser in self.used if laser is not first}
+        return replace(self, used=(first,), left_out={**self.left_out, **others})
+
+
+ONE_ALONE = "without odometry, the scans of one laser are matched with each other"
 
 
 def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
-    """The lasers with a known mounting, or the first one if none is known.
+    """The lasers, or clouds, with a known mounting, or one of them if none is known, with those in
+    its frame.
 
-    body: the robot's frame, None without odometry. Topics with scans in the frame of another one
-    (e.g. `/scan_filtered`) are passed over. LogError if the first one has no scans.
+    body: the robot's frame, None without odometry. Topics that show no further directions in the
+    frame of another one (e.g. `/scan_filtered`) are left out. LogError if the first one has no
+    scans.
     """
     first = Laser.of(read, source.choice)
-    if read.settings.laser_pose is not None:
-        return Lasers((first,), Joined({}, body or ""), ())
+    left_out: dict[str, str] = {}
     warnings: list[str] = []
-    found = [first, *_others(read, source, first, warnings.append)]
+    every = [first, *_others(read, source, left_out, warnings.append)]
+    own, usual = namespace(read.counts, read.settings, read.log), SENSORS[source.way][2]
+    ranked = sorted(every, key=lambda laser: _rank(laser, own, usual))
+    found = _distinct(ranked, left_out)
     frames = frozenset().union(*(laser.frames for laser in found))
-    where = joined(read.recording, frames, body, read.faults.add)
+    if read.settings.laser_pose is not None:
+        where = Joined({}, body or "")
+    else:
+        where = joined(read.recording, frames, body, read.faults.add)
     if where.fixed is not None:
         warnings += where.fixed.contradictions(where.body)
-    found.sort(key=lambda laser: not where.knows(laser.frames))
-    used = [laser for laser in found if laser is found[0] or where.knows(laser.frames)]
-    for laser in found[len(used) :]:
+    known = [laser for laser in every if laser in found and where.knows(laser.frames)]
+    used = known or [laser for laser in found if laser.frames <= found[0].frames]
+    for laser in (laser for laser in found if laser not in used):
         named = ", ".join(map(repr, sorted(laser.frames)[:5]))
+        unknown = f"the log does not say where its frame {named} is on the robot ({where.body!r})"
+        if read.settings.laser_pose is not None:
+            unknown = f"its frame is {named}, and --laser-pose places that of {used[0].topic}"
+        left_out[laser.topic] = unknown
         warnings.append(
-            f"{laser.topic}: the log does not say where its frame {named} is on the robot "
-            f"({where.body!r}); left out; with /tf_static it is used, too, with --scan-topic "
-            f"{laser.topic} --laser-pose x,y,yaw instead of {used[0].topic}"
+            f"{laser.topic}: {unknown}; left out; with /tf_static it is used, too, with "
+            f"--scan-topic {laser.topic} --laser-pose x,y,yaw instead of {used[0].topic}"
         )
-    return Lasers(tuple(used), where, tuple(warnings))
+    return Lasers(tuple(used), where, left_out, tuple(warnings))
 
 
 def _others(
-    read: LogRead, source: JunctionSource, first: Laser, warn: Callable[[str], object]
+    read: LogRead, source: JunctionSource, left_out: dict[str, str], warn: Callable[[str], object]
 ) -> list[Laser]:
-    """Further lasers, in frames of their own."""
-    if source.way != "scan":
-        return []
-    found, frames = [], first.frames
-    for choice in source.beside:
+    """The further lasers, or clouds, that can be decoded."""
+    found = []
+    for choice in source.beside if source.way in ("scan", "cloud") else ():
         try:
-            laser = Laser.of(read, choice)
+            found.append(Laser.of(read, choice))
         except LogError as error:
-            warn(f"one laser less: {error}")
-            continue
-        if not laser.frames & frames:
-            found.append(laser)
-            frames |= laser.frames
+            warn(f"one {'laser' if source.way == 'scan' else 'cloud'} less: {error}")
+            left_out[choice.topic] = "nothing can be made of it"
     return found
+
+
+def _rank(laser: Laser, own: str, usual: str) -> tuple[bool, bool, int]:
+    """Sorts lasers by which is used, if one has to be: of the odometry's robot, of the usual name,
+    with the widest view."""
+    return not laser.topic.startswith(own), laser.topic != usual, -_width(laser)
+
+
+def _width(laser: Laser) -> int:
+    return sum(int(view.sum()) for view in laser.views.values())
+
+
+def _distinct(ranked: list[Laser], left_out: dict[str, str]) -> list[Laser]:
+    """The lasers without those that see what one before sees in the same frame: they are made of
+    its scans, or claim its place."""
+    kept: list[Laser] = []
+    for laser in ranked:
+        above = [other for other in kept if not _adds(laser, other)]
+        if above:
+            left_out[laser.topic] = f"{above[0].topic} sees all of its directions in the same frame"
+        else:
+            kept.append(laser)
+    return kept
+
+
+def _adds(laser: Laser, other: Laser) -> bool:
+    """Whether a laser sees directions that another one does not see in the same frame."""
+    return any(adds(view, other.views.get(frame)) for frame, view in laser.views.items())

@@ -24,10 +24,12 @@ from ..topology.errors import DataError
 from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
-from ..topology.run import NO_DETECTIONS, Detections, Run
+from ..topology.run import NO_DETECTIONS, NOT_SEEN_AGAIN, Detections, Run
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
+from ..topology.views import Views
+from ..topology.visits import Visits, in_map_frame
 from .driven_shares import ON_THE_WAY, driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
@@ -125,11 +127,21 @@ def build_map_with_errors(
         drawing = settings.drawing
         turned = turning_points(topomap, odometry, corrected.visits, source.resolution_m, drawing)
     topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
+    if run.scanned is not None:
+        views = placed_views(run.scanned.views, odometry, corrected.visits, corrected.xy)
+        topomap = replace(topomap, views=views)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
     closures = _closures(closed, corrected, reckoning.passes)
     topomap = replace(topomap, closures=closures, info=info)
     return topomap, errors
+
+
+def placed_views(views: Views, odometry: Odometry, visits: Visits, xy: FloatArray) -> Views:
+    """The views of a run in its map's frame, without those of parts that the map does not show."""
+    pose = in_map_frame(odometry, visits, xy, views.time_ns, views.pose)
+    known = np.isfinite(pose).all(axis=1)
+    return Views(views.time_ns[known], pose[known], views.cells[known])
 
 
 def dead_reckoned(
@@ -148,7 +160,9 @@ def dead_reckoned(
         odometry = odometry.shortened(calibration.too_long)
         passes = source.passes(odometry)
         noise = source.noise(odometry, passes)
-    reckoning = dead_reckoning(odometry, passes, noise, _systematic(calibration, settings))
+    again = run.scanned.loops if run.scanned is not None else NOT_SEEN_AGAIN
+    systematic = _systematic(calibration, settings)
+    reckoning = dead_reckoning(odometry, passes, noise, systematic, again)
     return run, odometry, reckoning, calibration
 
 

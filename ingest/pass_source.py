@@ -72,7 +72,7 @@ def why_none(run: Run) -> str:
         return "holds no junction detection; nothing can be mapped"
     return (
         f"none of its {len(run.detections)} junction detections lies within the time of its "
-        "odometry; check the clocks of the two topics"
+        "odometry; check the clocks of the two topics; --time log takes the times of recording"
     )
 
 

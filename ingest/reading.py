@@ -17,7 +17,16 @@ from .junction_source import JunctionSource, junction_source, walks
 from .logs.grids import last_grid
 from .logs.intake import Intake
 from .logs.messages import Findings
-from .logs.recording import Recording, find_logs, log_fingerprint, log_size, recording_at, run_name
+from .logs.recording import (
+    Recording,
+    find_logs,
+    log_exists,
+    log_fingerprint,
+    log_size,
+    recording_at,
+    run_name,
+    with_parts_joined,
+)
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
 from .mounting import transforms_about
@@ -37,11 +46,13 @@ __all__ = [
     "TopicInfo",
     "find_logs",
     "inspect_log",
+    "log_exists",
     "log_fingerprint",
     "log_size",
     "read_log",
     "read_run",
     "run_name",
+    "with_parts_joined",
 ]
 
 OnBytes = Callable[[int], None]
@@ -165,11 +176,11 @@ def _with_scans(read: LogRead, source: JunctionSource) -> Run:
 
 
 def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> GridLog:
-    grid = read_saved_map(path)
+    grid, notes = read_saved_map(path)
     if on_bytes is not None:
         on_bytes(recording.bytes)
     about = {"from": "grid", "topic": recording.files[1].name, "type": "map_server"}
-    return GridLog(run_name(path), grid, {"junctions": about})
+    return GridLog(run_name(path), grid, {"junctions": about}, notes)
 
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:

@@ -9,14 +9,15 @@ from typing import Any
 
 import numpy as np
 
+from ..topology.arrays import FloatArray
 from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
-from ..topology.run import NO_DETECTIONS, Run, Scanned
+from ..topology.run import NO_DETECTIONS, Run
 from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import OdometryTopic, described, driven, odometry_topic
-from .scans.clock_lag import LaggingError
+from .scans.clock_lag import LaggingError, OtherClockError
 from .scans.detection import detect
 from .scans.handedness import MirroredError
 from .scans.mount_yaw import mount_yaw
@@ -29,12 +30,46 @@ from .topic_poses import Clock, choose_clock, clock_without_jumps
 def with_scans(read: LogRead, source: JunctionSource) -> Run:
     """The run of a log with scans or clouds: its odometry corrected by them, and the junctions.
 
-    Without odometry the scans are matched with each other alone. Raises LogError if no scan can be
-    used, DataError if the scans cannot be processed.
+    Without odometry, or with one that never moves beside scans that do, the scans are matched with
+    each other alone. Raises LogError if no scan can be used, DataError if the scans cannot be
+    processed.
     """
-    warnings = list(read.warnings)
     odometry = _odometry_if_any(read)
-    found = lasers(read, source, (odometry.frames[1] or "base_link") if odometry else None)
+    body = (odometry.frames[1] or "base_link") if odometry else None
+    if odometry is not None and _extent_m(odometry.poses.columns.pose) < STANDS_M:
+        topic, still = odometry.choice.topic, "never moves, but the scans do"
+        try:
+            run = _run(read, source, None, body)
+        except DataError:
+            run = None  # the error is told of the odometry, below
+        if run is not None and _extent_m(run.odometry.pose) > MOVES_M:
+            told = f"{topic}: {still}; left out: each scan was matched to the one before"
+            left_out = {topic: still, **run.source.get("left_out", {})}
+            about = {**run.source, "left_out": left_out}
+            return replace(run, source=about, warnings=(told, *run.warnings))
+    return _run(read, source, odometry, body)
+
+
+STANDS_M = 0.1
+"""Extent of an odometry that never moves: noise of standing wheels, and of filters, is less."""
+MOVES_M = 2.0
+"""Least extent of the track by scans alone that shows motion: people who walk by a standing robot
+are matched for some decimetres."""
+
+
+def _extent_m(pose: FloatArray) -> float:
+    """The diagonal of the rectangle that holds all positions [m]."""
+    return float(np.hypot(*np.ptp(pose[:, :2], axis=0))) if len(pose) else 0.0
+
+
+def _run(
+    read: LogRead, source: JunctionSource, odometry: OdometryTopic | None, body: str | None
+) -> Run:
+    """The run by scans and this odometry, if any; body: the robot's frame, if it is known."""
+    warnings = list(read.warnings)
+    found = lasers(read, source, body)
+    if odometry is None:
+        found = found.widest()
     first = found.used[0]
     clock = _clock(odometry, first, read, warnings)
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source, first)}}
@@ -45,21 +80,26 @@ def with_scans(read: LogRead, source: JunctionSource) -> Run:
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        result, stream, told = _detected(scans, way.odometry if way else None)
+        result, stream, told, used = _by_all_or_one(scans, way.odometry if way else None)
     except DataError as error:
         named = ", ".join(laser.topic for laser in found.used)
         raise DataError(f"{read.log}: {named}: {error}") from error
+    unfit = {laser.topic: ALONE for laser in found.used if laser not in used}
+    left_out = {**found.left_out, **unfit}
     warnings += [*told, *stream.warnings, *result.warnings]
     about["junctions"] |= {"messages": stream.messages, **_told(result.statistics)}
-    if len(found.used) > 1:
-        about["junctions"]["lasers"] = [laser.topic for laser in found.used]
+    if len(used) > 1:
+        about["junctions"]["lasers"] = [laser.topic for laser in used]
+    if left_out:
+        about["left_out"] = left_out
+    about["junctions"] |= {"topic": used[0].topic, "type": used[0].choice.type_name}
     return Run(
         read.run,
         result.odometry,
         NO_DETECTIONS,
         about,
         tuple(warnings),
-        scanned=Scanned(result.passes, result.noise, result.picture),
+        scanned=result.scanned,
     )
 
 
@@ -111,6 +151,30 @@ class _Scans:
         )
 
 
+ALONE = "together with the others it gives no map"
+
+
+def _by_all_or_one(
+    scans: _Scans, odometry: Odometry | None
+) -> tuple[ScanResult, InterleavedScans, list[str], tuple[Laser, ...]]:
+    """The result of all lasers or, if it is none, as where the log mounts one wrongly, that of the
+    first one that has one alone; the lasers used."""
+    lasers = scans.lasers
+    try:
+        return *_detected(scans, odometry), lasers.used
+    except DataError as error:
+        for laser in lasers.used if len(lasers.used) > 1 else ():
+            try:
+                alone = replace(scans, lasers=replace(lasers, used=(laser,)))
+                result, stream, told = _detected(alone, odometry)
+            except DataError:
+                continue  # the error of all is raised if none is left
+            topics = ", ".join(each.topic for each in lasers.used)
+            told.append(f"{topics} together: {error}; {laser.topic} is used alone")
+            return result, stream, told, (laser,)
+        raise
+
+
 def _detected(
     scans: _Scans, odometry: Odometry | None
 ) -> tuple[ScanResult, InterleavedScans, list[str]]:
@@ -132,6 +196,14 @@ def _detected(
                 f"{error}, as those of a laser upside down do; taken to be mounted so, which the "
                 "log does not say"
             )
+        except OtherClockError as error:
+            way_out = (
+                "--time log takes the times of recording in place of the header's"
+                if scans.clock == "header"
+                else "without --time log, or with other stamps, they may fit"
+            )
+            why = f"{error}: they are of another drive, or the two topics' clocks differ; {way_out}"
+            raise DataError("; ".join((why, *stream.warnings))) from error
         except LaggingError as error:
             assert odometry is not None
             may_lag = False
@@ -143,7 +215,7 @@ def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) 
     """`detect`, with the faults of the scans added to errors."""
     try:
         return detect(odometry, stream, may_lag=may_lag)
-    except (MirroredError, LaggingError):
+    except (MirroredError, LaggingError, OtherClockError):
         raise
     except DataError as error:
         raise DataError("; ".join((str(error), *stream.warnings))) from error

@@ -24,7 +24,7 @@ class TopicPoses:
     """The poses of one topic.
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: their
-    number; failed, not_finite, zero_quaternion, empty, elsewhere: numbers of unusable ones;
+    number; failed, not_finite, zero_quaternion, empty, elsewhere, vague: numbers of unusable ones;
     foreign: messages of another type; reason: why the first of `failed` could not be decoded;
     rivals: other frames that could be the odometry's.
     """
@@ -37,6 +37,7 @@ class TopicPoses:
     zero_quaternion: int = 0
     empty: int = 0
     elsewhere: int = 0
+    vague: int = 0
     foreign: int = 0
     reason: str = ""
     rivals: tuple[tuple[str, str], ...] = ()
@@ -57,14 +58,17 @@ class TopicPoses:
                 columns.frame = np.array(numbers, np.int64)[columns.frame]
             parts.append(columns)
             before += sink.messages
+        columns = _by_log_time(parts)
+        vague = _vague(columns)
         return cls(
-            _by_log_time(parts),
+            take(columns, ~vague) if vague.any() else columns,
             tuple(frames),
             before,
             sum(sink.failed for sink in sinks),
             sum(sink.not_finite for sink in sinks),
             sum(sink.zero_quaternion for sink in sinks),
             sum(sink.empty for sink in sinks),
+            vague=int(vague.sum()),
             reason=next((sink.reason for sink in sinks if sink.reason), ""),
         )
 
@@ -89,6 +93,7 @@ class TopicPoses:
             (self.foreign, "message", "are of another type"),
             (self.empty, "message", "hold no pose"),
             (self.elsewhere, "pose", "are between other frames"),
+            (self.vague, "pose", f"state an error of more than {VAGUE_M:g} m, unlike the others"),
             (self.not_finite, "pose", "hold numbers that are not finite or absurdly large"),
             (self.zero_quaternion, "pose", "have a quaternion of zero length"),
         ):
@@ -101,6 +106,23 @@ class TopicPoses:
                 "--base-frame chooses"
             )
         return out
+
+
+VAGUE_M = 1.0
+"""Stated 1 sigma of a position from which on a pose may be one of a localisation that is lost: it
+lies in another room then."""
+VAGUER = 10.0
+"""So many times the lower quartile of all stated sigmas: those of dead reckoning, which grow with
+the way or its root, reach 4 times."""
+
+
+def _vague(columns: PoseColumns) -> BoolArray:
+    """(k,) which poses are stated to be far more uncertain than most."""
+    sigma_m = columns.sigma_m
+    if sigma_m is None or np.isnan(sigma_m).all():
+        return np.zeros(len(columns.pose), np.bool_)
+    usual = float(np.nanquantile(sigma_m, 0.25, method="lower"))
+    return np.asarray(sigma_m > max(VAGUE_M, VAGUER * usual))
 
 
 def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:

@@ -320,10 +320,10 @@ def _drove(seen: _Seen, run: str, edges: Sequence[int]) -> Witness:
     return Witness(run, int(m.traversals[list(edges)].sum()), told.first_ns, told.last_ns)
 
 
-def _needed(asked: int) -> float:
+def _needed(tests: int) -> float:
     """Threshold [bits] for the number of tests: half of the false rate is for corridors, half for
     junctions. It exceeds what one junction can contribute, so that it takes two."""
-    several = float(np.log2(2 * max(asked, 1) / CHANGES.false_rate))
+    several = float(np.log2(2 * max(tests, 1) / CHANGES.false_rate))
     return max(several, -float(np.log2(CHANGES.least_fault_rate)))
 
 
@@ -334,12 +334,12 @@ def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -
     last = max(w.last_ns for w in doubt.there)
     after = [(w, p) for w, p in doubt.missing if w.first_ns > last]
     before = [(w, p) for w, p in doubt.missing if w.last_ns < first]
-    kind, said = ChangeKind.DIFFERS, list(doubt.missing)
-    if len(after) == len(said):
+    kind, missing = ChangeKind.DIFFERS, list(doubt.missing)
+    if len(after) == len(missing):
         kind = ChangeKind.GONE
-    elif len(before) == len(said):
+    elif len(before) == len(missing):
         kind = ChangeKind.NEW
-    chance = float(np.prod([p for _, p in said])) + doubt.invented
+    chance = float(np.prod([p for _, p in missing])) + doubt.invented
     x, y = rounded(doubt.xy, METRES)
     return Change(
         thing=doubt.thing,
@@ -349,7 +349,7 @@ def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -
         xy=(x, y),
         length=None if doubt.length is None else float(rounded(doubt.length, METRES)),
         there=tuple(sorted(doubt.there, key=lambda w: (w.first_ns, w.run))),
-        missing=tuple(sorted((w for w, _ in said), key=lambda w: (w.first_ns, w.run))),
+        missing=tuple(sorted((w for w, _ in missing), key=lambda w: (w.first_ns, w.run))),
         bits=max(0.0, -float(np.log2(min(chance, 1.0)))),
         needed=needed,
     )

@@ -120,7 +120,7 @@ def because(decision: Decision) -> str:
     if decided := _by_a_person(said):
         return decided
     if not decision.placements:
-        return "Nothing that chance would not offer: no corridor of one is like one of the other."
+        return "No significant match: no similar corridors."
     if decision.start is not None:
         return _given_up(said, decision.start, decision.placements[0])
     agree = agreement(decision.placements[0])
@@ -129,7 +129,7 @@ def because(decision: Decision) -> str:
         alone = "" if len(decision.placements) > 1 else "; no other placement comes near"
         return f"{agree}{but}{alone}."
     if said.verdict is Verdict.UNRELATED:
-        return f"Nothing that chance would not offer: {agree}; that is too little."
+        return f"No significant match: {agree}; too little evidence."
     return f"{agree}; {said.reason.rsplit('; ', 1)[-1]}."
 
 
@@ -144,14 +144,14 @@ def _by_a_person(said: PairVerdict) -> str:
 
 
 def _given_up(said: PairVerdict, start: Start, shown: Placement) -> str:
-    """Why the best hypothesis was given up; shown: what it began with."""
+    """Why the best hypothesis was rejected. shown: the placement that it began with."""
     count = counted(start.hypotheses, "hypothesis", "hypotheses")
     begun = counted(len(shown.alignment.matched), "junction")
-    found = f"{start.found} of them {'is' if start.found == 1 else 'are'} there"
+    found = f"{start.found} {'was' if start.found == 1 else 'were'} found"
     return (
-        f"Nothing that chance would not offer: the best of {count}, begun with the {begun} shown, "
-        f"lays {start.expected} of {short(said.b)} where {short(said.a)} has been, and {found}, "
-        f"where {start.needed} must be. It was given up, and counts as 0 bits."
+        f"No significant match: the best of {count}, begun with the {begun} shown, was rejected. "
+        f"Of {counted(start.expected, 'junction')} of {short(said.b)} that it places where "
+        f"{short(said.a)} has been, {found}; {start.needed} needed. It counts as 0 bits."
     )
 
 

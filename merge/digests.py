@@ -13,8 +13,9 @@ from ..topology.topomap import TopoMap
 DIGEST = 16
 """Bytes of a digest: a collision is expected after 2⁶⁴ contents."""
 
-NOT_CONTENT = frozenset({"run", "frame", "closures", "info", "turning_points"})
-"""Fields of a map that matching does not use."""
+NOT_CONTENT = frozenset({"run", "frame", "closures", "info", "turning_points", "views"})
+"""Fields of a map that matching does not use; and its views, which are content where there are
+any."""
 
 
 def digested(*parts: bytes) -> bytes:
@@ -25,9 +26,11 @@ def digested(*parts: bytes) -> bytes:
 def digest_of(topomap: TopoMap) -> bytes:
     """A 16-byte digest of a map's content, independent of the name of its run."""
     parts: list[bytes] = []
-    for name, told in _CONTENT:
-        parts.append(told)
+    for name, label in _CONTENT:
+        parts.append(label)
         parts += _parts(getattr(topomap, name))
+    if len(topomap.views):
+        parts += [b"views:", *_parts(topomap.views.pose), *_parts(topomap.views.cells)]
     return digested(*parts)
 
 

@@ -112,7 +112,11 @@ def _parts(result: MergeResult) -> dict[str, Any]:
     """The document; lists that may be long are iterators."""
     graph: dict[str, Any] = {
         "components": [
-            {"id": c.id, "runs": {run: pose_to_document(c.poses[run]) for run in sorted(c.poses)}}
+            {
+                "id": c.id,
+                **({"site": c.site} if c.site else {}),
+                "runs": {run: pose_to_document(c.poses[run]) for run in sorted(c.poses)},
+            }
             for c in result.components
         ]
     }
@@ -230,7 +234,11 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     """
     graph = document.graph
     components = tuple(
-        Component(c.id, {run: _pose_from(pose) for run, pose in sorted(c.runs.items())})
+        Component(
+            c.id,
+            {run: _pose_from(pose) for run, pose in sorted(c.runs.items())},
+            site=c.site or "",
+        )
         for c in graph.components
     )
     fused = _fused_from(document)

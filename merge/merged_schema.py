@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+import re
+from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
 from ..topology.map_schema import (
     Attributes,
@@ -21,6 +22,22 @@ from .result import AcceptedBy, Verdict
 MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
 
 
+def is_site_name(name: str) -> bool:
+    """Whether a site can be called so: a plain file name, as exports are called like their site,
+    without the colon between two runs. 200 bytes leave room for suffixes."""
+    plain = name.isprintable() and not name.startswith(".") and not re.search(r"[/\\:]", name)
+    return bool(name.strip()) and plain and len(name.encode()) <= 200
+
+
+def _checked_site_name(name: str) -> str:
+    if not is_site_name(name):
+        raise ValueError(f"{name[:40]!r} cannot name a site: it must work as a file name")
+    return name
+
+
+SiteName = Annotated[str, AfterValidator(_checked_site_name)]
+
+
 class Pose(Model):
     """A rigid transform of the plane: metres and radians."""
 
@@ -33,6 +50,11 @@ class ComponentEntry(Model):
     """Runs in one frame; a run's pose takes its map's coordinates to the component's."""
 
     id: Index = Field(description="Number of the component.")
+    site: SiteName | None = Field(
+        None,
+        description="Its name, which stays from merge to merge where the number may change; no "
+        "other component has it.",
+    )
     runs: dict[str, Pose] = Field(description="Pose of every run's map in the component's frame.")
 
 
@@ -41,7 +63,7 @@ class UnlistedPairs(Model):
 
     joined: Index = Field(description="In one component, through other runs.")
     unrelated: Index = Field(
-        description="Not in one component; matched, with nothing that chance would not offer."
+        description="Not in one component; matched, without a significant match."
     )
     screened: Index = Field(
         description="Not in one component and not matched: no corridors that hang together look "
@@ -71,6 +93,18 @@ class MergedGraph(Attributes):
         "one was matched to.",
     )
     warnings: list[str] | None = Field(None, description="What is odd about the runs.")
+
+    @model_validator(mode="after")
+    def _sites_differ(self) -> MergedGraph:
+        names = [c.site for c in self.components if c.site is not None]
+        if len(set(names)) < len(names):
+            raise ValueError("two components are called like one site")
+        return self
+
+    @property
+    def sites(self) -> dict[str, str]:
+        """The site of every run, where it has a name."""
+        return {run: c.site for c in self.components for run in c.runs if c.site is not None}
 
     @property
     def home(self) -> dict[str, int]:

@@ -70,13 +70,13 @@ def merge_maps(
     asked = ((v.a, v.b) for v in shown)
     components, fused = fuse(ordered, verdicts, asked=asked, kept=means.kept)
     fused = with_turning_ends(fused, components, ordered)
-    told = _with_placements(shown, components)
+    placed = _with_placements(shown, components)
     same = _same_recordings(ordered, means.kept.digest if means.kept else digest_of)
     return MergeResult(
         components,
         fused,
-        told,
-        info=_info(settings, components, told, same),
+        placed,
+        info=_info(settings, components, placed, same),
         unlisted=_unlisted(len(ordered), verdicts, shown, components),
         kept_entry=means.kept_entry,
     )
@@ -176,14 +176,14 @@ def _with_placements(
             out.append(v)
             continue
         through = chains[v.a, v.b]
-        told = f"joined through {listed(through, 3)}"
+        description = f"joined through {listed(through, 3)}"
         if placed is not None:
             vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
-            told = (
-                f"{told}, placed to {told_placement(*placed)} (1 sigma)"
+            description = (
+                f"{description}, placed to {told_placement(*placed)} (1 sigma)"
                 f"{', too vaguely to count on it' if vague else ''}"
             )
-        reason = f"{told}{ALONE}{v.reason}"
+        reason = f"{description}{ALONE}{v.reason}"
         out.append(replace(v, reason=reason, through=through, placed=placed))
     return tuple(out)
 

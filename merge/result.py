@@ -168,8 +168,8 @@ class Spread:
         both = A @ self._cross(i, j)
         whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
         whole += self.own[j]
-        told = np.einsum("kii->ki", whole) > ROUNDING * np.einsum("kii->ki", self.own[j])
-        return np.asarray(whole * told[:, :, None] * told[:, None, :])
+        significant = np.einsum("kii->ki", whole) > ROUNDING * np.einsum("kii->ki", self.own[j])
+        return np.asarray(whole * significant[:, :, None] * significant[:, None, :])
 
     def sigmas(
         self, pairs: Sequence[tuple[str, str]], share: float = ONE_SIGMA
@@ -217,12 +217,19 @@ def _seen_from(x: FloatArray, y: FloatArray) -> FloatArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
     """Runs that were merged; `poses[run]` is T_component_run (3,); spread: joint errors, if asked
-    for; text: the document's text of its places (`document.places_text`), if known."""
+    for; text: the document's text of its places (`document.places_text`), if known; site: its name
+    (`sites.site_names`), if it was given one."""
 
     id: int
     poses: Mapping[str, FloatArray]
     spread: Spread | None = None
     text: bytes = b""
+    site: str = ""
+
+    @property
+    def name(self) -> str:
+        """What it is called: its site, or its number."""
+        return self.site or f"component {self.id}"
 
 
 class Late(Sequence[T]):
@@ -298,6 +305,23 @@ class FusedMap(Graph):
         return float(self.length[: self.corridors].sum()), float(
             self.length[self.corridors :].sum()
         )
+
+
+def of_site(result: MergeResult, component: int) -> MergeResult:
+    """The part of a merge that is about one component. O(n + m + pairs)."""
+    fused = result.fused
+    chosen = fused.component == component
+    own = tuple(c for c in result.components if c.id == component)
+    runs = {run for c in own for run in c.poses}
+    more = columns_of(fused, ("component", "members", "observations", "position_sigma"), chosen)
+    edges = columns_of(fused, ("edge_members",), chosen[fused.source])
+    return replace(
+        result,
+        components=own,
+        fused=FusedMap(**graph_part(fused, chosen), **more, **edges),
+        verdicts=tuple(v for v in result.verdicts if {v.a, v.b} <= runs),
+        unlisted=None,
+    )
 
 
 def pairs_of(runs: int) -> int:
@@ -391,8 +415,8 @@ class MergeResult:
     @property
     def threshold_bits(self) -> float | None:
         """What merging two runs by themselves takes; those that components joined took less."""
-        told = (pair.threshold_bits for pair in self.verdicts)
-        return max((bits for bits in told if bits is not None), default=None)
+        thresholds = (pair.threshold_bits for pair in self.verdicts)
+        return max((bits for bits in thresholds if bits is not None), default=None)
 
 
 def shown_bits(bits: float, digits: int = 1) -> str:

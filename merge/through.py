@@ -22,15 +22,15 @@ def joined_through(verdicts: Iterable[PairVerdict]) -> dict[tuple[str, str], tup
     ends = np.array([(row[v.a], row[v.b]) for v in pairs if v.accepted], np.int64).reshape(-1, 2)
     graph = csr_array((np.ones(len(ends)), (ends[:, 0], ends[:, 1])), shape=(len(runs),) * 2)
     label = connected_components(graph, directed=False)[1].tolist()
-    asked: dict[int, list[tuple[int, int]]] = {}
+    candidates: dict[int, list[tuple[int, int]]] = {}
     for v in pairs:
         i, j = row[v.a], row[v.b]
         if not v.accepted and label[i] == label[j]:
-            asked.setdefault(label[i], []).append((i, j))
+            candidates.setdefault(label[i], []).append((i, j))
     members = np.argsort(label, kind="stable")
     first = np.searchsorted(np.array(label)[members], np.arange(len(runs) + 1))
     out = {}
-    for own, both in asked.items():
+    for own, both in candidates.items():
         nodes = members[first[own] : first[own + 1]]
         for i, j, between in _chains(graph[nodes][:, nodes], np.searchsorted(nodes, both)):
             out[runs[nodes[i]], runs[nodes[j]]] = tuple(runs[nodes[k]] for k in between)

@@ -43,8 +43,8 @@ def corridor_lengths(
     bend = np.array([max(float(way[legs[0]] - line[legs[0]]), 1e-9) for legs in sound])
     # Differences of drives in order of time: sorted by length they would be too small.
     apart = [np.diff(way[np.sort(k)]) ** 2 / (2 * b) for k, b in zip(sound, bend, strict=True)]
-    told = np.concatenate([np.zeros(0), *apart])
-    ratio = float(np.median(told)) / MEDIAN_CHI2 if len(told) else 0.0
+    ratios = np.concatenate([np.zeros(0), *apart])
+    ratio = float(np.median(ratios)) / MEDIAN_CHI2 if len(ratios) else 0.0
     like_m = LIKE_SIGMAS * np.sqrt(ratio * bend)
     length, leg = np.zeros(len(sound)), np.zeros(len(sound), np.int64)
     for e, legs in enumerate(sound):
@@ -112,7 +112,7 @@ def length_variances(topomap: TopoMap) -> tuple[FloatArray, FloatArray]:
     rest -= straight**2 * apart
     beyond = np.maximum(length - chord, 0.0)
     way = np.clip(rest, driven, driven + beyond**2 / times)
-    told = apart + (rest - way) / np.maximum(straight, LEAST_M) ** 2
+    chord_variance = apart + (rest - way) / np.maximum(straight, LEAST_M) ** 2
     # Of junctions that all passes see alike, some are seen much worse than the run's median.
     explained = EXPLAINED * apart if noise.shared_centre_m == 0 else np.inf
-    return way, np.maximum(told - explained, 0.0)
+    return way, np.maximum(chord_variance - explained, 0.0)

@@ -27,22 +27,24 @@ def junctions_told(info: Mapping[str, Any]) -> str:
         return f"junctions from {topic}, not from {others} (--junctions-from scan takes these)"
     if way == "grid":
         return f"junctions from the grid {topic}"
-    told = [f"junctions from {topic}"]
+    parts = [f"junctions from {topic}"]
     if others:
-        told.append(f"not from {others}")
+        parts.append(f"not from {others}")
     before, after = (_number(junctions, f"drift_{when}_m") for when in ("before", "after"))
     if after is not None and before is not None and junctions.get("odometry"):
-        told.append(f"drift in 20 m {before:.2f} m before, {after:.2f} m after matching scans")
+        parts.append(f"drift in 20 m {before:.2f} m before, {after:.2f} m after matching scans")
     elif after is not None:
-        told.append(f"drift in 20 m {after:.2f} m")
+        parts.append(f"drift in 20 m {after:.2f} m")
     driven = _inside(info, "driven")
     shares = (
         (_number(junctions, "covered"), "of the way covered", 0.0),
         (_number(driven, "corridors"), "of it along corridors or to turning points", 0.0),
         (_number(driven, "out_and_back"), "out of a junction and back to it", LEAST_TOLD),
     )
-    told += [f"{100 * s:.0f} % {what}" for s, what, least in shares if s is not None and s >= least]
-    return ", ".join(told)
+    parts += [
+        f"{100 * s:.0f} % {what}" for s, what, least in shares if s is not None and s >= least
+    ]
+    return ", ".join(parts)
 
 
 def _inside(info: Mapping[str, Any], key: str) -> Mapping[str, Any]:

@@ -53,10 +53,10 @@ class MapBuildingSettings:
     """Points of tracks closer than this have no wall between them: about the width of a robot on
     either side."""
     corner_m: float = 0.5
-    """A turn within this distance to either side is a corner of the corridor that the robot cut
-    …"""
+    """Corners that the robot cut: the track's turn is measured over this distance to either
+    side."""
     corner_rad: float = 0.5
-    """… if it is at least this large; smaller ones are bends."""
+    """A turn at least this large is a corner of the corridor, a smaller one a bend."""
     standing_m: float = 0.05
     """Time that the robot spends within this path length of a centre, standing or turning on the
     spot, is not counted as driving time."""
@@ -286,10 +286,10 @@ class _Edges:
     wander: float
     """Variance of the lengths of drives through one corridor, per metre [m]."""
     detour: float
-    """Share of the length beyond the chord that is the robots' choice and differs from drive to
-    drive …"""
+    """Detours, which differ from drive to drive: their share of the length beyond the chord
+    (`_chosen_detour`)."""
     farthest_m: float
-    """… and its largest plausible value [m] (`_chosen_detour`)."""
+    """Largest plausible detour [m] (`_chosen_detour`)."""
 
 
 def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges:
@@ -365,9 +365,9 @@ def _chosen_detour(legs: _Legs, corridors: list[IntArray], xy: FloatArray) -> tu
     row = np.concatenate(again)
     shortest = np.concatenate([np.full(len(m), legs.length[m].min()) for m in again])
     line = np.hypot(*(xy[legs.target[row]] - xy[legs.source[row]]).T)
-    chosen, gone = legs.length[row] - shortest, legs.length[row] - line
-    usual = float((chosen**2).sum()) / (len(row) - len(again))
-    share = usual / max(float(np.mean(gone**2)), 1e-9)
+    detour, excess = legs.length[row] - shortest, legs.length[row] - line
+    usual = float((detour**2).sum()) / (len(row) - len(again))
+    share = usual / max(float(np.mean(excess**2)), 1e-9)
     return float(np.sqrt(min(share, 1.0))), LIKE_SIGMAS * float(np.sqrt(usual))
 
 

@@ -134,9 +134,9 @@ def _last_about(path: FloatArray, near_m: float) -> IntArray:
     out = np.arange(len(path))
     for aside in (-width, 0, width):
         for step in (-1, 0, 1):
-            wanted = square + aside + step
-            at = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-            out = np.maximum(out, np.where(keys[at] == wanted, rows[at], 0))
+            cell = square + aside + step
+            at = np.minimum(np.searchsorted(keys, cell), len(keys) - 1)
+            out = np.maximum(out, np.where(keys[at] == cell, rows[at], 0))
     return out
 
 

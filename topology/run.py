@@ -14,6 +14,7 @@ from .odometry import Odometry
 from .passes import check_passes
 from .ragged import Ragged
 from .topomap import RunNoise
+from .views import NO_VIEWS, Views
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,13 +125,40 @@ class ScanPicture:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SeenAgain:
+    """Pairs of times at which the robot was near one place, as views show.
+
+    first_ns, second_ns: (k,) times; information: (k, 3, 3) of the second pose relative to the
+    first, in the axes of the odometry frame, as the corrected odometry has it [1/m², 1/rad²].
+    """
+
+    first_ns: IntArray
+    second_ns: IntArray
+    information: FloatArray
+
+    def __post_init__(self) -> None:
+        k = len(self.first_ns)
+        freeze(self, np.int64, first_ns=(k,), second_ns=(k,))
+        freeze(self, np.float64, information=(k, 3, 3))
+
+    def __len__(self) -> int:
+        return len(self.first_ns)
+
+
+NOT_SEEN_AGAIN = SeenAgain(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3, 3)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
     """Junctions detected in scans; noise: of the odometry corrected by scan matching and of the
-    passes; picture: the detector's input, if it was kept."""
+    passes; picture: the detector's input, if it was kept; views: around places of the track, posed
+    in the odometry frame; loops: where the track came by a place again."""
 
     passes: ScanPasses
     noise: RunNoise
     picture: ScanPicture | None = None
+    views: Views = NO_VIEWS
+    loops: SeenAgain = NOT_SEEN_AGAIN
 
 
 class Grid(NamedTuple):

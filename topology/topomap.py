@@ -13,6 +13,7 @@ from .frozen import freeze, frozen_array, frozen_rows
 from .passes import NO_BRANCH
 from .ragged import Ragged
 from .turning_points import KINDS, NO_TURNING_POINTS, TurningPoints
+from .views import NO_VIEWS, Views
 
 VERTEX_COLUMNS = ("xy", "branches", "kind")
 EDGE_COLUMNS = (
@@ -129,7 +130,8 @@ class TopoMap(Graph):
     confidence: (n,) in (0, 1], probability that a vertex has exactly its branches, or one number
     for all: 1 for maps from detections. shows_bends: whether the detector reports places with two
     branches; those of scans and grids do not. turning_points: dead ends of the track that are not
-    vertices; `turning_vertices.with_turning_points` makes vertices of them. Raises ValueError where
+    vertices; `turning_vertices.with_turning_points` makes vertices of them. views: what a laser or
+    a grid shows around places of the run, posed in the map's frame. Raises ValueError where
     shapes, indices or values do not fit.
     """
 
@@ -146,6 +148,7 @@ class TopoMap(Graph):
     confidence: FloatArray = field(default_factory=lambda: ALL_SURE)
     shows_bends: bool = True
     turning_points: TurningPoints = NO_TURNING_POINTS
+    views: Views = NO_VIEWS
     info: Mapping[str, Any] = field(default_factory=dict)
     """Other entries of the document's `graph`: source, settings, warnings. JSON values only."""
 

@@ -165,8 +165,8 @@ def _excursions(
     away[real], home[real] = branches
     drives = list(_drives(odometry, visits, xy, (real, away, home), settings))
     visit = np.array([d.visit for d in drives], np.int64)
-    come, gone = _standing(odometry, np.array([d.far_way_m for d in drives]))
-    times = np.stack([visits.time_ns[visit], come, gone, visits.time_ns[visit + 1]], axis=1)
+    arrival, departure = _standing(odometry, np.array([d.far_way_m for d in drives]))
+    times = np.stack([visits.time_ns[visit], arrival, departure, visits.time_ns[visit + 1]], axis=1)
     halves = (4 * np.arange(len(drives))[:, None] + np.array([0, 2])).ravel().astype(np.int64)
     between = times_between(odometry, times.ravel(), halves, settings.standing_m).reshape(-1, 2, 2)
     for k, d in enumerate(drives):
@@ -180,7 +180,7 @@ def _excursions(
             length=float(way_of(d.path)[-1]),
             way_m=d.way_m,
             returns=not (d.begins or d.ends),
-            time_ns=int(come[k]),
+            time_ns=int(arrival[k]),
             traversal_ns=np.array(whole if d.ends else [*whole, back]),
         )
 
@@ -334,8 +334,8 @@ def _standing(odometry: Odometry, way_m: FloatArray) -> tuple[IntArray, IntArray
     first = np.interp(way_m, way[come], seconds[come])
     until = np.maximum(np.interp(way_m, way[last], seconds[last]), first)
     both = (np.round(x * 1e3).astype(np.int64) * 10**6 for x in (first, until))
-    begun, gone = (odometry.time_ns[0] + x for x in both)
-    return begun, gone
+    first_ns, last_ns = (odometry.time_ns[0] + x for x in both)
+    return first_ns, last_ns
 
 
 def _as_points(

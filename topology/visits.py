@@ -10,7 +10,7 @@ from .arrays import BoolArray, FloatArray, IntArray
 from .odometry import Odometry
 from .ragged import numbered
 from .se2 import turned, wrap
-from .track import point_at, way_at
+from .track import piece_of, point_at, way_at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,3 +89,36 @@ def draw_track(
     turn = visits.pose[first, 2][owner]
     turn = turn + share * wrap(visits.pose[first + 1, 2][owner] - turn)
     return DrawnTrack(owner, offsets, s, odom, drawn, np.asarray(wrap(turn)))
+
+
+def in_map_frame(
+    odometry: Odometry, visits: Visits, xy: FloatArray, time_ns: IntArray, pose: FloatArray
+) -> FloatArray:
+    """(k, 3) poses of the odometry frame at times (k,) in the map frame, transformed and
+    interpolated as the track is by `draw_track`; before the first and after the last visit of a
+    piece, as seen from that one.
+
+    xy: (n, 2) vertices. Poses of pieces without a visit come out as NaN.
+    """
+    out = np.full((len(time_ns), 3), np.nan)
+    at, piece = way_at(odometry, time_ns), piece_of(odometry, time_ns)
+    visited = way_at(odometry, visits.time_ns)
+    for k in np.unique(piece):
+        mine, own = np.flatnonzero(piece == k), np.flatnonzero(visits.piece == k)
+        if not len(own):
+            continue
+        after = np.clip(np.searchsorted(visited[own], at[mine]), 0, len(own) - 1)
+        one, two = own[np.maximum(after - 1, 0)], own[after]
+        length = visited[two] - visited[one]
+        share = np.clip((at[mine] - visited[one]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        seen = [
+            xy[visits.vertex[visit]]
+            + turned(pose[mine, :2] - visits.centre[visit], visits.pose[visit, 2])
+            for visit in (one, two)
+        ]
+        w = share[:, None]
+        turn = visits.pose[one, 2]
+        turn = turn + share * wrap(visits.pose[two, 2] - turn)
+        out[mine, :2] = (1 - w) * seen[0] + w * seen[1]
+        out[mine, 2] = wrap(pose[mine, 2] + turn)
+    return out

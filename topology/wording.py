@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
 
@@ -16,6 +17,17 @@ def utc(time_ns: int, form: str = "%Y-%m-%d %H:%M:%S") -> str:
         return datetime.fromtimestamp(seconds, UTC).strftime(form)
     except (OverflowError, ValueError, OSError):
         return f"second {seconds}"  # a clock far outside of any calendar
+
+
+_FORMULA = re.compile(r"[=+\-@\t\r\n]")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+
+
+def quoted_formula(cell: str) -> str:
+    """A cell of a CSV table; what spreadsheets may run as a formula gets an apostrophe in front, by
+    which they take it for text (OWASP, CSV injection)."""
+    runs = _FORMULA.match(cell) and not _NUMBER.fullmatch(cell)
+    return f"'{cell}" if runs else cell
 
 
 def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:

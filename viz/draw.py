@@ -8,14 +8,17 @@ import numpy as np
 
 from ..merge.decision import Decision, Term
 from ..merge.decision_text import because, digits_of, headline, itemised, missing, short
+from ..merge.drive import Drive
 from ..merge.result import (
     Alignment,
     FusedMap,
     MergeResult,
     PairVerdict,
+    of_site,
     shown_bits,
 )
 from ..topology.arrays import FloatArray
+from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply, compose
 from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_points import TRACK_END, TURNING_POINT
@@ -27,7 +30,6 @@ from .drawing import (
     SHEET_MARGIN,
     bounds,
     branch_arrows,
-    driven_branches,
     extent,
     strands,
 )
@@ -157,11 +159,20 @@ def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatAr
     return out
 
 
-def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Canvas:
+def draw_site(result: MergeResult, component: int, theme: Theme) -> Canvas:
+    """Draw one component of a merge, with the numbers that its junctions have in the document."""
+    numbers = np.flatnonzero(result.fused.component == component).tolist()
+    return draw_merged(of_site(result, component), theme, numbers=numbers)
+
+
+def draw_merged(
+    result: MergeResult, theme: Theme, *, headed: bool = True, numbers: Sequence[int] = ()
+) -> Canvas:
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
-    headed: with a title and the counts above.
+    headed: with a title and the counts above; numbers: of the fused vertices, to be shown beside up
+    to MOST_NUMBERED junctions.
     """
     parts = lay_out(result, for_paper=True)
     cells = [part.cell for part in parts]
@@ -172,6 +183,8 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
     pen = _pen_pt(canvas, result.fused)
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
+        if numbers and result.fused.junctions <= MOST_NUMBERED:
+            _numbered(canvas, result.fused, part, numbers)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
     corridors_m, ways_m = result.fused.lengths_m
@@ -180,9 +193,43 @@ def draw_merged(result: MergeResult, theme: Theme, *, headed: bool = True) -> Ca
         f"{to_turning_points(result.fused.turned, ways_m)}; {counted(pairs, 'pair')} of "
         f"{sum(result.standings().values()):,} merged"
     )
-    title = f"{counted(runs, 'run')} in {counted(len(result.components), 'component')}"
+    title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
+    if len(parts) == 1 and parts[0].component.site:
+        title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
     return canvas
+
+
+def draw_drive(result: MergeResult, drive: Drive, theme: Theme, *, name: str = "drive") -> Canvas:
+    """Draw a drive to record next over the map of its site, with the numbers of the junctions that
+    it passes; result: of this site alone (`result.of_site`)."""
+    (part,) = lay_out(result, for_paper=True)
+    T, ink = part.cell.T_sheet_map, theme["agrees"]
+    way = apply(T, drive.path)
+    cell = part.cell
+    low, high = bounds([corners_of([cell]), way], margin=SHEET_MARGIN)
+    canvas = Canvas(low, high, theme, WIDTH_PT, name)
+    pen = _pen_pt(canvas, result.fused)
+    _fused(canvas, result.fused, part, ranks(result), pen)
+    canvas.lines([way], ink, 4.0, order=Order.EVIDENCE, told=drive.words[0])
+    xy = apply(T, np.array([stop.xy for stop in drive.stops]))
+    canvas.dots(xy[:1], ink, 9.0, order=Order.TIE, ring=True, told="the drive begins here")
+    beside = xy + 9.0 / canvas.points_per_m
+    numbered = {s.junction: k for k, s in enumerate(drive.stops) if s.junction is not None}
+    for number, k in numbered.items():
+        at = (float(beside[k, 0]), float(beside[k, 1]))
+        canvas.words(at, str(number), size_pt=SMALL_PT)
+    marks, *rest = _merged_keys(result, [part], ranks(result), theme)
+    canvas.finish([], [[Key("wide line", ink, "drive to record"), *marks], *rest])
+    return canvas
+
+
+def _numbered(canvas: Canvas, fused: FusedMap, part: Part, numbers: Sequence[int]) -> None:
+    """Write the numbers of a part's junctions beside them."""
+    rows = [k for k in part.vertices.tolist() if fused.kind[k] not in TURNED]
+    xy = apply(part.cell.T_sheet_map, fused.xy[rows].reshape(-1, 2)) + 8.0 / canvas.points_per_m
+    for k, (x, y) in zip(rows, xy.tolist(), strict=True):
+        canvas.words((x, y), str(numbers[k]), size_pt=SMALL_PT)
 
 
 def _title(canvas: Canvas, part: Part) -> str:
@@ -212,7 +259,7 @@ def _merged_keys(
     runs: list[Key] = []
     for part in several:
         if len(several) > 1:
-            runs.append(Key("title", theme["ink"], f"component {part.component.id}"))
+            runs.append(Key("title", theme["ink"], part.component.name))
         names = sorted(part.component.poses)
         runs += [Key("line", theme.run(rank[run]), run) for run in names]
     return [marks, runs]

@@ -9,17 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..merge.result import FusedMap
-from ..topology.arrays import BoolArray, FloatArray, IntArray
-from ..topology.passes import NO_BRANCH
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.polyline import way_of
-from ..topology.se2 import wrap
 from ..topology.topomap import Graph
-
-SAME_BRANCH_RAD = 0.7
-"""A corridor's end that names no branch is assigned the nearest one within this angle."""
-
-LEAVING_M = 1.5
-"""The direction of a corridor at its end is taken over this distance."""
 
 MOST_NUMBERED = 150
 """Up to this many junctions their numbers are always shown; above, only for the one pointed at."""
@@ -41,36 +33,6 @@ def pen_m(graphs: Sequence[Graph]) -> float:
 def extent(graph: Graph) -> FloatArray:
     """(k, 2) the map's vertices and corridor points: what a picture has to hold [m]."""
     return np.concatenate([graph.xy, *graph.paths])
-
-
-def driven_branches(graph: Graph) -> BoolArray:
-    """(total branches,) whether a corridor of the map leaves by the branch.
-
-    A corridor's end that names no branch takes the one nearest in direction, within
-    SAME_BRANCH_RAD. O(branches + edges).
-    """
-    driven = np.zeros(len(graph.branches.values), bool)
-    offsets = graph.branches.offsets
-    for vertex, branch, step in (
-        (graph.source, graph.source_branch, 1),
-        (graph.target, graph.target_branch, -1),
-    ):
-        known = branch != NO_BRANCH
-        driven[offsets[vertex[known]] + branch[known]] = True
-        for edge in np.flatnonzero(~known).tolist():
-            leaving = _leaving(graph.paths[edge][::step])
-            gap = np.abs(wrap(graph.branches[int(vertex[edge])] - leaving))
-            if len(gap) and gap.min() < SAME_BRANCH_RAD:
-                driven[offsets[vertex[edge]] + int(gap.argmin())] = True
-    return driven
-
-
-def _leaving(path: FloatArray) -> float:
-    """Direction in which a polyline leaves its first point [rad]."""
-    away = path - path[0]
-    far = np.hypot(away[:, 0], away[:, 1]) >= LEAVING_M
-    x, y = away[int(far.argmax())] if far.any() else away[-1]
-    return float(np.arctan2(y, x))
 
 
 def branch_arrows(graph: Graph, length_m: float) -> tuple[FloatArray, FloatArray]:

@@ -10,11 +10,12 @@ import rerun as rr
 
 from ..merge.result import FusedMap, MergeResult
 from ..topology.arrays import IntArray
+from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from . import palette
-from .drawing import Strand, branch_arrows, driven_branches, pen_m, strands
+from .drawing import Strand, branch_arrows, pen_m, strands
 from .growing import colour_columns, light_up_by_step
 from .map_sheet import write_cards, write_contradictions, write_own_maps, write_words
 from .parts import Part, legend_step_m, rows_of
@@ -106,7 +107,7 @@ def write_legend(
         return []
     entries: list[tuple[str, palette.Colour]] = []
     for part in several:
-        entries.append((f"component {part.component.id}", palette.TITLE))
+        entries.append((part.component.name, palette.TITLE))
         entries += [(run, colours[run]) for run in sorted(part.component.poses)]
     rows = min(LEGEND_ROWS, len(entries))
     number = np.arange(len(entries))

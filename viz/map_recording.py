@@ -11,13 +11,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ..topology.arrays import FloatArray
+from ..topology.driven_branches import driven_branches
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Grid, Scanned
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .detections import write_detections
-from .drawing import MOST_NUMBERED, branch_arrows, driven_branches, pen_m
+from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .grid_layer import write_grid
 from .growing import light_up
 from .history import History, Question, history, questions

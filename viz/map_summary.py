@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..topology.driven_branches import driven_branches
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
-from .drawing import driven_branches
 from .history import Question
 
 CORRECTIONS = {

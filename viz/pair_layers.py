@@ -100,7 +100,7 @@ def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
     several = [c for c in result.components if len(c.poses) > 1]
     largest = sorted(several, key=lambda c: (-len(c.poses), c.id))
     out = [
-        (f"component {c.id}", min(row[run] for run in c.poses), len(c.poses))
+        (c.name, min(row[run] for run in c.poses), len(c.poses))
         for c in largest
         if len(c.poses) >= LEAST_BLOCK * len(runs)
     ]

@@ -56,9 +56,9 @@ class Part:
         runs = list(self.component.poses)
         if len(runs) == 1:
             return (runs[0],)
-        short = f"{self.component.id}: {len(runs)} runs"
-        junctions = counted(self.junctions, "junction")
-        return (f"component {short} merged, {junctions}", f"component {short}", short)
+        site = self.component.name
+        short = f"{site}: {len(runs)} runs"
+        return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
 
 
 def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:

@@ -9,12 +9,13 @@ from html import escape
 
 import numpy as np
 
-from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..merge.drive import Drive
+from ..merge.result import MergeResult, PairVerdict, Standing, of_site, shown_bits
 from ..topology.made_from import junctions_told
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, listed, utc
 from .canvas import Canvas, legible
-from .draw import draw_map, draw_merged, draw_placements
+from .draw import draw_drive, draw_map, draw_merged, draw_placements
 from .map_summary import minutes
 from .report_style import script, style_sheet, text
 from .report_verdicts import page_data, pair_lists, pair_told, verdict_matrix
@@ -34,7 +35,7 @@ class Report:
 
     maps: of every readable run, by name; result: the last merge or None; warnings: runs that cannot
     be read or have changed since the merge; locks: decisions by a person, as text; versions: of the
-    program and its libraries.
+    program and its libraries; drives: what to record next.
     """
 
     maps: Mapping[str, TopoMap]
@@ -42,6 +43,7 @@ class Report:
     warnings: Sequence[str] = ()
     locks: Sequence[str] = ()
     versions: Sequence[tuple[str, str]] = ()
+    drives: Sequence[Drive] = ()
 
 
 def report_page(report: Report) -> str:
@@ -53,6 +55,7 @@ def report_page(report: Report) -> str:
     parts = [
         _head(report, runs),
         _pictures(report),
+        _drives(report),
         verdict_matrix(result, runs),
         pair_lists(result),
         _health(report, runs),
@@ -85,7 +88,7 @@ def _head(report: Report, runs: Sequence[str]) -> str:
         shared = sum(len(m) > 1 for m in result.fused.members[: result.fused.junctions])
         corridors_m, ways_m = map(round, result.fused.lengths_m)
         facts += [
-            (len(result.components), "component", "components"),
+            (len(result.components), "site", "sites"),
             (result.fused.junctions, "junction", "junctions"),
             (shared, "seen by several runs", "seen by several runs"),
             (corridors_m, "m of corridors", "m of corridors"),
@@ -163,6 +166,32 @@ def _pictures(report: Report) -> str:
     return "\n".join(parts)
 
 
+def _drives(report: Report) -> str:
+    """What to record next: a table, and a picture of each drive."""
+    if report.result is None or not report.drives:
+        return ""
+    rows, pictures = [], []
+    for k, drive in enumerate(report.drives, 1):
+        where, settles = drive.words
+        cells = (k, where, settles, shown_bits(drive.bits), f"{drive.bits_per_m:.3f}")
+        rows.append(f"<tr>{''.join(f'<td>{text(c)}</td>' for c in cells)}</tr>")
+        site = of_site(report.result, drive.component)
+        drawn = draw_drive(site, drive, SWITCHABLE, name=f"drive{k}")
+        opened = " open" if k == 1 else ""
+        pictures.append(
+            f"<details{opened}><summary>{text(f'{k}: {where}')}</summary>"
+            f"<p>{text(drive.way)}</p>{_figure(drawn, where)}</details>"
+        )
+    head = ("", "drive", "would settle", "bits", "bits per metre")
+    header = "".join(f"<th>{text(h)}</th>" for h in head)
+    return (
+        "<h2>What to record next</h2><p>Drives by the evidence that they are expected to bring for "
+        "each metre. Their waypoints: topobatch next --output plan.csv</p>"
+        f'<div class="wide"><table><thead><tr>{header}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>{''.join(pictures)}"
+    )
+
+
 def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
     """Whether both maps are there and hold the vertices that the verdict names."""
     if pair.a not in maps or pair.b not in maps:
@@ -175,12 +204,12 @@ def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
 
 def _health(report: Report, runs: Sequence[str]) -> str:
     """A table with a row for each run: its contents, its noise and its warnings."""
-    home: dict[str, int] = {}
+    home: dict[str, str] = {}
     if report.result is not None:
-        home = {run: c.id for c in report.result.components for run in c.poses}
+        home = {run: c.name for c in report.result.components for run in c.poses}
     head = (
         "run",
-        "component",
+        "site",
         "first pass (UTC)",
         "lasts",
         "passes",

@@ -46,7 +46,7 @@ def verdict_matrix(result: MergeResult | None, runs: Sequence[str]) -> str:
     legend = "".join(
         f"<span>{_swatch(kind)}{text(kind)}</span>" for kind in Standing if count[kind]
     )
-    framed = ", the runs of a component together and framed" if _blocks(result, row) else ""
+    framed = ", the runs of a site together and framed" if _blocks(result, row) else ""
     numbered = f" {numbers_told(result)}" if n <= MOST_NUMBERS else ""
     return (
         f"<h2>Verdicts</h2><p>Every pair of runs{framed}.{numbered}</p>"

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits, shown_lead
+from ..topology.driven_branches import driven_branches
 from ..topology.wording import counted, listed, to_turning_points
-from .drawing import driven_branches
 from .map_summary import bulleted, plain, several
 from .steps import Step
 
@@ -75,7 +75,7 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     kept_out = f", **{out:,}** kept out" if out else ""
     joined = f"**{others:,}** joined through others, " if others else ""
     rows = [
-        f"{several(runs, 'run')} in {several(len(result.components), 'component')}",
+        f"{several(runs, 'run')} of {several(len(result.components), 'site')}",
         f"{several(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
         f"{several(fused.corridors, 'corridor')}, {corridors_m:,.0f} m"
         f"{to_turning_points(fused.turned, ways_m)}",
@@ -172,7 +172,7 @@ def _components(result: MergeResult) -> str:
     size = Counter(result.fused.component[: result.fused.junctions].tolist())
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
     lines = [
-        f"component {c.id}: {counted(size[c.id], 'junction')} from "
+        f"{plain(c.name)}: {counted(size[c.id], 'junction')} from "
         + (
             f"{counted(len(c.poses), 'run')} ({listed([plain(run) for run in sorted(c.poses)])})"
             if len(c.poses) > 1
@@ -180,7 +180,7 @@ def _components(result: MergeResult) -> str:
         )
         for c in order
     ]
-    return "## Components\n\n" + bulleted(lines) if lines else "There are no runs to merge."
+    return "## Sites\n\n" + bulleted(lines) if lines else "There are no runs to merge."
 
 
 def _notes(result: MergeResult) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,8 @@ class PoseColumns:
 
     message: index of the message; part: index of the junction in it; log_ns, stamp_ns: its times;
     frame: number of the frames; pose: x, y [m], theta [rad] or, if poses are kept whole, x, y, z
-    [m], qx, qy, qz, qw.
+    [m], qx, qy, qz, qw; sigma_m: stated 1 sigma of the positions [m], NaN where none is; None if no
+    message can state one.
     """
 
     message: IntArray
@@ -94,6 +96,13 @@ class PoseColumns:
     stamp_ns: IntArray
     frame: IntArray
     pose: FloatArray
+    sigma_m: FloatArray | None = None
+
+
+def states_sigma(channel: Channel) -> bool:
+    """Whether messages of this type can state how uncertain their pose is, and are heeded."""
+    known = ODOMETRY_KINDS.get(channel.type_name)
+    return known is not None and known[1] == "pose_covariance"
 
 
 def usable_poses(value: FloatArray) -> BoolArray:
@@ -135,10 +144,12 @@ def no_columns() -> PoseColumns:
     return PoseColumns(none, none, none, none, none, np.zeros((0, 3)))
 
 
-def _empty_columns(whole: bool) -> tuple[Growing, ...]:
-    """Empty columns for the fields of `PoseColumns`, in their order."""
+def _empty_columns(whole: bool, sigma: bool) -> tuple[Growing, ...]:
+    """Empty columns for the fields of `PoseColumns`, in their order; sigma: whether there is the
+    last one."""
     kinds = ("i4", "u2", "i8", "i8", "i2")
-    return (*(Growing(kind) for kind in kinds), Growing("f8", 7 if whole else 3))
+    columns = (*(Growing(kind) for kind in kinds), Growing("f8", 7 if whole else 3))
+    return (*columns, Growing("f4")) if sigma else columns
 
 
 @dataclass(slots=True)
@@ -224,9 +235,10 @@ class Sink:
     def columns(self) -> PoseColumns:
         """All poses; the sink is empty afterwards, so that they are held once."""
         self.flush()
-        return PoseColumns(
-            *(column.taken() for column in self._columns or _empty_columns(self.whole))
-        )
+        return PoseColumns(*(column.taken() for column in self._columns or self._empty()))
+
+    def _empty(self) -> tuple[Growing, ...]:
+        return _empty_columns(self.whole, states_sigma(self.channel))
 
     def _packed(self, data: Bytes, start: IntArray, size: IntArray) -> BoolArray:
         """Which payloads are zstd streams: ROS 2 can compress single messages."""
@@ -289,7 +301,7 @@ class Sink:
         told = int(changes) + (len(decoded.message) > 0)
         self.empty += len(log_ns) - failed - told
         poses = self._usable(decoded)
-        rows = (
+        rows: tuple[Any, ...] = (
             poses.message + self.messages,
             poses.part,
             log_ns[poses.message],
@@ -298,7 +310,10 @@ class Sink:
             poses.value if self.whole else in_plane(poses.value),
         )
         # Most channels that are described have no message: they take no room for any.
-        self._columns = self._columns or _empty_columns(self.whole)
+        self._columns = self._columns or self._empty()
+        if states_sigma(self.channel):
+            none = np.full(len(poses.message), np.nan)
+            rows = (*rows, none if poses.sigma_m is None else poses.sigma_m)
         for column, more in zip(self._columns, rows, strict=True):
             column.add(more)
         self._kept += len(poses.message)

@@ -24,7 +24,8 @@ class Poses(NamedTuple):
 
     message: (k,) index of the message in the batch; part: (k,) index of the junction in the
     message, if it has several; stamp_ns: (k,) header time; frame: (k,) number in the decoder's
-    frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded.
+    frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded; sigma_m: (k,) 1 sigma of the
+    positions [m] as stated, NaN where not; None if the type of message states none.
     """
 
     message: IntArray
@@ -32,6 +33,7 @@ class Poses(NamedTuple):
     stamp_ns: IntArray
     frame: IntArray
     value: FloatArray
+    sigma_m: FloatArray | None = None
 
     def rows(self, which: NDArray[Any]) -> Poses:
         """The chosen poses, by number or by mask."""
@@ -41,6 +43,7 @@ class Poses(NamedTuple):
             self.stamp_ns[which],
             self.frame[which],
             self.value[which],
+            None if self.sigma_m is None else self.sigma_m[which],
         )
 
 
@@ -107,5 +110,8 @@ def join(parts: Sequence[Poses]) -> Poses:
         return no_poses()
     if len(parts) == 1:
         return parts[0]
-    joined = Poses(*map(np.concatenate, zip(*parts, strict=True)))
+    *columns, sigmas = zip(*parts, strict=True)
+    sigma_m = None if any(s is None for s in sigmas) else np.concatenate(sigmas)
+    message, part, stamp_ns, frame, value = map(np.concatenate, columns)
+    joined = Poses(message, part, stamp_ns, frame, value, sigma_m)
     return joined.rows(np.argsort(joined.message, kind="stable"))

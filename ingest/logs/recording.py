@@ -6,7 +6,7 @@ import hashlib
 import re
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,20 @@ from .mcap import McapFile
 from .messages import UNWANTED, Container, Findings, printable
 from .metadata import BAG_INFORMATION, METADATA_BYTES, Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
+from .split_recordings import (
+    SUFFIX,
+    is_path_of_parts,
+    name_of_parts,
+    path_of_parts,
+    split_recordings,
+)
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import SqliteFile
 
 METADATA = "metadata.yaml"
 NOTES = 12
 """Limit on missing or unexpected files that are named."""
-_SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst|ya?ml))+$", re.IGNORECASE)
 _NAMED = re.compile(r"\.(mcap|bag|db3|bag\.active)(\.(zstd|zst))?$", re.IGNORECASE)
-_PART = re.compile(r"^(?P<stem>.*?)_?(\d{4}(-\d\d){5})?_(?P<number>\d+)$")
-"""Name of a part of a split recording; ROS 1 puts its start time before its number."""
 
 WHOLE_BYTES = 1 << 26
 SAMPLE_BYTES = 1 << 16
@@ -83,10 +87,13 @@ def sniff(path: LogPath) -> str | None:
 
 
 def run_name(path: LogPath) -> str:
-    """The run's name by its log: folder name, or file name without log suffixes."""
+    """The run's name by its log: folder name, or file name without log suffixes; of a split
+    recording without the number of a part."""
     path = log_path(path)
+    if isinstance(path, Path) and is_path_of_parts(path) and not path.exists():
+        return name_of_parts(path)
     name = path.name if path.name not in ("", "..") else path.resolve().name
-    return name if path.is_dir() else _SUFFIX.sub("", name) or name
+    return name if path.is_dir() else SUFFIX.sub("", name) or name
 
 
 def recording_at(path: LogPath) -> Recording:
@@ -97,6 +104,9 @@ def recording_at(path: LogPath) -> Recording:
     if _is_folder(path):
         return _folder(path)
     if not path.exists():
+        parts = _parts_at(path) if isinstance(path, Path) and is_path_of_parts(path) else ()
+        if parts:
+            return Recording(path, parts)
         raise LogError(f"{path}: no such file or folder")
     if not path.is_file():
         raise LogError(f"{path}: is neither a file nor a folder")
@@ -115,6 +125,11 @@ def recording_at(path: LogPath) -> Recording:
             "map (map.yaml) is needed"
         )
     return Recording(path, (path,))
+
+
+def log_exists(path: Path) -> bool:
+    """Whether there is something at a log's path, or the parts of a split recording."""
+    return path.exists() or (is_path_of_parts(path) and bool(_parts_at(path)))
 
 
 def _may_be_log(path: LogPath) -> bool:
@@ -177,14 +192,15 @@ def _sample(path: Path, digest: Any) -> None:
             digest.update(file.read(SAMPLE_BYTES))
 
 
-def find_logs(paths: Sequence[LogPath]) -> list[LogPath]:
+def find_logs(paths: Sequence[LogPath], *, separate: bool = False) -> list[LogPath]:
     """Every log at or below the given paths, sorted, each once.
 
-    A ROS 2 bag folder is one log, and so is a folder with nothing but the parts of one split
-    recording (`NAME_0`, `NAME_1`, …, each beginning where the one before ended). Below a folder,
-    files are logs by content or, so that broken ones are reported, by name; hidden files are
-    skipped; a folder that cannot be listed is returned itself, and reading it raises the error. In
-    a bucket, files are logs by name alone. A path given directly is returned as it is.
+    A ROS 2 bag folder is one log, and so are, unless separate, the parts of a split recording
+    (`NAME_0`, `NAME_1`, …, each beginning where the one before ended): its path is the folder's if
+    nothing else is there, else `NAME_*`. Below a folder, files are logs by content or, so that
+    broken ones are reported, by name; hidden files are skipped; a folder that cannot be listed is
+    returned itself, and reading it raises the error. In a bucket, files are logs by name alone, and
+    parts make one log in a folder of their own only. A path given directly is returned as it is.
 
     Raises LogError for a path that does not exist and for a folder without any log.
     """
@@ -196,7 +212,7 @@ def find_logs(paths: Sequence[LogPath]) -> list[LogPath]:
             continue
         if isinstance(path, RemotePath):
             path.read_all_named(METADATA)
-        below = list(_below(path))
+        below = list(_below(path, separate))
         if not below:
             raise LogError(
                 f"{path}: no log in this folder (MCAP, ROS 1 bag, ROS 2 bag or map.yaml)"
@@ -206,16 +222,35 @@ def find_logs(paths: Sequence[LogPath]) -> list[LogPath]:
     return [*local, *sorted(path for path in found if isinstance(path, RemotePath))]
 
 
-def _below(folder: LogPath) -> Iterator[LogPath]:
+def with_parts_joined(files: Sequence[LogPath]) -> list[LogPath]:
+    """The files; where all parts of a split recording are among them, its path (`find_logs`) in
+    place of theirs."""
+    given: dict[Path, list[LogPath]] = {}
+    for file in files:
+        if isinstance(file, Path) and file.is_file():
+            given.setdefault(file.parent, []).append(file)
+    instead: dict[LogPath, LogPath] = {}
+    for folder, named in given.items():
+        if all(len(parts) == 1 for parts in split_recordings(named, span=None)):
+            continue
+        for log in _listed(folder, separate=False)[0]:
+            with suppress(LogError, OSError):  # reading the files will say why
+                if isinstance(log, Path) and not log.is_file() and not _is_bag_folder(log):
+                    parts = recording_at(log).files
+                    instead |= dict.fromkeys(parts, log) if set(parts) <= set(named) else {}
+    return list(dict.fromkeys(instead.get(file, file) for file in files))
+
+
+def _below(folder: LogPath, separate: bool) -> Iterator[LogPath]:
     # No recursion: folders can be nested deeper than Python's stack.
     waiting = [folder]
     while waiting:
-        logs, folders = _listed(waiting.pop())
+        logs, folders = _listed(waiting.pop(), separate)
         yield from logs
         waiting += folders
 
 
-def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
+def _listed(folder: LogPath, separate: bool) -> tuple[list[LogPath], list[LogPath]]:
     """The logs directly in a folder, and the folders to search."""
     try:
         entries = _entries(folder)
@@ -225,8 +260,8 @@ def _listed(folder: LogPath) -> tuple[list[LogPath], list[LogPath]]:
         folders = [entry for entry in entries if entry.is_dir() and not entry.is_symlink()]
     except (OSError, LogError):
         return [folder], []
-    if len(files) > 1 and _is_split(files):
-        files = [folder]
+    if not separate:
+        files = _with_parts_as_one(folder, files)
     # Broken links, and devices or pipes, which must not be opened: reading reports them.
     others = [e for e in entries if not e.is_file() and not e.is_dir() and _NAMED.search(e.name)]
     return [*files, *others], folders
@@ -261,27 +296,31 @@ def _is_log(path: LogPath) -> bool:
     return kind is not None or named is not None or is_saved_map(path)
 
 
-def _is_split(files: Sequence[LogPath]) -> bool:
-    """Whether files are the parts of one recording, by their names and times."""
-    parts = {}
-    stems = set()
-    for file in files:
-        match = _PART.match(_SUFFIX.sub("", file.name))
-        if match is None:
-            return False
-        stems.add(match["stem"])
-        parts[int(match["number"])] = file
-    if len(stems) != 1 or sorted(parts) != list(range(len(files))):
-        return False
-    before: int | None = None
-    for number in sorted(parts):
-        span = _span(parts[number])
-        if span is None:
-            return False
-        if before is not None and not -SPLIT_OVERLAP_NS <= span[0] - before <= SPLIT_GAP_NS:
-            return False
-        before = span[1]
-    return True
+def _with_parts_as_one(folder: LogPath, files: Sequence[LogPath]) -> list[LogPath]:
+    """The logs of a folder, split recordings as one; in a bucket only one with no others beside."""
+    groups = split_recordings(files, _span)
+    if len(groups) == 1 and len(files) > 1:
+        return [folder]
+    out: list[LogPath] = []
+    for first, *others in groups:
+        if others and isinstance(first, Path):
+            out.append(path_of_parts(first))
+        else:
+            out += [first, *others]
+    return out
+
+
+def _parts_at(path: Path) -> tuple[LogPath, ...]:
+    """The parts of the split recording that a path stands for; their times were compared when they
+    were found."""
+    try:
+        files = [entry for entry in _entries(path.parent) if entry.is_file() and _is_log(entry)]
+    except OSError:
+        return ()
+    for first, *others in split_recordings(files, span=None):
+        if others and isinstance(first, Path) and path_of_parts(first) == path:
+            return first, *others
+    return ()
 
 
 def _span(path: LogPath) -> tuple[int, int] | None:
@@ -308,13 +347,6 @@ def _times(log: Container) -> tuple[int, int] | None:
     if findings.first_ns is None or findings.last_ns is None:
         return None
     return findings.first_ns, findings.last_ns
-
-
-SPLIT_GAP_NS = 5 * 10**9
-"""Longest gap between two parts of one recording."""
-
-SPLIT_OVERLAP_NS = 10**9 // 2
-"""Longest overlap of two parts: messages in flight while the recorder changes files."""
 
 
 def container(path: LogPath, by_index: bool = True) -> Container:
@@ -345,7 +377,7 @@ def opened(path: LogPath, by_index: bool = True) -> Iterator[Container]:
         return
     packed = _here(path, "a file that is compressed as a whole can only be read as a whole")
     with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
-        yield container(_unpack(packed, Path(folder) / _SUFFIX.sub("", path.name)), by_index)
+        yield container(_unpack(packed, Path(folder) / SUFFIX.sub("", path.name)), by_index)
 
 
 def _here(path: LogPath, why: str) -> Path:

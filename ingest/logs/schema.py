@@ -43,6 +43,7 @@ _PRIMITIVE = frozenset(
 EXPECTED = {
     "odometry": [*_HEADER, "string", *_POSE],
     "pose": [*_HEADER, *_POSE],
+    "pose_covariance": [*_HEADER, *_POSE, "[", "float64", "]"],
     "pose_array": [*_HEADER, "[", *_POSE, "]"],
     "transforms": ["[", *_HEADER, "string", *_POSE, "]"],
     "foxglove_pose": [*_HEADER, *_POSE],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from difflib import get_close_matches
 
 from ...topology.errors import LogError, UsageError
 from .laser_wire import LaserKind
@@ -17,12 +18,12 @@ ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
     "geometry_msgs/msg/PoseStamped": (2, "pose"),
     "foxglove.PoseInFrame": (3, "foxglove_pose"),
     "foxglove_msgs/msg/PoseInFrame": (3, "foxglove_pose"),
-    "geometry_msgs/msg/PoseWithCovarianceStamped": (9, "pose"),
+    "geometry_msgs/msg/PoseWithCovarianceStamped": (4, "pose_covariance"),
 }
-"""Types that can be odometry, with their order of preference; 9: only when named."""
+"""Types that can be odometry, with their order of preference."""
 
-ONLY_WHEN_NAMED = 9
-"""The rank of such types."""
+SET_BY_HAND = ("/initialpose",)
+"""Topics with poses at which somebody put the robot, not driven ones: odometry only when named."""
 
 JUNCTION_KINDS: Mapping[str, Kind] = {
     "geometry_msgs/msg/PoseArray": "pose_array",
@@ -69,7 +70,10 @@ CLOUD_KINDS: Mapping[str, None] = {
 
 GRID_KINDS: Mapping[str, None] = {"nav_msgs/msg/OccupancyGrid": None}
 
-ODOMETRY_TYPES = "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped or foxglove.PoseInFrame"
+ODOMETRY_TYPES = (
+    "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped, PoseWithCovarianceStamped or "
+    "foxglove.PoseInFrame"
+)
 JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
 SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
 CLOUD_TYPES = "sensor_msgs/PointCloud2 or foxglove.PointCloud"
@@ -112,9 +116,10 @@ def choose_odometry(counts: Mapping[Channel, int], named: str | None, log: str) 
             )
         ]
     choices: list[Choice] = []
-    for rank in sorted({rank for rank, _ in ODOMETRY_KINDS.values()} - {ONLY_WHEN_NAMED}):
+    for rank in sorted({rank for rank, _ in ODOMETRY_KINDS.values()}):
         types = {name for name, (r, _) in ODOMETRY_KINDS.items() if r == rank}
         topics = _of_types(counts, types, without=("/tf_static",))
+        topics = {name: kind for name, kind in topics.items() if not name.endswith(SET_BY_HAND)}
         if topics and not (choices and len(topics) > 1):
             choices.append(_single(topics, "/odom", "--odometry-topic", "the odometry", log))
         if rank == 0 and choices:
@@ -122,6 +127,12 @@ def choose_odometry(counts: Mapping[Channel, int], named: str | None, log: str) 
     if not choices:
         raise LogError(f"{log}: no odometry found ({ODOMETRY_TYPES}); {listing(counts)}")
     return choices
+
+
+def odometry_topics(counts: Mapping[Channel, int]) -> list[str]:
+    """The topics that could be odometry, but those of transforms, which serve for more."""
+    kinds = {name for name, (_, kind) in ODOMETRY_KINDS.items() if kind != "transforms"}
+    return sorted(_of_types(counts, kinds))
 
 
 def choose_junctions(
@@ -220,4 +231,12 @@ def _named(
             if kinds is not None and channel.type_name not in set(kinds):
                 raise UsageError(f"{log}: {named} is {channel.type_name}, but {flag} needs {types}")
             return Choice(named, channel.type_name, f"named by {flag}")
-    raise LogError(f"{log}: no messages of {named} ({flag}); {listing(counts)}")
+    near = _like(named, _of_types(counts, kinds or {channel.type_name for channel in counts}))
+    meant = f"; did you mean {near}?" if near else ";"
+    raise LogError(f"{log}: no messages of {named} ({flag}){meant} {listing(counts)}")
+
+
+def _like(named: str, topics: Iterable[str]) -> str | None:
+    """A topic that may be meant by a name that none has: with other namespaces, or misspelt."""
+    longer = sorted(topic for topic in topics if topic.endswith(named))
+    return next(iter(longer or get_close_matches(named, sorted(topics), 1)), None)

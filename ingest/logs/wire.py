@@ -12,12 +12,20 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from ...topology.arrays import IntArray
+from ...topology.arrays import FloatArray, IntArray
 from .columns import Shape, column, gather
 from .messages import NAME_BYTES, Bytes, DamageError, text
 from .poses import Frames, Heads, Poses, join
 
-Kind = Literal["odometry", "pose", "pose_array", "transforms", "foxglove_pose", "foxglove_poses"]
+Kind = Literal[
+    "odometry",
+    "pose",
+    "pose_covariance",
+    "pose_array",
+    "transforms",
+    "foxglove_pose",
+    "foxglove_poses",
+]
 
 POSE_BYTES = 56
 MOST_POSES = 1024
@@ -26,17 +34,23 @@ MOST_POSES = 1024
 MANY = 1024
 """Messages of one size from which on those that are alike and broken are counted together."""
 
+COVARIANCE = 36
+"""Numbers of a covariance of x, y, z and rotations about them, row by row."""
+FARTHEST_M = 1e9
+"""Bound of stated sigmas [m], to keep them within single precision."""
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
 
 
 class _Run(NamedTuple):
-    """`length` consecutive poses with one stamp and one pair of frames."""
+    """`length` consecutive poses with one stamp and one pair of frames; covariance: whether that of
+    the only one follows."""
 
     stamp_at: int
     frame: int
     pose_at: int
     length: int
+    covariance: bool = False
 
 
 class Template(NamedTuple):
@@ -65,7 +79,16 @@ class Template(NamedTuple):
         if run.length != 1:
             message, stamp_ns = np.repeat(message, run.length), np.repeat(stamp_ns, run.length)
         frame = np.full(len(message), run.frame, np.int64)
-        return Poses(message, np.zeros_like(message), stamp_ns, frame, value.reshape(-1, 7))
+        sigma_m = self._sigma_m(rows, run) if run.covariance else None
+        value = value.reshape(-1, 7)
+        return Poses(message, np.zeros_like(message), stamp_ns, frame, value, sigma_m)
+
+    def _sigma_m(self, rows: Bytes, run: _Run) -> FloatArray:
+        """(k,) stated 1 sigma of the positions [m], NaN where none is stated (0 or less)."""
+        begin = run.pose_at + POSE_BYTES
+        span = np.ascontiguousarray(rows[:, begin : begin + 8 * COVARIANCE])
+        variance = span.view(f"{self.order}f8").astype(np.float64)[:, [0, 7]].max(axis=1)
+        return np.minimum(np.sqrt(np.where(variance > 0, variance, np.nan)), FARTHEST_M)
 
 
 class WireParser:
@@ -155,7 +178,10 @@ def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
         count = parser.count() if many else 1
         if count > MOST_POSES:
             raise DamageError(f"more than {MOST_POSES} poses in a message, which is the limit")
-        runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count))
+        told = kind == "pose_covariance"
+        runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count, told))
+        if told:
+            parser.advance(8 * COVARIANCE)
     shape = Shape.of(np.frombuffer(raw, np.uint8, parser.position), tuple(parser.fixed))
     return Template(parser.position, shape, tuple(runs), parser.order, ros1)
 

@@ -14,15 +14,21 @@ LONGEST_M = 1e6
 FASTEST_M_PER_S = 100.0
 """No ground robot is usually faster: autonomous race cars reach 80 m/s."""
 
+DOUBTED_M_PER_S = 25.0
+"""90 km/h: only cars are usually faster; robots in centimetres taken for metres seem to be."""
 
-def check_plausible(odometry: Odometry, bounds: StepBounds, topic: str, log: str) -> None:
-    """Raise LogError if a drive is too wide or, in half of its steps, too fast. O(n) at worst.
+ELSE = "else stamps are in another unit than seconds and nanoseconds, or two robots share the topic"
+
+
+def check_plausible(odometry: Odometry, bounds: StepBounds, topic: str, log: str) -> str:
+    """Raise LogError if a drive is too wide or, in half of its steps, too fast; return a warning if
+    these are as fast as a car's, else "". O(n) at worst.
 
     bounds: of all steps, which are usually sufficient.
     """
     position = odometry.pose[:, :2]
     if len(position) < 2:
-        return
+        return ""
     if bounds.way * len(position) > LONGEST_M:
         starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
         extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
@@ -32,15 +38,26 @@ def check_plausible(odometry: Odometry, bounds: StepBounds, topic: str, log: str
                 f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} "
                 "km; positions are expected in metres"
             )
-    if bounds.way <= 0.99e-9 * FASTEST_M_PER_S * bounds.shortest_ns:
-        return
+    if bounds.way <= 0.99e-9 * DOUBTED_M_PER_S * bounds.shortest_ns:
+        return ""
     way = np.hypot(*np.diff(position, axis=0).T)
     way[odometry.breaks - 1] = 0
     duration = np.diff(odometry.time_ns) / 1e9
-    too_fast = way > FASTEST_M_PER_S * duration
-    if 2 * int(too_fast.sum()) > int((way > 0).sum()):
-        speed = float(np.quantile(way[too_fast] / duration[too_fast], 0.5))
+    moves = int((way > 0).sum())
+
+    def usual_speed(beyond: float) -> float | None:
+        """The median of the speeds beyond one that half of the steps exceed."""
+        fast = way > beyond * duration
+        return float(np.median(way[fast] / duration[fast])) if 2 * int(fast.sum()) > moves else None
+
+    if (speed := usual_speed(FASTEST_M_PER_S)) is not None:
         raise LogError(
             f"{log}: {topic} moves at {speed:.0f} m/s, more than {FASTEST_M_PER_S:.0f} m/s; "
-            "positions are expected in metres"
+            f"positions are expected in metres; {ELSE}"
         )
+    if (speed := usual_speed(DOUBTED_M_PER_S)) is not None:
+        return (
+            f"{topic} moves at {speed:.0f} m/s, as fast as a car: if it is none, are its positions "
+            f"in centimetres? Expected: metres; {ELSE}"
+        )
+    return ""

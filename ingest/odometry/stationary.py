@@ -11,7 +11,8 @@ axis to the right, conj(d) in place of d; headings in degrees taken for radians,
 stamps, t and θ of another time. Each such *reading* is a linear least-squares problem with one β
 and an m for each drive-by, which is eliminated by subtracting means: odometry does not drift within
 the seconds of a drive-by. The headings of branches tell θ as well: from detection to detection they
-turn as the robot does, against it.
+turn as the robot does, against it. That all of them are turned alike shows where the robot comes
+from and goes to: by a branch.
 """
 
 from __future__ import annotations
@@ -48,6 +49,12 @@ class DriveBySettings:
     than the noise of headings, and by less than half of the angle between branches."""
     clipped_rad: float = 0.45
     """Headings that differ by more are of different branches (`LIKELIHOOD.branch_gate_rad`)."""
+    within_m: float = 1.0
+    """A robot that comes as near to a junction drives through it: half the width of corridors."""
+    beyond_m: float = 1.5
+    """Distance of the point by which it comes or goes: centres are known to a tenth of that."""
+    search_s: float = 20.0
+    """Time before and after the detections of a drive-by in which it gets there."""
 
 
 DRIVE_BYS = DriveBySettings()
@@ -83,15 +90,16 @@ class DriveBys:
     """Detections by drive-by, and the odometry as tables over time.
 
     at: (n,) time of each detection [ns from the odometry's first row]; centre: (n,) x + iy; owner:
-    (n,) its drive-by; first: (k,) first row of each drive-by; pairs: branches of two detections of
-    a drive-by; clock, x, y, turned: (m,) time, position, and heading as a sum of turns, of the
-    odometry.
+    (n,) its drive-by; first: (k,) first row of each drive-by; branches: n rows of headings [rad];
+    pairs: branches of two detections of a drive-by; clock, x, y, turned: (m,) time, position, and
+    heading as a sum of turns, of the odometry.
     """
 
     at: FloatArray
     centre: ComplexArray
     owner: IntArray
     first: IntArray
+    branches: Ragged
     pairs: _Pairs
     clock: FloatArray
     x: FloatArray
@@ -105,12 +113,14 @@ class DriveBys:
         at = (detections.time_ns[rows] - odometry.time_ns[0]).astype(np.float64)
         east, north = detections.centre[rows].T
         x, y = odometry.pose[:, :2].T.copy()
+        branches = detections.branches.take(rows)
         return cls(
             at,
             east + 1j * north,
             owner,
             np.flatnonzero(np.diff(owner, prepend=-1)),
-            _Pairs.of_branches(at, owner, detections.branches.take(rows)),
+            branches,
+            _Pairs.of_branches(at, owner, branches),
             (odometry.time_ns - odometry.time_ns[0]).astype(np.float64),
             x,
             y,
@@ -157,16 +167,61 @@ class DriveBys:
     def in_fixed_frame(self) -> FloatArray:
         """(k,) sum of squared residuals if centres are in a frame fixed to the world; infinite if
         they do not differ from drive-by to drive-by as the robot's positions do."""
-        stay = self._sums(np.abs(self._centred(self.centre)) ** 2)
+        stay = self.unmoved()
         place, robot = self._means(self.centre), self._means(self._poses(AS_READ)[0])
         apart, driven = (np.median(np.abs(np.diff(means))) for means in (place, robot))
         return stay if 2 * apart > driven else np.full(len(self), np.inf)
+
+    def unmoved(self) -> FloatArray:
+        """(k,) sum of squared residuals of the centres' numbers, whatever their frame."""
+        return self._sums(np.abs(self._centred(self.centre)) ** 2)
 
     def headings(self, reading: Reading, sign: int = 1) -> FloatArray:
         """(k,) sum of squared changes [rad²] of the headings of branches that turn against the
         robot (sign 1), with it (-1), or not at all (0)."""
         change = self.pairs.changes(sign * self._poses(reading)[1])
         return np.asarray(np.bincount(self.owner[self.pairs.row], change**2, len(self)))
+
+    def off_the_way(self, turns_rad: FloatArray) -> FloatArray:
+        """(t, k) sum of squared angles [rad²] between the ways by which the robot comes to a
+        junction and goes, and the nearest branches, if all branches are turned by each of (t,)
+        angles. 0 for drive-bys that do not lead through the junction."""
+        drive_by, way = self._ways()
+        count = np.diff(self.first, append=len(self.owner))
+        entry, nth = numbered(count[drive_by])
+        row = self.first[drive_by[entry]] + nth
+        told = self.branches.counts[row] > 0
+        entry, row = entry[told], row[told]
+        of, local = numbered(self.branches.counts[row])
+        heading = self.branches.values[self.branches.offsets[row][of] + local]
+        off = wrap(heading + self._poses(AS_READ)[1][row[of]] - way[entry[of]])
+        if len(off) == 0:
+            return np.zeros((len(turns_rad), len(self)))
+        away = np.abs(wrap(off + turns_rad[:, None]))
+        nearest = np.minimum.reduceat(away, np.flatnonzero(local == 0), axis=1)
+        squares = np.minimum(nearest, DRIVE_BYS.clipped_rad) ** 2
+        return np.array([np.bincount(drive_by[entry], s, len(self)) for s in squares])
+
+    def _ways(self) -> tuple[IntArray, FloatArray]:
+        """Drive-bys, twice each, and the directions from the junction to where the robot came from
+        and to where it went [rad]."""
+        position, heading = self._poses(AS_READ)
+        centre = self._means(self.centre * np.exp(1j * heading) + position)
+        robot, found = self.x + 1j * self.y, []
+        search = 1e9 * DRIVE_BYS.search_s
+        ends = np.append(self.first[1:], len(self.owner)) - 1
+        for k, (begin, end) in enumerate(zip(self.at[self.first], self.at[ends], strict=True)):
+            a, b = np.searchsorted(self.clock, [begin - search, end + search])
+            away = robot[a:b] - centre[k]
+            if len(away) == 0:
+                continue
+            nearest = int(np.abs(away).argmin())
+            beyond = np.flatnonzero(np.abs(away) >= DRIVE_BYS.beyond_m)
+            at = int(np.searchsorted(beyond, nearest))
+            if abs(away[nearest]) <= DRIVE_BYS.within_m and 0 < at < len(beyond):
+                found += [(k, away[beyond[at - 1]]), (k, away[beyond[at]])]
+        drive_by = np.array([k for k, _ in found], np.int64)
+        return drive_by, np.angle(np.array([way for _, way in found], np.complex128))
 
     def _poses(self, reading: Reading) -> tuple[ComplexArray, FloatArray]:
         """Position and heading of the robot at each detection."""

@@ -6,21 +6,24 @@ cut off; responses are checked for range, length, and an unchanged object.
 
 from __future__ import annotations
 
+import asyncio
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from ...topology.errors import LogError, UsageError
 from .threads import begun
 
 if TYPE_CHECKING:
-    from obstore import GetOptions
+    from obstore import GetOptions, ListStream, ObjectMeta
     from obstore.store import ObjectStore
+
+R = TypeVar("R")
 
 PIECE_BYTES = 1 << 20
 """Bytes taken from a response at a time; longer responses than requested are cut."""
@@ -39,13 +42,15 @@ class Patience:
     """Timeouts and retries of requests.
 
     read_s: without any byte (botocore's default is 60 s); request_s: for one response, enough for 4
-    MiB at 14 kB/s; retries, retry_s: attempts after the first one, and the time after which none is
-    started.
+    MiB at 14 kB/s; list_s: for the next keys of a listing, however many pages that takes (stores
+    send one in 0.1 to 1 s); retries, retry_s: attempts after the first one, and the time after
+    which none is started.
     """
 
     connect_s: float = 10.0
     read_s: float = 30.0
     request_s: float = 300.0
+    list_s: float = 30.0
     retries: int = 6
     retry_s: float = 120.0
     first_pause_s: float = 0.2
@@ -145,30 +150,63 @@ def _exactly(pieces: Iterator[bytes], length: int, named: str) -> bytes:
 
 
 def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
-    """Every key below a prefix, as a folder, with its object's state."""
+    """Every key below a prefix, as a folder, with its object's state; others that a server sends
+    are left out."""
     import obstore
 
+    folder = prefix and f"{prefix}/"
     with _told(named):
         pages = obstore.list(store(root), prefix or None, chunk_size=1000)
         count = 0
-        while page := begun(partial(next, pages, ())).result():
+        while page := _in_time(partial(_next_page, pages), named):
             count += len(page)
             if count > MOST_KEYS:
                 raise LogError(f"{named}: holds more than {MOST_KEYS:,} keys; name prefixes in it")
             for meta in page:
-                yield meta["path"], _stat(meta)
+                if meta["path"].startswith(folder):
+                    yield meta["path"], _stat(meta)
 
 
 def listed_here(
     root: str, prefix: str, *, named: str
 ) -> tuple[list[tuple[str, Stat]], Sequence[str]]:
-    """The objects directly in a folder, and its folders."""
+    """The objects directly in a folder, and its folders; others that a server sends are left
+    out."""
     import obstore
 
+    folder = prefix and f"{prefix}/"
     with _told(named):
-        call = partial(obstore.list_with_delimiter, store(root), prefix or None)
-        found = begun(call).result()
-        return [(meta["path"], _stat(meta)) for meta in found["objects"]], found["common_prefixes"]
+        call = partial(obstore.list_with_delimiter_async, store(root), prefix or None)
+        found = _in_time(call, named)
+        objects = [(meta["path"], _stat(meta)) for meta in found["objects"]]
+        folders = found["common_prefixes"]
+        return [(key, stat) for key, stat in objects if key.startswith(folder)], [
+            key for key in folders if key.startswith(folder) and key != prefix
+        ]
+
+
+async def _next_page(pages: ListStream[Sequence[ObjectMeta]]) -> Sequence[ObjectMeta]:
+    """The next part of a listing; empty after the last."""
+    try:
+        return await pages.__anext__()  # `anext` with a default fails on obstore's stream
+    except StopAsyncIteration:
+        return ()
+
+
+def _in_time(call: Callable[[], Awaitable[R]], named: str) -> R:
+    """The next part of a listing; LogError if there is none in `list_s`: obstore asks for pages
+    until one holds a key, and a server can send empty ones for ever."""
+    seconds = PATIENCE.list_s
+
+    async def waited() -> R:
+        return await asyncio.wait_for(call(), seconds)
+
+    try:
+        return begun(lambda: asyncio.run(waited())).result()
+    except TimeoutError as error:
+        raise LogError(
+            f"{named}: cannot be listed: no key came in {seconds:g} s, or pages without end"
+        ) from error
 
 
 def _stat(meta: Any) -> Stat:

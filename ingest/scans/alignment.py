@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
-from .scatter import BACK, Scatter, odometry_scores, wall_scores
+from .scatter import BACK, STRETCH, Scatter, odometry_scores, wall_scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,12 +186,13 @@ def align(
     fixed: int,
     earlier: Sequence[IntArray],
     settings: AlignmentSettings,
+    stretch: int = STRETCH,
 ) -> Aligned:
     """Align all poses jointly, starting from `pose` (n, 3), the first `fixed` of which stay.
 
     earlier: for each of the settings' offsets the scan (n,) that each is matched to, -1 for none;
-    steps: from each pose to the next. Gauss-Newton with a Cauchy weight on odometry; O(n · offsets
-    · beams) per round.
+    steps: from each pose to the next; stretch: how many of them err alike. Gauss-Newton with a
+    Cauchy weight on odometry; O(n · offsets · beams) per round.
     """
     looks = _Looks.of(earlier, fixed)
     equations = _Equations.of(len(pose), fixed, looks)
@@ -215,7 +216,7 @@ def align(
     sparser, turned = scans.sparser(BACK), (looks.second, looks.first)
     back, _ = wall_scores(sparser, pose, turned, gate, sparser.each * worth)
     off, information = _odometry(pose, steps)
-    odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off))
+    odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off), stretch)
     band, _ = equations.at(pose, steps, quadratic, curvature * worth)
     return Aligned(pose, Scatter(band, walls, back, odometry))
 

@@ -52,9 +52,10 @@ class Lines:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Swept:
-    """`k` scans with `beams` beams each, of which one in `each` counts as a point.
+    """`k` scans in rows of `beams` beams, of which one in `each` counts as a point.
 
-    start, increment: (k,) bearing of the first beam and between beams [rad].
+    start, increment: (k,) bearing of the first beam and between beams [rad]; own_beams: (k,) beams
+    of each scan, beyond which its row is padded.
     """
 
     start: FloatArray
@@ -63,9 +64,16 @@ class Swept:
     each: int
     points: Points
     lines: Lines
+    own_beams: IntArray
 
     @classmethod
-    def of(cls, xy: Float32Array, start: FloatArray, increment: FloatArray) -> Swept:
+    def of(
+        cls,
+        xy: Float32Array,
+        start: FloatArray,
+        increment: FloatArray,
+        own_beams: IntArray | None = None,
+    ) -> Swept:
         """From (k, m, 2) points in the laser's frame [m], NaN without return."""
         on = surfaces(xy, increment)
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
@@ -74,7 +82,8 @@ class Swept:
         points = Points(x, y, nx, ny, _every(on.valid, each))
         at = _with_neighbours(on.valid)
         lines = Lines(*(values.take(at) for values in (on.x, on.y, on.nx, on.ny)))
-        return cls(start, increment, xy.shape[1], each, points, lines)
+        own = np.full(len(xy), xy.shape[1]) if own_beams is None else own_beams
+        return cls(start, increment, xy.shape[1], each, points, lines, own)
 
     def sparser(self, every: int) -> Swept:
         """The same surfaces, with one in `every` of the points."""
@@ -221,7 +230,7 @@ def _beam(
     # Bearings before the first beam are moved on by a whole turn.
     beam += (beam < -0.5) * (np.float32(2 * np.pi) * per_rad)
     beam = np.rint(beam)
-    inside = (beam >= 0) & (beam < scans.beams)
+    inside = (beam >= 0) & (beam < scans.own_beams[second][:, None])
     return np.clip(beam, 0, scans.beams - 1).astype(np.int64), inside
 
 

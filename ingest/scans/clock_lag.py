@@ -33,9 +33,22 @@ class LagSettings:
     """Largest share of the rotations' difference (root mean square) that may remain: half and less
     remains where scans of two buildings are stamped late by 0.15 s and more, and all of it where
     they are of another drive."""
+    far_s: float = 10.0
+    """Range of the lags beside which the best one up to `most_s` is judged: robots turn again
+    by then."""
+    far_step_s: float = 0.25
+    """Step of the search among them, as of detections (`ConventionSettings`)."""
+    unlike: float = 0.6
+    """Least share of the median difference at far lags that the best one up to `most_s` leaves
+    where the clocks differ: 0.7 and more in five logs with stamps 2.5 to 8 s off, 0.06 and less in
+    four without."""
 
 
 LAG = LagSettings()
+
+
+class OtherClockError(DataError):
+    """The scans do not turn when the odometry does."""
 
 
 class LaggingError(DataError):
@@ -48,17 +61,49 @@ class LaggingError(DataError):
 
 
 def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: IntArray) -> float:
-    """Lag of the scans' stamps [s]; 0 unless it is large and certain.
+    """Lag of the scans' stamps [s]; 0 unless it is large and certain. Raises OtherClockError if the
+    scans turn at other times than the odometry.
 
     time_ns: (k,) by the scans' clock, ascending; pose: (k, 3) of the robot, by its scans; piece:
     (k,) of the odometry.
     """
+    count = round(LAG.most_s / LAG.step_s)
+    lags = np.asarray(LAG.step_s * np.arange(-count, count + 1), np.float64)
+    off = _differences(odometry, time_ns, pose, piece, lags)
+    best = int(off.argmin())
+    _require_one_clock(off[best], (odometry, time_ns, pose, piece))
+    if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
+        return 0.0
+    before, here, after = off[best - 1 : best + 2] ** 2
+    lag = lags[best] + 0.5 * LAG.step_s * (before - after) / (before - 2 * here + after)
+    return float(lag) if abs(lag) >= LAG.least_s else 0.0
+
+
+def _require_one_clock(
+    least: float, turns: tuple[Odometry, IntArray, FloatArray, IntArray]
+) -> None:
+    """Raise OtherClockError if the least difference up to `most_s` is that of any other time."""
+    ahead = np.arange(LAG.most_s + LAG.far_step_s, LAG.far_s + 1e-9, LAG.far_step_s)
+    lags = np.concatenate([-ahead[::-1], ahead])
+    off = _differences(*turns, lags)
+    if least < LAG.unlike * float(np.median(off)):
+        return
+    best = int(off.argmin())
+    told = ""
+    if off[best] < LAG.unlike * least:
+        late = "late" if lags[best] > 0 else "early"
+        told = f"; they are stamped some {abs(lags[best]):.1f} s {late}"
+    raise OtherClockError(f"the scans do not turn when the odometry does{told}")
+
+
+def _differences(
+    odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: IntArray, lags: FloatArray
+) -> FloatArray:
+    """The differences (root mean square, [rad]) of all steps' rotations at each lag [s]."""
     at = odometry.interpolator()
     step = np.diff(piece) == 0
     turn = wrap(np.diff(pose[:, 2]))[step]
     way = np.hypot(*np.diff(pose[:, :2], axis=0).T)[step]
-    count = round(LAG.most_s / LAG.step_s)
-    lags = LAG.step_s * np.arange(-count, count + 1)
 
     def left(lag_s: float) -> float:
         own = wrap(np.diff(at(time_ns - np.int64(1e9 * lag_s))[:, 2]))[step]
@@ -66,10 +111,4 @@ def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: In
         off = turn - inputs @ np.linalg.lstsq(inputs, turn)[0]
         return float(np.sqrt(np.mean(off**2)))
 
-    off = np.array([left(lag) for lag in lags])
-    best = int(off.argmin())
-    if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
-        return 0.0
-    before, here, after = off[best - 1 : best + 2] ** 2
-    lag = lags[best] + 0.5 * LAG.step_s * (before - after) / (before - 2 * here + after)
-    return float(lag) if abs(lag) >= LAG.least_s else 0.0
+    return np.array([left(lag) for lag in lags.tolist()])

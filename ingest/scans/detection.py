@@ -12,14 +12,15 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.se2 import apply, compose, inverse
-from .clock_lag import LaggingError, clock_lag
+from .clock_lag import LaggingError, OtherClockError, clock_lag
 from .handedness import MirroredError, Turns
 from .junctions import Driven, junction_passes
 from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
-from .scan import Anchored, ScanBatch, ScanPicture, ScanResult, ScanStatistics
+from .scan import Anchored, ScanBatch, Scanned, ScanPicture, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
+from .views import chosen_views, closed_by_views
 from .windows import WINDOWS, Seen, windows
 
 LEAST_FIT = 0.5
@@ -97,6 +98,7 @@ class _Track:
     recorded: list[FloatArray] = field(default_factory=list)
     piece: list[IntArray] = field(default_factory=list)
     fit: list[FloatArray] = field(default_factory=list)
+    laser: list[IntArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
     walls: list[Anchored] = field(default_factory=list)
     every: int = 1
@@ -115,6 +117,7 @@ class _Track:
             self.recorded.append(compose(part.keyframes.odometry, off))
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
+            self.laser.append(part.keyframes.laser)
             self.spans.append(part.spans)
             self.walls.append(_thinned(_walls(part), self.every))
             while sum(map(len, self.walls)) > MOST_POINTS:
@@ -127,10 +130,23 @@ class _Track:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:
                 times, pieces = np.concatenate(self.time_ns), np.concatenate(self.piece)
-                if lag_s := self.lag(times, np.concatenate(self.pose), pieces):
+                try:
+                    lag_s = self.lag(times, np.concatenate(self.pose), pieces)
+                except OtherClockError:
+                    self.require_alike()
+                    raise
+                if lag_s:
                     raise LaggingError(lag_s)
                 self.lag = None
             yield part
+
+    def require_alike(self) -> None:
+        """Raise OtherClockError if the scans turn neither with nor against the odometry."""
+        if self.turns.unlike:
+            raise OtherClockError(
+                f"the scans turn {self.turns}, as neither those of a laser upright nor upside down "
+                "do"
+            )
 
     def driven(self) -> Driven:
         """Rows by time; two lasers at one time make one row. Distance as in `windows`."""
@@ -166,11 +182,7 @@ def _result(
 ) -> ScanResult:
     if not track.pose:
         raise DataError(_nothing(counted))
-    if track.turns.unlike:
-        raise DataError(
-            f"the scans turn {track.turns}, as neither those of a laser upright nor upside down "
-            "do: they are of another drive, or the two topics' clocks differ"
-        )
+    track.require_alike()
     driven = track.driven()
     passes = junction_passes(seen, driven)
     noise = matched_noise(track.spans, passes, alone=recorded is None)
@@ -183,7 +195,7 @@ def _result(
         ),
         drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
-        covered=_covered(driven, fit >= LEAST_FIT),
+        covered=_covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser)),
         searched=track.searched,
         odometry=recorded is not None,
     )
@@ -195,9 +207,12 @@ def _result(
         recorded.frame if recorded is not None else "odom",
         recorded.child_frame if recorded is not None else "base_link",
     )
+    views = chosen_views(seen, passes, driven)
+    odometry, views, loops, noise = closed_by_views(odometry, views, noise)
     picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), WINDOWS.half_m)
     warnings = (*counted.warnings(), *_warnings(statistics))
-    return ScanResult(odometry, passes, noise, statistics, picture, warnings)
+    scanned = Scanned(passes, noise, picture, views, loops)
+    return ScanResult(odometry, scanned, statistics, warnings)
 
 
 def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
@@ -233,15 +248,23 @@ def _nothing(counted: _Counted) -> str:
         return f"none of the {counted.scans} scans has an echo"
     return (
         f"none of the {counted.echoing} scans with an echo lies within the time of the odometry; "
-        "check the clocks of the two topics"
+        "check the clocks of the two topics; --time log takes the times of recording"
     )
 
 
-def _covered(driven: Driven, good: BoolArray) -> float:
-    """Share of the distance driven between keyframes that fit each other."""
+def _covered(driven: Driven, good: BoolArray, laser: IntArray) -> float:
+    """Share of the distance driven between consecutive keyframes of any laser (k,) that fit each
+    other."""
     step = np.diff(driven.way)
     total = float(step.sum())
-    return float(step[good[1:]].sum()) / total if total > 0 else 0.0
+    covered = np.zeros(len(step), np.bool_)
+    for number in np.unique(laser):
+        own = np.flatnonzero(laser == number)
+        # The step to a row is covered if the laser's next keyframe fits its last one.
+        following = np.searchsorted(own, np.arange(1, len(laser)))
+        inside = (following > 0) & (following < len(own))
+        covered[inside] |= good[own[following[inside]]]
+    return float(step[covered].sum()) / total if total > 0 else 0.0
 
 
 def _joined(parts: list[Anchored]) -> Anchored:

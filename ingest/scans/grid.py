@@ -72,12 +72,12 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     echo = np.isfinite(ranges)
     nearer, farther = _beside(ranges, echo)
     reached = np.minimum(nearer, frames.free[:, None])
-    reached[_blanked(frames.mount, echo, farther < 0.5 * frames.free[:, None])] = 0
+    reached[_blanked(frames.laser, echo, farther < 0.5 * frames.free[:, None])] = 0
     through = np.where(echo, ranges - settings.cell_m, reached)
     # One beam more than there are, seen through nowhere: for cells out of the field of view.
     through = np.pad(through, ((0, 0), (0, 1))).astype(np.float32)
     through = np.minimum(through, settings.reach_m)
-    middle = 0.5 * frames.increment * (m - 1)
+    middle = 0.5 * frames.increment * (frames.beams - 1)
     half_turn, whole = np.float32(np.pi), np.float32(2 * np.pi)
     for row in range(k):
         ahead = np.float32(wrap(pose[row, 2] + frames.start[row] + middle[row]))
@@ -86,7 +86,7 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
         turn += whole * (turn < 0)
         turn -= half_turn
         beam = np.rint((turn + np.float32(middle[row])) / np.float32(frames.increment[row]))
-        beam = np.where((beam >= 0) & (beam < m), beam, m).astype(np.int16)
+        beam = np.where((beam >= 0) & (beam < frames.beams[row]), beam, m).astype(np.int16)
         free[row] = distance < through[row][beam]
         at = echo[row] & (ranges[row] < settings.reach_m - settings.cell_m)
         ends = apply(pose[row], frames.xy[row, at].astype(np.float64))
@@ -95,11 +95,10 @@ def looks(frames: Keyframes, pose: FloatArray, settings: GridSettings = GridSett
     return Looks(free & ~hit, hit, corner)
 
 
-def _blanked(mount: FloatArray, echo: BoolArray, near: BoolArray) -> BoolArray:
-    """(k, m) beams of lasers mounted at (k, 3) without a return in any scan although there were
-    `near` walls on both sides: the robot itself is in their way, or a filter removes them."""
+def _blanked(laser: IntArray, echo: BoolArray, near: BoolArray) -> BoolArray:
+    """(k, m) beams of lasers (k,) without a return in any scan although there were `near` walls on
+    both sides: the robot itself is in their way, or a filter removes them."""
     out = np.zeros(echo.shape, bool)
-    laser = np.unique(mount, axis=0, return_inverse=True)[1].ravel()
     for number in np.unique(laser):
         own = laser == number
         out[own] = near[own].any(axis=0) & ~echo[own].any(axis=0)

@@ -34,8 +34,9 @@ class Keyframes:
 
     odometry: (k, 3) pose of the *laser* in the odometry frame; mount: (k, 3) T_body_laser; xy: (k,
     m, 2) points in the laser's frame [m], NaN without return; start, increment: (k,) bearing of the
-    first beam and between beams [rad]; free: (k,) free distance along beams without return [m];
-    rate: (k,) turning rate [rad/s]; piece: (k,) unbroken piece of odometry.
+    first beam and between beams [rad]; beams: (k,) their number, beyond which rows are padded;
+    free: (k,) free distance along beams without return [m]; rate: (k,) turning rate [rad/s]; piece:
+    (k,) unbroken piece of odometry; laser: (k,) its number.
     """
 
     time_ns: IntArray
@@ -44,9 +45,11 @@ class Keyframes:
     xy: Float32Array
     start: FloatArray
     increment: FloatArray
+    beams: IntArray
     free: FloatArray
     rate: FloatArray
     piece: IntArray
+    laser: IntArray
 
     def __len__(self) -> int:
         return len(self.time_ns)
@@ -79,10 +82,9 @@ class Posed:
 
 def keyframes(posed: Iterable[Posed]) -> Iterator[Keyframes]:
     """The keyframes of every batch. The first scan of each laser is one."""
-    last: dict[tuple[float, ...], FloatArray] = {}
+    last: dict[int, FloatArray] = {}
     for part in posed:
-        laser = (*part.batch.T_body_laser.tolist(), float(len(part.batch.angles_rad)))
-        rows = _chosen(part, last, laser)
+        rows = _chosen(part, last)
         if rows:
             yield prepared(part, np.array(rows))
 
@@ -94,10 +96,10 @@ def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Ite
     last `late_s` has moved on beyond it.
     """
     waiting: list[Keyframes] = []
-    heard: dict[bytes, int] = {}
+    heard: dict[int, int] = {}
     for part in parts:
         waiting.append(part)
-        heard[part.mount[-1].tobytes()] = int(part.time_ns[-1])
+        heard[int(part.laser[-1])] = int(part.time_ns[-1])
         newest = max(heard.values())
         settled = min(t for t in heard.values() if t >= newest - late_s * 1e9)
         held = _by_time(waiting)
@@ -113,17 +115,17 @@ def in_order(parts: Iterable[Keyframes], size: int, late_s: float = 10.0) -> Ite
 
 
 def _by_time(parts: list[Keyframes]) -> Keyframes:
-    """Keyframes of several lasers sorted by time, at equal times by the lasers' positions."""
+    """Keyframes of several lasers sorted by time, at equal times by their views of the robot's
+    surroundings, in whatever order they were recorded."""
     joint = join(parts)
     x, y, theta = joint.mount.T
-    return take(joint, np.lexsort((theta, y, x, joint.time_ns)))
+    return take(joint, np.lexsort((joint.laser, joint.start, theta, y, x, joint.time_ns)))
 
 
-def _chosen(
-    part: Posed, last: dict[tuple[float, ...], FloatArray], laser: tuple[float, ...]
-) -> list[int]:
-    """Rows of a batch that are keyframes."""
+def _chosen(part: Posed, last: dict[int, FloatArray]) -> list[int]:
+    """Rows of a batch that are keyframes; last: the robot's pose at each laser's last one."""
     rows: list[int] = []
+    laser = part.batch.laser
     poses = part.pose.tolist()
     seen = np.isfinite(part.batch.ranges_m).any(axis=1) & part.usable
     for row in np.flatnonzero(seen).tolist():
@@ -157,9 +159,11 @@ def prepared(part: Posed, rows: IntArray) -> Keyframes:
         xy.astype(np.float32),
         np.full(n, start),
         np.full(n, step),
+        np.full(n, len(columns)),
         np.asarray(batch.free_m)[rows],
         part.rate[rows],
         part.piece[rows],
+        np.full(n, batch.laser),
     )
 
 

@@ -17,6 +17,7 @@ from .alignment import ALIGNMENT, Aligned, Steps, align, match_steps
 from .association import Swept
 from .keyframes import Keyframes, Posed, in_order, join, keyframes
 from .scan import ScanBatch
+from .scatter import STRETCH
 from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
 
 
@@ -27,7 +28,8 @@ class MatchingSettings:
     window: int = 400
     """Keyframes solved for at once: much more than the widest pair, little memory."""
     lag: int = 60
-    """Last keyframes of a window that are solved for again with the next one: the widest pair."""
+    """Last keyframes of each laser in a window that are solved for again with the next one: the
+    widest pair."""
     outside_s: float = 0.5
     """Largest time of a scan beyond the odometry's ends."""
 
@@ -85,9 +87,11 @@ def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
     final, errors = 0, StepErrors()
     for fresh in in_order(keyframes(posed_scans), MATCHING.window):
         if held is not None:
-            upto = len(held) - MATCHING.lag
-            yield _finished(held, solved, slice(final, upto), errors)
-            keep = max(upto - MATCHING.lag, 0)
+            lag = MATCHING.lag * _lasers(held)
+            upto = max(len(held) - lag, final)
+            if upto > final:
+                yield _finished(held, solved, slice(final, upto), errors)
+            keep = max(upto - lag, 0)
             held, solved, final = take(held, slice(keep, None)), solved.since(keep), upto - keep
         held = fresh if held is None else join([held, fresh])
         solved, errors = _solve(held, solved, final, errors)
@@ -113,7 +117,7 @@ def _solve(
     held: Keyframes, known: _Solved, final: int, errors: StepErrors
 ) -> tuple[_Solved, StepErrors]:
     """Solve for all keyframes held; the first ones were solved before, `final` of them finally."""
-    scans = Swept.of(held.xy, held.start, held.increment)
+    scans = Swept.of(held.xy, held.start, held.increment, held.beams)
     n, least_fit = len(held), ALIGNMENT.lost_fit
     before = _before(held)
     new = n - len(known.pose)
@@ -129,13 +133,26 @@ def _solve(
     raw = Steps(*errors.steps(held, *consecutive))
     guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
     earlier = _earlier(before, ALIGNMENT.offsets)
-    aligned = align(scans, guess, raw, fixed=final, earlier=earlier, settings=ALIGNMENT)
+    aligned = align(
+        scans,
+        guess,
+        raw,
+        fixed=final,
+        earlier=earlier,
+        settings=ALIGNMENT,
+        stretch=STRETCH * _lasers(held),
+    )
     return _Solved(aligned.pose, fit, searched, aligned), errors
+
+
+def _lasers(held: Keyframes) -> int:
+    """Number of lasers, whose keyframes come in turns."""
+    return len(np.unique(held.laser))
 
 
 def _before(held: Keyframes) -> IntArray:
     """(n,) the previous keyframe of the same laser in the same piece of odometry; else -1."""
-    key = np.column_stack([held.mount, held.piece])
+    key = np.column_stack([held.laser, held.piece])
     kind = np.unique(key, axis=0, return_inverse=True)[1].ravel()
     order = np.argsort(kind, kind="stable")
     out = np.full(len(held), -1, np.int64)
@@ -180,6 +197,6 @@ def _guess(
 
 def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:
     assert solved.aligned is not None
-    spans = span_errors(solved.aligned, rows)
+    spans = span_errors(solved.aligned, rows, _lasers(held))
     own = solved.pose[rows], solved.fit[rows], solved.searched[rows]
     return Matched(take(held, rows), *own, spans, errors)

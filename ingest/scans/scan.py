@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ...topology.arrays import Float32Array, FloatArray, IntArray
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
-from ...topology.run import Anchored, ScanPasses, ScanPicture
-from ...topology.topomap import RunNoise
+from ...topology.run import Anchored, Scanned, ScanPasses, ScanPicture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,7 +21,9 @@ class ScanBatch:
     unknown; angles_rad: (m,) beam directions in the laser's frame, counter-clockwise seen from
     above; T_body_laser: (3,) x, y [m], yaw [rad] of the laser in the odometry's child frame;
     sweep_s: time from the first column's beam to the last one's [s], negative if the last was
-    measured first, 0 if unknown. Raises ValueError on shapes that do not fit or times that descend.
+    measured first, 0 if unknown; laser: a number, the same for all scans of a laser, which its
+    mounting need not tell from another. Raises ValueError on shapes that do not fit or times that
+    descend.
     """
 
     times_ns: IntArray
@@ -31,6 +32,7 @@ class ScanBatch:
     angles_rad: FloatArray
     T_body_laser: FloatArray = field(default_factory=lambda: np.zeros(3))
     sweep_s: float = 0.0
+    laser: int = 0
 
     def __post_init__(self) -> None:
         times_ns = frozen_array(self.times_ns, np.int64, (None,), "times_ns")
@@ -60,6 +62,15 @@ class ScanBatch:
     def __len__(self) -> int:
         return len(self.times_ns)
 
+    def rows(self, which: slice) -> ScanBatch:
+        """Some of the scans, in their order."""
+        return replace(
+            self,
+            times_ns=self.times_ns[which],
+            ranges_m=self.ranges_m[which],
+            free_m=np.asarray(self.free_m)[which],
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class ScanStatistics:
@@ -85,17 +96,15 @@ class ScanStatistics:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ScanResult:
-    """Corrected odometry, its noise, and the junctions detected in scans.
+    """Corrected odometry, and what was detected in scans.
 
-    noise: of `odometry`, for loop closure, and of the passes (centre, branch). warnings: one
-    sentence per kind of fault, with a count.
+    scanned: the junctions, the noise of `odometry`, for loop closure, and of the passes (centre,
+    branch), views and loops. warnings: one sentence per kind of fault, with a count.
     """
 
     odometry: Odometry
-    passes: ScanPasses
-    noise: RunNoise
+    scanned: Scanned
     statistics: ScanStatistics
-    picture: ScanPicture
     warnings: tuple[str, ...] = ()
 
 
@@ -106,4 +115,5 @@ __all__ = [
     "ScanPicture",
     "ScanResult",
     "ScanStatistics",
+    "Scanned",
 ]

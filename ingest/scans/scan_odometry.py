@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 
 import numpy as np
 
@@ -17,6 +18,10 @@ from .scan import ScanBatch
 MOST_SCANS = 256
 """Scans matched at once."""
 
+FIRST_BATCHES = 8
+"""Batches among which that with the widest view is looked for: those of lasers that start at about
+the same time come in turns."""
+
 APART_S = 0.18
 """Least time between scans that are matched: at 40 Hz the errors of many short steps add up to
 three times those of few long ones. At 5 Hz some come early by a tenth."""
@@ -30,34 +35,37 @@ SPEED_M_PER_S, TURN_RAD_PER_S = 1.0, 1.0
 
 
 def scan_odometry(batches: Iterable[ScanBatch]) -> Iterator[Posed]:
-    """The robot's pose at scans of the first laser, each matched to one at least `APART_S` before.
+    """The robot's pose at scans of the laser with the widest view, each matched to one at least
+    `APART_S` before.
 
     It starts at (0, 0, 0). `usable` is False for scans of other lasers and skipped ones.
     """
-    laser: FloatArray | None = None
     before: Keyframes | None = None
     pose = np.zeros(3)
-    for whole in batches:
+    source = iter(batches)
+    begin = list(islice(source, FIRST_BATCHES))
+    widest = max(begin, key=_view_deg, default=None)
+    for whole in chain(begin, source):
         for batch in _split(whole):
-            laser = batch.T_body_laser if laser is None else laser
-            if not np.array_equal(batch.T_body_laser, laser):
+            if widest is None or batch.laser != widest.laser:
                 yield _without_pose(batch, pose)
                 continue
             part, pose, before = _posed(batch, pose, before)
             yield part
 
 
+def _view_deg(batch: ScanBatch) -> int:
+    """The angle over which a scan has returns, on average."""
+    angles = batch.angles_rad
+    if len(angles) < 2 or len(batch) == 0:
+        return 0
+    step = abs(float(angles[-1] - angles[0])) / (len(angles) - 1)
+    return round(float(np.degrees(np.isfinite(batch.ranges_m).sum() / len(batch) * step)))
+
+
 def _split(batch: ScanBatch) -> Iterator[ScanBatch]:
     for begin in range(0, len(batch), MOST_SCANS):
-        rows = slice(begin, begin + MOST_SCANS)
-        yield ScanBatch(
-            batch.times_ns[rows],
-            batch.ranges_m[rows],
-            np.asarray(batch.free_m)[rows],
-            batch.angles_rad,
-            batch.T_body_laser,
-            batch.sweep_s,
-        )
+        yield batch.rows(slice(begin, begin + MOST_SCANS))
 
 
 def _without_pose(batch: ScanBatch, pose: FloatArray) -> Posed:
@@ -76,7 +84,7 @@ def _posed(
         return part, pose, before
     fresh = prepared(part, rows)
     frames = fresh if before is None else join([before, fresh])
-    scans = Swept.of(frames.xy, frames.start, frames.increment)
+    scans = Swept.of(frames.xy, frames.start, frames.increment, frames.beams)
     seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
     information = np.zeros((len(seconds), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = (SPEED_M_PER_S * seconds) ** -2

@@ -162,10 +162,10 @@ def motion_by_ends(
     return by_first, by_second
 
 
-def odometry_scores(gradient: FloatArray) -> Scores:
-    """Gradients of steps (n - 1, 3), from every pose to the next."""
+def odometry_scores(gradient: FloatArray, stretch: int = STRETCH) -> Scores:
+    """Gradients of steps (n - 1, 3), from every pose to the next; `stretch` of them err alike."""
     before = np.arange(len(gradient))
-    return Scores(before + 1, before, before // STRETCH, gradient)
+    return Scores(before + 1, before, before // stretch, gradient)
 
 
 def wall_scores(

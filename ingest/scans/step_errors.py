@@ -9,10 +9,13 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse, wrap
 from .alignment import Aligned
-from .keyframes import Keyframes
+from .keyframes import KEYFRAMES, Keyframes
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
-"""Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s]."""
+"""Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s] of each
+laser."""
+MOST_LASERS = 8
+"""Number of lasers with a lag of their own; further ones share the last one's."""
 SHIFT_PRIOR = (0.03, 0.03, 0.1, 0.1)
 """Prior 1 sigma of the scale of distances, of their direction [rad], and of the position of the
 odometry's centre of rotation [m]."""
@@ -35,6 +38,14 @@ class _Learned:
     def terms(self) -> FloatArray:
         return np.asarray(np.linalg.solve(self.normal, self.right))
 
+    def widened(self, size: int, sigma: float) -> _Learned:
+        """With further terms of which nothing is known but their prior, up to `size`."""
+        more = max(size - len(self.right), 0)
+        normal = np.pad(self.normal, (0, more))
+        new = np.arange(size - more, size)
+        normal[new, new] = sigma**-2.0
+        return _Learned(normal, np.pad(self.right, (0, more)))
+
     def more(self, A: FloatArray, b: FloatArray) -> _Learned:
         """Add rows A (p, k) x = b (p,)."""
         out = self
@@ -51,8 +62,8 @@ class StepErrors:
     """A model of the odometry's errors, learned from scan matching.
 
     heading: θ_true = θ + β s + κ θ + δ ω (bias per metre forwards, which has the opposite sign
-    backwards for unequal wheels; scale of turns, lag); shift: scale of distances, their direction,
-    and x, y of the odometry's centre of rotation in the robot's frame.
+    backwards for unequal wheels; scale of turns, lag of the laser); shift: scale of distances,
+    their direction, and x, y of the odometry's centre of rotation in the robot's frame.
     """
 
     heading: _Learned = field(default_factory=lambda: _Learned.of(HEADING_PRIOR))
@@ -60,7 +71,7 @@ class StepErrors:
 
     @property
     def terms(self) -> FloatArray:
-        """(3,) β [rad/m], κ, δ [s]."""
+        """(2 + lasers,) β [rad/m], κ, δ [s] of each laser."""
         return self.heading.terms
 
     def steps(
@@ -70,13 +81,15 @@ class StepErrors:
         3)."""
         own = odometry_motion(frames, first, second)
         inputs = _inputs(frames, first, second, own)
-        turn = wrap(own[:, 2] + inputs @ self.heading.terms)
+        known = self.heading.widened(inputs.shape[1], HEADING_PRIOR[2])
+        turn = wrap(own[:, 2] + inputs @ known.terms[: inputs.shape[1]])
         shift = np.einsum("pkl,l->pk", _shifts(own, turn), self.shift.terms)
         motion = np.column_stack([own[:, :2] + shift, turn])
         motion = compose(compose(inverse(frames.mount[second]), motion), frames.mount[first])
         # Remaining errors of distances and headings, correlated over many steps.
-        way = np.hypot(own[:, 0], own[:, 1])
-        along, heading = 0.01 + 0.05 * way, 0.005 + 0.02 * way + 0.05 * np.abs(own[:, 2])
+        way, turned = np.hypot(own[:, 0], own[:, 1]), np.abs(own[:, 2])
+        least = _least_step(frames.laser[first] != frames.laser[second], way, turned)
+        along, heading = 0.01 * least + 0.05 * way, 0.005 * least + 0.02 * way + 0.05 * turned
         information = np.zeros((len(motion), 3, 3))
         information[:, 0, 0] = information[:, 1, 1] = along**-2
         information[:, 2, 2] = heading**-2
@@ -96,12 +109,26 @@ class StepErrors:
         out = self
         if turn_sure.any():
             A, error = _inputs(frames, first, second, own), wrap(real[:, 2] - own[:, 2])
-            out = replace(out, heading=self.heading.more(A[turn_sure], error[turn_sure]))
+            known = self.heading.widened(A.shape[1], HEADING_PRIOR[2])
+            A = np.pad(A, ((0, 0), (0, len(known.right) - A.shape[1])))
+            out = replace(out, heading=known.more(A[turn_sure], error[turn_sure]))
         if way_sure.any():
             A = _shifts(own, real[:, 2])[way_sure].reshape(-1, len(SHIFT_PRIOR))
             error = (real - own)[way_sure, :2].ravel()
             out = replace(out, shift=self.shift.more(A, error))
         return out
+
+
+LEAST_STEP = 0.1
+"""Lower bound of a step between two lasers' keyframes, as a share of one laser's: 1 mm, 0.03
+degrees."""
+
+
+def _least_step(other_laser: BoolArray, way: FloatArray, turned: FloatArray) -> FloatArray:
+    """(p,) factor on the part of a step's error that is the same for all lengths: that of steps
+    from one laser's keyframe to its next is 1; two lasers may see the same instant."""
+    share = np.maximum(way / KEYFRAMES.step_m, turned / KEYFRAMES.turn_rad)
+    return np.where(other_laser, np.clip(share, LEAST_STEP, 1.0), 1.0)
 
 
 def odometry_motion(frames: Keyframes, first: IntArray, second: IntArray) -> FloatArray:
@@ -111,8 +138,14 @@ def odometry_motion(frames: Keyframes, first: IntArray, second: IntArray) -> Flo
 
 
 def _inputs(frames: Keyframes, first: IntArray, second: IntArray, own: FloatArray) -> FloatArray:
-    """(p, 3) distance forwards, rotation and change of the turning rate over each step."""
-    return np.column_stack([own[:, 0], own[:, 2], frames.rate[first] - frames.rate[second]])
+    """(p, 2 + lasers) distance forwards, rotation, and the change of the turning rate over each
+    step, by the laser that saw it."""
+    laser = np.minimum(frames.laser, MOST_LASERS - 1)
+    rate = np.zeros((len(own), int(laser.max(initial=0)) + 1))
+    row = np.arange(len(own))
+    rate[row, laser[first]] += frames.rate[first]
+    rate[row, laser[second]] -= frames.rate[second]
+    return np.column_stack([own[:, 0], own[:, 2], rate])
 
 
 def _shifts(own: FloatArray, turn: FloatArray) -> FloatArray:
@@ -151,11 +184,13 @@ class SpanErrors:
     apart_alone: FloatArray
 
 
-def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
-    """The errors of spans among the given rows of a window."""
+def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
+    """The errors of spans among the given rows of a window, in which keyframes of so many lasers
+    come in turns."""
     pose, scatter = aligned.pose, aligned.scatter
-    first, last = _spans(rows, SHORT)
-    begin, end = _spans(rows, min(LONG, max(rows.stop - rows.start - 1, SHORT)))
+    short, long = lasers * SHORT, lasers * LONG
+    first, last = _spans(rows, short, short)
+    begin, end = _spans(rows, min(long, max(rows.stop - rows.start - 1, short)), short)
     step = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
     headings = scatter.headings(pose, begin, end)
@@ -172,7 +207,7 @@ def span_errors(aligned: Aligned, rows: slice) -> SpanErrors:
     )
 
 
-def _spans(rows: slice, length: int) -> tuple[IntArray, IntArray]:
-    """First and last rows of overlapping spans, `SHORT` keyframes apart."""
-    first = np.arange(rows.start, max(rows.stop - length, rows.start), SHORT)
+def _spans(rows: slice, length: int, apart: int) -> tuple[IntArray, IntArray]:
+    """First and last rows of overlapping spans, `apart` keyframes apart."""
+    first = np.arange(rows.start, max(rows.stop - length, rows.start), apart)
     return first, first + length

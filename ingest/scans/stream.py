@@ -18,6 +18,7 @@ from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
 from ..logs.recording import Recording, opened, sniff
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
+from .field_of_view import LaserNumbers
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 
@@ -28,8 +29,11 @@ MOST_FREE_M = 50.0
 
 UNLIKELY_M = 100.0
 """A scan with more than half of its echoes beyond this is left out: it shows no junction, and
-ranges in millimetres look like this."""
-FAR = f"see most things beyond {UNLIKELY_M:g} m (ranges are metres; are these millimetres?)"
+ranges in centimetres and millimetres look like this."""
+FAR = (
+    f"see most things beyond {UNLIKELY_M:g} m (ranges are metres; are these centimetres or "
+    "millimetres?)"
+)
 
 LONGEST_SWEEP_S = 1.0
 """A longer sweep is not believed: scanners turn at 5 Hz or faster."""
@@ -122,11 +126,11 @@ class ScanStream:
 
     def __iter__(self) -> Iterator[ScanBatch]:
         self.tally = tally = Tally()
-        last_ns = -1
+        numbers, last_ns = LaserNumbers(), dict[int, int]()
         for timed in self._decoded():
-            batch = self._batch(timed, last_ns)
+            batch = self._batch(timed, numbers, last_ns)
             if batch is not None:
-                last_ns = int(batch.times_ns[-1])
+                last_ns[batch.laser] = int(batch.times_ns[-1])
                 tally.scans += len(batch)
                 yield batch
 
@@ -163,14 +167,18 @@ class ScanStream:
         mount = self._mounting.of(cloud.frame)
         return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
 
-    def _batch(self, timed: TimedScans, after_ns: int) -> ScanBatch | None:
-        """The usable scans of a batch, None if there are none."""
+    def _batch(
+        self, timed: TimedScans, numbers: LaserNumbers, last_ns: Mapping[int, int]
+    ) -> ScanBatch | None:
+        """The usable scans of a batch, None if there are none; last_ns: each laser's last time."""
         raw, tally = timed.scans, self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
         except _UnusableError as why:
             tally.left_out[str(why)] += len(raw.message)
             return None
+        laser = numbers.of(raw)
+        after_ns = last_ns.get(laser, -1)
         sweep_s = _sweep_s(raw.geometry, len(angles))
         times_ns = self._times(timed, sweep_s)
         far = _far(raw)
@@ -187,6 +195,7 @@ class ScanStream:
             angles,
             T_body_laser,
             -sweep_s if backwards else sweep_s,
+            laser,
         )
 
     def _placed(self, raw: RawScans) -> tuple[FloatArray, FloatArray, bool]:
@@ -333,6 +342,7 @@ class InterleavedScans:
             yield from self._streams[0]
             return
         sources = [iter(stream) for stream in self._streams]
+        numbers: dict[tuple[int, int], int] = {}
         heads = {k: batch for k, source in enumerate(sources) if (batch := next(source, None))}
         while heads:
             first, *others = sorted(heads, key=lambda k: (int(heads[k].times_ns[0]), k))
@@ -340,19 +350,11 @@ class InterleavedScans:
             if others:
                 until = heads[others[0]].times_ns[0]
                 end = max(1, int(np.searchsorted(batch.times_ns, until, side="right")))
-            yield _part(batch, slice(0, end))
-            rest = _part(batch, slice(end, None)) if end < len(batch) else None
+            laser = numbers.setdefault((first, batch.laser), len(numbers))
+            yield replace(batch.rows(slice(0, end)), laser=laser)
+            rest = batch.rows(slice(end, None)) if end < len(batch) else None
             following = rest or next(sources[first], None)
             if following is None:
                 del heads[first]
             else:
                 heads[first] = following
-
-
-def _part(batch: ScanBatch, rows: slice) -> ScanBatch:
-    return replace(
-        batch,
-        times_ns=batch.times_ns[rows],
-        ranges_m=batch.ranges_m[rows],
-        free_m=np.asarray(batch.free_m)[rows],
-    )

@@ -7,11 +7,13 @@ from dataclasses import dataclass, field, replace
 from itertools import count
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.se2 import compose, inverse
+from ...topology.views import SIDE, view_cells
 from .crossing import BendTally, Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
 from .matching import Matched
@@ -69,12 +71,15 @@ SHOWN_M = 4.0
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
     """The contents of one window: its position [m driven], forks (variant, distance driven,
-    crossing), and skeleton points (k, 2) near it."""
+    crossing), skeleton points (k, 2) near it, and the view (`topology.views`) from `place` (2,)
+    [m]."""
 
     number: int
     way: float
     forks: tuple[tuple[int, float, Crossing], ...]
     skeleton: FloatArray
+    place: FloatArray
+    view: NDArray[np.uint8]
 
 
 @dataclass(slots=True, eq=False)
@@ -192,7 +197,18 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
         if k == 0:
             skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
             skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
-    return Seen(number, middle, tuple(forks), skeleton.astype(np.float32))
+    skeleton = skeleton.astype(np.float32)
+    return Seen(number, middle, tuple(forks), skeleton, *_around(held, middle))
+
+
+def _around(held: _Rolling, middle: float) -> tuple[FloatArray, NDArray[np.uint8]]:
+    """The view around a position on the track, and the corner of the lattice that it is about."""
+    a, b = np.searchsorted(held.way, [middle - WINDOWS.way_m, middle + WINDOWS.way_m]).tolist()
+    rows = range(a, min(max(b, a + 1), len(held.way)))
+    # One cell more than a view has, as windows have a middle one.
+    window = gather(held.seen, rows, held.at(middle)[None], (held.at(middle), SIDE), WINDOWS.grid)
+    place = np.asarray((window.corner + SIDE) * WINDOWS.grid.cell_m, np.float64)
+    return place, view_cells(window.hit[:-1, :-1], window.free[:-1, :-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -29,11 +29,11 @@ class CoincidenceSettings:
     """When two unmatched vertices are one place."""
 
     gate_m: float = 0.5
-    """Gate on the distance at a place that several runs share …"""
+    """Gate on the distance at a place that several runs share."""
     gate_per_m: float = 0.04
-    """… and its growth per metre driven from there …"""
+    """Growth of the gate per metre driven from such a place."""
     max_gate_m: float = 1.5
-    """… up to this."""
+    """Upper bound of the gate."""
     lead: float = 1.6
     """Least ratio of the second nearest candidate's distance to the nearest one's."""
     branch_gate_rad: float = 0.45
@@ -41,9 +41,9 @@ class CoincidenceSettings:
     spare_branches: int = 1
     """Number of unpaired branches allowed."""
     length_m: float = 0.5
-    """Lengths of corridors agree within this …"""
+    """Lengths of corridors that differ by at most `length_m + length_share · length` agree."""
     length_share: float = 0.06
-    """… plus this share of them."""
+    """See `length_m`."""
     min_chain: int = 3
     """Runs without a match of their own need at least this many coincident places that corridors
     connect, or that lie within `gate_m`."""

@@ -27,11 +27,11 @@ class PassageSettings:
     """When a corridor passes through a junction that its run did not see."""
 
     pass_m: float = 0.8
-    """The junction is within this distance of the corridor's path …"""
+    """Largest distance of the junction from the corridor's path."""
     pass_end_m: float = 1.2
-    """… at least this far along it from both ends …"""
+    """Least distance of the junction from both ends, along the path."""
     pass_rad: float = 0.6
-    """… and has branches in both directions of the path within this angle."""
+    """Largest angle between the path and a branch of the junction, in both directions."""
     junction_m: float = 0.3
     """Standard deviation of a corridor's length against the sum of its parts, per missed
     junction."""

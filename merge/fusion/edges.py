@@ -26,11 +26,11 @@ class CorridorSettings:
     """When corridors agree in length."""
 
     agree_sigmas: float = 4.0
-    """Lengths agree within this many standard deviations of their difference …"""
+    """Lengths that differ by at most this many standard deviations agree."""
     agree_m: float = 0.4
-    """… or within this …"""
+    """Lengths that differ by at most `agree_m + agree_share · length` agree as well."""
     agree_share: float = 0.05
-    """… plus this share of the length."""
+    """See `agree_m`."""
 
     def allowed_m(self, length: float, sigma: float) -> float:
         """Largest difference of agreeing lengths [m]. length: of the shorter corridor; sigma: of
@@ -85,8 +85,8 @@ def corridors_of(
             *(m.source, m.target, m.source_branch, m.target_branch),
             *(m.length, m.length_sigma, m.traversals, np.sqrt(length_variances(m)[0])),
         )
-        told = zip(*(column.tolist() for column in columns), strict=True)
-        for e, (s, t, i, j, length, sigma, traversals, own) in enumerate(told):
+        edges = zip(*(column.tolist() for column in columns), strict=True)
+        for e, (s, t, i, j, length, sigma, traversals, own) in enumerate(edges):
             # The ends are fused over all runs: the length changes as that of its path.
             bent = float(way_of(drawn[e])[-1] - ways[e][-1])
             corridor = Corridor(

@@ -42,10 +42,10 @@ class JointSettings:
     branch_gate_rad: float = 0.6
     """Gate on branches that measure the rotation between two maps."""
     bridge_m: float = 1.0
-    """Standard deviation of the relative position of parts of one map that no corridor connects
-    …"""
+    """Standard deviation of the relative position of parts of one map that no corridor
+    connects."""
     bridge_rad: float = 0.1
-    """… and of their relative heading."""
+    """Standard deviation of the relative heading of such parts."""
     scaled_runs: int = 24
     """Up to this many runs each odometry's scale is estimated as well; memory and time grow with
     the square of their number."""
@@ -55,11 +55,11 @@ class JointSettings:
     kernel_sigmas: float = 3.0
     """Width of the Cauchy kernel of identities, which limits the influence of false ones."""
     grid_rad: float = 0.035
-    """Prior standard deviation of corridors about the grid of a rectilinear building …"""
+    """Prior of the standard deviation of corridors about the grid of a rectilinear building."""
     grid_junctions: float = 20.0
-    """… with the weight of this many junctions, against those of the maps …"""
+    """Weight of that prior, as a number of junctions."""
     min_grid_rad: float = 0.01
-    """… and its lower bound."""
+    """Lower bound of that standard deviation."""
     grid_gate_rad: float = 0.26
     """Gate on the difference of the maps' grid directions in the initial layout, beyond which there
     is no common grid."""

@@ -80,7 +80,7 @@ class Landmarks:
         shared = graph.shared
         nothing = np.zeros((len(rows), 3, len(shared)))
         pose = np.concatenate([solution.pose, solution.pose[rows[first]]])
-        told = PoseGraph(
+        extended = PoseGraph(
             pose=pose,
             source=np.concatenate([graph.source[own], rows]),
             target=np.concatenate([graph.target[own], node[rows]]),
@@ -92,7 +92,7 @@ class Landmarks:
         edge_weight = np.concatenate([solution.edge_weight[own], weight[rows]])
         at = replace(solution, pose=pose, edge_weight=edge_weight)
         alone = np.where(node < n, sigma, 0.0)
-        return cls(told, at, node, alone, shared_sigma(pool))
+        return cls(extended, at, node, alone, shared_sigma(pool))
 
     @property
     def alone(self) -> FloatArray:

@@ -30,11 +30,11 @@ def honour(
     refused. Locks of runs without a verdict are ignored.
     """
     table = lock_table(locks)
-    told = [_told(v, table.get((v.a, v.b)), forced) for v in verdicts]
-    return _kept_apart(told, table)
+    decided = [_locked(v, table.get((v.a, v.b)), forced) for v in verdicts]
+    return _kept_apart(decided, table)
 
 
-def _told(
+def _locked(
     verdict: PairVerdict, lock: Lock | None, forced: Callable[[Lock], Alignment | None]
 ) -> PairVerdict:
     if lock is None:

@@ -249,8 +249,8 @@ def _nothing(a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> str:
     where = "" if near is None else " near both robots"
     if pairs == 0:
         return f"no pair of junctions{where} is compatible"
-    told = f"{counted(pairs, 'compatible pair')} of junctions{where}"
-    return f"{told}, none of which fits along its corridors"
+    compatible = f"{counted(pairs, 'compatible pair')} of junctions{where}"
+    return f"{compatible}, none of which fits along its corridors"
 
 
 def _verdict(bits: float, lead: float, needed: float) -> Verdict:

@@ -166,6 +166,8 @@ def _elsewhere(
     far_a, far_b = far_a[astray], far_b[astray]
 
     def told(told_lane: IntArray, what: IntArray, asked_for: IntArray, most: int) -> BoolArray:
+        """Whether a contradiction (`told_lane`, `what`) of the same lane concerns `asked_for`
+        already; indices are below `most`."""
         return np.isin(lane * most + asked_for, told_lane * most + what)
 
     vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))

@@ -186,7 +186,13 @@ class Others:
 
 
 def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[PairVerdict]:
-    """The verdicts on all pairs that were matched, sorted."""
+    """The verdicts on all pairs that were matched, sorted.
+
+    A verdict from the two maps alone stands unless a lock, a component or other runs concern the
+    pair (`said`). For those, the candidates are read again, placements that other runs
+    corroborate are added, and the verdict is computed with them. Verdicts changed by corroboration
+    alone are kept for later merges.
+    """
     prepared = batch.matcher.prepared
     pairs = sorted(batch.found)
     held = {pair: v for pair, v in (batch.joins | batch.alone).items() if not said.of(pair)}

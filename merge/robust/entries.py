@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.digits import BITS, rounded
+from ...topology.wording import counted
 from ..discards import REASON
 from ..locks import Lock
 from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
@@ -15,8 +16,14 @@ from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import Assessment, counted_bits
+from .verdict import DOUBTS, Assessment, counted_bits
 from .wording import contradictions, nothing, summary
+
+MAPS_ALONE = "the maps alone say:"
+"""In a reason, before what the evidence of two maps says where a lock says otherwise."""
+
+ELSEWHERE = "by another placement"
+"""What it says where a lock joins two maps that their evidence joins in another way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,16 +45,14 @@ class Case:
         the pair's own evidence, then that of other runs."""
         lock, says = self.lock, self._says()
         if lock is not None and lock.decision == "never":
-            reason = f"locked apart by a person; the maps alone say: {says}"
+            reason = f"locked apart by a person; {MAPS_ALONE} {says}"
             return self._not_joined(Verdict.UNRELATED, reason)
         if lock is not None and self.forced is None and self.reunion is None:
             return self._dishonoured(lock)
         if self.refused is not None:
             reason = f"{says}; but {self.refused.reason}"
             if lock is not None:
-                reason = (
-                    f"locked as the same, but {self.refused.reason}; the maps alone say: {says}"
-                )
+                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {says}"
             return self._not_joined(Verdict.AMBIGUOUS, reason)
         return self._by_evidence()
 
@@ -75,7 +80,7 @@ class Case:
             verdict = Verdict.AMBIGUOUS
         return self._not_joined(
             verdict,
-            f"{reason}; the maps alone say: {self._says()}",
+            f"{reason}; {MAPS_ALONE} {self._says()}",
             f"clear the lock of {lock.a} and {lock.b}, or name junctions in it that are one place",
         )
 
@@ -84,6 +89,11 @@ class Case:
         view = self.view
         if self.forced is not None:
             told = "locked as the same by a person; {}"
+            why = view.why
+            if view.best is not None and not same_placement(view.best, self.forced, self.b):
+                why = why or ELSEWHERE
+            if why or view.verdict is not Verdict.MERGED:
+                told += f"; {MAPS_ALONE} {view.verdict}" + (f", {why}" if why else "")
             return self._accepted(self.forced, by="lock", reason=told)
         if view.verdict is Verdict.MERGED and view.best is not None:
             return self._accepted(view.best, by="pair")
@@ -165,6 +175,25 @@ class Case:
             locked=None if self.lock is None else self.lock.decision,
             extra=_extra(view),
         )
+
+
+def doubt(pair: PairVerdict) -> str:
+    """What the maps of a pair that their evidence does not join say against joining them, beyond
+    too little evidence: that it may be another place, contradictions, or nothing in common; "" if
+    nothing."""
+    if pair.through or (pair.accepted and pair.accepted_by != "lock"):
+        return ""
+    _, locked, alone = pair.reason.partition(MAPS_ALONE)
+    if pair.accepted and not locked:
+        return ""
+    found = [why for why in (*DOUBTS, ELSEWHERE) if why in (alone or pair.reason)]
+    against = () if pair.best is None else pair.best.contradictions
+    if against:
+        found.append(f"{counted(len(against), 'contradiction')}: {against[0]}")
+    nothing_alike = f"{MAPS_ALONE} {Verdict.UNRELATED}" in pair.reason
+    if not found and (nothing_alike or (pair.verdict is Verdict.UNRELATED and pair.locked is None)):
+        found.append("they have nothing in common that chance would not offer")
+    return "; ".join(found)
 
 
 def _extra(view: Assessment) -> dict[str, float]:

@@ -107,6 +107,9 @@ def _units(seeds: Sequence[Seed]) -> ComplexArray:
     return np.array([seed.unit for seed in seeds], np.complex128)
 
 
+LEAST_WEIGHT = 1e-100
+"""Weights of neighbours below are those of vertices too far away: their sums may be no numbers."""
+
 Predicted = tuple[ComplexArray, ComplexArray, FloatArray]
 """Position, rotation and distance to the nearest support, of every row (`Grown`)."""
 
@@ -169,6 +172,10 @@ def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
     weights = b.neighbours.weight.take(vertex, axis=0)[:, None, :]
     sums = np.matmul(weights, flat)[:, 0, :].view(np.complex128)
     weight = sums[:, 0].real
+    if not (weight > LEAST_WEIGHT).all():
+        # Matches hundreds of metres away tell nothing here: the fit to all of them stands.
+        told = (weight > LEAST_WEIGHT).nonzero()[0]
+        spot, vertex, sums, weight = spot[told], vertex[told], sums[told], weight[told]
     lever = lever.take(lane.take(spot))
     local, ca, cb = rigid_from_sums(weight, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     place[spot] = ca + local * (z.take(spot) - cb)

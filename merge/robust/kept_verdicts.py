@@ -188,8 +188,8 @@ def from_bytes(data: bytes, a: TopoMap, b: TopoMap) -> PairVerdict | None:
 
 
 class _Late(Alignment):
-    """An alignment of a kept verdict, deserialised on first access: for most pairs that are not
-    merged nothing ever asks for it, and the bytes take less memory."""
+    """An alignment of a kept verdict that is decoded on first access. Most pairs that are not
+    merged never need it, and the encoded bytes take less memory."""
 
     __slots__ = ("_which", "data")
 
@@ -204,7 +204,7 @@ class _Late(Alignment):
         return out
 
     def __getattr__(self, name: str) -> Any:
-        """Called for attributes that are not set yet."""
+        """Decodes all attributes; Python calls it for those that are not set yet."""
         known, start = _known(self.data)
         entry = _PLACED.validate_json(self.data[start:])
         first, second = _matched(self.data, *known[NUMBERS:])

@@ -89,7 +89,13 @@ def from_bytes(data: bytes, a: Extent, b: Extent) -> tuple[Candidate, ...] | Non
 
 
 def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, int] | None:
-    """The candidate that begins at a byte, and the byte after it; None if it is invalid."""
+    """The candidate that begins at byte `at`, and the byte after it; None if it is invalid.
+
+    a, b: the numbers of vertices and of directed edges of both maps. The record starts with six
+    counts: k matched junctions, c corridors that agree, m links, eb and ea junctions of b and of a
+    inside corridors of the other map, el pairs of corridors that lead elsewhere. Real numbers
+    follow, then indices; both are checked before use.
+    """
     if len(data) - at < 4 * SIZES:
         return None
     k, c, m, eb, ea, el = np.frombuffer(data, "<u4", SIZES, at).tolist()

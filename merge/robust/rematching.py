@@ -125,7 +125,8 @@ class Rematcher:
     def _asked(
         self, open_: Iterable[Sides], accepted: Mapping[Pair, Alignment]
     ) -> dict[Sides, Asked]:
-        """The merged maps of pairs of components, not both single runs, that may be joined."""
+        """The merged maps of the pairs of components to match: those with open pairs between them
+        that are not both single runs, and that neither a lock nor a discarded match keeps apart."""
         return {
             (x, y): (self._merged.of(x, accepted), self._merged.of(y, accepted))
             for x, y in sorted(open_)
@@ -133,7 +134,7 @@ class Rematcher:
         }
 
     def _said(self, asked: Mapping[Sides, Asked]) -> list[Said]:
-        """Which of them are joined by their evidence.
+        """The pairs of components whose evidence suffices to merge them, with their assessments.
 
         The threshold against chance is shared by the remaining pairs, after Holm. The threshold
         against copies could be as well: as long as nothing was merged wrongly, a wrong merge can

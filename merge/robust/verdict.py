@@ -22,6 +22,11 @@ MAYBE_COPY = "this may be another copy of the place, as buildings in this merge 
 
 MISFITS = "this may be another copy of the place, as its lengths differ by more than noise"
 
+NEARLY = "another placement fits nearly as well"
+
+DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY)
+"""Why a pair is ambiguous that is more than too little evidence: it may belong elsewhere."""
+
 
 @dataclass(frozen=True, slots=True)
 class PairCount:
@@ -352,7 +357,7 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
         fewest = f"{threshold.settings.min_matches} junctions at least must agree"
         return f"{fewest}, one more for every contradiction" if len(best.conflicts) else fewest
     if margin is not None and margin < MATCH.lead_bits:
-        return "another placement fits nearly as well"
+        return NEARLY
     return ""
 
 

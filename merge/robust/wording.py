@@ -33,9 +33,9 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
 def nothing(best: Faint | None, need_bits: float) -> str:
     """Why two maps without an alignment beyond chance are unrelated."""
     if best is None:
-        return "nothing that chance would not offer: no alignment holds"
+        return "no significant match: no alignment holds"
     agree = f"{counted(best.junctions, 'junction')} {'agrees' if best.junctions == 1 else 'agree'}"
-    return f"nothing that chance would not offer: {agree}, {told_bits(best.bits, need_bits)}"
+    return f"no significant match: {agree}, {told_bits(best.bits, need_bits)}"
 
 
 Ends = tuple[int, ...]

@@ -55,7 +55,7 @@ def test_a_merge_of_another_name_is_drawn(topobatch, merged, tmp_path) -> None:
     a, _ = runs_of(merged)
     topobatch("merge", a, "--output", "one", "-w", merged)
     assert topobatch("draw", "one", tmp_path / "one.svg", "-w", merged).code == 0
-    assert "1 run in 1 component" in (tmp_path / "one.svg").read_text()
+    assert ": 1 run<" in (tmp_path / "one.svg").read_text()
 
 
 def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
@@ -68,7 +68,7 @@ def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
     assert topobatch("draw", f"{a}:{b}", pair, "-w", workspace).code == 0
     assert "not merged yet (topobatch merge --all)" in pair.read_text()
     error = topobatch("draw", "nobody", out, "-w", workspace).error(2)
-    assert "no run, merge or pair A:B" in error
+    assert "no run, site, merge or pair A:B" in error
     assert a in error
     assert b in error
     assert "two runs" in topobatch("draw", f"{a}:{a}", out, "-w", workspace).error(2)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -115,6 +117,32 @@ def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
     shutil.copytree(filled.maps, tmp_path / "maps")
     told = topobatch("export", "merged", "-f", "nav2", "-w", tmp_path).error(1)
     assert "topobatch merge --all" in told
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="devices are files")
+@pytest.mark.parametrize(
+    "place", ["/dev/full", "/dev/null", "/dev/stdout", "/dev/fd/1", "fifo", "link"]
+)
+def test_devices_are_not_replaced_by_files(topobatch, filled, tmp_path, place) -> None:
+    """Who may write there could put a file in their place."""
+    os.mkfifo(tmp_path / "fifo")
+    (tmp_path / "link").symlink_to("/dev/full")
+    path, run = tmp_path / place, run_of(filled)
+    (tmp_path / "places.csv").write_text("name,x,y\na,0,0\n")
+    (tmp_path / "picture.svg").symlink_to("/dev/full")
+    (tmp_path / "page.html").symlink_to("/dev/full")
+    calls = (
+        ("export", run, "-f", "nav2", "-o", path),
+        ("export", run, "-f", "csv", "-o", path),
+        ("transfer", tmp_path / "places.csv", "--from", run, "--to", "merged", "-o", path),
+        ("draw", run, tmp_path / "picture.svg"),
+        ("report", tmp_path / "page.html"),
+    )
+    before = os.lstat(path)
+    for call in calls:
+        error = topobatch(*call, "-w", filled.root).error(2)
+        assert "is no file that could be written; name another" in error
+    assert (os.lstat(path).st_mode, os.lstat(path).st_ino) == (before.st_mode, before.st_ino)
 
 
 def test_a_log_that_is_gone_is_asked_for(topobatch, filled, logs, tmp_path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -49,7 +50,9 @@ def workspace(fleet, tmp_path):
 
 
 def same(workspace, fleet) -> bool:
-    return (workspace / "merged.json").read_bytes() == (fleet / "expected").read_bytes()
+    """But for the names of sites, which hang on earlier merges."""
+    merged = re.sub(rb'"site":"[^"]+",', b"", (workspace / "merged.json").read_bytes())
+    return merged == (fleet / "expected").read_bytes()
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -175,6 +178,16 @@ def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
     called = topobatch("merge", "--all", "--cluster", "tcp://127.0.0.1:1", "-w", workspace)
     assert called.code == 1
     assert "no scheduler answers" in called.err
+
+
+@pytest.mark.parametrize("address", ["nobody", "tcp://nobody", "tcp://127.0.0.1:0", "x://h:1", ""])
+def test_a_wrong_address_of_a_cluster_is_told_also_if_nothing_needs_it(
+    topobatch, workspace, address
+):
+    pytest.importorskip("distributed")
+    assert topobatch("merge", "--all", "-j", 1, "-w", workspace).code == 0
+    again = topobatch("merge", "--all", "--cluster", address, "-w", workspace)
+    assert f"--cluster {address}: " in again.error(2)
 
 
 @pytest.fixture

@@ -16,12 +16,16 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
+from rosbags.rosbag1 import Reader
+from rosbags.rosbag1 import Writer as BagWriter
 
 from topobatch.cli.ingest_pool import outcomes_of
 from topobatch.cli.ingest_worker import IngestJob
 from topobatch.cli.workspace import Workspace
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.writing import write_run
 from topobatch.topology.document import read_map
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
@@ -251,43 +255,97 @@ def test_a_truncated_log_is_salvaged_and_said(topobatch, logs, tmp_path):
     readme, page = (
         " ".join((root / name).read_text().split()) for name in ("README.md", "docs/reliability.md")
     )
-    assert "0 all was done, if with warnings (a damaged log is used as far as it is whole" in readme
-    assert "`ingest` says it in a warning, and the exit code stays 0" in page
+    assert "0 done, possibly with warnings (a damaged log is read as far as possible)" in readme
+    assert "`ingest` warns, and the exit code stays 0" in page
 
 
-def test_logs_of_one_name_cost_no_other(topobatch, logs, tmp_path):
-    (tmp_path / "a").mkdir()
-    shutil.copy(logs["mcap"], tmp_path / "a" / "run.mcap")
-    shutil.copy(logs["other"], tmp_path / "run.mcap")
-    call = ("ingest", tmp_path, "-w", tmp_path / "ws")
-    alone = topobatch(*call)
-    assert alone.code == 2
-    assert not (tmp_path / "ws").exists()
-    shutil.copy(logs["other"], tmp_path / "sound.mcap")
-    (tmp_path / "circle.mcap").symlink_to("circle.mcap")
-    beside = topobatch(*call)
-    assert beside.code == 1
-    assert "circle.mcap" in beside.err
-    assert [p.name for p in (tmp_path / "ws" / "maps").glob("*.json")] == ["sound.json"]
-    for done in (alone, beside):
-        told = [line for line in done.err.splitlines() if "would become run 'run' as well" in line]
-        assert len(told) == 2
-        assert all("--name" in line for line in told)
+def test_logs_of_one_name_are_told_apart_and_cost_no_other(topobatch, logs, tmp_path):
+    for folder in ("robot1", "robot2"):
+        (tmp_path / "logs" / folder).mkdir(parents=True)
+    shutil.copy(logs["mcap"], tmp_path / "logs" / "robot1" / "run.mcap")
+    shutil.copy(logs["other"], tmp_path / "logs" / "robot2" / "run.mcap")
+    (tmp_path / "logs" / "circle.mcap").symlink_to("circle.mcap")
+    call = ("ingest", tmp_path / "logs", "-w", tmp_path / "ws")
+    done = topobatch(*call)
+    assert done.code == 1
+    assert "circle.mcap" in done.err
+    maps = [p.name for p in sorted((tmp_path / "ws" / "maps").glob("*.json"))]
+    assert maps == ["robot1-run.json", "robot2-run.json"]
+    assert "2 unchanged" in topobatch(*call).out
+    for log in ("robot2/run.mcap", "robot1/run.mcap"):
+        assert "1 unchanged" in topobatch("ingest", tmp_path / "logs" / log, *call[2:]).out
+
+
+def test_logs_that_no_name_tells_apart_cost_each_other_only(topobatch, logs, tmp_path, monkeypatch):
+    from topobatch.cli import run_names
+
+    logs_here = [shutil.copy(logs["mcap"], tmp_path / f"{name}.mcap") for name in "abc"]
+    same = dict(zip(logs_here, ("x", "x", "c"), strict=True))
+    monkeypatch.setattr(run_names, "run_names", lambda logs, *_, **__: same)
+    done = topobatch("ingest", tmp_path, "-w", tmp_path / "ws")
+    assert done.code == 2
+    assert "a.mcap would become run 'x' as well; give it another by --name" in done.err
+    maps = [p.name for p in sorted((tmp_path / "ws" / "maps").glob("*.json"))]
+    assert maps == ["c.json", "x.json"]
 
 
 def test_a_run_of_another_log_is_not_overwritten(topobatch, logs, tmp_path):
     (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
     first = shutil.copy(logs["mcap"], tmp_path / "a" / "run.mcap")
-    second = shutil.copy(logs["other"], tmp_path / "run.mcap")
-    document = tmp_path / "ws" / "maps" / "run.json"
+    second = shutil.copy(logs["other"], tmp_path / "b" / "run.mcap")
+    maps = tmp_path / "ws" / "maps"
     assert topobatch("ingest", first, "-w", tmp_path / "ws").code == 0
-    before = document.read_bytes()
-    error = topobatch("ingest", second, "-w", tmp_path / "ws").error(2)
+    before = (maps / "run.json").read_bytes()
+    error = topobatch("ingest", second, "-w", tmp_path / "ws", "--name", "run").error(2)
     assert "--force" in error
-    assert document.read_bytes() == before
-    assert topobatch("ingest", second, "-w", tmp_path / "ws", "--name", "two").code == 0
-    assert topobatch("ingest", second, "-w", tmp_path / "ws", "--force").code == 0
-    assert document.read_bytes() != before
+    assert topobatch("ingest", second, "-w", tmp_path / "ws").code == 0
+    assert sorted(p.stem for p in maps.glob("*.json")) == ["b-run", "run"]
+    assert (maps / "run.json").read_bytes() == before
+    call = ("ingest", second, "-w", tmp_path / "ws", "--name", "run", "--force")
+    assert topobatch(*call).code == 0
+    assert (maps / "run.json").read_bytes() != before
+
+
+def test_parts_of_a_split_recording_beside_other_logs_are_one_run(topobatch, tmp_path):
+    """As `rosbag record --split` leaves them: a folder of several recordings."""
+    run = simulate_scenario(ScenarioSettings(runs=1, junctions_per_run=10, seed=3)).simulated[0]
+    source = write_run(tmp_path / "whole", run, "bag")
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    with Reader(source) as bag:
+        half = (bag.start_time + bag.end_time) // 2
+        for number in range(2):
+            with BagWriter(folder / f"drive_{number}.bag") as part:
+                ids = {
+                    c.id: part.add_connection(
+                        c.topic, c.msgtype, msgdef=c.msgdef.data, md5sum=c.digest
+                    )
+                    for c in bag.connections
+                }
+                for connection, time_ns, data in bag.messages():
+                    if (time_ns > half) == (number == 1):
+                        part.write(ids[connection.id], time_ns, data)
+    shutil.copy(source, folder / "other.bag")
+    call = ("ingest", folder, "-w", tmp_path / "ws")
+    assert topobatch(*call).code == 0
+    maps = tmp_path / "ws" / "maps"
+    assert sorted(p.stem for p in maps.glob("*.json")) == ["drive", "other"]
+    one, other = (json.loads((maps / f"{name}.json").read_text()) for name in ("drive", "other"))
+    assert one["nodes"] == [
+        node | {"observations": [seen | {"run": "drive"} for seen in node["observations"]]}
+        for node in other["nodes"]
+    ]
+    assert "2 unchanged" in topobatch(*call).out
+    named = topobatch("ingest", *sorted(folder.glob("drive_*.bag")), "-w", tmp_path / "ws")
+    assert "1 unchanged" in named.out
+    # The log is read again by its path.
+    tum = ("export", "drive", "--format", "tum", "-w", tmp_path / "ws")
+    assert topobatch(*tum).code == 0
+    assert topobatch(*call, "--separate").code == 0
+    assert {"drive_0", "drive_1"} <= {p.stem for p in maps.glob("*.json")}
+    (folder / "drive_0.bag").unlink()
+    assert "drive_*.bag: the log of run drive is not there any more" in topobatch(*tum).err
 
 
 @pytest.mark.parametrize("name", ["a/b", "..", "", ".hidden", "a:b"])

@@ -7,6 +7,7 @@ import inspect
 import os
 import pydoc
 import re
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -148,6 +149,29 @@ def test_maps_may_come_one_by_one() -> None:
     assert [sorted(c.poses) for c in topobatch.merge(runs).components] == [["a", "b"]]
 
 
+def test_several_logs_may_be_given_as_people_have_them(tmp_path) -> None:
+    """As texts or paths, in any sequence, with folders among them; of one name, too."""
+    logs = [ROOT / "sample_logs" / name for name in ("maze-1.mcap", "maze-2.bag")]
+    for robot, log in zip(("r1", "r2"), logs, strict=True):
+        (tmp_path / robot).mkdir()
+        shutil.copy(log, tmp_path / robot / f"run{log.suffix}")
+    ways = (
+        [str(tmp_path / "r1" / "run.mcap"), tmp_path / "r2" / "run.bag"],
+        (tmp_path / robot for robot in ("r1", "r2")),
+        [tmp_path],
+    )
+    for way in ways:
+        assert [m.run for m in topobatch.ingest(way)] == ["r1-run", "r2-run"]
+    (alone,) = topobatch.ingest(str(tmp_path / "r1"))
+    assert alone.run == "run"
+
+
+def test_a_workspace_may_be_named_by_a_text(tmp_path) -> None:
+    assert topobatch.Workspace(str(tmp_path)) == topobatch.Workspace(tmp_path)
+    other = replace(topobatch.Workspace(str(tmp_path)), merge="other")
+    assert other.merged_json == tmp_path / "other.json"
+
+
 def test_calls_that_cannot_be(tmp_path) -> None:
     from topobatch.topology.errors import LogError, TopobatchError, UsageError
 
@@ -155,6 +179,10 @@ def test_calls_that_cannot_be(tmp_path) -> None:
         topobatch.ingest(tmp_path / "nowhere.mcap")
     with pytest.raises(UsageError, match="holds 5 logs; name one: "):
         topobatch.ingest(ROOT / "sample_logs")
+    with pytest.raises(UsageError, match="name goes with one log; 5 are given"):
+        topobatch.ingest([ROOT / "sample_logs"], name="x")
+    with pytest.raises(LogError, match="nowhere"):
+        topobatch.ingest([ROOT / "sample_logs", "nowhere"])
     with pytest.raises(UsageError, match="false_merge_rate"):
         topobatch.merge([], false_merge_rate=2.0)
     with pytest.raises(TopobatchError):

@@ -484,4 +484,4 @@ def test_many_pairs_are_counted_with_commas():
     told = (
         "5,995 pairs: 1,200 merged, 1,200 joined through others, 1,200 ambiguous, 1,200 unrelated"
     )
-    assert _counts(many) == f"{told}, 1,200 kept out; 1 component"
+    assert _counts(many) == f"{told}, 1,200 kept out; 1 site"

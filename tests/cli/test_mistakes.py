@@ -242,3 +242,19 @@ def test_places_of_a_run_that_was_not_merged(topobatch, own_site):
     shown = topobatch("transfer", "docks.csv", "--from", "run1", "--to", "run2")
     assert "nothing was carried: run1 and run2 are not merged" in shown.error(1)
     assert shown.out.count("are not merged") == 2
+
+
+@pytest.mark.parametrize(
+    ("call", "meant"),
+    [
+        ("export run1 -f nav", "'nav2'"),
+        ("schema merge", "'merged'"),
+        ("merge --all --method paperr", "'paper'"),
+        ("ingest run1.mcap --odometry-topic /odmo", "/odom"),
+        ("ingest run1.mcap --junction-topic /juntcions", "/junctions"),
+    ],
+)
+def test_what_is_misspelt_is_guessed(topobatch, own_site, call, meant):
+    done = topobatch(*call.split())
+    assert done.code != 0
+    assert f"did you mean {meant}?" in done.err

@@ -31,6 +31,14 @@ def files(place):
     return {path.name: path.read_bytes() for path in (place / "merged.json", place / "merged.rrd")}
 
 
+def nameless(place):
+    """The merge without the names of its sites, which hang on earlier merges."""
+    found = json.loads((place / "merged.json").read_bytes())
+    for component in found["graph"]["components"]:
+        del component["site"]
+    return found
+
+
 def test_nothing_new_is_not_merged_but_said_again_and_noted(topobatch, place):
     (place / "cache" / "merged" / "merged.json").unlink()
     first = topobatch("merge", "--all", "-w", place)
@@ -78,11 +86,11 @@ def test_whatever_is_new_is_merged(topobatch, place, tmp_path, monkeypatch, chan
     assert called.code == 0, called
     assert NOTHING_NEW not in called.err
     assert NOTHING_NEW in topobatch("merge", "--all", *options, "-v", "-w", place).err
-    here = files(place)["merged.json"]
+    here = nameless(place)
     shutil.rmtree(place / "cache")
     (place / "merged.json").unlink()
     topobatch("merge", "--all", *options, "-w", place)
-    assert files(place)["merged.json"] == here
+    assert nameless(place) == here
 
 
 @pytest.mark.parametrize("harm", ["flip", "cut", "empty", "list", "lines", "no lines", "text"])
@@ -98,7 +106,7 @@ def test_a_record_that_is_none_is_passed_over(topobatch, place, harm):
         found["check"] = unchanged._check(found["record"])
         path.write_text(json.dumps(found))
     else:
-        at = whole.index(b"component")
+        at = whole.index(b"merged")
         flipped = whole[:at] + b"k" + whole[at + 1 :]
         path.write_bytes({"flip": flipped, "cut": whole[:-9], "empty": b"", "list": b"[1]"}[harm])
     called = topobatch("merge", "--all", "-v", "-w", place)

@@ -16,6 +16,7 @@ START_NS = 1_700_000_000_123_456_789
 ODOMETRY = "nav_msgs/msg/Odometry"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POSE_STAMPED = "geometry_msgs/msg/PoseStamped"
+POSE_COVARIANCE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 TF = "tf2_msgs/msg/TFMessage"
 
 Pose = tuple[float, float, float, float, float, float, float]
@@ -23,7 +24,8 @@ Pose = tuple[float, float, float, float, float, float, float]
 
 @dataclass(frozen=True)
 class Message:
-    """One message in the abstract: `poses` of a transform message share `stamp_ns`."""
+    """One message in the abstract: `poses` of a transform message share `stamp_ns`; sigma_m: 1
+    sigma of the position, where a type can state it."""
 
     topic: str
     type_name: str
@@ -32,6 +34,7 @@ class Message:
     frame: str
     child: str
     poses: tuple[Pose, ...]
+    sigma_m: float = 0.1
 
 
 def yaw_pose(x: float, y: float, yaw: float, z: float = 0.25) -> Pose:
@@ -126,6 +129,15 @@ def ros_object(message: Message, store: Any, ros1: bool) -> Any:
         return make(POSE_ARRAY, header=header, poses=[pose(p) for p in message.poses])
     if message.type_name == POSE_STAMPED:
         return make(POSE_STAMPED, header=header, pose=pose(message.poses[0]))
+    if message.type_name == POSE_COVARIANCE:
+        covariance = np.zeros(36)
+        covariance[[0, 7]] = message.sigma_m * abs(message.sigma_m)
+        stated = make(
+            "geometry_msgs/msg/PoseWithCovariance",
+            pose=pose(message.poses[0]),
+            covariance=covariance,
+        )
+        return make(POSE_COVARIANCE, header=header, pose=stated)
     if message.type_name == TF:
         transforms = [
             make(

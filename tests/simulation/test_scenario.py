@@ -20,6 +20,7 @@ from topobatch.simulation import (
 )
 from topobatch.simulation.chance import Chance
 from topobatch.simulation.regions import scattered_regions
+from topobatch.simulation.walk import Leg
 from topobatch.topology.errors import UsageError
 
 from .driven import KINDS
@@ -128,3 +129,14 @@ def test_any_world_can_be_driven(
     assert truth.messages.sum() == len(run.detections)
     assert run.detections.branches.counts.min(initial=1) >= 1
     assert np.max(np.hypot(*run.detections.centre.T), initial=0.0) < 3.0
+
+
+def test_a_robot_drives_the_route_that_it_is_given() -> None:
+    world = make_world("maze", 20, 3)
+    first, there, _ = world.ends(0)[0]
+    second, beyond, _ = next(end for end in world.ends(there) if end[0] != first)
+    route = [Leg(first, 0, there), Leg(second, there, beyond)]
+    run = simulate_run(world, name="r", seed=1, route=route)
+    assert run.truth.drive_edge.tolist() == [first, second]
+    assert run.truth.closed_edges == ()
+    assert run.truth.detected <= {0, there, beyond}

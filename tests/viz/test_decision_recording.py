@@ -119,8 +119,8 @@ def test_an_ambiguous_pair_is_drawn_both_ways(tmp_path: Path, make_map) -> None:
 def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) -> None:
     told = decision(Verdict.UNRELATED, [placement(3.0, EVERY[:2])], start=Start(1, 7, 4, 3))
     got = written(tmp_path / "a.rrd", make_map, told)
-    assert "given up" in got.value("/placements/titles", "Points2D:labels")[0]
-    assert "where 4 must be" in got.value("/decision", "TextDocument:text")[0]
+    assert "rejected" in got.value("/placements/titles", "Points2D:labels")[0]
+    assert "4 needed" in got.value("/decision", "TextDocument:text")[0]
 
 
 def test_ways_to_turning_points_are_drawn(tmp_path: Path, make_map, turned) -> None:
@@ -138,7 +138,7 @@ def test_runs_that_others_join_are_drawn_as_these_place_them(tmp_path: Path, mak
     told = replace(told, said=said, by_others=np.array([5.0, 0.0, 0.0]))
     got = written(tmp_path / "a.rrd", make_map, told)
     titles = got.value("/placements/titles", "Points2D:labels")
-    assert titles == ["joined through mid", "best hypothesis, given up"]
+    assert titles == ["joined through mid", "best hypothesis, rejected"]
     (shift,) = got.value("/placements/joined/b", "Transform3D:translation")
     assert shift == [5.0, 0.0, 0.0]
 
@@ -149,4 +149,4 @@ def test_nothing_alike_is_told(tmp_path: Path, make_map, empty_map, empty: bool)
     second = empty_map if empty else make_map("b")
     write_decision_recording(tmp_path / "a.rrd", make_map("a/1"), second, told)
     page = Readback(tmp_path / "a.rrd").value("/decision", "TextDocument:text")[0]
-    assert "no corridor of one is like one of the other" in page
+    assert "no similar corridors" in page

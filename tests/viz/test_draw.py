@@ -6,9 +6,17 @@ import pytest
 
 from topobatch.merge.decision import Placement, Term
 from topobatch.merge.decision_text import lines
-from topobatch.merge.result import Alignment, Verdict
+from topobatch.merge.drive import Drive, Stop
+from topobatch.merge.result import Alignment, Verdict, of_site
 from topobatch.topology.turning_points import TURNING_POINT
-from topobatch.viz.draw import draw_decision, draw_map, draw_merged, draw_placements
+from topobatch.viz.draw import (
+    draw_decision,
+    draw_drive,
+    draw_map,
+    draw_merged,
+    draw_placements,
+    draw_site,
+)
 from topobatch.viz.theme import DARK, LIGHT
 
 from .test_decision_recording import EVERY, decision, placement
@@ -68,9 +76,7 @@ def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex)
 def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
     result, _ = merge_of([["a", "b"], ["lone"]])
     texts, titles = seen(draw_merged(result, LIGHT))
-    assert {"3 runs in 2 components", "a", "b", "lone", "run that is merged with none"} <= set(
-        texts
-    )
+    assert {"3 runs of 2 sites", "a", "b", "lone", "run that is merged with none"} <= set(texts)
     assert set(titles) == {"a", "b", "lone"}
     svg = draw_merged(result, LIGHT).as_bytes("svg").decode()
     assert LIGHT.run(0) in svg
@@ -92,7 +98,26 @@ def test_no_runs_can_be_drawn(no_fused) -> None:
     from topobatch.merge.result import MergeResult
 
     texts, _ = seen(draw_merged(MergeResult((), no_fused, ()), LIGHT))
-    assert "0 runs in 0 components" in texts
+    assert "0 runs of 0 sites" in texts
+
+
+def test_a_site_is_drawn_with_the_numbers_of_its_junctions(merge_of) -> None:
+    result, _ = merge_of([["a"], ["b", "c"]])
+    texts, _ = seen(draw_site(result, 1, LIGHT))
+    assert {"5", "6", "7", "8", "9"} <= set(texts)
+    assert not {"0", "4", "a"} & set(texts)
+
+
+def test_a_drive_is_drawn_over_its_site(merge_of) -> None:
+    result, _ = merge_of([["a"], ["b", "c"]])
+    site = of_site(result, 1)
+    xy = site.fused.xy
+    stops = (Stop("north", 5, tuple(xy[0])), Stop("south", 3, tuple(xy[1])))
+    path = np.array([xy[0], xy[1], xy[1] + 5.0])
+    drive = Drive(1, "north", "south", stops, path, 5.0, 12.0, (("a", "b"),), 9.0)
+    texts, titles = seen(draw_drive(site, drive, LIGHT))
+    assert {"5", "3", "drive to record", "b", "c"} <= set(texts)
+    assert "12 m in north, from junction 5 towards south:3" in titles
 
 
 def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:

@@ -4,11 +4,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.topology.driven_branches import driven_branches
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz.drawing import (
     bounds,
     branch_arrows,
-    driven_branches,
     extent,
     pen_m,
     ribbons,

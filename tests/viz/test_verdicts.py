@@ -78,7 +78,7 @@ def test_one_is_not_several(merge_of: Merge) -> None:
 def test_summaries_count(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
     told = merge_summary(result, MergeLayers())
-    assert "**3** runs in **2** components" in told
+    assert "**3** runs of **2** sites" in told
     assert "**10** junctions, 5 of them seen by several runs" in told
     assert "**1** merged, **0** ambiguous, **2** unrelated" in told
     assert "take care" in told

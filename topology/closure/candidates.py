@@ -171,7 +171,7 @@ def _known_apart(
     """
     reckoning, places = state.reckoning, state.places
     reach_m = settings.growth.hops * state.common.leg_m
-    a, b = _pairs_within(estimate.xy, reach_m, settings.most_tabled).T
+    a, b = pairs_within(estimate.xy, reach_m, settings.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
     same = reckoning.piece[i] == reckoning.piece[j]
     a, b = a[same], b[same]
@@ -220,7 +220,7 @@ def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.
     return out
 
 
-def _pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
+def pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
     """(k, 2) pairs a < b of points within `reach_m`, sorted; within less if these are more than
     `most`."""
     tree = cKDTree(xy)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from ..arrays import FloatArray, IntArray
+from ..frozen import freeze
 from ..odometry import Odometry
 from ..passes import Passes
+from ..run import NOT_SEEN_AGAIN, SeenAgain
 from ..topomap import RunNoise
 from ..track import interpolated, piece_of, stretch_of, track_directions, way_at
 
@@ -30,6 +32,34 @@ class SystematicErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Loops:
+    """Relative poses that were measured between passes apart in time, by what a laser saw there.
+
+    first, second: (k,) passes; measurement: (k, 3) T_first_second, information: (k, 3, 3), both as
+    of a `PoseGraph` whose nodes are the passes, at their centres and rotated like the odometry
+    frame.
+    """
+
+    first: IntArray
+    second: IntArray
+    measurement: FloatArray
+    information: FloatArray
+
+    def __post_init__(self) -> None:
+        k = len(self.first)
+        freeze(self, np.int64, first=(k,), second=(k,))
+        freeze(self, np.float64, measurement=(k, 3), information=(k, 3, 3))
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+NO_LOOPS = Loops(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class DeadReckoning:
     """The passes of a run and the odometry between them.
 
@@ -38,7 +68,8 @@ class DeadReckoning:
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) what the odometry's jumps add to the variances among them.
+    7) what the odometry's jumps add to the variances among them; loops: relative poses known
+    beside the odometry.
     """
 
     passes: Passes
@@ -52,6 +83,7 @@ class DeadReckoning:
     origin: FloatArray
     sums: FloatArray
     jumps: FloatArray
+    loops: Loops = field(default=NO_LOOPS)
 
     def __len__(self) -> int:
         return len(self.passes)
@@ -62,8 +94,12 @@ def dead_reckoning(
     passes: Passes,
     noise: RunNoise,
     systematic: SystematicErrors = SystematicErrors(),
+    again: SeenAgain = NOT_SEEN_AGAIN,
 ) -> DeadReckoning:
-    """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes."""
+    """Dead reckoning of a run. O(n + p log n) for n odometry rows and p passes.
+
+    again: where the robot came by a place again; the odometry was laid out accordingly.
+    """
     way = way_at(odometry, passes.time_ns)
     piece = piece_of(odometry, passes.time_ns)
     leg = np.where(np.diff(stretch_of(odometry, passes.time_ns)) == 0, np.diff(way), np.nan)
@@ -81,7 +117,56 @@ def dead_reckoning(
         origin=middle[piece],
         sums=_prefix_sums(odometry, passes, noise, about),
         jumps=_jump_sums(odometry, passes, about),
+        loops=_loops_of_passes(odometry, passes, noise, again),
     )
+
+
+FAR_M = 15.0
+"""Passes farther than this from where the robot was seen again are not tied by it: two
+corridors."""
+
+
+def _loops_of_passes(
+    odometry: Odometry, passes: Passes, noise: RunNoise, again: SeenAgain
+) -> Loops:
+    """Each time that the robot came by a place again, as a loop between the two passes next to it,
+    of which the one known best is kept for every pair."""
+    if not len(again) or not len(passes):
+        return NO_LOOPS
+    way, piece = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
+    rows, covs = [], [np.linalg.inv(again.information)]
+    for times in (again.first_ns, again.second_ns):
+        at = way_at(odometry, times)
+        gap = np.abs(way - at[:, None])
+        gap[piece != stretch_of(odometry, times)[:, None]] = np.inf
+        row = gap.argmin(axis=1)
+        away = gap[np.arange(len(at)), row]
+        rows.append(np.where(away <= FAR_M, row, -1))
+        covs.append(_straight_covariance(noise, np.minimum(away, FAR_M)))
+    first, second = np.minimum(*rows), np.maximum(*rows)
+    cov = sum(covs[1:], covs[0])
+    size = cov[:, 0, 0] + cov[:, 1, 1]
+    fine = np.flatnonzero((first >= 0) & (first != second))
+    order = fine[np.lexsort((size[fine], second[fine], first[fine]))]
+    new = np.ones(len(order), bool)
+    new[1:] = (np.diff(first[order]) != 0) | (np.diff(second[order]) != 0)
+    kept = order[new]
+    first, second = first[kept], second[kept]
+    measured = np.zeros((len(kept), 3))
+    measured[:, :2] = passes.centre[second] - passes.centre[first]
+    information = np.linalg.inv(cov[kept])
+    return Loops(first, second, measured, 0.5 * (information + information.transpose(0, 2, 1)))
+
+
+def _straight_covariance(noise: RunNoise, way: FloatArray) -> FloatArray:
+    """(k, 3, 3) of x, y, theta after driving straight on for `way` (k,) [m], the same in all
+    directions."""
+    turn = noise.heading_rad_per_sqrt_m**2 * way
+    out = np.zeros((len(way), 3, 3))
+    shift = noise.along_m_per_sqrt_m**2 * way + turn * way**2 / 3 + noise.centre_m**2
+    out[:, 0, 0] = out[:, 1, 1] = shift
+    out[:, 2, 2] = turn
+    return out
 
 
 def scale_noise(reckoning: DeadReckoning, factor: float) -> DeadReckoning:

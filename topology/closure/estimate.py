@@ -49,9 +49,9 @@ class Estimate:
     pose: (p, 3) of every pass in the map frame: its centre, and the rotation from odometry to map.
     xy: (n, 2) position of every place; node: (n,) its vertex in the pose graph: one of its own if
     it has several passes, else its pass. sighting: (k,) pass of each observation factor;
-    sighting_chi2: (k,) its squared error in sigmas. reduced_chi2: mean squared error in sigmas per
-    degree of freedom, 1 if the noise model is right; freedom: degrees of freedom. samples: for
-    covariances of many nodes.
+    sighting_chi2: (k,) its squared error in sigmas; loop_chi2: the same of each of the loops.
+    reduced_chi2: mean squared error in sigmas per degree of freedom, 1 if the noise model is right;
+    freedom: degrees of freedom, without those of loops. samples: for covariances of many nodes.
     """
 
     pose: FloatArray
@@ -59,6 +59,7 @@ class Estimate:
     node: IntArray
     sighting: IntArray
     sighting_chi2: FloatArray
+    loop_chi2: FloatArray
     reduced_chi2: float
     freedom: int
     graph: PoseGraph
@@ -96,9 +97,10 @@ def optimise(
     `start` do not do so approximately.
 
     Nodes of the pose graph are the passes (at their centre, rotated like the odometry frame) and
-    the places with several passes. Edges are the legs between consecutive passes and the
-    observations of places by passes; the systematic errors of the odometry are variables shared by
-    all legs. A corridor of the grid is a node as well: a line that its passes lie on.
+    the places with several passes. Edges are the legs between consecutive passes, the observations
+    of places by passes, and the loops of `reckoning`; the systematic errors of the odometry are
+    variables shared by all legs. A corridor of the grid is a node as well: a line that its passes
+    lie on.
     """
     count = len(reckoning)
     if start is None:
@@ -119,18 +121,20 @@ def optimise(
         total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
         guess[:, k] = total[several] / visits[several]
     lines, line, pose = _lines(start, corridors)
-    parts = (legs, shared, lines)
+    loops = reckoning.loops
+    parts = (legs, shared, loops, lines)
     row, sighting = len(legs.row), slice(len(legs.row), len(legs.row) + len(shared.row))
-    edges = sighting.stop + len(lines.row)
+    observed = slice(row, sighting.stop + len(loops))
+    edges = observed.stop + len(lines.row)
     sensitivity = np.zeros((edges, 3, 2))
     sensitivity[:row] = systematic_modes(reckoning, legs.row, legs.row + 1)
     kernel = np.full(edges, np.inf)
-    kernel[sighting.stop :] = settings.grid_kernel
+    kernel[observed.stop :] = settings.grid_kernel
     s = reckoning.systematic
     graph = PoseGraph(
         pose=np.vstack([start, guess, pose]),
-        source=np.concatenate([legs.row, shared.row, count + len(several) + line]),
-        target=np.concatenate([legs.row + 1, node[place[shared.row]], lines.row]),
+        source=np.concatenate([legs.row, shared.row, loops.first, count + len(several) + line]),
+        target=np.concatenate([legs.row + 1, node[place[shared.row]], loops.second, lines.row]),
         measurement=np.vstack([part.measurement for part in parts]),
         information=np.concatenate([part.information for part in parts]),
         kernel=kernel,
@@ -138,7 +142,7 @@ def optimise(
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
         swing=np.where(np.arange(edges) < row, _SWING, 0.0),
     )
-    graph, solution, chi2 = _solved(graph, sighting, settings)
+    graph, solution, chi2 = _solved(graph, observed, settings)
     freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
     return Estimate(
         pose=solution.pose[:count],
@@ -146,6 +150,7 @@ def optimise(
         node=node,
         sighting=shared.row,
         sighting_chi2=solution.edge_chi2[sighting],
+        loop_chi2=solution.edge_chi2[sighting.stop : observed.stop],
         reduced_chi2=_reduced_chi2(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
         freedom=freedom,
         graph=graph,
@@ -174,19 +179,20 @@ def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> Float
 
 
 def _solved(
-    graph: PoseGraph, sighting: slice, settings: EstimateSettings
+    graph: PoseGraph, observed: slice, settings: EstimateSettings
 ) -> tuple[PoseGraph, Solution, FloatArray]:
-    """Solve without robust kernels on the observations, then, if some do not fit, with kernels.
+    """Solve without robust kernels on observations and loops, then, if some do not fit, with
+    kernels.
 
     A new identification may move places by far, which a robust kernel would reject at first.
     """
     given = SolverSettings(relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2)
     solution = solve(graph, given)
     gate = LIKELIHOOD.gate_sigmas
-    if np.all(solution.edge_chi2[sighting] < gate**2):
+    if np.all(solution.edge_chi2[observed] < gate**2):
         return graph, solution, solution.edge_chi2
     width = graph.kernel.copy()
-    width[sighting] = gate
+    width[observed] = gate
     robust = replace(graph, pose=solution.pose, kernel=width)
     return robust, solve(robust, given), solution.edge_chi2
 

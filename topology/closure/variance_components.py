@@ -101,6 +101,9 @@ def fitted_noise(
     for left in reversed(range(settings.rounds)):
         energy, freedom = _told(estimate, legs, smoothed, variance, grid, samples=settings.samples)
         step = _step(energy, freedom, variance / prior, settings.prior_freedom, 2 if left else 1)
+        if len(reckoning.loops):
+            # The odometry was laid out by its loops: what is left does not tell how it errs.
+            step[:_WALKS] = 1.0
         variance = variance * step
         reckoning = _with_variances(reckoning, units, variance)
         if grid is not None:
@@ -306,11 +309,13 @@ def _sorts(
     """
     graph, solution = estimate.graph, estimate.solution
     error = edge_errors(graph, solution.pose, solution.shared)
-    row = slice(0, legs), slice(legs, len(error))
+    row = slice(0, legs), slice(legs, legs + len(less))
+    loops = slice(row[1].stop, row[1].stop + len(estimate.loop_chi2))
     off = prior_errors(graph, solution.pose)
     known = graph.priors
     give = np.ones(len(error))
-    give[row[1]] = _stiffness(solution.edge_chi2[row[1]], graph.kernel[row[1]], 3)
+    for part in (row[1], loops):
+        give[part] = _stiffness(solution.edge_chi2[part], graph.kernel[part], 3)
     give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
     pulled = replace(solution, edge_weight=give, prior_weight=give_known)
     sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)

@@ -12,6 +12,7 @@ import numpy as np
 from ...topology.digits import significant
 from ...topology.document import map_to_document
 from ...topology.topomap import TopoMap
+from ...topology.wording import quoted_formula
 from .route_graph import driving_seconds, driving_speed, seconds_sigma
 
 
@@ -27,7 +28,7 @@ def junctions_csv(topomap: TopoMap) -> str:
                 "x": node["x"],
                 "y": node["y"],
                 "sigma_m": node.get("sigma_m", ""),
-                "kind": node["kind"],
+                "kind": quoted_formula(node["kind"]),
                 "branches": " ".join(f"{b:g}" for b in node["branches"]),
                 "confidence": node.get("confidence", 1),
                 "passes": len(seen),

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.odometry.conventions import disagreements
+from topobatch.ingest.odometry.stationary import DriveBys
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections
-from topobatch.topology.se2 import apply, wrap
+from topobatch.topology.se2 import apply, inverse, wrap
 
 Log = tuple[Odometry, Detections]
 
@@ -199,10 +200,11 @@ def test_positions_that_say_nothing_are_no_disagreement_but_headings_tell() -> N
 
 def test_few_drive_bys_tell_nothing() -> None:
     odometry, detections = positions(1000)
-    first = np.arange(100)
+    first = np.arange(20)
     few = Detections(
         detections.time_ns[first], detections.centre[first], detections.branches.take(first)
     )
+    assert 0 < len(DriveBys.of(odometry, few)) < 5
     assert told(odometry, few) == []
 
 
@@ -211,3 +213,50 @@ def test_a_robot_that_stands_tells_nothing() -> None:
     stands = replace(odometry, pose=np.zeros_like(odometry.pose))
     still = replace(detections, centre=np.ones_like(detections.centre))
     assert told(stands, headings(still, 0.0)) == []
+
+
+def claims_odometry(log: Log) -> Log:
+    """Detections in the robot's frame whose header claims the odometry's, as they are read."""
+    odometry, seen = log
+    pose = odometry.at(seen.time_ns)
+    return odometry, headings(
+        replace(seen, centre=apply(inverse(pose), seen.centre)), 1.0, -pose[:, 2]
+    )
+
+
+@pytest.mark.parametrize("world", ["maze", "office", "organic", "rows"])
+def test_detections_of_the_robots_frame_that_claim_the_odometrys_are_told(world: str) -> None:
+    (sentence,) = told(*claims_odometry(log(world)))
+    assert "their positions are in the robot's frame, not in the odometry's" in sentence
+
+
+@pytest.mark.parametrize("degrees", [90, 180, -90, 45])
+@pytest.mark.parametrize("world", ["maze", "office", "organic", "rows"])
+def test_branches_that_are_all_turned_are_told(world: str, degrees: int) -> None:
+    odometry, detections = log(world)
+    (sentence,) = told(odometry, headings(detections, 1.0, np.radians(degrees)))
+    assert f"only if they are all turned by {abs(degrees)} degrees" in sentence
+
+
+SHORT_LOGS = {
+    "mirrored": (
+        lambda o, d: (o, headings(replace(d, centre=d.centre * [1, -1]), -1.0)),
+        "the y axis of their positions",
+    ),
+    "centimetres": (
+        lambda o, d: (replace(o, pose=o.pose * [100, 100, 1]), d),
+        "positions of /odom are 0.01",
+    ),
+    "claims odometry": (lambda o, d: claims_odometry((o, d)), "in the robot's frame"),
+}
+
+
+@pytest.mark.parametrize("name", SHORT_LOGS)
+@pytest.mark.parametrize("world", ["maze", "office", "rows"])
+def test_short_logs_tell_what_is_far_off(world: str, name: str) -> None:
+    settings = ScenarioSettings(world=world, runs=1, junctions_per_run=7, seed=2)
+    run = simulate_scenario(settings).runs["run1"]
+    assert len(DriveBys.of(run.odometry, run.detections)) < 20
+    assert told(run.odometry, run.detections) == []
+    misread, finding = SHORT_LOGS[name]
+    assert any(finding in sentence for sentence in told(*misread(run.odometry, run.detections)))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.reading import ReadSettings, read_run
+from topobatch.topology.errors import LogError
 
 SECOND = 10**9
 
@@ -92,3 +93,52 @@ def test_odometry_that_is_reset_to_a_frame_far_away_is_read(logs, tmp_path):
     run = read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change)))
     assert run.odometry.breaks.tolist() == [100]
     assert len(run.odometry) == 300
+
+
+def stated(logs, sigma_m, topic="/amcl_pose"):
+    """The sample drive with poses that state their sigma, by their number."""
+
+    def change(k, m):
+        kind = {"topic": topic, "type_name": logs.POSE_COVARIANCE, "child": ""}
+        return replace(m, **kind, sigma_m=sigma_m(k))
+
+    return disturbed(logs, change)
+
+
+@pytest.mark.parametrize("sigma_m", [0.1, 0.0, -1.0, float("nan"), 50.0])
+def test_poses_with_a_covariance_are_odometry_like_any_other(logs, tmp_path, sigma_m):
+    plain = read_run(logs.mcap(tmp_path / "plain.mcap", logs.drive()))
+    for log in (
+        logs.mcap(tmp_path / "a.mcap", stated(logs, lambda k: sigma_m)),
+        logs.bag(tmp_path / "a.bag", stated(logs, lambda k: sigma_m)),
+    ):
+        run = read_run(log)
+        assert run.warnings == ()
+        assert run.odometry.pose.tobytes() == plain.odometry.pose.tobytes()
+        assert run.source["odometry"] == {
+            "topic": "/amcl_pose",
+            "type": logs.POSE_COVARIANCE,
+            "messages": 300,
+        }
+
+
+def test_poses_that_say_they_are_lost_are_left_out(logs, tmp_path):
+    """Of a localisation that begins anywhere; not of dead reckoning, which gets less and less
+    sure."""
+    lost = stated(logs, lambda k: 1e200 if k == 0 else 100.0 if k < 40 else 0.2)
+    run = read_run(logs.mcap(tmp_path / "lost.mcap", lost))
+    assert len(run.odometry) == 260
+    (told,) = run.warnings
+    assert told.startswith("/amcl_pose: 40 poses state an error of more than 1 m")
+    for grows in (lambda k: 0.1 * k, lambda k: 3 * k**0.5):
+        run = read_run(logs.mcap(tmp_path / "grows.mcap", stated(logs, grows)))
+        assert len(run.odometry) == 300
+        assert run.warnings == ()
+
+
+def test_where_somebody_put_the_robot_is_no_odometry(logs, tmp_path):
+    log = logs.mcap(tmp_path / "a.mcap", stated(logs, lambda k: 0.1, "/initialpose"))
+    with pytest.raises(LogError, match="no odometry found"):
+        read_run(log)
+    named = read_run(log, ReadSettings(odometry_topic="/initialpose"))
+    assert len(named.odometry) == 300

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -250,6 +251,38 @@ def test_many_keys_are_listed_a_thousand_at_a_time(
     assert len(bucket.proxy.requests) == count / 1000
     assert log_fingerprint(found[0]) != log_fingerprint(found[1])
     assert len(bucket.proxy.requests) == count / 1000
+
+
+@pytest.mark.parametrize("keys", [[], ["runs/x.mcap"]])
+def test_a_listing_without_end_is_given_up(
+    bucket: Any, servers: ModuleType, monkeypatch: pytest.MonkeyPatch, keys: list[str]
+) -> None:
+    """Pages say that there are more, and hold nothing."""
+    first = listing(keys, servers)
+
+    def upstream(request: Any, body: bytes) -> Any:
+        answer = first(request, body)
+        number = len(bucket.proxy.requests)
+        more = f"<NextContinuationToken>{number + 7}</NextContinuationToken></ListBucketResult>"
+        answer.body = answer.body.replace(b"</ListBucketResult>", more.encode())
+        return answer
+
+    bucket.proxy.upstream = upstream
+    monkeypatch.setattr(store, "PATIENCE", replace(store.PATIENCE, list_s=0.5))
+    with pytest.raises(LogError, match=r"cannot be listed: no key came in 0\.5 s, or pages"):
+        find_logs([bucket.path("runs")])
+    asked = len(bucket.proxy.requests)
+    time.sleep(0.5)
+    # What was under way is done, and nothing is asked for any more.
+    assert len(bucket.proxy.requests) <= asked + 1
+
+
+def test_objects_outside_the_folder_that_was_asked_for_are_not_read(
+    bucket: Any, servers: ModuleType
+) -> None:
+    keys = ["runs/a.mcap", "runs-other/b.mcap", "other/c.mcap", "runs.mcap", "run", "xxxxx/d.mcap"]
+    bucket.proxy.upstream = listing(keys, servers)
+    assert [path.key for path in find_logs([bucket.path("runs")])] == ["runs/a.mcap"]
 
 
 # Web servers

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.clock_lag import LaggingError, clock_lag
+from topobatch.ingest.scans.clock_lag import LaggingError, OtherClockError, clock_lag
 from topobatch.ingest.scans.detection import detect
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.se2 import wrap
@@ -33,9 +33,16 @@ def test_the_lag_is_found_whatever_the_odometry_gets_wrong(late_s: float) -> Non
     assert lag(biased(ROUND, 0.05, 1.1), late_s) == pytest.approx(late_s, abs=0.02)
 
 
-@pytest.mark.parametrize("late_s", [0.0, 0.05, 2.5])
-def test_small_lags_are_learned_elsewhere_and_other_clocks_are_none(late_s: float) -> None:
+@pytest.mark.parametrize("late_s", [0.0, 0.05])
+def test_small_lags_are_learned_elsewhere(late_s: float) -> None:
     assert lag(ROUND, late_s) == 0.0
+
+
+@pytest.mark.parametrize(("late_s", "told"), [(2.5, "2.5 s late"), (-4.0, "4.0 s early")])
+def test_another_clock_is_told(late_s: float, told: str) -> None:
+    for odometry in (ROUND, biased(ROUND, 0.05, 1.1)):
+        with pytest.raises(OtherClockError, match=f"stamped some {told}"):
+            lag(odometry, late_s)
 
 
 def test_another_drive_shows_no_lag() -> None:
@@ -43,7 +50,9 @@ def test_another_drive_shows_no_lag() -> None:
     for _ in range(20):
         turn = ROUND.turn_rad[random.permutation(len(ROUND))]
         pose = np.column_stack([ROUND.pose[:, :2], wrap(np.cumsum(turn))])
-        assert lag(replace(ROUND, pose=pose), 0.0) == 0.0
+        with pytest.raises(OtherClockError) as caught:
+            lag(replace(ROUND, pose=pose), 0.0)
+        assert "stamped" not in str(caught.value)
 
 
 def test_steps_between_pieces_tell_nothing() -> None:

@@ -14,7 +14,7 @@ from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run, Scanned
+from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, wrap
 
 from .building import HALF_TURN, RING, WHOLE_TURN, Building, biased, drive, parts, scans
@@ -48,7 +48,7 @@ def drift(result: ScanResult, truth: Odometry, way_m: float) -> np.ndarray:
 
 
 def true_centres(result: ScanResult, truth: Odometry) -> np.ndarray:
-    return apply(truth.at(result.passes.time_ns), result.passes.centre)
+    return apply(truth.at(result.scanned.passes.time_ns), result.scanned.passes.centre)
 
 
 def test_odometry_is_corrected() -> None:
@@ -67,15 +67,15 @@ def test_every_crossing_is_passed_and_nothing_else() -> None:
     for place, degree in CROSSINGS.items():
         near = np.flatnonzero(np.hypot(*(centres - place).T) < 0.6)
         assert len(near) >= 1, place
-        assert set(result.passes.branches.counts[near].tolist()) == {degree}
-        assert (result.passes.confidence[near] >= 6 / 7 - 1e-9).all()
+        assert set(result.scanned.passes.branches.counts[near].tolist()) == {degree}
+        assert (result.scanned.passes.confidence[near] >= 6 / 7 - 1e-9).all()
     away = np.min([np.hypot(*(centres - place).T) for place in CROSSINGS], axis=0)
     assert (away < 0.6).all()
 
 
 def test_branches_point_along_the_corridors() -> None:
     result = found()
-    passes, centres = result.passes, true_centres(result, ROUND)
+    passes, centres = result.scanned.passes, true_centres(result, ROUND)
     row = int(np.argmin(np.hypot(*(centres - (20, 8)).T)))
     heading = passes.branches[row] + ROUND.at(passes.time_ns[row : row + 1])[0, 2]
     wanted = np.array([-np.pi / 2, 0.0, np.pi / 2])
@@ -90,7 +90,7 @@ def test_branches_point_along_the_corridors() -> None:
 def test_map_closes_its_loops() -> None:
     result = found()
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    run = Run("ring", result.odometry, none, scanned=Scanned(result.passes, result.noise))
+    run = Run("ring", result.odometry, none, scanned=result.scanned)
     topomap = build_map(run)
     # No pass is left out, and every crossing is one junction, however often it was passed.
     centres = true_centres(result, ROUND)
@@ -109,8 +109,10 @@ def test_result_does_not_depend_on_batches_or_the_order_of_beams() -> None:
     backwards = detect(biased(ROUND, BIAS), [turned])
     for other in (small, backwards):
         assert other.odometry.pose.tobytes() == found().odometry.pose.tobytes()
-        assert other.passes.centre.tobytes() == found().passes.centre.tobytes()
-        assert other.passes.confidence.tobytes() == found().passes.confidence.tobytes()
+        assert other.scanned.passes.centre.tobytes() == found().scanned.passes.centre.tobytes()
+        assert (
+            other.scanned.passes.confidence.tobytes() == found().scanned.passes.confidence.tobytes()
+        )
 
 
 def test_bare_corridor_keeps_the_way_of_the_odometry_and_says_so() -> None:
@@ -122,15 +124,15 @@ def test_bare_corridor_keeps_the_way_of_the_odometry_and_says_so() -> None:
     recorded = biased(truth, 0.0, scale=1.02).at(result.odometry.time_ns[[0, -1]])[:, 0]
     assert ends[1] - ends[0] == pytest.approx(recorded[1] - recorded[0], rel=0.01)
     assert np.abs(result.odometry.pose[:, 1]).max() < 0.05
-    assert len(result.passes) == 0
-    assert result.noise.along_m_per_sqrt_m > 2 * found().noise.along_m_per_sqrt_m
+    assert len(result.scanned.passes) == 0
+    assert result.scanned.noise.along_m_per_sqrt_m > 2 * found().scanned.noise.along_m_per_sqrt_m
 
 
 def test_scans_alone() -> None:
     result = detect(None, parts(seen(), 100))
     assert not result.statistics.odometry
     assert np.percentile(drift(result, ROUND, 20.0), 90) < 1.0
-    assert result.noise.along_m_per_sqrt_m > found().noise.along_m_per_sqrt_m
+    assert result.scanned.noise.along_m_per_sqrt_m > found().scanned.noise.along_m_per_sqrt_m
     assert any("no odometry" in warning for warning in result.warnings)
 
 
@@ -177,7 +179,7 @@ def test_broken_odometry_stays_broken() -> None:
 def test_one_scan() -> None:
     result = detect(ROUND, [parts(seen(), 1)[0]])
     assert len(result.odometry) == 1
-    assert len(result.passes) == 0
+    assert len(result.scanned.passes) == 0
     assert np.isnan(result.statistics.drift_before_m)
 
 
@@ -206,7 +208,7 @@ def test_scans_of_another_time() -> None:
 
 
 def test_picture_hangs_on_the_track() -> None:
-    picture = found().picture
+    picture = found().scanned.picture
     for layer in (picture.walls, picture.skeleton):
         assert len(layer) > 100
         assert layer.anchor.max() < len(layer.anchor_ns)

@@ -37,9 +37,11 @@ def frames(n: int = 400) -> tuple[Keyframes, np.ndarray]:
         np.zeros((n, 1, 2), np.float32),
         zeros,
         zeros + 0.01,
+        np.ones(n, np.int64),
         zeros,
         zeros,
         np.zeros(n, np.int64),
+        np.arange(n) % 2,
     )
     return keyframes, compose(real, mount)
 

@@ -335,8 +335,8 @@ def test_ranges_in_another_unit_are_asked_about(sensors: ModuleType, tmp_path: P
     assert len(batch) == 1
     (warning,) = found.tally.warnings("/scan")
     assert warning == (
-        "/scan: 1 scan sees most things beyond 100 m (ranges are metres; are these millimetres?); "
-        "left out"
+        "/scan: 1 scan sees most things beyond 100 m (ranges are metres; are these centimetres or "
+        "millimetres?); left out"
     )
 
 

@@ -29,3 +29,9 @@ def test_tables_tell_how_sure_junctions_are(driven) -> None:
 def test_a_map_without_corridors_has_an_empty_table(bare_map) -> None:
     junctions, corridors = (read_csv(write(bare_map, 0.1)) for write in MAP_FORMATS["csv"].values())
     assert (len(junctions), corridors) == (2, [])
+
+
+def test_formulas_in_tables_are_quoted(driven) -> None:
+    kinds = ("=cmd|' /C calc'!A0", *driven[1].kind[1:])
+    text = MAP_FORMATS["csv"][".junctions.csv"](replace(driven[1], kind=kinds), 0.1)
+    assert read_csv(text)[0]["kind"] == f"'{kinds[0]}"

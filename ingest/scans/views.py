@@ -1,0 +1,189 @@
+"""Views along the track, and the track laid out again where they show that it came by again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
+
+from ...topology.arrays import FloatArray, IntArray
+from ...topology.closure.dead_reckoning import dead_reckoning
+from ...topology.closure.view_loops import view_loops
+from ...topology.matching.views import ViewIndex
+from ...topology.odometry import Odometry
+from ...topology.passes import NO_BRANCH, Passes
+from ...topology.ragged import Ragged
+from ...topology.run import NOT_SEEN_AGAIN, Grid, ScanPasses, SeenAgain
+from ...topology.se2 import apply, compose, inverse, turned, wrap
+from ...topology.topomap import RunNoise
+from ...topology.track import way_at
+from ...topology.views import (
+    CELL_M,
+    DISC,
+    FREE,
+    NO_VIEWS,
+    SIDE,
+    UNKNOWN,
+    WALL,
+    Views,
+)
+from .junctions import Driven
+from .windows import Seen
+
+EVERY_M = 3.0
+"""Way between views where there is no junction."""
+
+
+def chosen_views(seen: Sequence[Seen], passes: ScanPasses, driven: Driven) -> Views:
+    """The views of the windows nearest to passes, and of others every `EVERY_M`, posed in the
+    frame of the track."""
+    if not seen:
+        return NO_VIEWS
+    way = np.array([window.way for window in seen])
+    at = np.interp(passes.time_ns.astype(np.float64), driven.time_ns.astype(np.float64), driven.way)
+    near = np.searchsorted(0.5 * (way[1:] + way[:-1]), at)
+    wanted = np.zeros(len(way), bool)
+    wanted[near] = True
+    last = -np.inf
+    following = np.append(way[wanted], np.inf)
+    for k, here in enumerate(way.tolist()):
+        ahead = following[np.searchsorted(following, here)]
+        if wanted[k] or (here - last >= EVERY_M and ahead - here >= EVERY_M / 2):
+            wanted[k], last = True, here
+    kept = [window for window, some in zip(seen, wanted, strict=True) if some]
+    keyframe = np.minimum(np.searchsorted(driven.way, way[wanted]), len(driven.way) - 1)
+    pose = np.zeros((len(kept), 3))
+    pose[:, :2] = [window.place for window in kept]
+    return Views(driven.time_ns[keyframe], pose, np.array([window.view for window in kept]))
+
+
+def closed_by_views(
+    odometry: Odometry, views: Views, noise: RunNoise
+) -> tuple[Odometry, Views, SeenAgain, RunNoise]:
+    """The odometry and its views, laid out again by the loops that the views show; the loops; and
+    the noise of the odometry, raised if it does not explain what they show."""
+    count = len(views)
+    none = Ragged(np.zeros(count + 1, np.int64), np.zeros(0))
+    unknown = np.full(count, NO_BRANCH)
+    times = views.time_ns
+    nodes = Passes(
+        *(times, times, times, views.pose[:, :2], none, none, unknown, unknown),
+        messages=np.ones(count, np.int64),
+        confidence=np.ones(count),
+    )
+    if count < 2:
+        return odometry, views, NOT_SEEN_AGAIN, noise
+    reckoning = dead_reckoning(odometry, nodes, noise)
+    closed, estimate = view_loops(reckoning, ViewIndex.of(views), way_at(odometry, times))
+    loops, pose = closed.loops, estimate.pose
+    # Each node's pose tells how the frame of the odometry is to be moved there.
+    moved = _moved(odometry, times, views.pose[:, :2], pose, reckoning.piece)
+    placed = np.column_stack([pose[:, :2], wrap(views.pose[:, 2] + pose[:, 2])])
+    back = _axes(pose[loops.second, 2])
+    information = back @ loops.information @ back.transpose(0, 2, 1)
+    return (
+        replace(odometry, pose=moved),
+        Views(views.time_ns, placed, views.cells),
+        SeenAgain(times[loops.first], times[loops.second], information),
+        replace(closed.noise, centre_m=noise.centre_m, branch_rad=noise.branch_rad),
+    )
+
+
+def _axes(turn: FloatArray) -> FloatArray:
+    """(k, 3, 3) rotations of x, y in x, y, theta."""
+    out = np.zeros((len(turn), 3, 3))
+    c, s = np.cos(turn), np.sin(turn)
+    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1], out[:, 2, 2] = c, -s, s, c, 1.0
+    return out
+
+
+def _moved(
+    odometry: Odometry, times: IntArray, place: FloatArray, pose: FloatArray, piece: IntArray
+) -> FloatArray:
+    """(n, 3) poses of the odometry, moved with the places (k, 2) that it passed at `times` (k,) to
+    where these are now, `pose` (k, 3), and interpolated in between by the distance driven."""
+    out = odometry.pose.copy()
+    cuts = [0, *odometry.breaks.tolist(), len(odometry)]
+    way, at = np.cumsum(odometry.step_m), way_at(odometry, times)
+    for number, (begin, end) in enumerate(pairwise(cuts)):
+        own = np.flatnonzero(piece == number)
+        if not len(own):
+            continue
+        rows = slice(begin, end)
+        before = np.clip(np.searchsorted(at[own], way[rows], side="right") - 1, 0, len(own) - 1)
+        after = np.minimum(before + 1, len(own) - 1)
+        one, two = own[before], own[after]
+        length = at[two] - at[one]
+        share = np.clip((way[rows] - at[one]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
+        turn = pose[one, 2] + share * wrap(pose[two, 2] - pose[one, 2])
+        xy = [
+            pose[k, :2] + turned(odometry.pose[rows, :2] - place[k], pose[k, 2]) for k in (one, two)
+        ]
+        out[rows, :2] = (1 - share)[:, None] * xy[0] + share[:, None] * xy[1]
+        out[rows, 2] = wrap(odometry.pose[rows, 2] + turn)
+    return out
+
+
+def grid_views(grid: Grid, along: FloatArray) -> Views:
+    """Views cut from a saved grid, in the form of those that a laser saw: around places `along`
+    (k, 2) [m, the map's frame] the corridors, `EVERY_M` apart or more, and in free space elsewhere,
+    the widest first."""
+    states = _states(grid)
+    free = states == FREE
+    if not free.any():
+        return NO_VIEWS
+    own = apply(inverse(np.array(grid.origin)), along) / CELL_M
+    clearance = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
+    row, column = np.nonzero(clearance > LEAST_CLEARANCE_M / CELL_M)
+    order = np.argsort(-clearance[row, column], kind="stable")
+    elsewhere = np.column_stack([column, row])[order] + 0.5
+    corner = _spaced(np.rint(np.concatenate([own, elsewhere])), EVERY_M / CELL_M)
+    inside = (corner >= 0).all(axis=1) & (corner <= np.array(states.shape)[::-1]).all(axis=1)
+    corner = corner[inside].astype(np.int64)
+    # A view's place is a corner between four cells.
+    padded = np.pad(states, SIDE // 2)
+    cells = np.stack([padded[y : y + SIDE, x : x + SIDE] for x, y in corner.tolist()])
+    pose = np.column_stack([corner * CELL_M, np.zeros(len(corner))])
+    return Views(
+        np.zeros(len(corner), np.int64),
+        compose(np.array(grid.origin), pose),
+        np.where(DISC, cells, UNKNOWN).astype(np.uint8),
+    )
+
+
+LEAST_CLEARANCE_M = 0.3
+"""A robot fits in."""
+
+
+def _states(grid: Grid) -> NDArray[np.uint8]:
+    """(h, w) states of a grid in cells of a view's size: a wall if any of its cells there is
+    one."""
+    wall = ~grid.free & ~grid.unknown
+    states = np.where(wall, WALL, np.where(grid.free & ~grid.unknown, FREE, UNKNOWN))
+    for axis in (0, 1):
+        count = states.shape[axis]
+        first = np.arange(0, count * grid.resolution_m - 1e-9, CELL_M) / grid.resolution_m
+        begin = np.minimum(np.floor(first + 1e-9).astype(np.int64), count - 1)
+        if grid.resolution_m < CELL_M:
+            begin = np.unique(begin)
+            states = np.maximum.reduceat(states, begin, axis=axis)
+        else:
+            states = np.take(states, begin, axis=axis)
+    return states.astype(np.uint8)
+
+
+def _spaced(points: FloatArray, apart: float) -> FloatArray:
+    """Points in their order, without those nearer than `apart` to one before."""
+    tree = cKDTree(points)
+    open_ = np.ones(len(points), bool)
+    kept = []
+    for k in range(len(points)):
+        if open_[k]:
+            kept.append(k)
+            open_[tree.query_ball_point(points[k], apart * (1 - 1e-9))] = False
+    return points[kept]

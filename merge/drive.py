@@ -1,0 +1,104 @@
+"""A drive to record next: where it starts, which way it goes, and what it would settle."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ..topology.arrays import FloatArray
+from ..topology.digits import BITS, METRES, rounded
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """A place on the way. site: whose map has it; junction: its number in the merged document, None
+    at the end of a way into the unknown; xy: in the frame of the drive's site [m]."""
+
+    site: str
+    junction: int | None
+    xy: tuple[float, float]
+
+    def label(self, home: str) -> str:
+        """The junction's number; of another site than `home` with its name."""
+        return f"{self.junction}" if self.site == home else f"{self.site}:{self.junction}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Drive:
+    """A drive through one site, into another one or into the unknown.
+
+    component, site: where it starts; onto: the site that it would join to that one, None of a
+    drive into the unknown; stops: in order, two or more; path: (k, 2) in the frame of the site
+    [m], the corridors of another site as its best placement has them; known_m, length_m: length
+    of the part in the site's own map, and of all; heading_rad: of the branch never driven, in
+    that frame; pairs: open pairs that it would settle; bits: expected evidence.
+    """
+
+    component: int
+    site: str
+    onto: str | None
+    stops: tuple[Stop, ...]
+    path: FloatArray
+    known_m: float
+    length_m: float
+    pairs: tuple[tuple[str, str], ...]
+    bits: float
+    heading_rad: float | None = None
+
+    @property
+    def bits_per_m(self) -> float:
+        """Expected evidence for each metre driven, by which drives are ranked."""
+        return self.bits / self.length_m
+
+    @property
+    def words(self) -> tuple[str, str]:
+        """Where it is and what it would settle."""
+        start, second = self.stops[:2]
+        towards = "" if second.junction is None else f" towards {second.label(self.site)}"
+        where = f"{self.length_m:.0f} m in {self.site}, from junction {start.junction}{towards}"
+        if self.onto is None:
+            return where, f"a branch of {self.site} that nobody drove"
+        number = len(self.pairs)
+        pairs = "1 pair" if number == 1 else f"{number} pairs"
+        return where, f"joins {self.site} and {self.onto}, {pairs}, if they are one place"
+
+    @property
+    def way(self) -> str:
+        """The stops in words."""
+        known = [s for s in self.stops if s.junction is not None]
+        told = "by junctions " + ", ".join(s.label(self.site) for s in known)
+        if self.heading_rad is None:
+            return told
+        rest = self.length_m - self.known_m
+        return (
+            f"{told}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
+            f"map), and straight on for {rest:.0f} m"
+        )
+
+
+def _degrees(rad: float) -> int:
+    return round(rad * 57.29577951308232) % 360
+
+
+def drive_to_document(drive: Drive) -> dict[str, Any]:
+    """A drive as JSON values."""
+    where, settles = drive.words
+    return {
+        "site": drive.site,
+        "component": drive.component,
+        "onto": drive.onto,
+        "length": rounded(drive.length_m, METRES),
+        "known_length": rounded(drive.known_m, METRES),
+        "bits": rounded(drive.bits, BITS),
+        "bits_per_metre": round(drive.bits_per_m, 4),
+        "pairs": [list(pair) for pair in drive.pairs],
+        "heading": None if drive.heading_rad is None else round(drive.heading_rad, 4),
+        "where": where,
+        "settles": settles,
+        "way": drive.way,
+        "stops": [
+            {"site": s.site, "junction": s.junction, "x": s.xy[0], "y": s.xy[1]}
+            for s in drive.stops
+        ],
+        "path": rounded(drive.path, METRES),
+    }

@@ -1,0 +1,463 @@
+"""What to record next: drives that would join sites, ranked by expected bits per metre.
+
+A robot that drives through places of two sites joins them, if it passes enough of each: a run is
+merged with a map by about `junction_bits` for every junction that both have. So a drive is the
+shortest walk found through both maps, one laid over the other by the best placement of an open
+pair, by as many junctions of each as merging needs. Where no pair is open, a drive leads into the
+unknown, by a branch that nobody drove. Either is expected to bring, for every junction of another
+site, as much evidence as the site's pairs have for each of theirs, times the probability that it
+gets there: that the placement is right, or that the branch leads to a site. So drives through a
+building that repeats itself come late: what they find is there twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.digits import METRES, rounded
+from ..topology.driven_branches import driven_branches
+from ..topology.se2 import apply, compose, inverse, wrap
+from .drive import Drive, Stop
+from .result import Component, FusedMap, MergeResult, PairVerdict, Verdict, fused_of, pairs_of
+from .robust.settings import MATCH
+
+
+@dataclass(frozen=True, slots=True)
+class DriveSettings:
+    """How drives are planned."""
+
+    spare_junctions: int = 3
+    """Junctions beyond those that merging needs: some are missed, and a run that ends between
+    places knows its last ones badly (`benchmarks/next.py --spare`)."""
+    same_m: float = 2.0
+    same_rad: float = 0.2
+    """Open pairs place two sites alike if their placements differ by no more: drift of some tens of
+    metres, and half of the gate of branches."""
+    most_local: int = 300
+    """Junctions of a site around the common ones within which a walk is looked for: it needs some
+    ten."""
+    most_pivots: int = 24
+    """Common junctions from which walks are tried, the evidence of a pair has seldom more."""
+    most_planned: int = 30
+    """Pairs of sites, those with the likeliest placements, and sites, those of most runs, for which
+    a drive is planned: each takes some 50 ms, and few are listed."""
+    straight_corridors: float = 4.0
+    """How far along a branch never driven known corridors count as in its way, in median
+    corridors: what lies behind them is mostly known."""
+
+
+DRIVES = DriveSettings()
+
+
+def drives(result: MergeResult, most: int = 5, component: int | None = None) -> tuple[Drive, ...]:
+    """The best `most` drives, by decreasing expected bits per metre; component: only those that
+    begin at it or join it.
+
+    One for every two sites with an open pair, and one into the unknown for every site, of either
+    `most_planned`. O(pairs + junctions + most_planned · most_local²).
+    """
+    maps = _Sites(result)
+    need = _needed_junctions(result)
+    wanted = {c.id for c in result.components} if component is None else {component}
+    found = [*_joining(result, maps, need, wanted), *_exploring(result, maps, need, wanted)]
+    found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
+    return tuple(found[:most])
+
+
+def _needed_junctions(result: MergeResult) -> int:
+    bits = result.threshold_bits or 5 * MATCH.junction_bits
+    return int(np.ceil(bits / MATCH.junction_bits)) + DRIVES.spare_junctions
+
+
+class _Site:
+    """A component's junctions and the corridors between them. ids: (n,) rows of the fused map;
+    ways: for every two ends the shortest corridor (length, path from the first)."""
+
+    def __init__(self, fused: FusedMap, component: Component, junction: BoolArray) -> None:
+        self.component, self.name = component.id, component.name
+        self.runs = sorted(component.poses)
+        own = junction & (fused.component == component.id)
+        self.ids: IntArray = np.flatnonzero(own)
+        row = {v: k for k, v in enumerate(self.ids.tolist())}
+        self.row = row
+        self.xy: FloatArray = fused.xy[self.ids]
+        self.ways: dict[tuple[int, int], tuple[float, FloatArray]] = {}
+        for k in np.flatnonzero(own[fused.source] & own[fused.target]).tolist():
+            u, v = int(fused.source[k]), int(fused.target[k])
+            if u == v:
+                continue
+            length, path = float(fused.length[k]), fused.paths[k]
+            for a, b, way in ((u, v, path), (v, u, path[::-1])):
+                known = self.ways.get((row[a], row[b]))
+                if known is None or length < known[0]:
+                    self.ways[row[a], row[b]] = (length, way)
+
+    @property
+    def usual_m(self) -> float:
+        """Median length of its corridors."""
+        lengths = [length for length, _ in self.ways.values()]
+        return float(np.median(lengths)) if lengths else 0.0
+
+
+class _Sites(dict[int, _Site]):
+    """The sites of a merge by component, each made when it is asked for."""
+
+    def __init__(self, result: MergeResult) -> None:
+        super().__init__()
+        self._fused, self._junction = result.fused, ~result.fused.is_turned
+        self._components = {c.id: c for c in result.components}
+
+    def __missing__(self, component: int) -> _Site:
+        made = _Site(self._fused, self._components[component], self._junction)
+        self[component] = made
+        return made
+
+
+# Joining two sites.
+
+
+def _joining(
+    result: MergeResult, maps: _Sites, need: int, wanted: Collection[int]
+) -> Iterator[Drive]:
+    home = {run: c for c in result.components for run in c.poses}
+    between: dict[tuple[int, int], list[PairVerdict]] = {}
+    for pair in result.verdicts:
+        one, two = home.get(pair.a), home.get(pair.b)
+        if one is None or two is None or one.id == two.id or not _is_open(pair):
+            continue
+        key = sorted((one, two), key=lambda c: (-len(c.poses), c.id))
+        if one.id in wanted or two.id in wanted:
+            between.setdefault((key[0].id, key[1].id), []).append(pair)
+    members = fused_of(result.fused.members)
+    likely = {key: max((_right(p), p.evidence_bits) for p in own) for key, own in between.items()}
+    order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
+    for s, t in order[: DRIVES.most_planned]:
+        pairs = between[s, t]
+        drive = _joining_drive(maps[s], maps[t], pairs, home, members=members, need=need)
+        if drive is not None:
+            yield drive
+
+
+def _is_open(pair: PairVerdict) -> bool:
+    """Whether a drive could settle a pair: it has a placement, and no person decided."""
+    ambiguous = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted
+    return ambiguous and pair.best is not None and pair.locked is None
+
+
+def _right(pair: PairVerdict) -> float:
+    """Probability that the best placement is right: against the next best one and none, and where
+    that was asked, against a copy of the place."""
+    assert pair.best is not None
+    same = 2.0 ** float(np.clip(pair.extra.get("same_place_bits", np.inf), -500.0, 500.0))
+    others = 0.0 if pair.runner_up is None else 2.0 ** min(pair.runner_up.evidence_bits, 500.0)
+    odds = 2.0 ** min(pair.best.evidence_bits, 500.0)
+    return float(odds / (1.0 + odds + others) * same / (1.0 + same))
+
+
+def _per_junction(pairs: Iterable[PairVerdict]) -> float:
+    """Evidence for each junction that two runs have in common [bits]: the median of the pairs with
+    a placement, at most `junction_bits`, which it is without any."""
+    found = [
+        np.clip(pair.evidence_bits / len(pair.best.matched), 0.0, MATCH.junction_bits)
+        for pair in pairs
+        if pair.best is not None and len(pair.best.matched)
+    ]
+    return float(np.median(found)) if found else MATCH.junction_bits
+
+
+def _joining_drive(
+    site: _Site,
+    other: _Site,
+    pairs: Sequence[PairVerdict],
+    home: dict[str, Component],
+    *,
+    members: dict[tuple[str, int], int],
+    need: int,
+) -> Drive | None:
+    """The shortest walk found by `need` junctions of both; None if their maps have none in
+    common."""
+    best = max(pairs, key=lambda p: (_right(p), p.evidence_bits, p.a, p.b))
+    T_site_other = _placement(best, site, home)
+    alike = [p for p in pairs if _same(_placement(p, site, home), T_site_other, other)]
+    partner: dict[int, int] = {}
+    for pair in sorted(alike, key=lambda p: (p is not best, -p.evidence_bits, p.a, p.b)):
+        for here, there in _identified(pair, site, other, members):
+            if here not in partner.values() and there not in partner:
+                partner[there] = here
+    both = _Laid(site, other, partner, T_site_other)
+    walk = both.walk(need)
+    if walk is None:
+        return None
+    reached = min(need, int(both.in_other[list({*walk.places})].sum()))
+    bits = _right(best) * _per_junction(alike) * reached
+    named = tuple(sorted((p.a, p.b) for p in pairs))
+    return both.drive(walk, bits, named)
+
+
+def _placement(pair: PairVerdict, site: _Site, home: dict[str, Component]) -> FloatArray:
+    """(3,) T_site_other by the best placement of a pair of runs."""
+    assert pair.best is not None
+    pose_a, pose_b = home[pair.a].poses[pair.a], home[pair.b].poses[pair.b]
+    T_a_b = compose(compose(pose_a, pair.best.transform), inverse(pose_b))
+    return T_a_b if home[pair.a].id == site.component else inverse(T_a_b)
+
+
+def _same(one: FloatArray, two: FloatArray, other: _Site) -> bool:
+    """Whether two placements lay the other site's middle alike."""
+    middle = other.xy.mean(axis=0)[None] if len(other.xy) else np.zeros((1, 2))
+    off = np.hypot(*(apply(one, middle) - apply(two, middle))[0])
+    return bool(off <= DRIVES.same_m and abs(wrap(one[2] - two[2])) <= DRIVES.same_rad)
+
+
+def _identified(
+    pair: PairVerdict, site: _Site, other: _Site, members: dict[tuple[str, int], int]
+) -> Iterator[tuple[int, int]]:
+    """Rows of both sites that a pair of runs identifies."""
+    assert pair.best is not None
+    for a, b in pair.best.matched.tolist():
+        one, two = members.get((pair.a, a)), members.get((pair.b, b))
+        if pair.a not in site.runs:
+            one, two = two, one
+        if one in site.row and two in other.row:
+            yield site.row[one], other.row[two]
+
+
+@dataclass(frozen=True, slots=True)
+class _Walk:
+    """Places in order, and its length [m]."""
+
+    places: tuple[int, ...]
+    length_m: float
+
+
+class _Laid:
+    """Two sites, one laid over the other. Places are numbered: those of the first site, then those
+    of the other that are not identified with one of it."""
+
+    def __init__(
+        self, site: _Site, other: _Site, partner: dict[int, int], T_site_other: FloatArray
+    ) -> None:
+        self.site, self.other, self.T = site, other, T_site_other
+        n = len(site.ids)
+        rest = [k for k in range(len(other.ids)) if k not in partner]
+        self.place = {**partner, **{k: n + i for i, k in enumerate(rest)}}
+        self.rest = rest
+        self.xy = np.concatenate([site.xy, apply(T_site_other, other.xy[rest]).reshape(-1, 2)])
+        self.shared = sorted(partner.values())
+        self.in_other: BoolArray = np.zeros(len(self.xy), bool)
+        self.in_other[[*self.place.values()]] = True
+        self.in_site: BoolArray = np.arange(len(self.xy)) < n
+        self.ways = dict(site.ways)
+        for (u, v), (length, path) in other.ways.items():
+            known = (self.place[u], self.place[v])
+            if known not in self.ways and known[0] != known[1]:
+                self.ways[known] = (length, apply(T_site_other, path))
+
+    def walk(self, need: int) -> _Walk | None:
+        """The shortest walk found by `need` places of either; where a site has fewer, by all."""
+        if not self.shared:
+            return None
+        reach = _Reach(self, self.in_site), _Reach(self, self.in_other)
+        found = [_along(_tours(self, need, pivot, reach)) for pivot in self._pivots()]
+        walks = [w for w in found if len(w.places) > 1]
+        return min(walks, key=lambda w: (-self._known(w, need), w.length_m, w.places), default=None)
+
+    def _known(self, walk: _Walk, need: int) -> int:
+        own = list({*walk.places})
+        return sum(min(int(mask[own].sum()), need) for mask in (self.in_site, self.in_other))
+
+    def _pivots(self) -> list[int]:
+        step = max(1, len(self.shared) // DRIVES.most_pivots)
+        return self.shared[::step]
+
+    def drive(self, walk: _Walk, bits: float, pairs: tuple[tuple[str, str], ...]) -> Drive:
+        """The walk as a drive, which starts in the first site."""
+        steps = list(pairwise(walk.places))
+        known = sum(self.ways[s][0] for s in steps if s in self.site.ways)
+        return Drive(
+            component=self.site.component,
+            site=self.site.name,
+            onto=self.other.name,
+            stops=tuple(self._stop(k) for k in walk.places),
+            path=np.concatenate([self.ways[step][1] for step in steps]),
+            known_m=known,
+            length_m=walk.length_m,
+            pairs=pairs,
+            bits=bits,
+        )
+
+    def _stop(self, k: int) -> Stop:
+        x, y = rounded(self.xy[k], METRES)
+        if self.in_site[k]:
+            return Stop(self.site.name, int(self.site.ids[k]), (x, y))
+        own = self.rest[k - len(self.site.ids)]
+        return Stop(self.other.name, int(self.other.ids[own]), (x, y))
+
+
+class _Reach:
+    """Shortest ways within one of two sites, around the common places."""
+
+    def __init__(self, laid: _Laid, inside: BoolArray) -> None:
+        n = len(laid.xy)
+        rows = [(u, v, w) for (u, v), (w, _) in laid.ways.items() if inside[u] and inside[v]]
+        u, v, length = np.array(rows, np.float64).reshape(-1, 3).T
+        graph = coo_array((length, (u.astype(np.int64), v.astype(np.int64))), shape=(n, n)).tocsr()
+        near = dijkstra(graph, indices=laid.shared, min_only=True)
+        self.places = np.argsort(near, kind="stable")[: DRIVES.most_local]
+        self.places = np.sort(self.places[np.isfinite(near[self.places]) & inside[self.places]])
+        local = graph[self.places][:, self.places]
+        self.number = {p: k for k, p in enumerate(self.places.tolist())}
+        self.away, self.came = dijkstra(local, return_predecessors=True)
+
+    def tour(self, start: int, seen: set[int], wanted: int) -> tuple[list[int], float]:
+        """From `start` by `wanted` places that were not seen: the shortest way straight to one with
+        as many before it, or the round from always the nearest to the next; adds them to `seen`."""
+        if start not in self.number:
+            return [start], 0.0
+        fresh = np.array([p not in seen for p in self.places.tolist()])
+        here = self.number[start]
+        options = [self._round(here, fresh.copy(), wanted), self._straight(here, fresh, wanted)]
+        _, length, out = min(options, key=lambda o: (-o[0], o[1], o[2]))
+        seen.update(out)
+        return out, length
+
+    def _way(self, here: int, goal: int) -> list[int]:
+        """The places from one to another, without the first."""
+        way = [goal]
+        while self.came[here, way[-1]] != here:
+            way.append(int(self.came[here, way[-1]]))
+        return way[::-1]
+
+    def _straight(self, here: int, fresh: BoolArray, wanted: int) -> tuple[int, float, list[int]]:
+        """The number of fresh places, the length and the places of the shortest way."""
+        away = self.away[here]
+        count = fresh.astype(np.int64)
+        for k in np.argsort(away, kind="stable").tolist():
+            if k != here and np.isfinite(away[k]):
+                count[k] += count[self.came[here, k]]
+        found = np.where(np.isfinite(away), np.minimum(count, wanted), -1)
+        goal = int(np.lexsort((away, -found))[0])
+        if goal == here:
+            return 0, 0.0, [int(self.places[here])]
+        way = [here, *self._way(here, goal)]
+        return int(found[goal]), float(away[goal]), self.places[way].tolist()
+
+    def _round(self, here: int, fresh: BoolArray, wanted: int) -> tuple[int, float, list[int]]:
+        """The same of a way always to the nearest place that is fresh."""
+        out, length, done = [int(self.places[here])], 0.0, 0
+        for _ in range(wanted):
+            away = np.where(fresh, self.away[here], np.inf)
+            goal = int(away.argmin())
+            if not np.isfinite(away[goal]) or goal == here:
+                break
+            way = self._way(here, goal)
+            out += self.places[way].tolist()
+            length += float(away[goal])
+            fresh[way] = False
+            done += 1
+            here = goal
+        return done, length, out
+
+
+def _tours(
+    laid: _Laid, need: int, pivot: int, reach: tuple[_Reach, _Reach]
+) -> tuple[tuple[list[int], float], tuple[list[int], float]]:
+    """A tour from a common place into either site: first the other one, then the first for what is
+    still wanting."""
+    seen = {pivot}
+    there = reach[1].tour(pivot, seen, need - 1)
+    have = int(laid.in_site[list(seen)].sum())
+    here = reach[0].tour(pivot, seen, max(0, need - have))
+    return here, there
+
+
+def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _Walk:
+    (here, one), (there, two) = tours
+    return _Walk((*reversed(here), *there[1:]), one + two)
+
+
+# Into the unknown.
+
+
+def _exploring(
+    result: MergeResult, maps: _Sites, need: int, wanted: Collection[int]
+) -> Iterator[Drive]:
+    """For every site the branch never driven that leads farthest from what is known."""
+    share = _overlapping_share(result)
+    free = ~driven_branches(result.fused)
+    owner, heading = result.fused.branches.owner, result.fused.branches.values
+    pairs: dict[int, list[PairVerdict]] = {}
+    home = {run: c.id for c in result.components for run in c.poses}
+    for pair in result.verdicts:
+        if pair.best is not None:
+            for c in {home.get(pair.a, -1), home.get(pair.b, -1)}:
+                pairs.setdefault(c, []).append(pair)
+    order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
+    for site in (maps[c] for _, c in order[: DRIVES.most_planned]):
+        rows = np.flatnonzero(free & np.isin(owner, site.ids))
+        if not len(rows) or not site.ways:
+            continue
+        corridors = np.concatenate([path for _, path in site.ways.values()])
+        ways_m = DRIVES.straight_corridors * site.usual_m
+        at = result.fused.xy[owner[rows]]
+        open_ = _unobstructed(at, heading[rows], ways_m, corridors, site.usual_m / 2)
+        k = int(open_.argmax())
+        drive = _exploring_drive(site, site.row[int(owner[rows[k]])], float(heading[rows[k]]), need)
+        ahead = (drive.length_m - drive.known_m) / site.usual_m * float(open_[k])
+        found = _per_junction(pairs.get(site.component, ()))
+        yield replace(drive, bits=share * found * min(ahead, need))
+
+
+def _overlapping_share(result: MergeResult) -> float:
+    """How likely a branch never driven leads to another site: the share of pairs of runs of two
+    sites that are open (Laplace's rule of succession, so that none of few says little)."""
+    home = {run: c.id for c in result.components for run in c.poses}
+    open_ = sum(_is_open(p) and home.get(p.a) != home.get(p.b) for p in result.verdicts)
+    across = pairs_of(len(home)) - sum(pairs_of(len(c.poses)) for c in result.components)
+    return (open_ + 1) / (across + 2)
+
+
+def _unobstructed(
+    at: FloatArray, heading: FloatArray, far_m: float, known: FloatArray, near_m: float
+) -> FloatArray:
+    """(k,) share of the way straight on from each branch that has no known corridor near."""
+    from scipy.spatial import cKDTree
+
+    steps = np.linspace(0.3, 1.0, 8) * far_m
+    ray = np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+    points = at[:, None] + steps[None, :, None] * ray[:, None]
+    away, _ = cKDTree(known).query(points.reshape(-1, 2))
+    free: FloatArray = np.asarray(away > near_m).reshape(len(at), -1).mean(axis=1)
+    return free
+
+
+def _exploring_drive(site: _Site, place: int, heading: float, need: int) -> Drive:
+    """By `need` known junctions to the branch, and as many corridors beyond it."""
+    alone = _Laid(site, site, {k: k for k in range(len(site.ids))}, np.zeros(3))
+    alone.shared = [place]
+    places, known_m = _Reach(alone, alone.in_site).tour(place, {place}, need - 1)
+    places.reverse()
+    steps = list(pairwise(places))
+    beyond_m = need * site.usual_m
+    ray = np.array([np.cos(heading), np.sin(heading)])
+    end = site.xy[place] + beyond_m * ray
+    x, y = rounded(end, METRES)
+    return Drive(
+        component=site.component,
+        site=site.name,
+        onto=None,
+        stops=(*(alone._stop(k) for k in places), Stop(site.name, None, (x, y))),
+        path=np.concatenate([*(site.ways[s][1] for s in steps), np.array([site.xy[place], end])]),
+        known_m=known_m,
+        length_m=known_m + beyond_m,
+        pairs=(),
+        bits=0.0,
+        heading_rad=heading,
+    )

@@ -1,0 +1,132 @@
+"""`topobatch lock`: what the maps say against it is shown before it is kept, and goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+from topobatch.ingest.mapping import build_map
+from topobatch.merge.result import PairVerdict, Verdict
+from topobatch.merge.robust.entries import ELSEWHERE, MAPS_ALONE, doubt
+from topobatch.merge.robust.verdict import MAYBE_COPY
+from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.topology.document import write_map
+
+
+@pytest.fixture(scope="module")
+def sites(tmp_path_factory):
+    """Two runs in a maze, which merge, and two among equal rows, which may be copies."""
+    workspace = tmp_path_factory.mktemp("sites")
+    for world, overlap, seed in (("maze", 0.6, 5), ("rows", 0.5, 5)):
+        settings = ScenarioSettings(
+            world=world, prefix=world, runs=2, junctions_per_run=30, overlap=overlap, seed=seed
+        )
+        for name, run in simulate_scenario(settings).runs.items():
+            write_map(workspace / "maps" / f"{name}.json", build_map(run))
+    return workspace
+
+
+@pytest.fixture
+def workspace(sites, tmp_path):
+    return shutil.copytree(sites, tmp_path / "ws")
+
+
+def locks(workspace):
+    path = workspace / "locks.json"
+    return json.loads(path.read_text())["locks"] if path.exists() else []
+
+
+@pytest.mark.parametrize("merged", [True, False])
+@pytest.mark.parametrize("at", [(), ("--at", "0,0")], ids=["", "at"])
+def test_what_may_be_a_copy_is_said_before_the_lock_is_kept_and_after(
+    topobatch, workspace, merged, at
+):
+    merge = ("merge", "--all", "-j", 1, "-w", workspace)
+    if merged:
+        assert topobatch(*merge).code == 0
+    done = topobatch("lock", "rows2", "rows1", "--same", *at, "-w", workspace)
+    assert done.code == 0
+    assert f"warning: by the maps of rows1 and rows2, {MAYBE_COPY}" in done.err
+    assert "topobatch explain rows1 rows2" in done.err
+    assert len(locks(workspace)) == 1
+    told = topobatch(*merge)
+    if not at:
+        assert (
+            f"warning: rows1 and rows2 are joined by a lock; by their maps {MAYBE_COPY}" in told.err
+        )
+        entries = json.loads((workspace / "merged.json").read_bytes())["merges"]
+        (entry,) = (e for e in entries if (e["a"], e["b"]) == ("rows1", "rows2"))
+        assert entry["accepted_by"] == "lock"
+        assert entry["reason"].endswith(f"{MAPS_ALONE} ambiguous, {MAYBE_COPY}")
+    # Also of the same merge once more, and where the lock is given again.
+    assert topobatch(*merge).err == told.err
+    assert MAYBE_COPY in topobatch("lock", "rows1", "rows2", "--same", "-w", workspace).err
+
+
+def test_what_the_maps_say_as_well_is_not_asked_back(topobatch, workspace):
+    for call in (
+        ("lock", "maze1", "maze2", "--same"),
+        ("lock", "maze1", "maze2", "--clear"),
+        ("lock", "rows1", "rows2", "--never"),
+        ("lock", "maze1", "maze2", "--same"),
+        ("merge", "--all", "-j", 1),
+    ):
+        done = topobatch(*call, "-w", workspace)
+        assert (done.code, done.err) == (0, "")
+
+
+def test_runs_with_nothing_in_common_are_asked_back(topobatch, workspace):
+    done = topobatch("lock", "maze1", "rows2", "--same", "--yes", "-w", workspace)
+    assert "by the maps of maze1 and rows2, " in done.err
+    assert len(locks(workspace)) == 1
+
+
+def test_a_map_that_cannot_be_read_is_said(topobatch, workspace):
+    (workspace / "maps" / "rows2.json").write_text("{}")
+    done = topobatch("lock", "rows1", "rows2", "--same", "-w", workspace)
+    assert done.code == 0
+    assert "warning: what the maps say is not known: " in done.err
+    assert len(locks(workspace)) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="terminals of Unix")
+@pytest.mark.parametrize(
+    ("answer", "option", "kept"), [("n", (), 0), ("y", (), 1), ("", ("-y",), 1)]
+)
+def test_on_a_terminal_it_is_asked_back(workspace, answer, option, kept):
+    import pty
+
+    ours, theirs = pty.openpty()
+    call = ["lock", "rows1", "rows2", "--same", *option, "-w", str(workspace)]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "topobatch.cli", *call],
+        stdin=theirs,
+        stderr=theirs,
+        stdout=subprocess.PIPE,
+        env=os.environ | {"TERM": "dumb"},
+    )
+    os.close(theirs)
+    os.write(ours, f"{answer}\n".encode())
+    process.communicate(timeout=120)
+    shown = os.read(ours, 10_000).decode()
+    os.close(ours)
+    assert MAYBE_COPY in " ".join(shown.split())
+    assert ("lock them as the same? [y/N]" in shown) == (not option)
+    assert process.returncode == (not kept)
+    assert len(locks(workspace)) == kept
+
+
+def pair(reason: str, **more: object) -> PairVerdict:
+    return PairVerdict("a", "b", Verdict.AMBIGUOUS, False, 1.0, reason, **more)  # type: ignore[arg-type]
+
+
+def test_too_little_evidence_is_no_doubt():
+    assert doubt(pair("3 junctions agree; chance offers as much too often")) == ""
+    assert doubt(pair(f"locked apart by a person; {MAPS_ALONE} nothing", locked="never")) == ""
+    assert doubt(pair(f"locked as the same; {MAPS_ALONE} merged, {ELSEWHERE}")) == ELSEWHERE
+    assert doubt(pair(f"8 junctions agree; {MAYBE_COPY}")) == MAYBE_COPY

@@ -1,0 +1,84 @@
+"""`topobatch next`: the plan on the screen, in JSON, CSV and GeoJSON, and in the report."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, fleet_maps):
+    """Maps of two buildings."""
+    root = tmp_path_factory.mktemp("next")
+    (root / "maps").mkdir()
+    fleet_maps(root / "maps", 12, keep=7)
+    return root
+
+
+@pytest.fixture
+def place(made, tmp_path, topobatch):
+    """Merged at a rate of false merges so low that a site or more is open."""
+    root = tmp_path / "ws"
+    shutil.copytree(made, root)
+    call = ("merge", "--all", "--false-merge-rate", 1e-9, "-q", "-w", root)
+    assert topobatch(*call).code == 0
+    return root
+
+
+def test_a_plan(place, topobatch, tmp_path) -> None:
+    files = [tmp_path / "plan.csv", tmp_path / "plan.geojson"]
+    outputs = [word for path in files for word in ("-o", path)]
+    shown = topobatch("next", *outputs, "-w", place)
+    assert shown.code == 0, shown
+    told = json.loads(topobatch("next", "--json", "-w", place).out)
+    assert told
+    assert all(drive["where"] in shown.out for drive in told)
+    assert all(drive["settles"] in shown.out for drive in told)
+    ranks = [drive["bits_per_metre"] for drive in told]
+    assert ranks == sorted(ranks, reverse=True)
+    document = json.loads((place / "merged.json").read_text())
+    sites = {c["site"]: c["id"] for c in document["graph"]["components"]}
+    for drive in told:
+        assert sites[drive["site"]] == drive["component"]
+        for stop in drive["stops"]:
+            if stop["junction"] is not None:
+                assert document["nodes"][stop["junction"]]["component"] == sites[stop["site"]]
+    rows = list(csv.DictReader(files[0].read_text().splitlines()))
+    assert len(rows) == sum(len(drive["stops"]) for drive in told)
+    assert [float(rows[0][key]) for key in "xy"] == [told[0]["stops"][0][key] for key in "xy"]
+    features = json.loads(files[1].read_text())["features"]
+    lines = [f for f in features if f["geometry"]["type"] == "LineString"]
+    assert [f["geometry"]["coordinates"] for f in lines] == [drive["path"] for drive in told]
+    assert len(features) == len(lines) + len(rows)
+
+
+def test_a_plan_for_one_site(place, topobatch) -> None:
+    told = json.loads(topobatch("next", "--json", "-w", place).out)
+    site = told[-1]["site"]
+    own = json.loads(topobatch("next", site, "-n", 1, "--json", "-w", place).out)
+    assert len(own) == 1
+    assert site in (own[0]["site"], own[0]["onto"])
+
+
+def test_the_report_shows_it(place, topobatch) -> None:
+    told = json.loads(topobatch("next", "-n", 1, "--json", "-w", place).out)
+    assert topobatch("report", "-w", place).code == 0
+    page = (place / "report.html").read_text()
+    assert "<h2>What to record next</h2>" in page
+    assert told[0]["where"] in page
+    assert "drive to record" in page
+
+
+def test_the_calls_that_cannot_be(place, topobatch, made) -> None:
+    for call, said in (
+        (("next", "nowhere"), "there is no site 'nowhere'"),
+        (("next", "-o", "plan.txt"), "ends in .csv or .geojson"),
+        (("next", "--merge", "two"), "is not there"),
+    ):
+        assert said in topobatch(*call, "-w", place).error(2)
+    assert "make it with" in topobatch("next", "-w", made).error(1)
+    assert not Path("plan.txt").exists()

@@ -1,0 +1,86 @@
+"""The process as it was started: closed streams, signals, limits of memory."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from topobatch.cli.process import LEAST_BYTES, lack_of_memory
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and signals of Linux")
+
+
+def shell(line: str, *arguments: object) -> subprocess.CompletedProcess[str]:
+    """A line of sh, in which "$@" is topobatch with these arguments."""
+    command = ["sh", "-c", line, "sh", sys.executable, "-m", "topobatch.cli", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.mark.parametrize("closed", ["2>&-", "<&- 2>&-", "<&- >&- 2>&-"])
+def test_closed_streams_are_no_error(logs, tmp_path, closed):
+    """As daemons are started. What is written there is lost, and goes into no file."""
+    call = ("ingest", logs["mcap"], tmp_path / "none.bag", "-w", tmp_path / "ws")
+    done = shell(f'"$@" {closed}', *call)
+    assert (done.returncode, done.stderr) == (1, "")
+    assert (tmp_path / "ws" / "maps" / "run1.json").is_file()
+    assert bool(done.stdout) == (">&- 2" not in closed)
+    assert not any(
+        b"no such file" in path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()
+    )
+    assert shell(f'"$@" {closed}', "nonsense").returncode == 2
+
+
+@pytest.mark.parametrize("kib", [60_000, 450_000, 1_000_000])
+def test_too_little_memory_is_said_in_one_sentence(logs, tmp_path, kib):
+    call = ("ingest", logs["mcap"], "-w", tmp_path / "ws")
+    done = shell(f'ulimit -v {kib}; "$@"', *call)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert f"(ulimit -v {kib})" in line
+    assert f"ulimit -v {LEAST_BYTES >> 10}" in line
+    assert shell(f'ulimit -v {kib}; "$@"', "ingest", "--help").returncode == 0
+    assert shell(f'ulimit -v {LEAST_BYTES >> 10}; "$@"', *call).returncode == 0
+
+
+def test_what_means_a_lack_of_memory():
+    for error in (
+        MemoryError(),
+        ImportError("libx.so: failed to map segment from shared object"),
+        RuntimeError("can't start new thread"),
+    ):
+        assert "not enough memory" in (lack_of_memory(error) or "")
+    assert lack_of_memory(ImportError("No module named 'x'")) is None
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("group", [True, False], ids=["to all", "to the first"])
+def test_signals_end_it_quietly(logs, tmp_path, number, group):
+    """Also while it has worker processes, of which Python's resource tracker would tell."""
+    call = ["ingest", logs["mcap"], logs["other"], "-j", "2", "-w", str(tmp_path / "ws")]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "topobatch.cli", *map(str, call)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    # Workers are there as soon as a first log is held.
+    while not (tmp_path / "ws" / ".lock").exists() and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(1)
+    (os.killpg if group else os.kill)(process.pid, number)
+    out, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (128 + number, ""), out
+
+
+def test_an_ignored_signal_stays_ignored(logs, tmp_path):
+    """As `nohup` starts it."""
+    call = ("ingest", logs["mcap"], "-w", tmp_path / "ws")
+    done = shell('trap "" HUP; "$@" & sleep 1; kill -HUP $!; wait $!', *call)
+    assert done.returncode == 0, done
+    assert "1 map of 1 log" in done.stdout

@@ -1,0 +1,187 @@
+"""Sites by name: given, kept, and what goes by them."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, fleet_maps):
+    """Maps of two buildings, of five and of two runs."""
+    root = tmp_path_factory.mktemp("sites")
+    (root / "maps").mkdir()
+    fleet_maps(root / "maps", 12, keep=7)
+    return root
+
+
+@pytest.fixture
+def place(made, tmp_path, topobatch):
+    root = tmp_path / "ws"
+    shutil.copytree(made, root)
+    assert topobatch("merge", "--all", "-q", "-w", root).code == 0
+    return root
+
+
+def sites(root):
+    """Runs by site, as the merge has it."""
+    graph = json.loads((root / "merged.json").read_text())["graph"]
+    return {c["site"]: sorted(c["runs"]) for c in graph["components"]}
+
+
+def largest(root):
+    name, runs = max(sites(root).items(), key=lambda item: len(item[1]))
+    assert len(runs) > 2
+    return name, runs
+
+
+def test_every_component_has_a_name(place, topobatch) -> None:
+    name, runs = largest(place)
+    shown = topobatch("list", "-w", place)
+    assert any(line.startswith(f"{name}: {len(runs)} runs, ") for line in shown.out.splitlines())
+    rows = json.loads(topobatch("list", "--json", "-w", place).out)
+    assert {row["run"]: row["site"] for row in rows} == {
+        run: site for site, own in sites(place).items() for run in own
+    }
+
+
+def test_a_given_name_is_kept_whatever_happens(place, topobatch) -> None:
+    _, runs = largest(place)
+    shown = topobatch("site", runs[1], "north", "-w", place)
+    assert shown.code == 0
+    assert shown.out.startswith("site north: ")
+    assert sites(place)["north"] == runs
+    assert topobatch("rename", runs[0], "zz", "-w", place).code == 0
+    assert sites(place)["north"] == sorted([*runs[1:], "zz"])
+    assert topobatch("discard", runs[1], "-w", place).code == 0
+    assert sites(place)["north"] == sorted([*runs[2:], "zz"])
+    (place / "merged.json").unlink()
+    assert topobatch("merge", "--all", "-w", place).code == 0
+    assert sites(place)["north"] == sorted([*runs[2:], "zz"])
+    history = topobatch("history", "-w", place).out
+    assert f"north: {', '.join(runs)}" in history
+    # By its name it can be called otherwise.
+    assert topobatch("site", "north", "annex", "-w", place).code == 0
+    assert sites(place)["annex"] == sorted([*runs[2:], "zz"])
+    kept = json.loads((place / "sites.json").read_text())["sites"]
+    assert [entry["site"] for entry in kept] == ["annex"]
+
+
+def test_a_new_run_changes_no_name(place, topobatch, made, tmp_path) -> None:
+    before = sites(place)
+    name, runs = largest(place)
+    assert topobatch("discard", runs[0], "-w", place).code == 0
+    assert sites(place)[name] == runs[1:]
+    shutil.copy(made / "maps" / f"{runs[0]}.json", place / "maps")
+    assert topobatch("merge", "--all", "-w", place).code == 0
+    assert sites(place) == before
+
+
+def test_a_name_before_any_merge(made, topobatch, tmp_path) -> None:
+    root = tmp_path / "ws"
+    shutil.copytree(made, root)
+    run = sorted(p.stem for p in (root / "maps").glob("*.json"))[0]
+    shown = topobatch("site", run, "north", "-w", root)
+    assert shown.out == f"site north: {run}\nnext: topobatch merge --all -w {root}\n"
+    assert topobatch("merge", "--all", "-w", root).code == 0
+    assert run in sites(root)["north"]
+
+
+def test_a_union_is_told(place, topobatch) -> None:
+    (_, a), (_, b) = sorted(sites(place).items(), key=lambda item: -len(item[1]))[:2]
+    assert topobatch("site", a[0], "north", "-w", place).code == 0
+    assert topobatch("site", b[0], "south", "-w", place).code == 0
+    assert topobatch("discard", *b[:-1], "-w", place).code == 0
+    assert b[-1] in sites(place)["south"]
+    # The last of the south is the same map as one of the north.
+    named = json.loads((place / "maps" / f"{a[0]}.json").read_text())
+    text = json.dumps(named).replace(f'"{a[0]}"', f'"{b[-1]}"')
+    (place / "maps" / f"{b[-1]}.json").write_text(text)
+    shown = topobatch("merge", "--all", "-w", place)
+    assert "north, south are one site now: north" in shown.out
+    assert "one site now: north" in topobatch("history", "-w", place).out
+
+
+def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> None:
+    _, runs = largest(place)
+    assert topobatch("site", runs[0], "north", "-w", place).code == 0
+    shown = topobatch("draw", "north", tmp_path / "north.svg", "-w", place)
+    assert shown.code == 0
+    assert f"north: {len(runs)} runs" in (tmp_path / "north.svg").read_text()
+    assert topobatch("changes", "north", "-w", place).code == 0
+    told = json.loads(topobatch("changes", "--all", "--json", "-w", place).out)
+    assert {change["site"] for change in told} <= {*sites(place)}
+    page = tmp_path / "report.html"
+    assert topobatch("report", page, "-w", place).code == 0
+    assert "<td>north</td>" in page.read_text()
+    every = topobatch("export", "-f", "nav2", "-w", place)
+    assert sorted(p.name for p in (place / "exports").iterdir()) == sorted(
+        f"{site}.geojson" for site in sites(place)
+    )
+    assert "choose one by --site" in every.err
+    north = (place / "exports" / "north.geojson").read_text()
+    for call in (["--site", "north"], ["north"], ["merged", "--site", "north"]):
+        assert topobatch("export", *call, "-f", "nav2", "-o", "-", "-w", place).out == north
+
+
+def test_exports_of_a_site_that_is_no_more_go(place, topobatch) -> None:
+    _, runs = largest(place)
+    assert topobatch("site", runs[0], "north", "-w", place).code == 0
+    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
+    (place / "exports" / "mine.geojson").touch()
+    assert topobatch("site", runs[0], "annex", "-w", place).code == 0
+    assert topobatch("export", "--site", "annex", "-f", "nav2", "-w", place).code == 0
+    assert (place / "exports" / "north.geojson").exists()
+    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
+    left = {p.name for p in (place / "exports").iterdir()}
+    assert {"annex.geojson", "mine.geojson"} <= left
+    assert "north.geojson" not in left
+
+
+def test_the_calls_that_cannot_be(place, topobatch) -> None:
+    sorted_sites = sorted(sites(place).items(), key=lambda item: -len(item[1]))
+    (one, a), (_, b) = sorted_sites[:2]
+    for call, told in (
+        (("site", "nobody", "north"), "no run or site named nobody"),
+        (("site", a[0], b[0]), "a run is called so"),
+        (("site", a[0], "merged"), "a merge is called so"),
+        (("site", a[0], "x/y"), "must work as a file name"),
+        (("site", a[0], "x:y"), "holds a colon"),
+        (("changes", "nowhere"), "there is no site 'nowhere'; there are: "),
+        (("export", "-f", "nav2", "--site", "nowhere"), "there is no site 'nowhere'"),
+        (("export", "-f", "nav2", "--site", one, "--component", 0), "not both"),
+        (("export", a[0], "-f", "nav2", "--site", one), "--site goes with the merged map"),
+        (("merge", a[0], "--output", "sites"), "something else is called so"),
+    ):
+        assert told in topobatch(*call, "-w", place).error(2), call
+    assert topobatch("site", a[0], "north", "-w", place).code == 0
+    refused = topobatch("site", b[0], "north", "-w", place).error(2)
+    assert f"topobatch lock {b[0]} {a[0]} --same" in refused
+    assert "did you mean north?" in topobatch("changes", "nort", "-w", place).error(2)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda c: [each.update(site="x") for each in c], "two components are called like one"),
+        (lambda c: c[0].update(site="../../x"), "cannot name a site"),
+    ],
+)
+def test_names_in_a_document_are_not_believed(place, topobatch, change, told) -> None:
+    document = json.loads((place / "merged.json").read_text())
+    change(document["graph"]["components"])
+    (place / "merged.json").write_text(json.dumps(document))
+    assert told in topobatch("export", "-f", "nav2", "-w", place).error(1)
+
+
+def test_a_merge_of_an_earlier_version_has_numbers(place, topobatch) -> None:
+    document = json.loads((place / "merged.json").read_text())
+    for component in document["graph"]["components"]:
+        del component["site"]
+    (place / "merged.json").write_text(json.dumps(document))
+    assert topobatch("list", "-w", place).code == 0
+    assert "merge again" in topobatch("changes", "north", "-w", place).error(2)
+    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
+    assert (place / "exports" / "merged-0.geojson").is_file()

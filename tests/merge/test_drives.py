@@ -1,0 +1,201 @@
+"""What to record next: hand-drawn sites of one corridor, and what may stand in their way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.merge.drive import drive_to_document
+from topobatch.merge.drives import DRIVES, drives
+from topobatch.merge.result import (
+    Alignment,
+    Component,
+    FusedMap,
+    MergeResult,
+    PairVerdict,
+    Verdict,
+)
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.se2 import apply, compose, inverse
+
+STEP = 10.0
+T_A_B = np.array([70.0, 5.0, 0.5])
+"""Where b's map lies in a's frame."""
+
+
+def line(first: int, count: int, T: np.ndarray, turn: float = 0.0):
+    """Junctions first, first + 1, … of a straight corridor, in the frame that lies at T, each with
+    a branch ahead, one back, and one to the left that nobody drove."""
+    xy = np.column_stack([STEP * np.arange(first, first + count), np.zeros(count)])
+    headings = np.array([0.0, np.pi / 2, -np.pi]) - T[2]
+    return apply(inverse(T), xy), np.sort((headings + np.pi) % (2 * np.pi) - np.pi)
+
+
+def merge_of(sites, verdicts, bits=12.0):
+    """sites: {run: (first, count, T)}, each run a site of its own."""
+    xy, branches, component, members, source, target, branch = [], [], [], [], [], [], []
+    for c, (run, (first, count, T)) in enumerate(sites.items()):
+        own, headings = line(first, count, T)
+        begin = len(component)
+        xy.append(own)
+        branches += [headings] * count
+        component += [c] * count
+        members += [{run: (k,)} for k in range(count)]
+        source += range(begin, begin + count - 1)
+        target += range(begin + 1, begin + count)
+        ahead = np.abs(np.exp(1j * headings) - np.exp(-1j * T[2])).argmin()
+        back = np.abs(np.exp(1j * headings) + np.exp(-1j * T[2])).argmin()
+        branch += [(ahead, back)] * (count - 1)
+    xy = np.concatenate(xy)
+    m = len(source)
+    fused = FusedMap(
+        xy=xy,
+        branches=Ragged.from_rows(branches),
+        kind=("junction",) * len(xy),
+        source=np.array(source, np.int64),
+        target=np.array(target, np.int64),
+        source_branch=np.array([b for b, _ in branch], np.int64),
+        target_branch=np.array([b for _, b in branch], np.int64),
+        length=np.full(m, STEP),
+        length_sigma=np.full(m, 0.1),
+        traversals=np.ones(m, np.int64),
+        paths=tuple(np.array([xy[u], xy[v]]) for u, v in zip(source, target, strict=True)),
+        component=np.array(component),
+        members=tuple(members),
+        observations=((),) * len(xy),
+        edge_members=((),) * m,
+    )
+    components = tuple(Component(c, {run: np.zeros(3)}, site=run) for c, run in enumerate(sites))
+    return MergeResult(components, fused, tuple(verdicts))
+
+
+def open_pair(matched, T=T_A_B, *, bits=9.0, a="a", b="b", other=None, **more):
+    best = Alignment(T, bits, np.array(matched), 0.1)
+    return PairVerdict(
+        a, b, Verdict.AMBIGUOUS, False, bits, "too little", best, other,
+        threshold_bits=12.5, **more,
+    )  # fmt: skip
+
+
+A, B = (0, 12, np.zeros(3)), (8, 12, T_A_B)
+COMMON = [(8, 0), (9, 1), (10, 2), (11, 3)]
+
+
+def test_one_drive_passes_enough_of_both() -> None:
+    first, *rest = drives(merge_of({"a": A, "b": B}, [open_pair(COMMON)]))
+    need = 5 + DRIVES.spare_junctions  # 12.5 bits, 2.5 a junction
+    assert (first.site, first.onto, first.pairs) == ("a", "b", (("a", "b"),))
+    here = [s.junction for s in first.stops if s.site == "a"]
+    there = [s.junction for s in first.stops if s.site == "b"]
+    assert here == list(range(12 - need, 12))
+    assert there == list(range(12 + 4, 12 + 4 + need - 4))
+    assert first.length_m == pytest.approx(STEP * (2 * need - 4 - 1))
+    assert first.known_m == pytest.approx(STEP * (need - 1))
+    # The other's part lies where the placement has it: straight on.
+    assert first.path[-1] == pytest.approx([STEP * (12 + need - 4 - 1), 0.0], abs=1e-6)
+    # 9 bits of 4 junctions are 2.25 for each of the other site's.
+    assert first.bits == pytest.approx(2.25 * need * 2**9 / (2**9 + 1))
+    assert [d.onto for d in rest] == [None, None]
+    assert first.bits_per_m > rest[0].bits_per_m
+    where, settles = first.words
+    assert where == f"{first.length_m:.0f} m in a, from junction 4 towards 5"
+    assert settles == "joins a and b, 1 pair, if they are one place"
+    assert first.way.endswith("11, b:16, b:17, b:18, b:19")
+
+
+def test_the_frame_of_either_site_does_not_matter() -> None:
+    plain = drives(merge_of({"a": A, "b": B}, [open_pair(COMMON)]))
+    T = np.array([-3.0, 4.0, 2.0])
+    moved = drives(
+        merge_of({"a": (0, 12, T), "b": B}, [open_pair(COMMON, compose(inverse(T), T_A_B))])
+    )
+    one, two = plain[0], moved[0]
+    assert [s.junction for s in one.stops] == [s.junction for s in two.stops]
+    assert one.bits == pytest.approx(two.bits)
+    assert apply(T, two.path) == pytest.approx(one.path, abs=1e-6)
+
+
+def test_a_placement_with_a_rival_is_worth_less() -> None:
+    rival = Alignment(np.zeros(3), 9.0, np.array([(0, 0)]), 0.1)
+    (one, *_), (two, *_) = (
+        drives(merge_of({"a": A, "b": B}, [open_pair(COMMON, other=other)]))
+        for other in (None, rival)
+    )
+    assert two.bits == pytest.approx(one.bits / 2, rel=0.01)
+
+
+def test_where_a_building_repeats_itself_a_drive_is_worth_less() -> None:
+    plain, copy, unlikely = (
+        drives(merge_of({"a": A, "b": B}, [open_pair(COMMON, extra=extra)]))
+        for extra in ({}, {"same_place_bits": 0.0}, {"same_place_bits": -6.0})
+    )
+    assert copy[0].bits == pytest.approx(plain[0].bits / 2)
+    assert [d.onto for d in unlikely] == [None, None, "b"]
+
+
+def test_what_a_person_decided_is_not_driven_for() -> None:
+    locked = open_pair(COMMON, locked="never")
+    unrelated = PairVerdict("a", "b", Verdict.UNRELATED, False, 0.0, "nothing")
+    for pair in (locked, unrelated):
+        found = drives(merge_of({"a": A, "b": B}, [pair]))
+        assert [d.onto for d in found] == [None, None]
+
+
+def test_a_small_site_is_driven_as_a_whole() -> None:
+    small = (8, 5, T_A_B)
+    first = drives(merge_of({"a": A, "b": small}, [open_pair(COMMON)]))[0]
+    assert [s.junction for s in first.stops if s.site == "b"] == [16]
+    assert first.bits < 2.5 * 6
+
+
+def test_into_the_unknown_from_what_is_known() -> None:
+    (found,) = drives(merge_of({"a": A}, []))
+    need = 5 + DRIVES.spare_junctions
+    assert (found.site, found.onto, found.pairs) == ("a", None, ())
+    assert len(found.stops) == need + 1
+    assert found.stops[-1].junction is None
+    assert found.heading_rad is not None
+    assert abs(np.exp(1j * found.heading_rad) - 1j) < 1.5  # no way back along the corridor
+    assert "by the branch never driven" in found.way
+    assert found.length_m == pytest.approx(found.known_m + need * STEP)
+
+
+def test_the_less_the_more_pairs_are_unrelated() -> None:
+    sites = {"a": A, "b": (30, 12, np.zeros(3)), "c": (60, 12, np.zeros(3))}
+    alone = drives(merge_of({"a": A}, []))[0].bits
+    among = drives(merge_of(sites, []))[0].bits
+    assert 0 < among < alone
+
+
+def test_nothing_to_drive() -> None:
+    result = merge_of({"a": A}, [])
+    branch = [np.array([0.0])] + [np.array([-np.pi, 0.0])] * 10 + [np.array([-np.pi])]
+    back = np.array([1] * 10 + [0])
+    ahead = np.array([0] + [1] * 10)
+    driven = replace(
+        result.fused,
+        branches=Ragged.from_rows(branch),
+        source_branch=ahead,
+        target_branch=back * 0,
+    )
+    assert drives(replace(result, fused=driven)) == ()
+    assert drives(MergeResult((), merge_of({"a": (0, 1, np.zeros(3))}, []).fused, ())) == ()
+
+
+def test_the_same_whatever_the_order_of_verdicts() -> None:
+    sites = {"a": A, "b": B, "c": (8, 12, T_A_B)}
+    pairs = [open_pair(COMMON), open_pair(COMMON, a="a", b="c", bits=8.0)]
+    one, two = (drives(merge_of(sites, order)) for order in (pairs, pairs[::-1]))
+    assert list(map(drive_to_document, one)) == list(map(drive_to_document, two))
+    assert [d.onto for d in one[:2]] == ["b", "c"]
+
+
+def test_drives_of_one_site() -> None:
+    sites = {"a": A, "b": B, "c": (8, 12, T_A_B)}
+    pairs = [open_pair(COMMON), open_pair(COMMON, a="a", b="c", bits=8.0)]
+    found = drives(merge_of(sites, pairs), 1, component=2)
+    assert [(d.site, d.onto) for d in found] == [("a", "c")]
+    found = drives(merge_of(sites, pairs), component=2)
+    assert [(d.site, d.onto) for d in found] == [("a", "c"), ("c", None)]

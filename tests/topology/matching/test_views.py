@@ -1,0 +1,107 @@
+"""Registration of views, and what their agreement tells."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from topobatch.topology.matching.likelihood import BIT
+from topobatch.topology.matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, register
+from topobatch.topology.se2 import between, wrap
+
+from ..floors import floor, views_at
+
+TURNS = np.arange(-3, 4) * TURN_RAD
+
+
+def registered(wall, one, other, turns=TURNS, **given):
+    a, b = (ViewIndex.of(views_at(wall, [pose])) for pose in (one, other))
+    zero = np.zeros(1, int)
+    return register(a, b, zero, zero, turns[None], **given)
+
+
+@pytest.mark.parametrize("other", [(30.7, 29.2, 0.1), (29.4, 30.9, -0.2), (30.0, 30.0, 0.02)])
+def test_views_of_one_place_are_laid_over_each_other(other):
+    one = (30.0, 30.0, 0.0)
+    found = registered(floor(1), one, other)
+    expected = between(np.array(one), np.array(other))
+    assert np.hypot(*(found.transform[0, :2] - expected[:2])) < 0.15
+    assert abs(wrap(found.transform[0, 2] - expected[2])) < 0.03
+    assert found.z[0] > 3.5
+
+
+def test_any_turn_is_found_among_those_that_are_tried():
+    one, other = (30.0, 30.0, 0.3), (30.4, 30.2, 0.3 + 2.2)
+    every = np.arange(-36, 36) * TURN_RAD
+    found = registered(floor(2), one, other, every)
+    expected = between(np.array(one), np.array(other))
+    assert np.hypot(*(found.transform[0, :2] - expected[:2])) < 0.15
+    assert abs(wrap(found.transform[0, 2] - expected[2])) < 0.03
+
+
+def test_far_shifts_are_found_around_where_they_are_expected():
+    one, other = (30.0, 30.0, 0.0), (33.5, 28.0, 0.0)
+    found = registered(floor(3), one, other, reach_m=1.2, centre=np.array([[3.0, -1.5]]))
+    np.testing.assert_allclose(found.transform[0, :2], [3.5, -2.0], atol=0.15)
+
+
+def test_other_places_contradict():
+    wall = floor(4)
+    poses = np.array([[x, y, 0.0] for x in (15, 30, 45) for y in (15, 30, 45)])
+    index = ViewIndex.of(views_at(wall, poses))
+    first, second = np.triu_indices(len(poses), 1)
+    other = register(index, index, first, second, np.tile(TURNS, (len(first), 1)))
+    moved = ViewIndex.of(views_at(wall, poses + np.array([0.3, -0.2, 0.05])))
+    every = np.arange(len(poses))
+    same = register(index, moved, every, every, np.tile(TURNS, (len(every), 1)))
+    assert same.z.min() > other.z.max() + 1.0
+
+
+def test_what_only_one_side_saw_says_nothing():
+    wall = floor(5)
+    whole = ViewIndex.of(views_at(wall, [(30, 30, 0)]))
+    half = ViewIndex.of(views_at(wall, [(30, 30, 0)], known=lambda x, y: x < 30))
+    zero = np.zeros(1, int)
+    found = register(whole, half, zero, zero, TURNS[None])
+    assert found.contradict[0] <= 2
+    assert found.agree[0] > 50
+
+
+def test_a_bare_corridor_does_not_tell_how_far_along_it_one_is():
+    wall = np.zeros((600, 600), bool)
+    wall[[288, 289, 311, 312], :] = True
+    found = registered(wall, (30, 30, 0), (30, 30, 0))
+    along, across = found.information[0, 0, 0], found.information[0, 1, 1]
+    assert across > 20 * along
+    crossing = registered(floor(6), (30, 30, 0), (30, 30, 0))
+    assert crossing.information[0, 0, 0] > 5 * along
+
+
+def test_views_without_a_wall_are_registered_as_telling_nothing():
+    empty = ViewIndex.of(views_at(np.zeros((600, 600), bool), [(30, 30, 0)]))
+    zero = np.zeros(1, int)
+    found = register(empty, empty, zero, zero, TURNS[None])
+    assert found.z[0] == 0
+    assert np.isfinite(found.transform).all()
+    none = register(empty, empty, zero[:0], zero[:0], TURNS[None][:0])
+    assert isinstance(none, Registered)
+    assert len(none.z) == 0
+
+
+def test_odds_are_measured_against_other_places_of_the_same_run():
+    rng = np.random.default_rng(0)
+    plain = ViewNull.of(rng.normal(0.5, 0.4, 300), np.full(9, 4.4))
+    copies = ViewNull.of(rng.normal(2.8, 0.5, 300), np.full(9, 4.4))
+    z = np.array([0.5, 2.5, 4.4, 9.0])
+    assert plain.odds(z)[0] < 0 < plain.odds(z)[1]
+    assert copies.odds(z)[1] < 0
+    assert copies.odds(z)[2] < plain.odds(z)[2]
+    assert (np.diff(copies.odds(np.linspace(-3, 6, 50))) >= 0).all()
+    # Better than usual counts as usual, and nothing counts without bound.
+    assert plain.odds(z)[2] == plain.odds(z)[3] <= 9 * BIT
+    assert plain.odds(np.array([-5.0]))[0] >= -5 * BIT
+
+
+def test_too_few_pairs_tell_nothing_of_a_distribution():
+    usual = ViewNull.of(np.zeros(0), np.zeros(0))
+    assert ViewNull.of(np.full(5, 9.0), np.full(2, 9.0)) == usual

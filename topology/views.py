@@ -1,0 +1,72 @@
+"""Views: what a laser, or a saved grid, shows of the surroundings of a place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .arrays import FloatArray, IntArray
+from .frozen import freeze
+
+UNKNOWN, FREE, WALL = 0, 1, 2
+"""States of a cell of a view."""
+
+CELL_M = 0.2
+"""Side of a view's cell. Half of it tells places apart no better and doubles the size."""
+REACH_M = 8.0
+"""Radius of a view: as far as scans are cast into grids. Radii from 6 to 10 m tell alike."""
+SIDE = round(2 * REACH_M / CELL_M)
+"""Cells along the side of a view."""
+_STEP = (np.arange(SIDE) + 0.5) * CELL_M - REACH_M
+DISC = np.hypot(_STEP[:, None], _STEP) <= REACH_M
+"""(SIDE, SIDE) cells within the reach of a view; those in the corners are unknown, so that it looks
+the same turned."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Views:
+    """Local maps of walls and free space around `n` places of one run or grid, by time.
+
+    time_ns: (n,) when the robot was there, 0 for grids; pose: (n, 3) x, y [m], theta [rad] of the
+    view's frame in the map's: the place, and the direction of the view's x axis; cells: (n, SIDE,
+    SIDE) uint8 of `UNKNOWN`, `FREE`, `WALL`, row y, column x, with the place at the corner between
+    the four middle cells. A view is drawn in a frame of its own, so that drift of the run does not
+    bend it. Raises ValueError on shapes that do not fit.
+    """
+
+    time_ns: IntArray
+    pose: FloatArray
+    cells: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        n = len(self.time_ns)
+        freeze(self, np.int64, time_ns=(n,))
+        freeze(self, np.float64, pose=(n, 3))
+        freeze(self, np.uint8, cells=(n, SIDE, SIDE))
+        if np.any(self.cells > WALL):
+            raise ValueError("a cell of a view is unknown, free or a wall")
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+
+NO_VIEWS = Views(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, SIDE, SIDE), np.uint8))
+"""Of runs without a laser."""
+
+
+def view_cells(hit: IntArray, free: IntArray) -> NDArray[np.uint8]:
+    """(…, SIDE, SIDE) states of cells from counts of hits and of beams seen through, (…, 2 SIDE, 2
+    SIDE) each, in cells of half the side.
+
+    A cell is a wall where a quarter of the looks at it hit something: people who walk by are hit by
+    fewer, walls at a grazing angle by not all.
+    """
+    wall = (hit > 0) & (3 * hit >= free)
+    clear = (free > 0) & ~wall
+    fine = (*hit.shape[:-2], SIDE, 2, SIDE, 2)
+    walls = wall.reshape(fine).any(axis=(-3, -1))
+    clears = clear.reshape(fine).any(axis=(-3, -1))
+    states = np.where(walls, WALL, np.where(clears, FREE, UNKNOWN))
+    return np.where(DISC, states, UNKNOWN).astype(np.uint8)

@@ -1,0 +1,43 @@
+"""The waypoints of drives to record next, as CSV and as GeoJSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+
+from ...merge.drive import Drive, drive_to_document
+
+
+def drives_csv(drives: Sequence[Drive]) -> str:
+    """A row for each waypoint: number of the drive and of the stop, the site whose frame x and y
+    [m] are in, the site whose junction it is, and the junction's number in the merged document,
+    empty at the end of a way into the unknown."""
+    rows = [
+        (k, i, drive.site, stop.site, "" if stop.junction is None else stop.junction, *stop.xy)
+        for k, drive in enumerate(drives, 1)
+        for i, stop in enumerate(drive.stops, 1)
+    ]
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow(("drive", "stop", "frame", "site", "junction", "x", "y"))
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def drives_geojson(drives: Sequence[Drive]) -> str:
+    """A line for each drive, and a point for each waypoint, in metres of the frame of its site."""
+    features = []
+    for k, drive in enumerate(drives, 1):
+        entry = drive_to_document(drive)
+        stops, path = entry.pop("stops"), entry.pop("path")
+        line = {"type": "LineString", "coordinates": path}
+        about = {"drive": k, "frame": drive.site}
+        features.append({"type": "Feature", "properties": about | entry, "geometry": line})
+        for i, stop in enumerate(stops, 1):
+            point = {"type": "Point", "coordinates": [stop.pop("x"), stop.pop("y")]}
+            own = about | {"stop": i} | stop
+            features.append({"type": "Feature", "properties": own, "geometry": point})
+    document = {"type": "FeatureCollection", "name": "drives", "features": features}
+    return json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n"
