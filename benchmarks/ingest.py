@@ -309,14 +309,14 @@ def with_yaw(column: array) -> np.ndarray:
 
 def measure_limit(path: Path) -> Found:
     """Reading every byte and decompressing every chunk, nothing else."""
-    from topobatch.ingest.logs.bag_wire import MAGIC, record_at
+    from topobatch.ingest.logs.bag import MAGIC, record_at
     from topobatch.ingest.logs.inflate import inflate, keep_freed_memory
-    from topobatch.ingest.logs.messages import FileWindow
+    from topobatch.ingest.logs.source import FileSource
 
     if path.is_dir():
         path = next(path.glob("*.db3"))
     keep_freed_memory()
-    with FileWindow(path) as window:
+    with FileSource(path) as window:
         if path.suffix == ".mcap":
             for start, length, compression, size in mcap_chunks(path):
                 data = window.view(start, length)
@@ -325,7 +325,8 @@ def measure_limit(path: Path) -> Found:
         elif path.suffix == ".bag":
             position = len(MAGIC)
             while position < window.size:
-                record = record_at(window, position)
+                record = record_at(window.copy, position)
+                assert record is not None
                 window.view(record.data_at, record.data_size)
                 position = record.end
         else:

@@ -25,26 +25,18 @@ from typing import Any
 from ingest import Size, imports_of, measure_topobatch, write_bag, write_db3, write_mcap
 
 NUMBERS = {
-    "THREADS": "ahead",
-    "AHEAD_BYTES": "ahead",
-    "AHEAD_CHUNKS": "ahead",
-    "LARGE_BYTES": "bag_sparse",
-    "HEAD_BYTES": "bag_sparse",
-    "RUN": "chunk_reader",
+    "THREADS": "chunks",
+    "AHEAD_BYTES": "chunks",
+    "SMALL_BYTES": "chunks",
     "INPUT_BYTES": "inflate",
     "PIECE_BYTES": "inflate",
     "DENSE": "intake",
     "PENDING_BYTES": "intake",
     "HEADS": "intake",
-    "FileWindow.STEP": "messages",
-    "FileWindow.CHECKED_STEP": "messages",
-    "ROWS": "sqlite_file",
-    "HELD_BYTES": "sqlite_file",
-    "BATCH": "sqlite_pages",
-    "NEAR": "sqlite_pages",
+    "FileSource.STEP": "source",
+    "ROWS": "sqlite",
     "LEAST_REACH": "walk",
-    "MOST_GAPS": "walk",
-    "SLAB_BYTES": "windows",
+    "SLAB_BYTES": "source",
 }
 """Numbers that change nothing but the time, by the module that chooses them."""
 

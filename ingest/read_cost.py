@@ -7,8 +7,7 @@ from collections.abc import Callable
 from ..topology.errors import LogError
 from .channels import acceptance
 from .junction_source import JunctionSource, junction_source
-from .logs.bag_file import BagFile
-from .logs.mcap_file import McapFile
+from .logs.chunks import ChunkedLog
 from .logs.messages import UNWANTED, Channel
 from .logs.recording import Recording, container, recording_at
 from .logs.topics import TRANSFORM_KINDS
@@ -58,7 +57,7 @@ def _cost(recording: Recording, accept: Accept) -> int:
     total = 0
     for file in recording.files:
         log = container(file)
-        if not isinstance(log, McapFile | BagFile):
+        if not isinstance(log, ChunkedLog):
             raise LogError(f"{file}: can only be read as a whole")
         total += log.cost(lambda channel: 0 if accept(channel) else UNWANTED)
     return total

@@ -68,6 +68,7 @@ def walk(
     index: from `surveyed`; what it has read is not read again.
     """
     findings = Findings()
+    intake.expect(recording.bytes)
     for file in recording.files:
         told = 0
 
@@ -79,7 +80,7 @@ def walk(
 
         known = index.log if index is not None else None
         packed = known is None and sniff(file) == "zstd"
-        with opened(file) if known is None else nullcontext(known) as log:
+        with opened(file, index is not None) if known is None else nullcontext(known) as log:
             for block in log.blocks(intake.want, findings, None if packed else progress):
                 intake.take(block)
                 del block  # its memory, still in the processor's cache, serves the next one

@@ -69,7 +69,7 @@ class TopicPoses:
             sum(sink.zero_quaternion for sink in sinks),
             sum(sink.empty for sink in sinks),
             vague=int(vague.sum()),
-            reason=next((sink.decoder.reason for sink in sinks if sink.decoder.reason), ""),
+            reason=next((sink.reason for sink in sinks if sink.reason), ""),
         )
 
     def __len__(self) -> int:

@@ -122,33 +122,3 @@ class Shape(NamedTuple):
         for k, value, bits in self.words:
             wrong |= (found[:, k] if bits == ALL else found[:, k] & bits) != value
         return wrong if wrong.any() else None
-
-
-MANY = 1024
-"""Number of descriptions in one piece of a log from which on repeats are searched."""
-
-REPEATED = 8
-"""Number of different repeats searched for."""
-
-REPEATED_BYTES = 512
-"""Longer records need not be searched: they cannot be a flood of few bytes."""
-
-
-def without_repeats(data: Bytes, start: IntArray, size: IntArray) -> IntArray:
-    """Indices of the records at `start` with `size` to be processed, ascending.
-
-    A flood that compresses well repeats a few records. The first ones are compared with all; of
-    those that are equal byte by byte, the first and the last are kept. O(bytes).
-    """
-    left, kept = np.arange(len(start)), []
-    for _ in range(REPEATED):
-        if len(left) < MANY or size[left[0]] > REPEATED_BYTES:
-            break
-        length = int(size[left[0]])
-        alike = left[size[left] == length]
-        rows = gather(data, start[alike], length)
-        other = Shape.of(rows[0, :length], ((0, length),)).misfits(rows)
-        same = alike if other is None else alike[~other]
-        kept.append(same[[0, -1]])
-        left = left[~np.isin(left, same, assume_unique=True)]
-    return np.unique(np.concatenate([*kept, left]))

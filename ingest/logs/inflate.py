@@ -61,43 +61,29 @@ class WrongSizeError(DamageError):
         super().__init__("a chunk does not decompress to its declared size")
 
 
-TOO_MUCH = "a chunk inflates to far more than its bytes can hold"
+class LimitError(DamageError):
+    """A chunk decompresses to more than is allowed."""
+
+    def __init__(self) -> None:
+        super().__init__("they inflate to far more than logs do")
 
 
 class Allowance:
-    """The remaining allowance of a file's chunks beyond plausible ratios."""
+    """What the chunks of one file may still decompress to beyond plausible ratios."""
 
     def __init__(self) -> None:
         self._left = INFLATED_BYTES
 
     def take(self, compression: str, packed: int, size: int) -> None:
-        """Count a chunk that decompresses from `packed` to `size` bytes; raises DamageError."""
+        """Count a chunk that decompresses from `packed` to `size` bytes; raises LimitError."""
         excess = max(size - RATIOS.get(compression, 1000) * packed, 0) * DEARER.get(compression, 1)
         if excess > self._left:
-            raise WrongSizeError
+            raise LimitError
         self._left -= excess
 
     def limit(self, compression: str, packed: int) -> int:
         """The largest size that `packed` bytes may decompress to."""
         return RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
-
-    def again(self, compression: str, packed: int, size: int) -> None:
-        """Count a chunk a second time that was decompressed for checking; raises DamageError."""
-        if size > self.limit(compression, packed):
-            raise DamageError(TOO_MUCH)
-        self.take(compression, packed, size)
-
-    def counted(self, compression: str, packed: int, stream: Iterator[bytes]) -> Iterator[bytes]:
-        """The decompressed pieces of `packed` bytes; raises DamageError if they are too many."""
-        most, found = self.limit(compression, packed), 0
-        try:
-            for piece in stream:
-                found += len(piece)
-                if found > most:
-                    raise DamageError(TOO_MUCH)
-                yield piece
-        finally:
-            self.take(compression, packed, min(found, most))
 
 
 def inflate(compression: str, data: Any, size: int) -> bytes:
@@ -111,17 +97,6 @@ def inflate(compression: str, data: Any, size: int) -> bytes:
     if len(out) != size:
         raise WrongSizeError
     return out
-
-
-def inflate_anyhow(compression: str, data: Any, allowance: Allowance) -> bytes:
-    """All decompressed data, regardless of the declared size; DamageError above WHOLE_BYTES."""
-    out, done = [], 0
-    for piece in allowance.counted(compression, len(data), pieces(compression, _reader_of(data))):
-        out.append(piece)
-        done += len(piece)
-        if done > WHOLE_BYTES:
-            raise WrongSizeError
-    return b"".join(out)
 
 
 def inflate_part(compression: str, data: Any, limit: int = WHOLE_BYTES) -> bytes:

@@ -35,6 +35,10 @@ in place of 64, reading takes up to 1.3 times as long (benchmarks/reading_number
 PENDING_BYTES = 1 << 20
 """Small messages are collected up to this size before they are decoded."""
 
+MOST_KEPT, BYTES_PER_POSE = 1 << 19, 40
+"""Most poses of a topic that are kept in space, and bytes of a log for each further one: kept and
+sorted they take some 400 bytes, a message with four of them and its odometry far more than 160."""
+
 HEADS = 4096
 """Regular messages decoded together, to make numpy's overhead negligible."""
 
@@ -152,23 +156,26 @@ def _empty_columns(whole: bool, sigma: bool) -> tuple[Growing, ...]:
 class Sink:
     """The poses of one channel.
 
-    whole: whether poses are kept in space, instead of the plane; messages: number processed;
-    failed: messages that do not decode; not_finite, zero_quaternion: poses left out; empty:
-    messages without any pose.
+    whole: whether poses are kept in space, instead of the plane; most: of these; messages: number
+    processed; failed: messages that do not decode; not_finite, zero_quaternion: poses left out;
+    empty: messages without any pose.
     """
 
     channel: Channel
     decoder: PoseDecoder
     whole: bool = False
+    most: int = MOST_KEPT
     messages: int = 0
     not_finite: int = 0
     zero_quaternion: int = 0
     undecoded: int = 0
     empty: int = 0
+    _kept: int = 0
     _columns: tuple[Growing, ...] = ()
     _heads: list[Heads] = field(default_factory=list)
     _heads_ns: list[IntArray] = field(default_factory=list)
     _heads_count: int = 0
+    _heads_bytes: int = 0
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
@@ -178,6 +185,12 @@ class Sink:
         """Messages that could not be decoded."""
         return self.undecoded + self.decoder.failed
 
+    @property
+    def reason(self) -> str:
+        """Why the first of them could not be."""
+        full = f"more than {self.most} poses, which is the limit" if self._kept >= self.most else ""
+        return self.decoder.reason or full
+
     def add(self, block: Block) -> None:
         """Process the messages of a block.
 
@@ -185,6 +198,10 @@ class Sink:
         whole if they are few. Collected ones are flushed first, to keep the order.
         """
         data, _, log_ns, start, size = block
+        if self.whole and self._kept >= self.most:
+            self.messages += len(start)
+            self.undecoded += len(start)
+            return
         heads = self.decoder.heads(data, start, size)
         if heads is not None:
             self._add_heads(heads, log_ns)
@@ -211,7 +228,8 @@ class Sink:
         self._heads.append(heads)
         self._heads_ns.append(log_ns)
         self._heads_count += len(log_ns)
-        if self._heads_count >= HEADS:
+        self._heads_bytes += heads.rows.nbytes
+        if self._heads_count >= HEADS or self._heads_bytes >= PENDING_BYTES:
             self._flush_heads()
 
     def columns(self) -> PoseColumns:
@@ -257,7 +275,7 @@ class Sink:
         if not self._heads:
             return
         heads, log_ns = self._heads, np.concatenate(self._heads_ns)
-        self._heads, self._heads_ns, self._heads_count = [], [], 0
+        self._heads, self._heads_ns, self._heads_count, self._heads_bytes = [], [], 0, 0
         rows = np.concatenate([part.rows for part in heads])
         self._take(heads[0].poses(rows, np.arange(len(rows))), log_ns, failed=0)
 
@@ -298,6 +316,7 @@ class Sink:
             rows = (*rows, none if poses.sigma_m is None else poses.sigma_m)
         for column, more in zip(self._columns, rows, strict=True):
             column.add(more)
+        self._kept += len(poses.message)
         self.messages += len(log_ns)
 
     def _usable(self, poses: Poses) -> Poses:
@@ -325,9 +344,14 @@ class Intake:
         self._accept = accept
         self._decoder = decoder
         self._whole = whole
+        self.most = MOST_KEPT
         self.sinks: list[Sink] = []
         self.refused: dict[Channel, str] = {}
         self._number: dict[Channel, int] = {}
+
+    def expect(self, size: int) -> None:
+        """Keep no more poses than a log of this size [bytes] is to take memory for."""
+        self.most = MOST_KEPT + size // BYTES_PER_POSE
 
     def want(self, channel: Channel) -> int:
         """Sink number of a channel, UNWANTED for one that is not kept."""
@@ -338,7 +362,7 @@ class Intake:
         if self._accept(channel):
             try:
                 decoder = self._decoder(channel)
-                self.sinks.append(Sink(channel, decoder, self._whole(channel)))
+                self.sinks.append(Sink(channel, decoder, self._whole(channel), self.most))
                 number = len(self.sinks) - 1
             except DamageError as damage:
                 self.refused[channel] = str(damage)

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import threading
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
-from ...topology.errors import LogError
 from ...topology.wording import utc
-from .checksum import crc32
 
 Bytes = NDArray[np.uint8]
 Key = TypeVar("Key")
@@ -148,7 +144,7 @@ class Findings:
 
     counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
     damaged places; lost_at_least: there may be more; unknown: messages of undescribed channels;
-    repaired: record heads with one wrong bit; too_large: records left out as too large, by topic
+    beyond_limit: chunks left out by a limit; too_large: records left out as too large, by topic
     ("" if they are no messages of a known one) and limit [bytes]; misdescribed: channels that the
     index describes differently from the data.
     """
@@ -160,9 +156,8 @@ class Findings:
     truncated: bool = False
     unreadable_bytes: int = 0
     broken_rows: int = 0
-    damaged_pages: int = 0
     damaged_chunks: Counter[str] = field(default_factory=Counter)
-    repaired: int = 0
+    beyond_limit: Counter[str] = field(default_factory=Counter)
     too_large: Counter[tuple[str, int]] = field(default_factory=Counter)
     misdescribed: int = 0
     first_ns: int | None = None
@@ -186,9 +181,9 @@ class Findings:
 
     @property
     def whole(self) -> bool:
-        """Whether everything could be read without repair."""
-        broken = (self.unreadable_bytes, self.repaired, self.too_large, self.truncated)
-        return not any(broken) and not self.damaged_chunks
+        """Whether nothing was left out."""
+        broken = (self.unreadable_bytes, self.too_large, self.truncated)
+        return not any((*broken, self.damaged_chunks, self.beyond_limit))
 
     def beyond(self, known: Sequence[Findings]) -> Findings:
         """The faults that no other walk over the same log found, as far as their numbers tell."""
@@ -206,9 +201,8 @@ class Findings:
             truncated=self.truncated and not any(k.truncated for k in known),
             unreadable_bytes=more(self.unreadable_bytes, (k.unreadable_bytes for k in known)),
             broken_rows=more(self.broken_rows, (k.broken_rows for k in known)),
-            damaged_pages=more(self.damaged_pages, (k.damaged_pages for k in known)),
             damaged_chunks=each(self.damaged_chunks, [k.damaged_chunks for k in known]),
-            repaired=more(self.repaired, (k.repaired for k in known)),
+            beyond_limit=each(self.beyond_limit, [k.beyond_limit for k in known]),
             too_large=each(self.too_large, [k.too_large for k in known]),
             misdescribed=more(self.misdescribed, (k.misdescribed for k in known)),
             notes=[note for note in self.notes if not any(note in k.notes for k in known)],
@@ -225,8 +219,8 @@ class Findings:
         out = list(self.notes)
         for reason, count in sorted(self.damaged_chunks.items()):
             out.append(f"{several(count, 'damaged chunk')} skipped: {reason}")
-        if self.repaired:
-            out.append(f"{several(self.repaired, 'damaged record head')} set right")
+        for reason, count in sorted(self.beyond_limit.items()):
+            out.append(f"{several(count, 'chunk')} left out by a limit: {reason}")
         if self.misdescribed:
             channels = several(self.misdescribed, "channel")
             out.append(
@@ -239,8 +233,6 @@ class Findings:
             lost[topic] -= count
         if self.unreadable_bytes:
             out.append(f"{several(self.unreadable_bytes, 'byte')} could not be read as messages")
-        if self.damaged_pages:
-            out.append(f"{several(self.damaged_pages, 'damaged page')} of the database skipped")
         if self.broken_rows:
             out.append(f"{several(self.broken_rows, 'row')} of the database without a message")
         if self.truncated:
@@ -248,9 +240,11 @@ class Findings:
         if self.unknown:
             unknown = several(self.unknown, "message")
             out.append(f"{unknown} of channels that the log does not describe")
+        damaged = self.damaged_chunks or self.unreadable_bytes or self.truncated
+        where = "what is left out" if self.beyond_limit and not damaged else "damaged places"
         for topic, count in sorted((+lost).items()):
             told = f"{'at least ' * self.lost_at_least}{several(count, 'message')} of {topic}"
-            out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
+            out.append(f"{told} {'is' if count == 1 else 'are'} lost in {where}")
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(
@@ -291,120 +285,3 @@ class Passed:
         if self._progress is not None and offset > self._told:
             self._progress(offset - self._told)
             self._told = offset
-
-
-class FileWindow(Passed):
-    """Bounded look at a file: bytes of any place, from one buffer that is used again and again.
-
-    Reusing the buffer matters: fresh memory costs a page fault per 4 KiB, more than the copy.
-    """
-
-    STEP = 1 << 15
-    """So much is read beyond what is asked for: the small records behind it."""
-
-    CHECKED_STEP = 1 << 19
-    """So much is read and then checked: what stays in the processor's cache (benchmarks/ingest.py:
-    reading and checking take 10 % longer where whole chunks are read first)."""
-
-    def __init__(self, path: Path, progress: Progress | None = None) -> None:
-        super().__init__(progress)
-        try:
-            self._file = path.open("rb", buffering=0)
-            self._second = path.open("rb")
-        except OSError as error:
-            raise LogError(f"{path}: cannot be opened ({error.strerror})") from error
-        self.size = path.stat().st_size
-        self._path = path
-        self._copying = threading.Lock()
-        self._buffer = np.empty(2 * self.STEP, np.uint8)
-        self._base = 0
-        self._fill = 0
-
-    def __enter__(self) -> FileWindow:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._file.close()
-        self._second.close()
-
-    def view(self, offset: int, length: int) -> Bytes:
-        """The bytes [offset, offset + length), fewer at the file's end; until the next call."""
-        length = max(0, min(length, self.size - offset))
-        at = offset - self._base
-        if at < 0 or at + length > self._fill:
-            self._load(offset, length)
-            at = 0
-        return self._buffer[at : at + length]
-
-    def checked(self, offset: int, length: int) -> tuple[Bytes, int]:
-        """The same as `view`, and the checksum (CRC-32) of the bytes."""
-        length = max(0, min(length, self.size - offset))
-        self._move_to(offset, length + self.STEP)
-        done = min(self._fill, length)
-        crc = crc32(self._buffer.data[:done])
-        while done < length:
-            begin, done = done, min(done + self.CHECKED_STEP, length)
-            self._read_on(done if done < length else length + self.STEP)
-            crc = crc32(self._buffer.data[begin:done], crc)
-        return self._buffer[:length], crc
-
-    def copy(self, offset: int, length: int) -> bytes:
-        """The same bytes to keep, read past the buffer. Other threads may call this."""
-        length = max(0, min(length, self.size - offset))
-        if length == 0:
-            return b""  # the offset may be one that no file can have
-        try:
-            with self._copying:
-                self._second.seek(offset)
-                data: bytes = self._second.read(length)
-        except OSError as error:
-            raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
-        if len(data) < length:
-            raise self._shorter()
-        return data
-
-    def fill(self, target: Bytes, offset: int) -> None:
-        """Read past the buffer into all of `target`; the file must reach that far."""
-        done = 0
-        try:
-            self._file.seek(offset)
-            while done < len(target):
-                got = self._file.readinto(target.data[done:])
-                if not got:
-                    raise self._shorter()
-                done += got
-        except OSError as error:
-            raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error
-
-    def _shorter(self) -> LogError:
-        return LogError(f"{self._path}: became shorter while it was read; read it again")
-
-    def _load(self, offset: int, length: int) -> None:
-        """Fill the buffer from `offset` on, keeping what it already holds of it."""
-        self._move_to(offset, length + self.STEP)
-        self._read_on(length + self.STEP)
-
-    def _move_to(self, offset: int, want: int) -> None:
-        """Have the buffer begin at `offset`, with what it holds of that, and room for `want`."""
-        at = offset - self._base
-        kept = self._fill - at if 0 <= at <= self._fill else 0
-        if want > len(self._buffer):
-            larger = np.empty(want + self.STEP, np.uint8)
-            larger[:kept] = self._buffer[at : at + kept]
-            self._buffer = larger
-        elif kept and at:
-            self._buffer[:kept] = self._buffer[at : at + kept]
-        self._base, self._fill = offset, kept
-
-    def _read_on(self, goal: int) -> None:
-        """Fill the buffer up to `goal`, or to the file's end."""
-        goal = min(goal, self.size - self._base)
-        try:
-            self._file.seek(self._base + self._fill)
-            while self._fill < goal:
-                got = self._file.readinto(self._buffer.data[self._fill : goal])
-                if not got:
-                    raise self._shorter()
-                self._fill += got
-        except OSError as error:
-            raise LogError(f"{self._path}: cannot be read ({error.strerror})") from error

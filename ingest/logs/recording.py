@@ -13,15 +13,14 @@ from typing import Any
 
 from ...topology.errors import LogError
 from ..remote.path import TAIL_BYTES, LogPath, RemotePath, log_path
-from .bag_file import BagFile
-from .bag_wire import MAGIC as BAG_MAGIC
+from .bag import MAGIC as BAG_MAGIC
+from .bag import BagFile
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
-from .mcap_file import McapFile
-from .mcap_wire import MAGIC as MCAP_MAGIC
+from .mcap import MAGIC as MCAP_MAGIC
+from .mcap import McapFile
 from .messages import UNWANTED, Container, Findings, printable
 from .metadata import BAG_INFORMATION, METADATA_BYTES, Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
-from .spelling import one_bit_apart
 from .split_recordings import (
     SUFFIX,
     is_path_of_parts,
@@ -29,8 +28,8 @@ from .split_recordings import (
     path_of_parts,
     split_recordings,
 )
-from .sqlite_file import MAGIC as SQLITE_MAGIC
-from .sqlite_file import SqliteFile
+from .sqlite import MAGIC as SQLITE_MAGIC
+from .sqlite import SqliteFile
 
 METADATA = "metadata.yaml"
 NOTES = 12
@@ -83,10 +82,6 @@ def sniff(path: LogPath) -> str | None:
         ("zstd", ZSTD_MAGIC),
     ):
         if head.startswith(magic):
-            return format_name
-    for format_name, magic in (("mcap", MCAP_MAGIC), ("bag", BAG_MAGIC), ("sqlite3", SQLITE_MAGIC)):
-        # A magic with one wrong bit is accepted.
-        if one_bit_apart(head[: len(magic)], magic):
             return format_name
     return None
 
@@ -354,32 +349,35 @@ def _times(log: Container) -> tuple[int, int] | None:
     return findings.first_ns, findings.last_ns
 
 
-def container(path: LogPath) -> Container:
-    """The reader for one file; raises LogError if it is no log."""
-    return _container(path, sniff(path))
+def container(path: LogPath, by_index: bool = True) -> Container:
+    """The reader for one file; raises LogError if it is no log.
+
+    by_index: whether to believe the file's index, if there is a sound one.
+    """
+    return _container(path, sniff(path), by_index)
 
 
-def _container(path: LogPath, kind: str | None) -> Container:
+def _container(path: LogPath, kind: str | None, by_index: bool) -> Container:
     if kind == "mcap":
-        return McapFile(path)
+        return McapFile(path, by_index)
     if kind == "bag":
-        return BagFile(path)
+        return BagFile(path, by_index)
     if kind == "sqlite3":
         return SqliteFile(_here(path, "a database can only be read as a whole"))
     raise LogError(f"{path}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")
 
 
 @contextmanager
-def opened(path: LogPath) -> Iterator[Container]:
+def opened(path: LogPath, by_index: bool = True) -> Iterator[Container]:
     """The reader for one file; a file compressed as a whole is unpacked into a temporary file
     meanwhile."""
     kind = sniff(path)
     if kind != "zstd":
-        yield _container(path, kind)
+        yield _container(path, kind, by_index)
         return
     packed = _here(path, "a file that is compressed as a whole can only be read as a whole")
     with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
-        yield container(_unpack(packed, Path(folder) / SUFFIX.sub("", path.name)))
+        yield container(_unpack(packed, Path(folder) / SUFFIX.sub("", path.name)), by_index)
 
 
 def _here(path: LogPath, why: str) -> Path:

@@ -7,20 +7,18 @@ checked as one strided column instead of record by record.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 
 import numpy as np
 
 from ...topology.arrays import IntArray
-from .columns import words
 from .messages import Bytes
 
 _U64 = struct.Struct("<Q").unpack_from
 _U32 = struct.Struct("<I").unpack_from
 
 LEAST_REACH = 64
-"""Records checked at once, at least, after two equal ones. The value and that of MOST_GAPS are not
-critical: a factor of 8 makes no difference (benchmarks/reading_numbers.py)."""
+"""Records checked at once, at least, after two equal ones. A factor of 8 makes no
+difference (benchmarks/reading_numbers.py)."""
 
 
 def mcap_records(data: Bytes, end_ops: frozenset[int] = frozenset()) -> tuple[IntArray, int]:
@@ -90,81 +88,6 @@ def bag_records(data: Bytes) -> tuple[IntArray, int]:
         position += step * count
         before = shape
     return _unrolled(firsts, steps, counts), position
-
-
-def mcap_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
-    """The result of `mcap_records` from the offsets of an index, if they are consistent with the
-    data, else None.
-
-    Faster where records of many sizes alternate.
-    """
-    where = inside(offsets, len(data) - 9)
-    if where is None:
-        return None
-    length = words(data, "<i8", where + 1)
-    return _completed(data, where, where + 9 + length, mcap_records)
-
-
-def bag_listed(data: Bytes, offsets: IntArray) -> IntArray | None:
-    """The result of `bag_records` from the offsets of an index, if they are consistent with the
-    data, else None."""
-    where = inside(offsets, len(data) - 8)
-    if where is None:
-        return None
-    head = words(data, "<u4", where).astype(np.int64)
-    body = inside(where + 4 + head, len(data) - 4)
-    if body is None:
-        return None
-    return _completed(data, where, body + 4 + words(data, "<u4", body), bag_records)
-
-
-MOST_GAPS = 16
-"""Limit on gaps between the listed records that are searched for others."""
-
-
-def inside(places: IntArray, last: int) -> IntArray | None:
-    """The offsets in ascending order, None if there are none or one is outside [0, last]."""
-    # Ascending per channel: a stable sort merges the runs.
-    places = np.sort(places, kind="stable")
-    if len(places) == 0 or places[0] < 0 or places[-1] > last:
-        return None
-    return places
-
-
-def seamless(where: IntArray, ends: IntArray, size: int) -> bool:
-    """Whether records from `where` to `ends` fill `size` bytes: each ends where the next begins.
-
-    where: ascending; records are not empty.
-    """
-    return bool(where[0] == 0 and ends[-1] == size and (ends[:-1] == where[1:]).all())
-
-
-def _completed(
-    data: Bytes, where: IntArray, ends: IntArray, walk: Callable[[Bytes], tuple[IntArray, int]]
-) -> IntArray | None:
-    """The records at `where` and those in the gaps; None unless they fill the data seamlessly.
-
-    Each record then ends where the next begins, from the first byte to the last, so that a walk
-    would find the same.
-    """
-    if (ends <= where).any():
-        # A length that is negative or too large for a sum.
-        return None
-    begin = np.empty(len(where) + 1, np.int64)
-    end = np.empty(len(where) + 1, np.int64)
-    begin[0], begin[1:], end[:-1], end[-1] = 0, ends, where, len(data)
-    gaps = (begin != end).nonzero()[0]
-    if len(gaps) == 0:
-        return where
-    if len(gaps) > MOST_GAPS or (begin > end).any():
-        return None
-    found = [where]
-    for k in gaps.tolist():
-        inner, stop = walk(data[begin[k] : end[k]])
-        if stop != end[k] - begin[k]:
-            return None
-        found.append(inner + begin[k])
-    return np.sort(np.concatenate(found), kind="stable")
 
 
 def _leading(same: np.ndarray[tuple[int], np.dtype[np.bool_]]) -> int:

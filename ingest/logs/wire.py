@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from .columns import MANY, Shape, column, gather
+from .columns import Shape, column, gather
 from .messages import NAME_BYTES, Bytes, DamageError, text
 from .poses import Frames, Heads, Poses, join
 
@@ -28,6 +28,12 @@ Kind = Literal[
 ]
 
 POSE_BYTES = 56
+MOST_POSES = 1024
+"""Most poses of one message: of a junction 32 count, of particles there are some hundreds."""
+
+MANY = 1024
+"""Messages of one size from which on those that are alike and broken are counted together."""
+
 COVARIANCE = 36
 """Numbers of a covariance of x, y, z and rotations about them, row by row."""
 FARTHEST_M = 1e9
@@ -170,6 +176,8 @@ def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
         child = parser.string() if kind == "odometry" else ""
         many = kind in ("pose_array", "foxglove_poses")
         count = parser.count() if many else 1
+        if count > MOST_POSES:
+            raise DamageError(f"more than {MOST_POSES} poses in a message, which is the limit")
         told = kind == "pose_covariance"
         runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count, told))
         if told:

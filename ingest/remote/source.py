@@ -25,7 +25,7 @@ AHEAD_BYTES, AHEAD = 4 * PART_BYTES, 16
 than decoding needs, and short requests are dominated by latency."""
 
 HELD_BYTES = 1 << 26
-"""Bytes kept of a log: more than its walk holds at a time (`logs.ahead.AHEAD_BYTES`)."""
+"""Bytes kept of a log: more than its walk holds at a time (`logs.chunks.AHEAD_BYTES`)."""
 
 LEAST_BYTES = 1 << 12
 """Least length of a request that was not announced: record heads are close together."""

@@ -40,6 +40,7 @@ class Case:
     note: str
     kind: str = "detections"
     says: str = ""
+    exact: bool = True
 
 
 Generator = Callable[[random.Random, Path], Case]
@@ -63,10 +64,11 @@ def read_of(path: Path) -> tuple[int, int, Findings]:
     from topobatch.ingest.logs.intake import Intake, decoder_for
     from topobatch.ingest.logs.messages import Findings
     from topobatch.ingest.logs.recording import opened, recording_at
-    from topobatch.ingest.logs.spelling import TYPES
+    from topobatch.ingest.logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS
 
     findings = Findings()
-    intake = Intake(lambda channel: channel.type_name in TYPES, decoder_for)
+    types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
+    intake = Intake(lambda channel: channel.type_name in types, decoder_for)
     for file in recording_at(path).files:
         with opened(file) as log:
             for block in log.blocks(intake.want, findings):

@@ -16,12 +16,9 @@ from judge import print_of
 
 from topobatch.cli import places_file
 from topobatch.cli.places_file import read_places
-from topobatch.ingest.logs.bag_wire import numbers_of
-from topobatch.ingest.logs.columns import without_repeats
-from topobatch.ingest.logs.described import LOOKED_AT, Described, short
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
-from topobatch.ingest.logs.messages import NAME_BYTES, Channel, DamageError
+from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
 from topobatch.ingest.logs.poses import Frames
 from topobatch.ingest.logs.wire import WireDecoder
 from topobatch.ingest.reading import read_log
@@ -62,20 +59,6 @@ def test_what_is_sound_is_used_and_the_rest_is_told(tmp_path, name, seed):
     assert not before or print_of(case.log.parent) == before
 
 
-@pytest.mark.parametrize("turns", [1, 2])
-def test_what_repeats_in_a_flood_is_looked_at_twice(tmp_path, turns):
-    """The first and the last of equal records; all others are taken in."""
-    ones = [bytes([k]) * 20 for k in range(turns)]
-    records = [b"z" * 20, *(ones * 2000), b"y" * 20, *ones, b"q" * 9]
-    data = np.frombuffer(b"".join(records), np.uint8)
-    size = np.array([len(record) for record in records])
-    kept = without_repeats(data, np.cumsum(size) - size, size)
-    found = [records[k] for k in kept.tolist()]
-    assert found == [b"z" * 20, *ones, b"y" * 20, *ones, b"q" * 9]
-    few = without_repeats(data, (np.cumsum(size) - size)[:100], size[:100])
-    assert few.tolist() == list(range(100))
-
-
 @pytest.mark.parametrize("payload", [b"", bytes(40)])
 def test_messages_that_are_alike_and_broken_are_counted_one_by_one(payload):
     decoder = WireDecoder("odometry", ros1=False)
@@ -95,37 +78,6 @@ def test_connections_described_without_end_are_read(tmp_path):
     )(random.Random(1), tmp_path)
     used, failed, _ = read_of(case.log)
     assert (used, failed) == (case.intact, 0)
-
-
-def test_more_descriptions_than_any_log_has_are_not_looked_at():
-    """Save for numbers that were not met; what was met before costs nothing."""
-    met = Described()
-    numbers = np.arange(3 * LOOKED_AT) % 1000
-    assert met.worth(numbers).nonzero()[0].tolist() == list(range(LOOKED_AT))
-    for number in range(LOOKED_AT):
-        met.look(number % 1000)
-    assert met.worth(np.array([3, 2000, 2000, 4, 2001])).tolist() == [0, 1, 0, 0, 1]
-
-
-def test_definitions_beyond_a_bounded_memory_are_not_kept():
-    met = Described()
-    records = [b"%02d" % k + bytes(1 << 20) for k in range(40)]
-    fits = [met.add(record) for record in records]
-    assert fits == [True] * 31 + [False] * 9
-    assert [record in met for record in records] == fits
-    channel = Channel("/odom", "nav_msgs/msg/Odometry", "cdr", b"float64 x", "ros2msg")
-    assert short(channel) == Channel("/odom", "nav_msgs/msg/Odometry", "cdr")
-    with pytest.raises(DamageError, match="implausibly many"):
-        short(channel._replace(topic="/" + "x" * 300))
-
-
-def test_numbers_of_connections_are_found_in_any_order_of_fields():
-    orders = (b"conn", b"op", b"topic"), (b"topic", b"op", b"conn"), (b"op", b"topic", b"conn")
-    fields = {b"op": b"\x07", b"conn": (77).to_bytes(4, "little"), b"topic": b"/odom"}
-    heads = [logs_floods._bag_record({name: fields[name] for name in o}, b"") for o in orders]
-    heads.append(logs_floods._bag_message(77, b""))
-    rows = np.array([list(head.ljust(64, b"\0")) for head in heads], np.uint8)
-    assert numbers_of(rows).tolist() == [77, 77, 77, -1]
 
 
 def test_of_two_topics_of_one_number_the_first_is_the_recorders(tmp_path):
@@ -148,41 +100,6 @@ def test_the_data_are_believed_where_an_index_describes_other_channels(tmp_path,
     assert used == case.intact
     assert case.lost == 0
     assert any("otherwise than the data" in text for text in run.warnings)
-
-
-def test_a_summary_that_describes_a_channel_in_two_ways_is_damaged(tmp_path):
-    logs = writers()
-    path = logs.mcap(tmp_path / "run.mcap", logs.drive(100))
-    raw = path.read_bytes()
-    start = int.from_bytes(raw[-28:-20], "little")
-    again = logs_floods._channel(1, b"/other")
-    footer = logs_floods._record(2, start.to_bytes(8, "little") + bytes(12)) + raw[-8:]
-    path.write_bytes(raw[:-37] + again + footer)
-    run = read_log(path)
-    assert run.source["odometry"]["messages"] == 100
-    assert any("the summary is damaged" in text for text in run.warnings)
-
-
-@pytest.mark.parametrize(
-    "written",
-    [
-        logs_floods._bag(
-            lambda _: (
-                logs_floods._bag_chunk(logs_floods._bag_message(0, bytes(9)), b"none", 5) * 2000
-            ),
-            "",
-        ),
-        logs_floods._mcap(
-            lambda _: logs_floods._chunk(logs_floods._message(1, bytes(9)), size=5) * 2000, ""
-        ),
-    ],
-    ids=["bag", "mcap"],
-)
-def test_chunks_that_declare_another_size_are_used_as_they_are(tmp_path, written):
-    """However many and small they are."""
-    case = written(random.Random(1), tmp_path)
-    used, failed, findings = read_of(case.log)
-    assert (used, failed, findings.repaired) == (case.intact, 2000, 2000)
 
 
 def test_a_name_of_a_million_characters_is_none(tmp_path):

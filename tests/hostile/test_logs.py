@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import struct
 from pathlib import Path
 
 import logs_bombs
@@ -12,11 +11,10 @@ import pytest
 import sweep
 from case import read_of, writers
 
-from topobatch.ingest.logs import bag_chunks, chunk_reader, inflate, mcap_file, split
+from topobatch.ingest.logs import chunks, inflate, mcap
 from topobatch.ingest.logs.messages import Channel, DamageError, Findings
 from topobatch.ingest.logs.metadata import parse_metadata
 from topobatch.ingest.logs.schema import object_decoder
-from topobatch.ingest.logs.spelling import TYPES, nearest, one_bit_apart
 from topobatch.ingest.reading import read_run
 from topobatch.topology.errors import LogError
 
@@ -28,40 +26,20 @@ def used_of(path: Path) -> tuple[int, Findings]:
 
 
 @pytest.mark.parametrize("name", sorted(logs_flips.CASES))
-def test_one_wrong_bit_costs_no_more_than_it_hits(tmp_path, name):
+def test_what_one_wrong_bit_costs_is_told(tmp_path, name):
     for seed in range(15):
         case = logs_flips.CASES[name](random.Random(f"{name}-{seed}"), tmp_path)
         used, failed, findings = read_of(case.log)
-        if case.intact is not None:
-            assert used >= 0.99 * case.intact, (case.note, findings.damage)
         total = logs_flips.sound(name.removeprefix("flip-")).messages
+        assert used + failed <= total
         assert used + failed == total or findings.damage, case.note
-        if name.startswith("flip-db3"):
-            continue
-        assert findings.lost.total() <= total - used, (case.note, findings.damage)
 
 
 @pytest.mark.parametrize("name", sorted(logs_flips.SOUND))
-def test_what_one_wrong_bit_costs_is_told_once(tmp_path, monkeypatch, name):
+def test_no_wrong_bit_costs_anything_in_silence(tmp_path, monkeypatch, name):
     """`python tests/hostile/sweep.py` tries many more."""
     monkeypatch.setattr(logs_flips, "recorded", logs_flips.recorded)
     assert list(sweep.failures(name, 120, 1, tmp_path)) == []
-
-
-def test_a_description_with_a_wrong_bit_serves_all_the_same(tmp_path):
-    """Of a file that describes each topic once: its number, a line of its type, what it is."""
-    log = logs_flips.SOUND["mcap-unchunked-bare"]()
-    path = tmp_path / "run.mcap"
-    channel = log.raw.index(b"/odom") - 17
-    for at, change in (
-        (log.raw.index(b"float64 y\nfloat64 z\nfloat64 w") + 9, 0x40),
-        (channel + 9, 0x04),
-        (channel, 0x01),
-    ):
-        raw = bytearray(log.raw)
-        raw[at] ^= change
-        path.write_bytes(raw)
-        assert used_of(path)[0] == log.messages, at
 
 
 QUICK = sorted(
@@ -111,7 +89,7 @@ def test_chunks_read_in_pieces_hold_the_same(tmp_path, monkeypatch, compression,
         named = {"ZSTD": "bz2"}.get(compression, compression.lower())
         path = logs.bag(tmp_path / "run", logs.drive(), named)
     whole = read_run(path)
-    for module in (bag_chunks, chunk_reader, inflate):
+    for module in (chunks, inflate):
         monkeypatch.setattr(module, "WHOLE_BYTES", 100)
     monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
     run = read_run(path)
@@ -135,40 +113,13 @@ def test_many_small_chunks_are_read_together_and_hold_the_same(tmp_path, kind):
 
 
 def test_messages_too_large_are_passed_over_and_counted(tmp_path, monkeypatch):
-    monkeypatch.setattr(split, "RECORD_BYTES", 5000)
-    monkeypatch.setattr(mcap_file, "RECORD_BYTES", 5000)
-    monkeypatch.setattr(chunk_reader, "WHOLE_BYTES", 5000)
+    monkeypatch.setattr(chunks, "RECORD_BYTES", 5000)
+    monkeypatch.setattr(mcap, "RECORD_BYTES", 5000)
+    monkeypatch.setattr(chunks, "WHOLE_BYTES", 5000)
     monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
     case = logs_bombs.CASES["mcap-large-message"](Least(1), tmp_path)
     used, findings = used_of(case.log)
     assert (used, findings.too_large, findings.lost["/odom"]) == (330, {("/odom", 1 << 24): 1}, 1)
-
-
-def test_a_chunk_that_declares_no_size_is_read(tmp_path):
-    logs = writers()
-    for crc in (True, False):
-        path = logs.mcap(tmp_path / "run.mcap", logs.drive(), enable_crcs=crc)
-        raw = path.read_bytes()
-        at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
-        path.write_bytes(raw[: at - 12] + struct.pack("<Q", 0) + raw[at - 4 :])
-        used, findings = used_of(path)
-        assert used == 330
-        assert findings.damage
-
-
-@pytest.mark.parametrize("compression", ["ZSTD", "NONE"])
-def test_the_checksum_of_the_data_section_is_checked_for_chunks_as_well(tmp_path, compression):
-    logs = writers()
-    path = logs.mcap(
-        tmp_path / "run.mcap", logs.drive(), enable_data_crcs=True, compression=compression
-    )
-    assert read_run(path).warnings == ()
-    raw = bytearray(path.read_bytes())
-    at = raw.index(b"\x06", 9)
-    # The start time of the first chunk, which nothing else vouches for.
-    raw[raw.index(b"\x06", at) + 9] ^= 0x11
-    path.write_bytes(raw)
-    assert any("data section is wrong" in text for text in read_run(path).warnings)
 
 
 LINE = "=" * 80
@@ -210,14 +161,6 @@ def test_metadata_as_recorders_and_people_write_it():
     assert parse_metadata(flow) == (["a.db3", "b.db3"], None)
     braces = '{"rosbag2_bagfile_information": {"relative_file_paths": ["a"], "message_count": 2}}'
     assert parse_metadata(braces) == (["a"], 2)
-
-
-def test_names_with_one_wrong_bit():
-    assert nearest("nav_msgs/msg/Odometrz", TYPES) == "nav_msgs/msg/Odometrz"
-    assert nearest("nav_msgs/msg/Odometsy", TYPES) == "nav_msgs/msg/Odometry"
-    assert one_bit_apart(b"zstd", b"zstl")
-    assert not one_bit_apart(b"zstd", b"zst")
-    assert not one_bit_apart(5, 6)
 
 
 @pytest.mark.parametrize(("factor", "problem"), [(1e6, "spans"), (10**4, "moves at")])

@@ -109,7 +109,9 @@ def _accounted(case: Case, workspace: Path, outcome: Outcome) -> str:
         uses = (graph["source"].get(use, {}) for use in ("odometry", "junctions"))
         found = sum(use.get("messages", 0) for use in uses)
         warnings = graph["warnings"]
-    return counts(found, warnings, case.intact, case.lost)
+    if not (workspace / "maps").exists() and not case.exact:
+        return ""  # refused, with an error
+    return counts(found, warnings, case.intact, case.lost, exact=case.exact)
 
 
 TRIALS: dict[str, Trial] = {name: partial(_one_log, generator) for name, generator in generators()}

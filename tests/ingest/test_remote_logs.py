@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.ingest.logs.mcap_file import McapFile
+from topobatch.ingest.logs.mcap import McapFile
 from topobatch.ingest.logs.messages import Findings
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.read_cost import read_cost

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from topobatch.ingest.logs import intake, wire
 from topobatch.ingest.logs.messages import several_that
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
 from topobatch.ingest.sightings import SightingSettings
@@ -194,14 +195,15 @@ def _is_chunk_head(raw: bytes, position: int) -> bool:
 
 
 def test_declared_sizes_allocate_nothing(logs, tmp_path):
-    """Only the size is wrong of a chunk that claims to hold a terabyte, and of a record as well."""
+    """A chunk that claims to hold a terabyte is skipped, and so is a record of such a size."""
     path = logs.mcap(tmp_path / "run.mcap", logs.drive())
     raw = path.read_bytes()
     at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
     size_at = at - 12
     path.write_bytes(raw[:size_at] + struct.pack("<Q", 1 << 40) + raw[size_at + 8 :])
     run = read_run(path)
-    assert said(run) == 330
+    assert 250 < said(run) < 330
+    assert any("damaged chunk" in text for text in run.warnings)
     path.write_bytes(raw[: at - 36] + struct.pack("<Q", 1 << 62) + raw[at - 28 :])
     assert said(read_run(path)) > 250
 
@@ -313,7 +315,8 @@ def test_a_destroyed_page_costs_its_rows_alone(logs, tmp_path):
     raw[page : page + 4096] = bytes(4096)
     path.write_bytes(raw)
     run = read_run(path)
-    assert "1 damaged page of the database skipped" in run.warnings
+    assert any("the database is damaged" in text for text in run.warnings)
+    assert any("rows missing" in text for text in run.warnings)
     assert 320 <= len(run.odometry) + len(run.detections) < 330
 
 
@@ -329,21 +332,11 @@ def test_the_checksum_of_unchunked_data_is_checked(logs, tmp_path):
     assert any("checksum (CRC) of the data section" in text for text in run.warnings)
 
 
-def test_a_chunk_that_contradicts_itself_is_read_by_the_record_around_it(logs, tmp_path):
-    path = logs.mcap(tmp_path / "run.mcap", logs.drive())
-    raw = path.read_bytes()
-    at = raw.index(b"\x04\x00\x00\x00zstd", len(raw) // 2)
-    path.write_bytes(raw[: at + 8] + struct.pack("<Q", (1 << 64) - 1) + raw[at + 16 :])
-    run = read_run(path)
-    assert "1 damaged record head set right" in run.warnings
-    assert said(run) == 330
-
-
 def test_chunks_of_images_alone_are_not_read(logs, tmp_path):
     """The index says what a chunk holds; one without anything wanted is stepped over."""
     from mcap.writer import Writer
 
-    from topobatch.ingest.logs import chunk_reader
+    from topobatch.ingest.logs import chunks
 
     path = tmp_path / "run.mcap"
     store = logs.store_of(False)
@@ -364,10 +357,10 @@ def test_chunks_of_images_alone_are_not_read(logs, tmp_path):
             writer.add_message(camera, logs.START_NS + number, bytes(120_000), logs.START_NS)
         writer.finish()
     inflated = []
-    original = chunk_reader._inflated
+    original = chunks._inflated
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            chunk_reader,
+            chunks,
             "_inflated",
             lambda head, raw: inflated.append(head) or original(head, raw),
         )
@@ -394,7 +387,7 @@ def test_rows_that_are_missing_in_the_middle_are_reported(logs, tmp_path):
     base.commit()
     base.close()
     run = read_run(path)
-    assert "the numbers of the rows have 1 gap: 21 rows missing" in run.warnings
+    assert "the numbers of the rows have gaps: 21 rows missing" in run.warnings
     assert len(run.odometry) + len(run.detections) == 309
 
 
@@ -408,3 +401,84 @@ def test_a_length_beyond_any_file_is_damage(logs, tmp_path):
         path.write_bytes(raw[:8] + b"\x05" + struct.pack("<Q", length) + bytes(range(100)))
         with pytest.raises(LogError, match="nothing can be read"):
             read_run(path)
+
+
+def killed_database(logs, tmp_path) -> Path:
+    """A database whose recorder died: a third of its messages are in the write-ahead log."""
+    live = logs.ros2_folder(tmp_path / "live", logs.drive()) / "live.db3"
+    base = sqlite3.connect(live)
+    base.execute("PRAGMA journal_mode=WAL")
+    rows = base.execute("SELECT * FROM messages WHERE id > 200").fetchall()
+    base.execute("DELETE FROM messages WHERE id > 200")
+    base.commit()
+    base.execute("PRAGMA wal_checkpoint(TRUNCATE)")
+    for first in range(0, len(rows), 10):
+        base.executemany("INSERT INTO messages VALUES (?, ?, ?, ?)", rows[first : first + 10])
+        base.commit()
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for suffix in ("", "-wal"):
+        (folder / f"run.db3{suffix}").write_bytes(Path(f"{live}{suffix}").read_bytes())
+    base.close()
+    return folder / "run.db3"
+
+
+@pytest.mark.parametrize("hurt", ["byte", "page", "head", "header"])
+def test_what_holds_of_a_damaged_write_ahead_log_is_used_and_the_rest_told(logs, tmp_path, hurt):
+    """The library stops at the first wrong frame without a word."""
+    path = killed_database(logs, tmp_path)
+    assert len(read_run(path, ReadSettings(strict=True)).odometry) == 300
+    log = path.with_name("run.db3-wal")
+    raw = bytearray(log.read_bytes())
+    frame = 32 + 4120 * (len(raw) // 4120 // 3)
+    place = {"byte": (frame + 2000, 1), "page": (frame, 4120), "head": (frame + 8, 4)}
+    at, length = place.get(hurt, (12, 4))
+    raw[at : at + length] = bytes(byte ^ 0xFF for byte in raw[at : at + length])
+    log.write_bytes(raw)
+    run = read_run(path)
+    assert said(run) == len(run.odometry) + len(run.detections) > 310
+    assert any("the database's write-ahead log" in text for text in run.warnings)
+    with pytest.raises(LogError, match="write-ahead log"):
+        read_run(path, ReadSettings(strict=True))
+
+
+def test_a_write_ahead_log_that_is_cut_is_told(logs, tmp_path):
+    path = killed_database(logs, tmp_path)
+    log = path.with_name("run.db3-wal")
+    raw = log.read_bytes()
+    log.write_bytes(raw[: len(raw) * 6 // 10])
+    run = read_run(path)
+    assert 200 < said(run) < 330
+    assert any("bytes of the database's write-ahead log" in text for text in run.warnings)
+    assert "the log is cut short" in run.warnings
+
+
+@pytest.mark.parametrize("storage", ["MCAP", "SQLITE3"])
+@pytest.mark.parametrize("length", [0, 8, 20, 36, 60])
+def test_a_short_last_part_does_not_cost_the_others(logs, tmp_path, storage, length):
+    folder = logs.ros2_folder(tmp_path / "run", logs.drive(), storage)
+    (whole,) = (path for path in folder.iterdir() if path.suffix != ".yaml")
+    part = folder / f"run_1{whole.suffix}"
+    part.write_bytes(whole.read_bytes()[:length])
+    text = (folder / "metadata.yaml").read_text()
+    named = text.replace(f"- {whole.name}", f"- {whole.name}\n  - {part.name}", 1)
+    (folder / "metadata.yaml").write_text(named)
+    run = read_run(folder)
+    assert (len(run.odometry), len(run.detections)) == (300, 30)
+    assert run.warnings
+
+
+def test_more_poses_than_a_junction_has_are_left_out_by_a_limit(logs, tmp_path, monkeypatch):
+    """They compress well: 100 KB can hold millions."""
+    drive = logs.drive()
+    many = tuple(logs.yaw_pose(0.5, 0.0, 0.0) for _ in range(wire.MOST_POSES + 1))
+    last = [replace(m, poses=many) if m.topic == "/junctions" else m for m in drive[220:]]
+    run = read_run(logs.mcap(tmp_path / "run.mcap", [*drive[:220], *last]))
+    assert len(run.detections) == 20
+    assert any("10 messages could not be decoded (more than 1024" in w for w in run.warnings)
+    monkeypatch.setattr(intake, "MOST_KEPT", 30)
+    monkeypatch.setattr(intake, "BYTES_PER_POSE", 1 << 40)
+    monkeypatch.setattr(intake, "PENDING_BYTES", 1)
+    run = read_run(logs.mcap(tmp_path / "run.mcap", drive, chunk_size=40_000))
+    assert 0 < len(run.detections) < 30
+    assert any("more than 30 poses, which is the limit" in text for text in run.warnings)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.grid_log import GridLog
-from topobatch.ingest.logs import bag_chunks, limits, messages, recording
+from topobatch.ingest.logs import limits, messages, recording
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_log, read_run
 from topobatch.topology.errors import LogError
 
@@ -236,26 +236,6 @@ def bag_with_images(logs, path):
             if number % 7 == 0:
                 writer.write(camera, time, bytes([0, 0, 2, 0]) + bytes(range(256)) * 512)
     return path
-
-
-def test_large_messages_that_nobody_wants_are_not_read(logs, tmp_path, monkeypatch):
-    from topobatch.ingest.logs import bag_sparse
-    from topobatch.ingest.logs.messages import FileWindow
-
-    path = bag_with_images(logs, tmp_path / "run.bag")
-    read = []
-    fill = FileWindow.fill
-    monkeypatch.setattr(
-        FileWindow, "fill", lambda w, target, at: (read.append(len(target)), fill(w, target, at))
-    )
-    quick = read_run(path)
-    assert 0 < sum(read) < path.stat().st_size / 10
-    monkeypatch.setattr(bag_sparse, "LARGE_BYTES", 1 << 40)
-    whole = read_run(path)
-    assert (count(quick), quick.warnings) == (MESSAGES, ())
-    assert quick.odometry.pose.tobytes() == whole.odometry.pose.tobytes()
-    assert quick.odometry.time_ns.tobytes() == whole.odometry.time_ns.tobytes()
-    assert quick.detections.branches.values.tobytes() == whole.detections.branches.values.tobytes()
 
 
 @pytest.mark.parametrize("change", [1, 1 << 14, -(1 << 14)])
@@ -496,8 +476,7 @@ def test_clouds_above_the_limit_of_other_messages_are_read(logs, sensors, tmp_pa
 
 @pytest.mark.parametrize("kind", CLOUD_LOGS)
 def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypatch, kind):
-    for module, name in ((limits, "CLOUD_BYTES"), (bag_chunks, "SPARSE_BYTES")):
-        monkeypatch.setattr(module, name, 17 << 20)
+    monkeypatch.setattr(limits, "CLOUD_BYTES", 17 << 20)
     path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
     run = read_run(path)
     assert run.warnings == ("1 message of /points above 17 MiB left out",)
@@ -541,18 +520,6 @@ def test_clouds_of_a_database_that_is_cut_short_are_read(logs, sensors, tmp_path
     whole = read_run(clouded(logs, sensors, tmp_path / "whole", "db3", {}))
     assert whole.source["junctions"]["messages"] == 10
     refused(path, "the log is cut short")
-
-
-def test_pages_in_a_circle_cost_their_cloud(logs, sensors, tmp_path):
-    path = clouded(logs, sensors, tmp_path / "run", "db3", {})
-    (database,) = path.glob("*.db3")
-    last, raw = overflow_pages(database), bytearray(database.read_bytes())
-    first = last[4] - 1
-    raw[4096 * first : 4096 * first + 4] = first.to_bytes(4, "big")
-    database.write_bytes(raw[: 4096 * last[6]])
-    run = read_run(path)
-    assert run.source["junctions"]["messages"] == 5
-    assert "1 message of /points is lost in damaged places" in run.warnings
 
 
 @pytest.mark.parametrize("storage", ["db3", "mcap"])
