@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import partial
 from typing import Annotated, Any
 
 import typer
@@ -66,7 +65,7 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 
 def _rename(place: Workspace, old: str, new: str) -> None:
     """Move the files of a run; new ones are written before old ones are removed."""
-    from ..topology.document import write_map
+    from ..topology.document import map_writes
     from ..topology.files import write_json, write_together
 
     topomap = replace(place.read_map(old), run=new)
@@ -74,7 +73,7 @@ def _rename(place: Workspace, old: str, new: str) -> None:
     if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
         content = place.map_rrd(old).read_bytes()
         writes[place.map_rrd(new)] = lambda path: path.write_bytes(content)
-    writes[place.map_json(new)] = partial(write_map, topomap=topomap)
+    writes |= map_writes(place.map_json(new), topomap)
     write_together(writes)
     record = place.ingested(old)
     if record is not None:
@@ -84,7 +83,7 @@ def _rename(place: Workspace, old: str, new: str) -> None:
         write_json(place.ingest_record(new), moved)
         # Told by its old name, the log is known to be this run (`ingest_worker`).
         write_json(place.ingest_record(old), {"renamed": new})
-    for path in (*place.recordings_of(old), place.map_json(old)):
+    for path in (*place.recordings_of(old), place.map_views(old), place.map_json(old)):
         path.unlink(missing_ok=True)
 
 
