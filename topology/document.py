@@ -6,7 +6,7 @@ Documents are deterministic (same map, same bytes) and load with
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import chain
@@ -284,10 +284,5 @@ def read_map(path: Path) -> TopoMap:
 
 def write_map(path: Path, topomap: TopoMap) -> None:
     """Write `maps/<run>.json`, and the map's views beside it."""
-    write_together(map_writes(path, topomap))
-
-
-def map_writes(path: Path, topomap: TopoMap) -> dict[Path, Callable[[Path], object]]:
-    """What writes the files of a map, for `write_together`."""
     document = partial(write_json, doc=map_to_document(topomap))
-    return {**view_writes(path, topomap), path: document}
+    write_together({**view_writes(path, topomap), path: document})
