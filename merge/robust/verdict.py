@@ -197,7 +197,7 @@ def in_steps(pairs: int) -> int:
 def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:
     """Largest evidence against chance of all alignments with enough junctions to be merged; 0 if
     none."""
-    bits = (counted_bits(c) for c in candidates if len(c) >= settings.min_matches)
+    bits = (counted_bits(c) for c in candidates if c.witnesses >= settings.min_matches)
     return max((rounded(b, BITS) for b in bits), default=0.0)
 
 
@@ -215,14 +215,15 @@ def uniformity(a: Prepared, b: Prepared) -> float:
 
 def counted_bits(c: Candidate) -> float:
     """The evidence of an alignment against chance: agreement, bounded by its number of junctions,
-    minus all contradictions.
+    plus that of views, minus all contradictions.
 
     Agreeing terms are not independent (a room of standard form brings its junctions, corridors and
     angles together), so that their sum overstates the evidence; every contradiction needs a fault
     of its own, so that each counts in full.
     """
-    against = c.contradicting_bits
-    return min(c.bits + against, MATCH.junction_bits * len(c)) - against
+    against, seen = c.contradicting_bits, c.views.total + c.views.against
+    told = c.bits + against - seen
+    return min(told, MATCH.junction_bits * len(c)) + seen - against
 
 
 def falls_short(c: Candidate) -> float:
@@ -341,7 +342,7 @@ def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> lis
     """Alignments better than chance (`lead_bits`): those with enough junctions to be merged, or, if
     there are none, smaller ones that reach the threshold."""
     odd = [c for c in candidates if c.bits > MATCH.lead_bits]
-    enough = [c for c in odd if len(c) >= threshold.settings.min_matches]
+    enough = [c for c in odd if c.witnesses >= threshold.settings.min_matches]
     return enough or [c for c in odd if c.bits > threshold.need_bits]
 
 
@@ -353,7 +354,7 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
         return "chance offers as much too often"
     if best.rival:
         return MAYBE_COPY
-    if len(best) - len(best.conflicts) < threshold.settings.min_matches:
+    if best.witnesses - len(best.conflicts) < threshold.settings.min_matches:
         fewest = f"{threshold.settings.min_matches} junctions at least must agree"
         return f"{fewest}, one more for every contradiction" if len(best.conflicts) else fewest
     if margin is not None and margin < MATCH.lead_bits:
