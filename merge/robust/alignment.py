@@ -22,10 +22,8 @@ from .support import Support, supports
 from .view_evidence import (
     MOST,
     NO_VIEW_EVIDENCE,
-    Laid,
     ViewEvidence,
     apart,
-    bent,
     judged,
     laid,
     refined,
@@ -306,31 +304,31 @@ def _with_views(
     one, two = pictured(a.views), pictured(b.views)
     asked = refined(one, two, placements(one, two))
     likely = [T for T, some in asked if worth_judging(some)][: settings.hypotheses]
-    shown = [c for c in found if c.bits > MATCH.lead_bits]
-    if not likely and not shown:
+    told = [_told_of(c, a, b, two) for c in found]
+    chosen = {k for k, c in enumerate(found) if c.bits > MATCH.lead_bits}
+    fresh = []
+    for T in likely:
+        known = [k for k, pose in enumerate(told) if _same_poses(pose, compose(T, two.pose))]
+        chosen.update(known[:1])
+        fresh += [] if known else [T]
+    if not fresh and not chosen:
         return found
     tested = len(a.views) * len(b.views) * QUARTERS
-    cases: list[tuple[Candidate, Laid]] = []
-    for c in shown:
-        turn, mine, theirs = c.turn, b.z[c.b], a.z[c.a]
-        at = bent(two.place, mine, theirs, turn)
-        theta = two.pose[:, 2] + c.transform[2]
-        pose = np.column_stack([at.real, at.imag, theta])
-        cases.append((c, laid(one, two, pose, MOST)))
-    for T in likely:
+    cases = [(found[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
+    for T in fresh:
         here = laid(one, two, compose(T, two.pose), MOST)
         better = here.better(one, two, T)
         here = laid(one, two, compose(better, two.pose), MOST)
-        better = here.better(one, two, better)
-        proposed = _placed(a, b, better, tested, settings)
+        proposed = _placed(a, b, here.better(one, two, better), tested, settings)
         if proposed is not None:
             cases.append((proposed, here))
-    z = [(T, some.found.z) for T, some in asked]
-    z += [(c.transform, here.found.z) for c, here in cases]
+    z = [(compose(T, two.pose), some.found.z) for T, some in asked]
+    z += [(compose(c.transform, two.pose), here.found.z) for c, here in cases]
     same = np.concatenate([revisits(one), revisits(two)])
-    out = [c for c in found if c not in shown]
+    out = [c for k, c in enumerate(found) if k not in chosen]
     for c, here in cases:
-        elsewhere = [other for T, other in z if not _alike(c.transform, T, two, here)]
+        pose = _told_of(c, a, b, two)
+        elsewhere = [other for there, other in z if not _same_poses(pose, there)]
         if sum(map(len, elsewhere)) < LEAST_NULL:
             elsewhere.append(apart(one, two, c.transform))
         said = judged(here, elsewhere, same)
@@ -338,17 +336,25 @@ def _with_views(
     return _apart(out, b)
 
 
+def _told_of(c: Candidate, a: Prepared, b: Prepared, two: Picture) -> FloatArray:
+    """(n, 3) poses of the views of b in the frame of a: bent as its junctions are, if these led to
+    the candidate."""
+    if c.by_views:
+        return compose(c.transform, two.pose)
+    nearest = np.abs(two.place[:, None] - b.z[c.b]).argmin(axis=1)
+    mine, turn = b.z[c.b][nearest], c.turn[nearest]
+    at = a.z[c.a][nearest] + turn * (two.place - mine)
+    return np.column_stack([at.real, at.imag, two.pose[:, 2] + np.angle(turn)])
+
+
+def _same_poses(one: FloatArray, two: FloatArray) -> bool:
+    """Whether two placements lay some of the views (n, 3) alike."""
+    near = np.hypot(*(one - two)[:, :2].T) < MATCH.place_m
+    return bool(np.any(near & (np.abs(wrap(one[:, 2] - two[:, 2])) < MATCH.turn_rad)))
+
+
 QUARTERS = 4
 """Turns in which walls lie along walls."""
-
-
-def _alike(T_a_b: FloatArray, other: FloatArray, b: Picture, here: Laid) -> bool:
-    """Whether another placement lays the views `here` about where a placement does."""
-    if abs(float(wrap(T_a_b[2] - other[2]))) > MATCH.turn_rad:
-        return False
-    xy = b.pose[here.second, :2] if len(here) else b.pose[:, :2]
-    off = np.hypot(*(apply(T_a_b, xy) - apply(other, xy)).T)
-    return bool(np.min(off) < MATCH.place_m)
 
 
 def _placed(

@@ -309,7 +309,8 @@ def _assess(
     asked = max(shares) > 0
     answers = []
     for c, share in zip(odd, shares, strict=True):
-        same_bits = next(same).bits if asked else None
+        # Views are compared with other placements of the same two maps, of which some are copies.
+        same_bits = next(same).bits + c.views.total if asked else None
         need_same = share * threshold.need_copy_bits
         carried = counted_bits(c)
         answers.append(Answers(threshold.need_bits, c.bits, carried, share, same_bits, need_same))

@@ -4,14 +4,14 @@ other, and what they tell is measured against the other placements of the same t
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from ...topology.arrays import ComplexArray, FloatArray, IntArray
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
-from ...topology.matching.views import LEAST_NULL, Registered, ViewNull, register
+from ...topology.matching.views import LEAST_NULL, LEAST_SPREAD, Registered, ViewNull, register
 from ...topology.se2 import between, compose, wrap
 from .view_search import KEPT, Picture
 
@@ -123,12 +123,11 @@ def laid(
 ) -> Laid:
     """Register up to `most` views of b with the nearest views of a. predicted: (n, 3) poses of all
     views of b in the frame of a."""
-    at = predicted[:, 0] + 1j * predicted[:, 1]
-    gap = np.abs(a.place[:, None] - at)
-    near = np.flatnonzero(gap.min(axis=0) < NEAR_M)
+    gap, nearest = a.nearest.query(predicted[:, :2])
+    near = np.flatnonzero(gap < NEAR_M)
     few = np.linspace(0, len(near) - 1, min(len(near), most))
     second = near[np.unique(np.rint(few).astype(np.int64))]
-    first = gap[:, second].argmin(axis=0)
+    first = nearest[second]
     relative = between(a.pose[first], predicted[second])
     turns = relative[:, 2, None] + TURNS
     found = register(
@@ -161,7 +160,7 @@ def judged(here: Laid, elsewhere: Sequence[FloatArray], same: FloatArray) -> Vie
     """The evidence of views. elsewhere: z at other placements; same: of the runs' revisits."""
     if not len(here):
         return NO_VIEW_EVIDENCE
-    null = ViewNull.of(np.concatenate([np.zeros(0), *elsewhere]), same)
+    null = _null(np.concatenate([np.zeros(0), *elsewhere]), same)
     bits = null.odds(here.found.z) / BIT
     spot = np.floor(here.predicted[:, :2] / CELL_M).astype(np.int64)
     _, cell = np.unique(spot, axis=0, return_inverse=True)
@@ -171,13 +170,31 @@ def judged(here: Laid, elsewhere: Sequence[FloatArray], same: FloatArray) -> Vie
     return ViewEvidence(here.first, here.second, here.found.z, cell, mean, told)
 
 
+def _null(elsewhere: FloatArray, same: FloatArray) -> ViewNull:
+    """The distributions that z is compared with. Unlike closure, which asks of thousands of pairs
+    of places, merging has some dozens: their upper tenth tells the spread."""
+    usual = ViewNull.of(elsewhere, same)
+    if len(elsewhere) < LEAST_NULL:
+        return usual
+    tail = float(np.quantile(elsewhere, 0.9)) - usual.middle
+    return replace(usual, spread=max(tail / TENTH_SIGMAS, LEAST_SPREAD))
+
+
+TENTH_SIGMAS = 1.28
+"""A tenth of a normal distribution lies above so many standard deviations."""
+
+
+STRIDE = 7919
+"""A prime, by which views are picked all over a map."""
+
+
 def apart(a: Picture, b: Picture, T_a_b: FloatArray) -> FloatArray:
     """z of pairs of views that a placement keeps apart, turned as it says, evenly picked."""
     at = compose(T_a_b, b.pose)
-    gap = np.abs(a.place[:, None] - (at[:, 0] + 1j * at[:, 1]))
-    first, second = np.nonzero(gap > 2 * NEAR_M)
-    few = np.unique(np.rint(np.linspace(0, len(first) - 1, min(len(first), LEAST_NULL))))
-    first, second = first[few.astype(np.int64)], second[few.astype(np.int64)]
+    k = np.arange(8 * LEAST_NULL)  # more than enough: most are far apart
+    first, second = k * STRIDE % len(a.pose), k * len(b.pose) // len(k)
+    far = np.hypot(*(a.pose[first, :2] - at[second, :2]).T) > 2 * NEAR_M
+    first, second = first[far][::8], second[far][::8]
     turns = wrap(at[second, 2] - a.pose[first, 2])[:, None] + TURNS
     return register(a.index, b.index, first, second, turns, reach_m=SLACK_M).z
 
@@ -186,21 +203,12 @@ def apart(a: Picture, b: Picture, T_a_b: FloatArray) -> FloatArray:
 def revisits(a: Picture) -> FloatArray:
     """z of views of a map with others of the same place, of another pass."""
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(a.place)))])
-    first, second = np.nonzero(
-        (np.abs(a.place[:, None] - a.place) < AT_HAND_M) & (way - way[:, None] > APART_M)
-    )
+    near = a.nearest.query_pairs(AT_HAND_M, output_type="ndarray")
+    near = np.sort(near[np.abs(np.diff(way[near], axis=1)[:, 0]) > APART_M], axis=1)
+    first, second = near[np.lexsort((near[:, 1], near[:, 0]))].T
     few = np.unique(np.rint(np.linspace(0, len(first) - 1, min(len(first), MOST))))
     first, second = first[few.astype(np.int64)], second[few.astype(np.int64)]
     relative = between(a.pose[first], a.pose[second])
     turns = relative[:, 2, None] + TURNS
     centre = relative[:, :2]
     return register(a.index, a.index, first, second, turns, reach_m=SLACK_M, centre=centre).z
-
-
-def bent(
-    z: ComplexArray, mine: ComplexArray, theirs: ComplexArray, turn: ComplexArray
-) -> ComplexArray:
-    """Points z (n,) of a map moved as the nearest of its matched junctions is: mine (k,) in its own
-    frame, theirs (k,) in that of the other, turn (k,) unit numbers."""
-    nearest = np.abs(z[:, None] - mine).argmin(axis=1)
-    return np.asarray(theirs[nearest] + turn[nearest] * (z - mine[nearest]))

@@ -14,6 +14,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
+from scipy.spatial import cKDTree
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.matching.views import ViewIndex
@@ -28,6 +29,8 @@ STRETCH_M, STEP_M = 24.0, 12.0
 buildings whose true placement is found at all, none was lost with 16 or 36 m, and more led."""
 MOST_STRETCHES = 16
 """More would cost time and tell little that is new."""
+MOST_PIXELS = 1024
+"""Of larger maps, 400 m across, views propose no placements: a pair would take 3 s and more."""
 PEAKS = 3
 """Best places of a stretch and a turn that are kept."""
 CONTRADICTS = 4.0
@@ -69,13 +72,18 @@ class Picture:
         return np.asarray(self.pose[:, 0] + 1j * self.pose[:, 1])
 
     @cached_property
+    def nearest(self) -> cKDTree:
+        """For nearest-neighbour search among the places."""
+        return cKDTree(self.pose[:, :2])
+
+    @cached_property
     def directions(self) -> FloatArray:
         """Directions of all walls (`directions`)."""
         return directions(np.concatenate(self.walls))
 
     @cached_property
-    def whole(self) -> Pixels:
-        """All of it, turned so that its walls lie along the axes."""
+    def whole(self) -> Pixels | None:
+        """All of it, turned so that its walls lie along the axes; None if it is too large."""
         walls, free = np.concatenate(self.walls), np.concatenate(self.free)
         turn = -float(np.argmax(self.directions)) * np.pi / 2 / ANGLES
         seen = np.exp(1j * turn) * walls
@@ -86,6 +94,8 @@ class Picture:
         )
         reach = max(float(np.ptp(seen.real)), float(np.ptp(seen.imag))) / 2
         size = int(2 * (reach + STRETCH_M / 2 + REACH_M) / PIXEL_M) + 4
+        if size > MOST_PIXELS:
+            return None
         size = int(fft.next_fast_len(size, real=True))
         return Pixels.of(walls, free, turn, middle, size)
 
@@ -192,10 +202,10 @@ def _drawn(z: ComplexArray, turn: float, middle: complex, size: int) -> NDArray[
 def placements(a: Picture, b: Picture) -> FloatArray:
     """(p, 3) T_a_b of the most likely placements of b in a, best first, and different from each
     other."""
-    whole = a.whole if len(a.pose) else None
-    parts = b.stretches if len(b.pose) else ()
-    if whole is None or not whole.count or not parts:
+    parts = b.stretches if any(map(len, a.walls)) and len(b.pose) else ()
+    if not parts or a.whole is None:
         return np.zeros((0, 3))
+    whole = a.whole
     turns, shifts, middles, scores = [], [], [], []
     for part in parts:
         along = _turn(a.directions, part.directions)
