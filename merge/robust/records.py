@@ -118,8 +118,10 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
         return None
     (n_a, rows_a, views_a), (n_b, rows_b, views_b) = a, b
     sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, el, el, nv, nv, nv)
-    limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b)
-    limits += (views_a, views_b, nc)
+    limits = (
+        *(n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b),
+        *(views_a, views_b, nc),
+    )
     if wholes and not ((i >= 0) & (i < np.repeat(limits, sizes))).all():
         return None
     turn, links, branches, b_bits, a_bits, z, told = parted(

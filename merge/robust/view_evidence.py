@@ -123,7 +123,8 @@ def laid(
 ) -> Laid:
     """Register up to `most` views of b with the nearest views of a. predicted: (n, 3) poses of all
     views of b in the frame of a."""
-    gap, nearest = a.nearest.query(predicted[:, :2])
+    gap, closest = a.nearest.query(predicted[:, :2])
+    nearest = np.asarray(closest, np.int64)
     near = np.flatnonzero(gap < NEAR_M)
     few = np.linspace(0, len(near) - 1, min(len(near), most))
     second = near[np.unique(np.rint(few).astype(np.int64))]
