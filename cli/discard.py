@@ -133,6 +133,6 @@ def _discard_run(place: Workspace, run: str) -> None:
     kept = frozenset(pair for pair in discards if run not in pair)
     if len(kept) < len(discards):
         place.write_discards(kept)
-    made = (*place.recordings_of(run), *place.exports_of(run))
+    made = (*place.recordings_of(run), *place.exports_of(run), place.map_views(run))
     for path in (place.ingest_record(run), *made, place.map_json(run)):
         path.unlink(missing_ok=True)

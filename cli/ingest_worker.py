@@ -24,6 +24,7 @@ from ..topology.files import read_json, write_json, write_together
 from ..topology.made_from import junctions_told
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
+from ..topology.view_file import view_writes
 from ..topology.wording import counted, to_turning_points
 from .process import lack_of_memory
 from .version import VERSION
@@ -124,12 +125,18 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     for m in maps:
         drawn = partial(write_map_recording, topomap=m, **beside)
         writes[job.place.map_rrd(m.run)] = drawn
+        writes |= view_writes(job.place.map_json(m.run), m)
         writes[job.place.map_json(m.run)] = partial(write_json, doc=docs[m.run])
     write_together(writes)
+    for m in maps:
+        if not len(m.views):
+            job.place.map_views(m.run).unlink(missing_ok=True)  # of a map that was replaced
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run is finished only when all of its files exist.
     doc = {"key": key, "log": origin(job.log), "runs": runs, "read": _read_how(job.read)}
     doc["content"] = content
+    if seen := [m.run for m in maps if len(m.views)]:
+        doc["views"] = seen
     # Of a log of several files the size of the one that is named, by which `list` goes.
     own = job.log.stat().st_size if isinstance(job.log, Path) and job.log.is_file() else None
     doc |= {"version": VERSION, "bytes": job_size(job) if own is None else own}
@@ -154,7 +161,9 @@ def _kept(job: IngestJob, key: str) -> list[str]:
     none."""
     before = job.place.ingested(job.run) or {}
     had = _runs_of(before, job.run)
-    same = not job.force and before.get("key") == key and _all_there(job.place, had)
+    seen = before.get("views")
+    views = [job.place.map_views(run) for run in had if isinstance(seen, list) and run in seen]
+    same = not job.force and before.get("key") == key and _all_there(job.place, had, views)
     return had if same else []
 
 
@@ -189,8 +198,9 @@ def _read_how(settings: ReadSettings) -> dict[str, str]:
     return {name: value for name, value in values if value is not None}
 
 
-def _all_there(place: Workspace, runs: Sequence[str]) -> bool:
+def _all_there(place: Workspace, runs: Sequence[str], views: Sequence[Path]) -> bool:
     files = [path(run) for run in runs for path in (place.map_json, place.map_rrd)]
+    files += views if files else []
     return bool(files) and all(file.is_file() and not file.is_symlink() for file in files)
 
 
@@ -198,7 +208,8 @@ def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[st
     """Remove the maps of pieces that the log no longer gives."""
     for gone in set(_runs_of(before, run)) - kept:
         if (place.ingested(gone) or {}).get("log") == before.get("log"):
-            for file in (place.map_json(gone), place.map_rrd(gone), place.ingest_record(gone)):
+            made = (place.map_json(gone), place.map_views(gone), place.map_rrd(gone))
+            for file in (*made, place.ingest_record(gone)):
                 file.unlink(missing_ok=True)
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -67,15 +66,13 @@ def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
 def _rename(place: Workspace, old: str, new: str) -> None:
     """Move the files of a run; new ones are written before old ones are removed."""
     from ..topology.document import write_map
-    from ..topology.files import write_json, write_together
+    from ..topology.files import write_atomically, write_json
 
     topomap = replace(place.read_map(old), run=new)
-    writes: dict[Any, Any] = {}
     if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
         content = place.map_rrd(old).read_bytes()
-        writes[place.map_rrd(new)] = lambda path: path.write_bytes(content)
-    writes[place.map_json(new)] = partial(write_map, topomap=topomap)
-    write_together(writes)
+        write_atomically(place.map_rrd(new), lambda path: path.write_bytes(content))
+    write_map(place.map_json(new), topomap)
     record = place.ingested(old)
     if record is not None:
         listed = record.get("runs")
@@ -84,7 +81,7 @@ def _rename(place: Workspace, old: str, new: str) -> None:
         write_json(place.ingest_record(new), moved)
         # Told by its old name, the log is known to be this run (`ingest_worker`).
         write_json(place.ingest_record(old), {"renamed": new})
-    for path in (*place.recordings_of(old), place.map_json(old)):
+    for path in (*place.recordings_of(old), place.map_views(old), place.map_json(old)):
         path.unlink(missing_ok=True)
 
 

@@ -48,8 +48,16 @@ class Said:
 
 
 def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
-    """A digest of each run's map document; None if it cannot be read."""
-    return {run: _content(place.maps / f"{run}.json") for run in runs}
+    """A digest of each run's map document, and of its views if there are any; None if the document
+    cannot be read."""
+    return {run: _content_of(place, run) for run in runs}
+
+
+def _content_of(place: Workspace, run: str) -> str | None:
+    document, views = (_content(place.maps / f"{run}.{kind}") for kind in ("json", "views"))
+    if document is None or views is None:
+        return document
+    return hashlib.blake2b(encoded([document, views]), digest_size=16).hexdigest()
 
 
 def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[str]) -> list[str]:

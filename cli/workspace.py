@@ -37,8 +37,9 @@ NAME_BYTES = 200
 
 @dataclass(frozen=True, slots=True, init=False)
 class Workspace:
-    """The folder of the command's results: `maps/<run>.json`, `maps/<run>.rrd`, `merged.json`,
-    `merged.rrd`, `locks.json`, `discards.json`, `sites.json`, `history.jsonl`, `cache/`.
+    """The folder of the command's results: `maps/<run>.json`, `maps/<run>.views`, `maps/<run>.rrd`,
+    `merged.json`, `merged.rrd`, `locks.json`, `discards.json`, `sites.json`, `history.jsonl`,
+    `cache/`.
 
     Its contents are untrusted. Raises DataError if one of its folders is a link or no folder, so
     that nothing is written or removed elsewhere. Names must be plain file names, else UsageError.
@@ -130,6 +131,10 @@ class Workspace:
     def map_json(self, run: str) -> Path:
         """The map document of a run."""
         return self.maps / f"{plain_name(run)}.json"
+
+    def map_views(self, run: str) -> Path:
+        """The views of a run's map, if it has any."""
+        return self.maps / f"{plain_name(run)}.views"
 
     def map_rrd(self, run: str) -> Path:
         """The recording of a run."""

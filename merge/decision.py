@@ -19,14 +19,15 @@ from .result import Alignment, PairVerdict
 DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
 
 TermKind = Literal[
-    "corridor", "position", "branches", "unseen", "elsewhere", "hypotheses", "few", "copies",
+    "corridor", "position", "branches", "views", "unseen", "elsewhere", "hypotheses", "few",
+    "copies",
 ]  # fmt: skip
 """What a term counts. corridor: the length of a corridor that both runs have; position: the
 position of one matched junction relative to another near it; branches: those of one matched
-junction; unseen: a junction in the middle of the other run's corridor; elsewhere: corridors that
-leave a matched junction by the same branch and lead to different ones; hypotheses: the number among
-which the placement was chosen; few: the bound by the number of junctions; copies: the test for a
-copy of the place."""
+junction; views: what lasers showed in one part of the overlap; unseen: a junction in the middle of
+the other run's corridor; elsewhere: corridors that leave a matched junction by the same branch and
+lead to different ones; hypotheses: the number among which the placement was chosen; few: the bound
+by the number of junctions; copies: the test for a copy of the place."""
 
 LINKS: tuple[TermKind, ...] = ("corridor", "position")
 AGAINST: tuple[TermKind, ...] = ("unseen", "elsewhere")

@@ -223,6 +223,7 @@ def rows(decision: Decision, links: int) -> list[Row]:
 _GROUPS: dict[TermKind, tuple[TermKind, ...]] = {
     "corridor": LINKS,
     "branches": ("branches",),
+    "views": ("views",),
     "unseen": AGAINST,
     "hypotheses": ("hypotheses",),
     "few": ("few",),
@@ -252,11 +253,19 @@ def _group_told(kind: TermKind, placements: Sequence[Placement]) -> str:
     return {
         "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
         "branches": f"branches of {counted(count, 'junction')}",
+        "views": _views_told(placements),
         "unseen": _against_told(placements),
         "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
         "few": next((t.told for p in placements for t in p.of("few")), ""),
         "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
     }[kind]
+
+
+def _views_told(placements: Sequence[Placement]) -> str:
+    """In how many parts of the overlap views speak for the first placement, and against it."""
+    bits = [t.bits for t in placements[0].of("views")]
+    agree, against = sum(b > 0 for b in bits), sum(b < 0 for b in bits)
+    return f"views in {counted(len(bits), 'part')} of the overlap: {agree} for, {against} against"
 
 
 def _against_told(placements: Sequence[Placement]) -> str:

@@ -20,6 +20,7 @@ from ..topology.files import document_bytes, encoded, parsed
 from ..topology.ragged import Ragged, parted
 from ..topology.topomap import Closure, RunNoise, TopoMap
 from ..topology.turning_points import ROWS, TurningPoints
+from ..topology.view_file import with_views
 from .digests import digested
 from .packs import Kind, PackWriter, Store, arrays_from_bytes, arrays_to_bytes
 
@@ -53,7 +54,7 @@ class KeptMaps:
         self._new = PackWriter(self.store.era)
 
     def read(self, path: Path) -> TopoMap:
-        """The map of a document, as by `read_map`."""
+        """The map of a document, as by `read_map`. Its views are read from the file beside it."""
         data = document_bytes(path)
         digest = digested(data)
         kept = self.store.find(Kind.MAP, (digest, digest))
@@ -61,7 +62,7 @@ class KeptMaps:
         if found is None:
             found = map_from_document(parsed(data, path), str(path))
             self._new.add((digest, digest), Kind.MAP, payload=to_bytes(found))
-        return found
+        return with_views(found, path)
 
     def keep(self) -> None:
         """Keep what was read for later merges."""

@@ -44,6 +44,12 @@ MOST_LISTED = 5000
 counted. Equal to the number up to which all pairs are matched: what was not matched is not listed.
 """
 
+VIEWS_LOST = (
+    "the views of run {run!r} are lost or damaged: it was merged by its junctions alone; ingest "
+    "its log again"
+)
+"""Warns of what a merge had to do without."""
+
 ALONE = "; the two maps alone: "
 """In the reasons of pairs joined by others, precedes their own verdict."""
 
@@ -72,11 +78,12 @@ def merge_maps(
     fused = with_turning_ends(fused, components, ordered)
     placed = _with_placements(shown, components)
     same = _same_recordings(ordered, means.kept.digest if means.kept else digest_of)
+    said = [*same, *(VIEWS_LOST.format(run=m.run) for m in ordered if m.views_lost)]
     return MergeResult(
         components,
         fused,
         placed,
-        info=_info(settings, components, placed, same),
+        info=_info(settings, components, placed, said),
         unlisted=_unlisted(len(ordered), verdicts, shown, components),
         kept_entry=means.kept_entry,
     )

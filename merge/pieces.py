@@ -10,9 +10,11 @@ import numpy as np
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.connected import connected
+from ..topology.se2 import compose
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
+from ..topology.views import NO_VIEWS, Views
 from ..topology.wording import counted
 from .member_times import member_times
 from .merging import merge_maps
@@ -41,7 +43,13 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     whole_parts = {name: with_turning_points(part) for name, part in able.items()}
     times = _times(whole_parts, result.fused)
     sure = fused_confidence(result.fused.members, whole_parts)
-    found = [_cut_out(whole, result.fused, c.id, times, sure) for c in result.components]
+    found = [
+        replace(
+            _cut_out(whole, result.fused, c.id, times, sure),
+            views=_views_together([(able[name].views, pose) for name, pose in c.poses.items()]),
+        )
+        for c in result.components
+    ]
     main = max(found or small, key=_passes)
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
@@ -107,7 +115,31 @@ def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     seen = chosen[topomap.observation_vertex]
     vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
     passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
-    return replace(topomap, run=name, info={}, **graph_part(topomap, chosen), **passes)
+    views = _seen_from(topomap, seen)
+    return replace(topomap, run=name, info={}, views=views, **graph_part(topomap, chosen), **passes)
+
+
+def _seen_from(topomap: TopoMap, chosen: BoolArray) -> Views:
+    """The views that are nearest in time to the chosen passes: the pieces of a run follow each
+    other."""
+    views, times = topomap.views, topomap.observation_time_ns
+    if not len(views) or not len(times):
+        return NO_VIEWS
+    after = np.clip(np.searchsorted(times, views.time_ns), 1, max(len(times) - 1, 1))
+    after = np.minimum(after, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    sooner = views.time_ns - times[before] <= times[after] - views.time_ns
+    rows = np.flatnonzero(chosen[np.where(sooner, before, after)])
+    return Views(views.time_ns[rows], views.pose[rows], views.cells[rows])
+
+
+def _views_together(parts: Sequence[tuple[Views, FloatArray]]) -> Views:
+    """The views of some parts, each moved by the pose of its part, by time."""
+    time_ns = np.concatenate([views.time_ns for views, _ in parts])
+    poses = [compose(pose, v.pose) for v, pose in parts]
+    order = np.argsort(time_ns, kind="stable")
+    cells = np.concatenate([views.cells for views, _ in parts])
+    return Views(time_ns[order], np.concatenate(poses)[order], cells[order])
 
 
 def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 from .arrays import FloatArray, IntArray
 from .digits import BITS, BRANCH, METRES, rounded, significant
 from .errors import DocumentError
-from .files import read_json, write_json
+from .files import read_json, write_json, write_together
 from .map_schema import (
     ABOUT,
     LONGEST_M,
@@ -35,6 +36,7 @@ from .passes import NO_BRANCH
 from .ragged import Ragged, parted
 from .topomap import Closure, Graph, RunNoise, TopoMap
 from .turning_vertices import with_turning_points, without_turning_points
+from .view_file import record_of, view_writes, with_views
 
 Number = TypeVar("Number", np.float64, np.int64)
 
@@ -62,6 +64,8 @@ def map_to_document(topomap: TopoMap) -> dict[str, Any]:
     xy = rounded(topomap.xy, METRES)
     graph: dict[str, Any] = {"run": topomap.run, "frame": topomap.frame}
     graph |= {k: v for k, v in sorted(topomap.info.items()) if k not in graph}
+    if len(topomap.views):
+        graph["views"] = record_of(topomap.views)
     graph["noise"] = _noise_to_document(topomap.noise)
     if topomap.fitted_noise is not None:
         graph["fitted_noise"] = _noise_to_document(topomap.fitted_noise)
@@ -273,11 +277,12 @@ def _in_rows(
 
 
 def read_map(path: Path) -> TopoMap:
-    """The map of a `maps/<run>.json`. Raises DocumentError if it cannot be read or does not follow
-    the schema."""
-    return map_from_document(read_json(path), str(path))
+    """The map of a `maps/<run>.json`, with the views beside it. Raises DocumentError if it cannot
+    be read or does not follow the schema."""
+    return with_views(map_from_document(read_json(path), str(path)), path)
 
 
 def write_map(path: Path, topomap: TopoMap) -> None:
-    """Write `maps/<run>.json`."""
-    write_json(path, map_to_document(topomap))
+    """Write `maps/<run>.json`, and the map's views beside it."""
+    document = partial(write_json, doc=map_to_document(topomap))
+    write_together({**view_writes(path, topomap), path: document})

@@ -27,6 +27,9 @@ takes 60 MB for 100 km."""
 MOST_BRANCHES = 64
 """At one junction. Ingest holds branches closer than 0.3 rad for one, which leaves 20 at most."""
 
+MOST_VIEWS = 1_000_000
+"""Of one map: a view every 3 m of 3,000 km. They are unpacked to 6 kB each."""
+
 SHORTEST_M = 10.0**-METRES
 """Nor shorter, or known better, than a document can say."""
 
@@ -176,6 +179,15 @@ class ClosureRecord(Model):
     )
 
 
+class ViewsRecord(Model):
+    """The views of a map, in the file beside its document."""
+
+    count: int = Field(ge=0, le=MOST_VIEWS, description="Places that have one.")
+    digest: str = Field(
+        pattern="^[0-9a-f]{32}$", description="BLAKE2b of their content, 16 bytes in hexadecimal."
+    )
+
+
 class MapGraph(Attributes):
     """Attributes of a whole map."""
 
@@ -224,9 +236,16 @@ class MapGraph(Attributes):
     jumps: list[Any] | None = Field(
         None, description="Where the odometry jumped, and by how much, as places seen again tell."
     )
+    views: ViewsRecord | None = Field(
+        None,
+        description="What a laser or a grid showed around places of the run: in `RUN.views` beside "
+        "this document. Without that file the map is merged by its junctions alone.",
+    )
 
 
-ABOUT = frozenset({"pieces", "source", "settings", "warnings", "calibration", "driven", "jumps"})
+ABOUT = frozenset(
+    {"pieces", "source", "settings", "warnings", "calibration", "driven", "jumps", "views"}
+)
 """Fields of `MapGraph` that tell how a map was made: `TopoMap.info`."""
 
 

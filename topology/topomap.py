@@ -214,6 +214,11 @@ class TopoMap(Graph):
         return count
 
     @property
+    def views_lost(self) -> bool:
+        """Whether the map was made with views, and they could not be read."""
+        return "views" in self.info and not len(self.views)
+
+    @property
     def passes(self) -> IntArray:
         """(n,) number of passes by each vertex."""
         return np.bincount(self.observation_vertex, minlength=len(self))

@@ -10,7 +10,8 @@ from itertools import compress, pairwise
 import numpy as np
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
-from ...topology.se2 import apply, fit_groups, fit_rigid, wrap
+from ...topology.matching.views import LEAST_NULL
+from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import Conflicts, conflicts
 from .growth import Grown, grow, ungrown
@@ -18,6 +19,18 @@ from .links import Links, Seed, candidate_links, seeds
 from .prepare import Prepared
 from .settings import MATCH, RobustSettings
 from .support import Support, supports
+from .view_evidence import (
+    MOST,
+    NO_VIEW_EVIDENCE,
+    ViewEvidence,
+    apart,
+    judged,
+    laid,
+    refined,
+    revisits,
+    worth_judging,
+)
+from .view_search import Picture, pictured, placements
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +40,8 @@ class Candidate:
     transform: (3,) T_a_b; a, b: (k,) matched vertices; turn: (k,) local rotation b → a at each, as
     unit numbers; support, conflicts: evidence for and against; tested_bits: log2 of the number of
     hypotheses tested; bits: log2 odds against chance, the first minus the other two; rmse_m: of the
-    matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`).
+    matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`);
+    views: what the views of both say, which is part of `bits`; by_views: whether they proposed it.
     """
 
     transform: FloatArray
@@ -40,9 +54,16 @@ class Candidate:
     bits: float
     rmse_m: float
     rival: bool = False
+    views: ViewEvidence = NO_VIEW_EVIDENCE
+    by_views: bool = False
 
     def __len__(self) -> int:
         return len(self.a)
+
+    @property
+    def witnesses(self) -> int:
+        """Matched junctions, and parts of the overlap where views agree."""
+        return len(self.a) + self.views.agreeing
 
     @property
     def corridors(self) -> IntArray:
@@ -52,15 +73,15 @@ class Candidate:
     @property
     def searched(self) -> bool:
         """Whether contradictions were looked for: only where the rest is beyond chance."""
-        return self.support.bits - self.tested_bits > MATCH.lead_bits
+        return self.by_views or self.support.bits - self.tested_bits > MATCH.lead_bits
 
     @cached_property
     def contradicting_bits(self) -> float:
-        """All evidence against it, positive: contradictions, corridors of different length and
-        matched junctions with different branches."""
+        """All evidence against it, positive: contradictions, corridors of different length, matched
+        junctions with different branches, and views."""
         links, branches = self.support.links, self.support.branches
         misfit = float(links[links < 0].sum() + branches[branches < 0].sum())
-        return self.conflicts.bits - misfit
+        return self.conflicts.bits - misfit + self.views.against
 
     def move(self, z: complex) -> complex:
         """Position in a of a point x + iy of b."""
@@ -110,8 +131,8 @@ def _match_some(
     wanted = [rivals or not any(c.bits > MATCH.lead_bits for c in own) for own in found]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    for ((_, b, *_), _), own, more in zip(some, found, wanted, strict=True):
-        yield _apart([*own, *next(others)], b) if more else own
+    for ((a, b, *_), _), own, more in zip(some, found, wanted, strict=True):
+        yield _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
 
 
 def _hypotheses(a: Prepared, b: Prepared, links: Links, settings: RobustSettings) -> Hypothesised:
@@ -224,15 +245,18 @@ def as_sown(
     return lanes, [candidate for candidate in told if candidate is not None]
 
 
-def _judged(grown: Grown, tested_bits: FloatArray) -> list[Candidate | None]:
-    """The candidate of each lane with its evidence; None where nothing is matched."""
+def _judged(
+    grown: Grown, tested_bits: FloatArray, *, all_searched: bool = False
+) -> list[Candidate | None]:
+    """The candidate of each lane with its evidence; None where nothing is matched. all_searched:
+    look for contradictions also where nothing is beyond chance."""
     lanes = grown.lanes
     if not len(grown.row):
         return [None] * len(lanes)
     agree = supports(grown)
     bits = np.array([s.bits for s in agree]) - tested_bits
     first = cuts(grown.lane, len(lanes))
-    against = conflicts(grown, bits > MATCH.lead_bits)
+    against = conflicts(grown, (bits > MATCH.lead_bits) | all_searched)
     a = grown.a - lanes.a.vertex[lanes.of_a[grown.lane]]
     b = grown.b - lanes.b.vertex[lanes.of_b[grown.lane]]
     turn = grown.turn[grown.row]
@@ -265,6 +289,97 @@ def _laid_over_each(grown: Grown) -> tuple[FloatArray, FloatArray]:
     squared = np.bincount(group, (off * off).sum(axis=1))
     rmse[some] = np.sqrt(squared / np.bincount(group))
     return transform, rmse
+
+
+# --- views ----------------------------------------------------------------------------------------
+
+
+def _with_views(
+    a: Prepared, b: Prepared, found: tuple[Candidate, ...], settings: RobustSettings
+) -> tuple[Candidate, ...]:
+    """The candidates of two maps with what their views say of them, and those that the views
+    propose; as they are for maps without views."""
+    if not len(a.views) or not len(b.views):
+        return found
+    one, two = pictured(a.views), pictured(b.views)
+    asked = refined(one, two, placements(one, two))
+    likely = [T for T, some in asked if worth_judging(some)][: settings.hypotheses]
+    told = [_told_of(c, a, b, two) for c in found]
+    chosen = {k for k, c in enumerate(found) if c.bits > MATCH.lead_bits}
+    fresh = []
+    for T in likely:
+        known = [k for k, pose in enumerate(told) if _same_poses(pose, compose(T, two.pose))]
+        chosen.update(known[:1])
+        fresh += [] if known else [T]
+    if not fresh and not chosen:
+        return found
+    tested = len(a.views) * len(b.views) * QUARTERS
+    cases = [(found[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
+    for T in fresh:
+        here = laid(one, two, compose(T, two.pose), MOST)
+        better = here.better(one, two, T)
+        here = laid(one, two, compose(better, two.pose), MOST)
+        proposed = _placed(a, b, here.better(one, two, better), tested, settings)
+        if proposed is not None:
+            cases.append((proposed, here))
+    z = [(compose(T, two.pose), some.found.z) for T, some in asked]
+    z += [(compose(c.transform, two.pose), here.found.z) for c, here in cases]
+    same = np.concatenate([revisits(one), revisits(two)])
+    out = [c for k, c in enumerate(found) if k not in chosen]
+    for c, here in cases:
+        pose = _told_of(c, a, b, two)
+        elsewhere = [other for there, other in z if not _same_poses(pose, there)]
+        if sum(map(len, elsewhere)) < LEAST_NULL:
+            elsewhere.append(apart(one, two, c.transform))
+        said = judged(here, elsewhere, same)
+        out.append(replace(c, bits=c.bits + said.total, views=said))
+    return _apart(out, b)
+
+
+def _told_of(c: Candidate, a: Prepared, b: Prepared, two: Picture) -> FloatArray:
+    """(n, 3) poses of the views of b in the frame of a: bent as its junctions are, if these led to
+    the candidate."""
+    if c.by_views:
+        return compose(c.transform, two.pose)
+    nearest = np.abs(two.place[:, None] - b.z[c.b]).argmin(axis=1)
+    mine, turn = b.z[c.b][nearest], c.turn[nearest]
+    at = a.z[c.a][nearest] + turn * (two.place - mine)
+    return np.column_stack([at.real, at.imag, two.pose[:, 2] + np.angle(turn)])
+
+
+def _same_poses(one: FloatArray, two: FloatArray) -> bool:
+    """Whether two placements lay some of the views (n, 3) alike."""
+    near = np.hypot(*(one - two)[:, :2].T) < MATCH.place_m
+    return bool(np.any(near & (np.abs(wrap(one[:, 2] - two[:, 2])) < MATCH.turn_rad)))
+
+
+QUARTERS = 4
+"""Turns in which walls lie along walls."""
+
+
+def _placed(
+    a: Prepared, b: Prepared, T_a_b: FloatArray, tested: int, settings: RobustSettings
+) -> Candidate | None:
+    """The candidate of a placement: junctions that it lays over each other, grown if they grow;
+    None if there are none."""
+    x, y, theta = T_a_b.tolist()
+    there = np.exp(1j * theta) * b.z + (x + 1j * y)
+    gap = np.abs(a.z[:, None] - there)
+    first, second = gap.argmin(axis=0), gap.argmin(axis=1)
+    pairs = np.flatnonzero(
+        (second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m)
+    )
+    if not len(pairs):
+        return None
+    seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)
+    bits = np.full(1, np.log2(tested + 1.0))
+    lanes = _lanes([(a, b, [seed], tested)])
+    (candidate,) = _judged(grow(lanes, [seed], settings), bits, all_searched=True)
+    if candidate is None:
+        (candidate,) = _judged(ungrown(lanes, [seed]), bits, all_searched=True)
+    if candidate is None:
+        return None
+    return replace(candidate, transform=T_a_b, by_views=True)
 
 
 def laid_over(xy_a: FloatArray, xy_b: FloatArray) -> tuple[FloatArray, float]:

@@ -278,7 +278,7 @@ def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
     """The evidence of a placement, part by part; the parts add up to `answers.bits`."""
     few = answers.carried - answers.against_chance
     copies = answers.bits - answers.carried
-    terms = [*_links(naming, c), *_branches(naming, c), *_against(naming, c)]
+    terms = [*_links(naming, c), *_branches(naming, c), *_views(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if rounded(few, BITS) < 0:
         told = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
@@ -297,8 +297,19 @@ def _copy_told(same_place: float, need_same: float) -> str:
     return f"is it a copy? {bits} bits say no, {need} needed"
 
 
+def _views(naming: _Naming, c: Candidate) -> list[Term]:
+    seen = np.bincount(c.views.cell, minlength=len(c.views.bits)).tolist()
+    bits = c.views.bits.tolist()
+    return [
+        naming.term("views", part, counted(n, "pair of views", "pairs of views"))
+        for n, part in zip(seen, bits, strict=True)
+    ]
+
+
 def _chosen_from(c: Candidate) -> str:
     tested = round(2.0**c.tested_bits - 1)
+    if c.by_views:
+        return f"chosen from {counted(tested, 'pair')} of views, in four turns"
     return f"chosen from {counted(tested, 'pair')} of like corridors"
 
 

@@ -56,7 +56,7 @@ class Probes:
         arrays = arrays_from_bytes(data, "iiiifffffff")
         if arrays is None:
             return None
-        n, k = extent
+        n, k = extent.junctions, extent.corridors
         out = cls(extent, *arrays)
         per_corridor = (getattr(out, name) for name in PROBES if not name.startswith("probe"))
         if any(len(x) != k for x in per_corridor) or len(out.probe_row) != len(out.probe_key):

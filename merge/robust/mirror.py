@@ -17,6 +17,7 @@ from ...topology.arrays import IntArray
 from ...topology.ragged import Ragged
 from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
+from ...topology.views import NO_VIEWS
 from ..result import Verdict
 from .alignment import Candidate
 from .settings import MATCH
@@ -28,7 +29,8 @@ WHY = "its mirror image fits nearly as well: this may be a copy built the other 
 
 
 def mirrored(m: TopoMap) -> TopoMap:
-    """The map with y and all headings negated; vertices and corridors keep their numbers."""
+    """The map with y and all headings negated, without views; vertices and corridors keep their
+    numbers."""
     rows = [wrap(-m.branches[v]) for v in range(len(m))]
     order = [np.argsort(row, kind="stable") for row in rows]
     place = [np.argsort(o, kind="stable") for o in order]
@@ -46,6 +48,7 @@ def mirrored(m: TopoMap) -> TopoMap:
         source_branch=branch(m.source, m.source_branch),
         target_branch=branch(m.target, m.target_branch),
         paths=tuple(path * flip for path in m.paths),
+        views=NO_VIEWS,
     )
 
 

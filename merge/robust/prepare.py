@@ -14,6 +14,7 @@ from ...topology.matching.likelihood import BIT, density_of_equals, length_log_d
 from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.topomap import RunNoise, TopoMap
+from ...topology.views import NO_VIEWS, Views
 from ..result import FusedMap
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
 from .corridor_points import CorridorPoints, corridor_shapes
@@ -26,17 +27,18 @@ LEAST_M = 10.0**-METRES
 
 
 class Extent(NamedTuple):
-    """Size of a map: junctions, and directed corridors (both directions of each)."""
+    """Size of a map: junctions, directed corridors (both directions of each), and views."""
 
     junctions: int
     corridors: int
+    views: int = 0
 
     @classmethod
     def of(cls, topomap: TopoMap | FusedMap) -> Extent:
         """The extent of a map once it is prepared."""
-        return cls(
-            len(topomap), 2 * len(_corridors(topomap, topomap.xy[:, 0] + 1j * topomap.xy[:, 1]))
-        )
+        z = topomap.xy[:, 0] + 1j * topomap.xy[:, 1]
+        seen = len(topomap.views) if isinstance(topomap, TopoMap) else 0
+        return cls(len(topomap), 2 * len(_corridors(topomap, z)), seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,6 +117,8 @@ class Prepared:
     variance [m²]; alike, alike_pairs: how often two different corridors are equally long, see
     `density_of_equals`; points: along the corridors.
 
+    views: what a laser or a grid shows around places.
+
     nearest_junction, nearest_point: for nearest-neighbour search in `z` and in `points.z`.
     """
 
@@ -155,6 +159,7 @@ class Prepared:
     halves: Halves
     nearest_junction: NearestNeighbours
     nearest_point: NearestNeighbours
+    views: Views = NO_VIEWS
 
     def __len__(self) -> int:
         return len(self.z)
@@ -162,7 +167,7 @@ class Prepared:
     @property
     def extent(self) -> Extent:
         """Its size."""
-        return Extent(len(self), len(self.tail))
+        return Extent(len(self), len(self.tail), len(self.views))
 
 
 def _corridors(m: TopoMap | FusedMap, z: ComplexArray) -> IntArray:
@@ -244,6 +249,7 @@ def prepare(topomap: TopoMap) -> Prepared:
         halves=halves(z, unit, turn_rarity, (tail, head), shows_bends=m.shows_bends),
         nearest_junction=nearest_junction,
         nearest_point=NearestNeighbours.of(points.z),
+        views=m.views,
     )
 
 

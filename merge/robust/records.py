@@ -18,12 +18,15 @@ from .prepare import Extent
 from .settings import MATCH, RobustSettings
 from .support import Support
 from .verdict import Faint, beyond_chance_bits, faint_of
+from .view_evidence import ViewEvidence
 
 SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere", "rival"))
+SCALARS += len(("by_views", "middle", "spread"))
 """Scalars of a candidate: its transform, log2 of the hypotheses, bits, error, bits of its support
-and of a corridor that leads elsewhere, whether it is a rival."""
+and of a corridor that leads elsewhere, whether it is a rival; whether views proposed it, and the
+distribution of others."""
 
-SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere"))
+SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere", "views", "cells"))
 """Arrays of different lengths."""
 
 
@@ -55,23 +58,27 @@ def to_bytes(candidates: tuple[Candidate, ...]) -> bytes:
 
 
 def _candidate_bytes(c: Candidate) -> bytes:
-    s, x = c.support, c.conflicts
+    s, x, v = c.support, c.conflicts, c.views
     sizes = (len(c), len(s.corridors), len(s.links), len(x.extra_b), len(x.extra_a))
-    head = np.array([*sizes, len(x.elsewhere)], "<u4")
+    head = np.array([*sizes, len(x.elsewhere), len(v), len(v.bits)], "<u4")
     floats = np.concatenate(
         [
             c.transform,
-            [c.tested_bits, c.bits, c.rmse_m, s.bits, x.elsewhere_bits, c.rival],
+            [c.tested_bits, c.bits, c.rmse_m, s.bits, x.elsewhere_bits, c.rival, c.by_views],
+            v.null,
             np.ascontiguousarray(c.turn).view(np.float64),
             s.links,
             s.branches,
             x.extra_b_bits,
             x.extra_a_bits,
+            v.z,
+            v.bits,
         ]
     ).astype("<f8")
     whole = [
         *(c.a, c.b, s.corridors.T.ravel(), s.ends.ravel(), s.along + 1),
         *(x.extra_b, x.extra_b_in, x.extra_a, x.extra_a_in, x.elsewhere.T.ravel()),
+        *(v.first, v.second, v.cell),
     ]
     return head.tobytes() + floats.tobytes() + np.concatenate(whole).astype("<i4").tobytes()
 
@@ -98,9 +105,9 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
     """
     if len(data) - at < 4 * SIZES:
         return None
-    k, c, m, eb, ea, el = np.frombuffer(data, "<u4", SIZES, at).tolist()
-    reals = SCALARS + 3 * k + m + eb + ea
-    wholes = 2 * k + 2 * c + 3 * m + 2 * eb + 2 * ea + 2 * el
+    k, c, m, eb, ea, el, nv, nc = np.frombuffer(data, "<u4", SIZES, at).tolist()
+    reals = SCALARS + 3 * k + m + eb + ea + nv + nc
+    wholes = 2 * k + 2 * c + 3 * m + 2 * eb + 2 * ea + 2 * el + 3 * nv
     at += 4 * SIZES
     end = at + 8 * reals + 4 * wholes
     if end > len(data) or k < 1:
@@ -109,13 +116,20 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
     i = np.frombuffer(data, "<i4", wholes, at + 8 * reals).astype(np.int64)
     if not (np.abs(f) <= LARGEST).all():
         return None
-    (n_a, rows_a), (n_b, rows_b) = a, b
-    sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, el, el)
-    limits = (n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b)
+    (n_a, rows_a, views_a), (n_b, rows_b, views_b) = a, b
+    sizes = (k, k, c, c, 2 * m, m, eb, eb, ea, ea, el, el, nv, nv, nv)
+    limits = (
+        *(n_a, n_b, rows_a, rows_b, k, c + 1, n_b, rows_a, n_a, rows_b, rows_a, rows_b),
+        *(views_a, views_b, nc),
+    )
     if wholes and not ((i >= 0) & (i < np.repeat(limits, sizes))).all():
         return None
-    turn, links, branches, b_bits, a_bits = parted(f[SCALARS:], (2 * k, m, k, eb, ea))
-    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, far_a, far_b = parted(i, sizes)
+    turn, links, branches, b_bits, a_bits, z, told = parted(
+        f[SCALARS:], (2 * k, m, k, eb, ea, nv, nc)
+    )
+    va, vb, *rows, ends, along, extra_b, b_in, extra_a, a_in, far_a, far_b, first, second, cell = (
+        parted(i, sizes)
+    )
     corridors, elsewhere = (np.array(columns).T.copy() for columns in (rows, (far_a, far_b)))
     candidate = Candidate(
         transform=f[:3],
@@ -128,5 +142,7 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
         bits=float(f[4]),
         rmse_m=float(f[5]),
         rival=bool(f[8]),
+        by_views=bool(f[9]),
+        views=ViewEvidence(first, second, z, cell, told, f[10:12]),
     )
     return candidate, end

@@ -6,13 +6,18 @@ import json
 import os
 import shutil
 import sys
+from dataclasses import replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from topobatch.cli.options import complete_map, complete_run, complete_site
+from topobatch.topology.document import read_map, write_map
 from topobatch.topology.files import read_json
+from topobatch.topology.view_file import views_path
+from topobatch.topology.views import FREE, SIDE, WALL, Views
 
 
 @pytest.fixture
@@ -357,3 +362,29 @@ def test_verbose(topobatch, merged, logs, tmp_path):
     done = topobatch("ingest", logs["mcap"], "-v", "-w", tmp_path / "other")
     assert "nav_msgs/msg/Odometry on /odom" in done.err
     assert "known already" not in topobatch("merge", "--all", "-w", merged).err
+
+
+def test_views_go_with_their_run(topobatch, building_maps, tmp_path):
+    """They are read, renamed and removed with its map, and a merge without them says so."""
+    place = tmp_path / "ws"
+    shutil.copytree(building_maps, place / "maps")
+    path = min((place / "maps").glob("*.json"))
+    cells = np.zeros((4, SIDE, SIDE), np.uint8)
+    cells[:, 30, 20:60], cells[:, 31:50, 20:60] = WALL, FREE
+    views = Views(np.arange(4), np.zeros((4, 3)), cells)
+    write_map(path, replace(read_map(path), views=views))
+    run = path.stem
+    merge = ("merge", "--all", "-j", 1, "-w", place)
+    assert "lost" not in topobatch(*merge).out
+    assert topobatch("rename", run, "monday", "-w", place).code == 0
+    assert not views_path(path).exists()
+    assert len(read_map(place / "maps" / "monday.json").views) == 4
+    kept = views_path(place / "maps" / "monday.json").read_bytes()
+    views_path(place / "maps" / "monday.json").unlink()
+    shown = topobatch(*merge)
+    assert shown.code == 0
+    assert "the views of run 'monday' are lost or damaged" in shown.out + shown.err
+    views_path(place / "maps" / "monday.json").write_bytes(kept)
+    assert "lost" not in topobatch(*merge).out
+    assert topobatch("discard", "monday", "-w", place).code == 0
+    assert not [*(place / "maps").glob("*.views")]

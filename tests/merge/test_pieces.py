@@ -12,6 +12,7 @@ from topobatch.topology.errors import DataError
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, fit_rigid
 from topobatch.topology.topomap import Closure
+from topobatch.topology.views import SIDE, Views
 
 HOUR_NS = 3600 * 10**9
 
@@ -94,6 +95,22 @@ def test_pieces_that_share_nothing_become_runs_of_their_own(halves, maze, other_
     assert closure not in whole.closures
     said = "the odometry broke: 3 pieces, of which 1 was joined to another by what they saw; "
     assert other.info["warnings"][-1] == said + "on their own: run#2"
+
+
+def test_views_stay_with_their_piece(halves, maze, other_maze, see):
+    left, right = halves
+    elsewhere = see(other_maze, list(range(len(other_maze.xy))), 5, "elsewhere")
+    broken = in_pieces(left, elsewhere, right)
+    times, cells = broken.observation_time_ns, np.zeros((1, SIDE, SIDE), np.uint8)
+    xy = broken.xy[broken.observation_vertex]
+    pose = np.column_stack([xy, np.zeros(len(xy))])
+    seen = Views(times + 5, pose, cells.repeat(len(times), axis=0))
+    whole, other = joined_pieces(replace(broken, views=seen))
+    assert len(whole.views) + len(other.views) == len(times)
+    for m in (whole, other):
+        assert (m.views.time_ns - 5).tolist() == m.observation_time_ns.tolist()
+        off = np.hypot(*(m.views.pose[:, :2] - m.xy[m.observation_vertex]).T)
+        assert np.median(off) < 0.5
 
 
 def test_what_is_too_small_for_any_merge_is_counted_and_left_out(drawn, halves):

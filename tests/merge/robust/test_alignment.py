@@ -5,12 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.robust.alignment import _apart, match, match_all
+from topobatch.merge.robust.alignment import _apart, match, match_all, same_placement
 from topobatch.merge.robust.links import candidate_links
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.records import to_bytes
+from topobatch.topology.se2 import inverse
 
 from .plans import EDGES, POINTS, SETTINGS, rows_of_a_field
+from .rooms import views_of, walls_of
 
 
 def test_pairs_are_matched_together_as_each_would_be_alone(halves, drawn):
@@ -84,3 +86,21 @@ def test_a_placement_is_no_rival_if_a_version_of_it_is_none(drawn):
     more = replace(best, bits=best.bits + 1, rival=True)
     assert _apart([more, best], b) == (best,)
     assert _apart([more], b) == (more,)
+
+
+def test_views_judge_what_junctions_propose(halves):
+    """Views of one place raise the evidence of the true placement, those of another lower it."""
+    left, right = halves
+    before = match(prepare(left), prepare(right), SETTINGS)[0]
+    walls = walls_of(1, size_m=80.0) - np.tile([20.0, 20.0], 2)
+    others = walls_of(2, size_m=80.0) - np.tile([20.0, 20.0], 2)
+    places = left.xy[before.a]
+    back = inverse(before.transform)
+    seen = replace(left, views=views_of(walls, places))
+    for world, better in ((walls, True), (others, False)):
+        beside = replace(right, views=views_of(world, places, tuple(back.tolist())))
+        after = match(prepare(seen), prepare(beside), SETTINGS)
+        same = next(c for c in after if same_placement(c, before, prepare(right)))
+        assert len(same.views) > 0
+        assert (same.views.total > 10) == better
+        assert (same.bits > before.bits) == better

@@ -10,6 +10,7 @@ from topobatch.merge.robust.assessment import _told_once, assess_pair, threshold
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.verdict import MAYBE_COPY, PairCount, counted_bits, needed_bits
+from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE, ViewEvidence
 
 from .plans import COPIES, SETTINGS
 
@@ -49,6 +50,7 @@ class Repetition:
     bits: float = MATCH.lead_bits + 1
     contradicting_bits: float = 0.0
     tested_bits: float = 5.0
+    views: ViewEvidence = NO_VIEW_EVIDENCE
     back: bool = False
     """Half of its junctions lie where the other half does."""
 

@@ -8,6 +8,7 @@ import pytest
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.prepare import Extent
 from topobatch.merge.robust.records import from_bytes, in_short, to_bytes
+from topobatch.merge.robust.view_evidence import ViewEvidence
 
 
 @pytest.fixture(scope="module")
@@ -76,3 +77,21 @@ def test_no_bytes_reach_outside(pair):
 def test_a_map_need_not_be_prepared_to_know_how_large_it_is(halves):
     for m in halves:
         assert Extent.of(m) == prepare(m).extent
+
+
+def test_what_views_say_comes_back(pair):
+    found = match(*pair, DEFAULT_ROBUST)[:1]
+    said = ViewEvidence(
+        np.array([0, 1, 1]),
+        np.array([2, 0, 1]),
+        np.array([4.0, 3.5, -1.0]),
+        np.array([0, 0, 1]),
+        np.array([8.5, -4.0]),
+        np.array([0.5, 0.4]),
+    )
+    found = (replace(found[0], views=said, by_views=True),)
+    seen = [extent._replace(views=3) for extent in extents(pair)]
+    (again,) = from_bytes(to_bytes(found), *seen)
+    for x, y in zip(flat(found[0]), flat(again), strict=True):
+        np.testing.assert_array_equal(x, y)
+    assert from_bytes(to_bytes(found), *extents(pair)) is None

@@ -1,0 +1,68 @@
+"""What views say of a placement."""
+
+import numpy as np
+
+from topobatch.merge.robust.view_evidence import (
+    LEAST_Z,
+    NO_VIEW_EVIDENCE,
+    apart,
+    judged,
+    laid,
+    refined,
+    revisits,
+    worth_judging,
+)
+from topobatch.merge.robust.view_search import pictured, placements
+from topobatch.topology.se2 import compose, inverse, wrap
+
+from .rooms import line, views_of, walls_of
+
+T_B_WORLD = np.array([5.0, -3.0, 2.0])
+
+
+def test_the_place_itself_is_told_from_other_placements() -> None:
+    walls = walls_of(1)
+    a = pictured(views_of(walls, line((5, 20), (35, 20))))
+    b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
+    (T, some), *others = refined(a, b, placements(a, b))
+    assert worth_judging(some)
+    off = compose(T, T_B_WORLD)
+    assert np.hypot(*off[:2]) < 0.4
+    assert abs(wrap(off[2])) < 0.03
+    here = laid(a, b, compose(T, b.pose), 24)
+    elsewhere = [other.found.z for _, other in others] + [apart(a, b, T)]
+    told = judged(here, elsewhere, revisits(a))
+    assert told.agreeing >= 3
+    assert told.total > 20
+    assert told.against == 0
+
+
+def test_another_building_does_not_agree() -> None:
+    a = pictured(views_of(walls_of(1), line((5, 20), (35, 20))))
+    b = pictured(views_of(walls_of(2), line((5, 20), (35, 20))))
+    for T, some in refined(a, b, placements(a, b)):
+        if worth_judging(some):
+            here = laid(a, b, compose(T, b.pose), 24)
+            assert judged(here, [apart(a, b, T)], revisits(a)).total < 10
+    assert np.median(apart(a, b, np.zeros(3))) < LEAST_Z
+
+
+def test_a_placement_that_is_off_is_corrected() -> None:
+    walls = walls_of(3)
+    a = pictured(views_of(walls, line((5, 20), (35, 20))))
+    b = pictured(views_of(walls, line((5, 20), (35, 20)), T_B_WORLD))
+    off = compose(np.array([0.4, -0.3, 0.03]), inverse(T_B_WORLD))
+    better = laid(a, b, compose(off, b.pose), 24).better(a, b, off)
+    left = compose(better, T_B_WORLD)
+    assert np.hypot(*left[:2]) < 0.25
+    assert abs(wrap(left[2])) < 0.01
+
+
+def test_views_that_do_not_meet_say_nothing() -> None:
+    a = pictured(views_of(walls_of(1), line((5, 5), (35, 5))))
+    b = pictured(views_of(walls_of(1), line((5, 35), (35, 35))))
+    here = laid(a, b, b.pose, 24)
+    assert len(here) == 0
+    assert judged(here, [], np.zeros(0)) is NO_VIEW_EVIDENCE
+    assert not worth_judging(here)
+    assert len(revisits(a)) == 0

@@ -1,0 +1,117 @@
+"""Views beside the document of their map."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from topobatch.topology.document import map_to_document, read_map, write_map
+from topobatch.topology.errors import DocumentError
+from topobatch.topology.files import write_json
+from topobatch.topology.ragged import Ragged
+from topobatch.topology.topomap import TopoMap
+from topobatch.topology.view_file import from_bytes, record_of, to_bytes, views_path
+from topobatch.topology.views import SIDE, Views
+
+
+def some_views(count: int = 3, seed: int = 0) -> Views:
+    """Views of two walls each, with a bit of noise."""
+    rng = np.random.default_rng(seed)
+    cells = np.zeros((count, SIDE, SIDE), np.uint8)
+    cells[:, 20:60, 20:60] = 1
+    cells[:, 20:60, 30] = cells[:, 30, 20:60] = 2
+    cells[rng.random(cells.shape) < 0.01] = 2
+    pose = np.round(rng.normal(0, 30, (count, 3)), 3)
+    return Views(np.arange(count) * 10**9, pose, cells)
+
+
+def two_junctions() -> TopoMap:
+    """Two junctions and the corridor between them."""
+    return TopoMap(
+        run="run1",
+        frame="odom",
+        xy=np.array([[0.0, 0.0], [8.0, 0.0]]),
+        branches=Ragged.from_rows([[0.0], [-np.pi]]),
+        kind=("dead_end", "dead_end"),
+        source=np.array([0]),
+        target=np.array([1]),
+        source_branch=np.array([0]),
+        target_branch=np.array([0]),
+        length=np.array([8.0]),
+        length_sigma=np.array([0.1]),
+        paths=(np.array([[0.0, 0.0], [8.0, 0.0]]),),
+        traversals=np.array([1]),
+        observation_vertex=np.array([0, 1]),
+        observation_time_ns=np.array([1, 2]),
+    )
+
+
+def with_some_views() -> TopoMap:
+    return replace(two_junctions(), views=some_views())
+
+
+def test_views_come_back_and_take_little_room() -> None:
+    views = some_views(20)
+    data = to_bytes(views)
+    found = from_bytes(data, record_of(views))
+    assert data == to_bytes(found)
+    np.testing.assert_array_equal(found.cells, views.cells)
+    np.testing.assert_array_equal(found.time_ns, views.time_ns)
+    np.testing.assert_allclose(found.pose, views.pose, atol=1e-9)
+    assert len(data) < 1000 * len(views)
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        lambda data: data[:-200],
+        lambda data: data[:100] + bytes([data[100] ^ 1]) + data[101:],
+        lambda data: b"something else",
+        lambda data: b"",
+        lambda data: to_bytes(some_views(3, seed=1)),
+        lambda data: to_bytes(some_views(400)),
+    ],
+)
+def test_what_is_not_the_views_of_the_record_is_refused(spoil) -> None:
+    views = some_views()
+    with pytest.raises(ValueError, match="is "):
+        from_bytes(spoil(to_bytes(views)), record_of(views))
+
+
+def test_a_map_is_written_with_its_views(tmp_path: Path) -> None:
+    topomap, path = with_some_views(), tmp_path / "run1.json"
+    write_map(path, topomap)
+    found = read_map(path)
+    np.testing.assert_array_equal(found.views.cells, topomap.views.cells)
+    assert not found.views_lost
+    before = path.read_bytes(), views_path(path).read_bytes()
+    write_map(path, found)
+    assert before == (path.read_bytes(), views_path(path).read_bytes())
+
+
+def test_lost_or_damaged_views_are_told_and_the_document_still_names_them(tmp_path: Path) -> None:
+    topomap, path = with_some_views(), tmp_path / "run1.json"
+    write_map(path, topomap)
+    views_path(path).write_bytes(views_path(path).read_bytes()[:-200])
+    found = read_map(path)
+    assert found.views_lost
+    assert map_to_document(found) == map_to_document(topomap)
+    views_path(path).unlink()
+    assert read_map(path).views_lost
+
+
+def test_maps_without_views_have_no_file_of_them(tmp_path: Path) -> None:
+    path = tmp_path / "run1.json"
+    write_map(path, two_junctions())
+    assert "views" not in map_to_document(two_junctions())["graph"]
+    assert [p.name for p in tmp_path.iterdir()] == ["run1.json"]
+
+
+@pytest.mark.parametrize("record", [{"count": -1, "digest": "0" * 32}, {"count": 10**9}, 3])
+def test_records_that_cannot_be_are_refused(tmp_path: Path, record: object) -> None:
+    doc = map_to_document(two_junctions())
+    doc["graph"]["views"] = record
+    write_json(tmp_path / "run1.json", doc)
+    with pytest.raises(DocumentError, match=r"graph\.views"):
+        read_map(tmp_path / "run1.json")
