@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 DEMO := topobatch-workspace
 # Not among them: what wants files to be named or hours; benchmarks/README.md lists them.
 BENCHMARKS := startup paper merging aliasing adversaries calibration odometry uncertainty transforms closure chain fleet \
-	exports transfer changes next ingest soak remote audit
+	exports transfer changes grids next ingest soak remote audit
 # What the program needs, and that with the tools of its tests.
 LOCK := requirements.lock
 DEV_LOCK := requirements-dev.lock
