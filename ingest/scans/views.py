@@ -80,18 +80,28 @@ def closed_by_views(
         return odometry, views, NOT_SEEN_AGAIN, noise
     reckoning = dead_reckoning(odometry, nodes, noise)
     closed, estimate = view_loops(reckoning, ViewIndex.of(views), way_at(odometry, times))
-    loops, pose = closed.loops, estimate.pose
+    loops, pose = closed.loops, rounded_poses(estimate.pose)
     # Each node's pose tells how the frame of the odometry is to be moved there.
     moved = _moved(odometry, times, views.pose[:, :2], pose, reckoning.piece)
     placed = np.column_stack([pose[:, :2], wrap(views.pose[:, 2] + pose[:, 2])])
     back = _axes(pose[loops.second, 2])
-    information = back @ loops.information @ back.transpose(0, 2, 1)
+    information = np.round(back @ loops.information @ back.transpose(0, 2, 1), INFORMATION_DIGITS)
     return (
         replace(odometry, pose=moved),
         Views(views.time_ns, placed, views.cells),
         SeenAgain(times[loops.first], times[loops.second], information),
         replace(closed.noise, centre_m=noise.centre_m, branch_rad=noise.branch_rad),
     )
+
+
+INFORMATION_DIGITS = 3
+"""Decimals of the loops' information [1/m², 1/rad²], some hundreds: so that it does not depend on
+the order in which a processor adds."""
+
+
+def rounded_poses(pose: FloatArray) -> FloatArray:
+    """Poses to the micrometre and microradian, for the same reason."""
+    return np.asarray(np.round(pose, 6))
 
 
 def _axes(turn: FloatArray) -> FloatArray:

@@ -188,7 +188,7 @@ def test_a_larger_robot_has_fewer_ways() -> None:
     log = GridLog("door", Grid(free, np.zeros_like(free), 0.05, (0.0, 0.0, 0.0)), {})
     assert "junction" in map_of_log(log).kind
     with pytest.raises(DataError, match="shows no junction"):
-        map_of_log(log, MappingSettings(robot_radius_m=0.6))
+        map_of_log(log, MappingSettings(robot_radius_m=0.95))
     with pytest.raises(UsageError, match="--robot-radius 0"):
         MappingSettings(robot_radius_m=0.0)
 

@@ -143,7 +143,8 @@ class _Search:
 
     def run(self) -> tuple[DeadReckoning, Estimate]:
         left = self._settings.tests * len(self._given)
-        self._learn()
+        if left:
+            self._learn()
         while left > 0:
             tested = self._test(max(left // 4, len(self._given)))
             left -= tested

@@ -353,8 +353,8 @@ def test_another_number_of_ranges_than_the_angles_ask_for(
 
 def test_times_that_are_missing_or_go_back(sensors: ModuleType, tmp_path: Path) -> None:
     stamps = [sensors.START_NS, sensors.START_NS + 10**9, sensors.START_NS - 10**12, 0]
-    # Each by itself in a chunk: within one they would be put in order.
-    payloads = [sensors.scan(np.ones(1200), t, angle_increment=0.001) for t in stamps]
+    # Each too large to be decoded with others: together they would be put in order.
+    payloads = [sensors.scan(np.ones(20_000), t, angle_increment=0.0003) for t in stamps]
     found, batches = one(sensors, tmp_path, *payloads)
     assert sum(map(len, batches)) == 2
     told = " ".join(found.tally.warnings("/scan"))
