@@ -26,7 +26,8 @@ from __future__ import annotations
 import argparse
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from itertools import combinations
 from pathlib import Path
 from typing import NamedTuple
@@ -224,8 +225,8 @@ def thicker(grid: Grid) -> Grid:
     return grid._replace(free=grid.free & ~ndimage.binary_dilation(occupied))
 
 
-CHANGES = {
-    **{f"{d} deg": lambda g, d=d: turned(g, d) for d in TURNS_DEG},
+CHANGES: dict[str, Callable[[Grid], Grid]] = {
+    **{f"{d} deg": partial(turned, degrees=d) for d in TURNS_DEG},
     "2x cells": lambda g: coarser(g, 2),
     "30, 2x": lambda g: coarser(turned(g, 30), 2),
     "speckle": speckled,
@@ -246,7 +247,9 @@ def back(a: FloatArray, b: FloatArray, within_m: float) -> tuple[int, int]:
     """Points of either that the other has within a distance, and points of both."""
     if not len(a) or not len(b):
         return 0, len(a) + len(b)
-    hits = sum(int((cKDTree(q).query(p)[0] <= within_m).sum()) for p, q in ((a, b), (b, a)))
+    hits = 0
+    for p, q in ((a, b), (b, a)):
+        hits += int((cKDTree(q).query(p)[0] <= within_m).sum())
     return hits, len(a) + len(b)
 
 
