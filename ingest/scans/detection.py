@@ -208,7 +208,7 @@ def _result(
         recorded.child_frame if recorded is not None else "base_link",
     )
     views = chosen_views(seen, passes, driven)
-    odometry, views, loops, noise = closed_by_views(odometry, views, noise)
+    odometry, views, loops = closed_by_views(odometry, views, noise)
     picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), WINDOWS.half_m)
     warnings = (*counted.warnings(), *_warnings(statistics))
     scanned = Scanned(passes, noise, picture, views, loops)

@@ -19,7 +19,7 @@ from ...topology.odometry import Odometry
 from ...topology.passes import NO_BRANCH, Passes
 from ...topology.ragged import Ragged
 from ...topology.run import NOT_SEEN_AGAIN, Grid, ScanPasses, SeenAgain
-from ...topology.se2 import apply, compose, inverse, turned, wrap
+from ...topology.se2 import apply, compose, inverse, turned, turned_axes, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import way_at
 from ...topology.views import (
@@ -64,9 +64,11 @@ def chosen_views(seen: Sequence[Seen], passes: ScanPasses, driven: Driven) -> Vi
 
 def closed_by_views(
     odometry: Odometry, views: Views, noise: RunNoise
-) -> tuple[Odometry, Views, SeenAgain, RunNoise]:
-    """The odometry and its views, laid out again by the loops that the views show; the loops; and
-    the noise of the odometry, raised if it does not explain what they show."""
+) -> tuple[Odometry, Views, SeenAgain]:
+    """The odometry and its views, laid out again by the loops that the views show; the loops.
+
+    noise: of the odometry.
+    """
     count = len(views)
     none = Ragged(np.zeros(count + 1, np.int64), np.zeros(0))
     unknown = np.full(count, NO_BRANCH)
@@ -77,39 +79,25 @@ def closed_by_views(
         confidence=np.ones(count),
     )
     if count < 2:
-        return odometry, views, NOT_SEEN_AGAIN, noise
+        return odometry, views, NOT_SEEN_AGAIN
     reckoning = dead_reckoning(odometry, nodes, noise)
     closed, estimate = view_loops(reckoning, ViewIndex.of(views), way_at(odometry, times))
-    loops, pose = closed.loops, rounded_poses(estimate.pose)
+    loops, pose = closed.loops, np.round(estimate.pose, POSE_DIGITS)
     # Each node's pose tells how the frame of the odometry is to be moved there.
     moved = _moved(odometry, times, views.pose[:, :2], pose, reckoning.piece)
     placed = np.column_stack([pose[:, :2], wrap(views.pose[:, 2] + pose[:, 2])])
-    back = _axes(pose[loops.second, 2])
+    back = turned_axes(pose[loops.second, 2])
     information = np.round(back @ loops.information @ back.transpose(0, 2, 1), INFORMATION_DIGITS)
     return (
         replace(odometry, pose=moved),
         Views(views.time_ns, placed, views.cells),
         SeenAgain(times[loops.first], times[loops.second], information),
-        replace(closed.noise, centre_m=noise.centre_m, branch_rad=noise.branch_rad),
     )
 
 
-INFORMATION_DIGITS = 3
-"""Decimals of the loops' information [1/m², 1/rad²], some hundreds: so that it does not depend on
-the order in which a processor adds."""
-
-
-def rounded_poses(pose: FloatArray) -> FloatArray:
-    """Poses to the micrometre and microradian, for the same reason."""
-    return np.asarray(np.round(pose, 6))
-
-
-def _axes(turn: FloatArray) -> FloatArray:
-    """(k, 3, 3) rotations of x, y in x, y, theta."""
-    out = np.zeros((len(turn), 3, 3))
-    c, s = np.cos(turn), np.sin(turn)
-    out[:, 0, 0], out[:, 0, 1], out[:, 1, 0], out[:, 1, 1], out[:, 2, 2] = c, -s, s, c, 1.0
-    return out
+POSE_DIGITS, INFORMATION_DIGITS = 6, 3
+"""Decimals of poses [m, rad], and of the loops' information [1/m², 1/rad²], some hundreds: so that
+they do not depend on the order in which a processor adds."""
 
 
 def _moved(

@@ -24,9 +24,9 @@ from ..matching.views import (
     register,
 )
 from ..ragged import numbered
-from ..se2 import between, compose, inverse, wrap
+from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
-from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance, scale_noise
+from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance
 from .estimate import Estimate, EstimateSettings, optimise
 
 
@@ -130,7 +130,6 @@ class _Search:
     ) -> None:
         self._views, self._way, self._settings = views, way, settings
         self._given = reckoning
-        self._scale = 1.0
         self._place = np.arange(len(reckoning), dtype=np.int64)
         self._own = EstimateSettings()
         self._tested = _Tested()
@@ -364,13 +363,8 @@ class _Search:
         return out
 
     def _optimise(self) -> None:
-        reckoning = self._with_loops()
-        estimate = optimise(reckoning, self._place, self._estimate.pose, settings=self._own)
-        if estimate.reduced_chi2 * estimate.freedom > LIKELIHOOD.gate_chi2(estimate.freedom):
-            self._scale *= float(np.sqrt(estimate.reduced_chi2))
-            reckoning = self._with_loops()
-            estimate = optimise(reckoning, self._place, estimate.pose, settings=self._own)
-        self._estimate = estimate
+        start = self._estimate.pose
+        self._estimate = optimise(self._with_loops(), self._place, start, settings=self._own)
 
     def _with_loops(self) -> DeadReckoning:
         t, kept = self._tested, self._kept
@@ -380,8 +374,7 @@ class _Search:
             t.transform[kept],
             self._information(t.information[kept], t.transform[kept, 2]),
         )
-        reckoning = scale_noise(self._given, self._scale) if self._scale > 1 else self._given
-        return replace(reckoning, loops=loops)
+        return replace(self._given, loops=loops)
 
     def _information(self, walls: FloatArray, turn: FloatArray) -> FloatArray:
         """(k, 3, 3) of the loops, in the axes of their second views."""
@@ -390,9 +383,7 @@ class _Search:
         open_ = np.diag([1 / settings.reach_m**2] * 2 + [1 / 0.1**2])
         cov = np.linalg.inv(walls + open_)
         cov = cov + np.diag([settings.sigma_m**2] * 2 + [settings.sigma_rad**2])
-        c, s = np.cos(turn), np.sin(turn)
-        R = np.zeros((len(turn), 3, 3))
-        R[:, 0, 0], R[:, 0, 1], R[:, 1, 0], R[:, 1, 1], R[:, 2, 2] = c, s, -s, c, 1.0
+        R = turned_axes(-turn)
         out = np.linalg.inv(R @ cov @ R.transpose(0, 2, 1))
         return 0.5 * (out + out.transpose(0, 2, 1))
 
