@@ -25,11 +25,15 @@ from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 from .scans.views import grid_views
 
 GRID_NOISE = RunNoise(
-    centre_m=0.1, branch_rad=0.07, miss_rate=0.05, phantom_rate=0.03, branch_fault_rate=0.1
+    centre_m=0.25, branch_rad=0.07, miss_rate=0.2, phantom_rate=0.15, branch_fault_rate=0.3
 )
-"""Of places found in skeletons, as measured on passes of real buildings: centres repeat within 0.08
-to 0.18 m, branches within 4 degrees, one place in ten with another number of branches. The accuracy
-of the grid itself is unknown: the defaults of odometry are used."""
+"""Of places found in skeletons of maps that were recorded at different times: doors and furniture
+are part of such a map. Of 14 maps of one floor a third of the junctions of one lies within 0.3 m of
+one in another, two thirds within 0.6 m, two thirds of these with as many branches. Of 97 pairs of
+such maps 40 have enough evidence to be merged with these values, 37 with .15, .1, .2 and .2 m, 20
+with those of one recording (.05, .03, .1, .1 m); of 113 other pairs the most is 5.6, 5.1, 5.4 bits.
+Three maps of one office, of three dates, merge from .25 m on.
+The accuracy of the grid itself is unknown: the defaults of odometry are used."""
 
 
 FLOORPLAN = FloorplanSettings()

@@ -10,7 +10,6 @@ from itertools import compress, pairwise
 import numpy as np
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
-from ...topology.matching.views import LEAST_NULL
 from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import Conflicts, conflicts
@@ -23,10 +22,10 @@ from .view_evidence import (
     MOST,
     NO_VIEW_EVIDENCE,
     ViewEvidence,
-    apart,
     judged,
     laid,
     refined,
+    repeats,
     revisits,
     worth_judging,
 )
@@ -313,25 +312,23 @@ def _with_views(
         fresh += [] if known else [T]
     if not fresh and not chosen:
         return found
-    tested = len(a.views) * len(b.views) * QUARTERS
     cases = [(found[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
     for T in fresh:
         here = laid(one, two, compose(T, two.pose), MOST)
         better = here.better(one, two, T)
         here = laid(one, two, compose(better, two.pose), MOST)
-        proposed = _placed(a, b, here.better(one, two, better), tested, settings)
+        proposed = _placed(a, b, here.better(one, two, better), settings)
         if proposed is not None:
             cases.append((proposed, here))
-    z = [(compose(T, two.pose), some.found.z) for T, some in asked]
-    z += [(compose(c.transform, two.pose), here.found.z) for c, here in cases]
+    placed = [(compose(T, two.pose), some) for T, some in asked]
+    placed += [(compose(c.transform, two.pose), here) for c, here in cases]
     same = np.concatenate([revisits(one), revisits(two)])
+    selves = repeats(one), repeats(two)
     out = [c for k, c in enumerate(found) if k not in chosen]
     for c, here in cases:
         pose = _told_of(c, a, b, two)
-        elsewhere = [other for there, other in z if not _same_poses(pose, there)]
-        if sum(map(len, elsewhere)) < LEAST_NULL:
-            elsewhere.append(apart(one, two, c.transform))
-        said = judged(here, elsewhere, same)
+        elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
+        said = judged(here, elsewhere, selves, same)
         out.append(replace(c, bits=c.bits + said.total, views=said))
     return _apart(out, b)
 
@@ -353,15 +350,12 @@ def _same_poses(one: FloatArray, two: FloatArray) -> bool:
     return bool(np.any(near & (np.abs(wrap(one[:, 2] - two[:, 2])) < MATCH.turn_rad)))
 
 
-QUARTERS = 4
-"""Turns in which walls lie along walls."""
-
-
 def _placed(
-    a: Prepared, b: Prepared, T_a_b: FloatArray, tested: int, settings: RobustSettings
+    a: Prepared, b: Prepared, T_a_b: FloatArray, settings: RobustSettings
 ) -> Candidate | None:
     """The candidate of a placement: junctions that it lays over each other, grown if they grow;
-    None if there are none."""
+    None if there are none. That views chose it from many is part of what theirs is held against
+    (`judged`); the junctions had no choice."""
     x, y, theta = T_a_b.tolist()
     there = np.exp(1j * theta) * b.z + (x + 1j * y)
     gap = np.abs(a.z[:, None] - there)
@@ -372,11 +366,10 @@ def _placed(
     if not len(pairs):
         return None
     seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)
-    bits = np.full(1, np.log2(tested + 1.0))
-    lanes = _lanes([(a, b, [seed], tested)])
-    (candidate,) = _judged(grow(lanes, [seed], settings), bits, all_searched=True)
+    lanes = _lanes([(a, b, [seed], 0)])
+    (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), all_searched=True)
     if candidate is None:
-        (candidate,) = _judged(ungrown(lanes, [seed]), bits, all_searched=True)
+        (candidate,) = _judged(ungrown(lanes, [seed]), np.zeros(1), all_searched=True)
     if candidate is None:
         return None
     return replace(candidate, transform=T_a_b, by_views=True)

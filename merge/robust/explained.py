@@ -307,9 +307,9 @@ def _views(naming: _Naming, c: Candidate) -> list[Term]:
 
 
 def _chosen_from(c: Candidate) -> str:
-    tested = round(2.0**c.tested_bits - 1)
     if c.by_views:
-        return f"chosen from {counted(tested, 'pair')} of views, in four turns"
+        return "proposed by views"
+    tested = round(2.0**c.tested_bits - 1)
     return f"chosen from {counted(tested, 'pair')} of like corridors"
 
 

@@ -21,10 +21,10 @@ from .verdict import Faint, beyond_chance_bits, faint_of
 from .view_evidence import ViewEvidence
 
 SCALARS = len(("x", "y", "theta", "tested", "bits", "rmse", "support", "elsewhere", "rival"))
-SCALARS += len(("by_views", "middle", "spread"))
+SCALARS += len(("by_views", "middle", "spread", "copies", "repeated"))
 """Scalars of a candidate: its transform, log2 of the hypotheses, bits, error, bits of its support
-and of a corridor that leads elsewhere, whether it is a rival; whether views proposed it, and the
-distribution of others."""
+and of a corridor that leads elsewhere, whether it is a rival; whether views proposed it, the level
+of copies, and what views say of them."""
 
 SIZES = len(("matches", "corridors", "links", "extra_b", "extra_a", "elsewhere", "views", "cells"))
 """Arrays of different lengths."""
@@ -66,6 +66,7 @@ def _candidate_bytes(c: Candidate) -> bytes:
             c.transform,
             [c.tested_bits, c.bits, c.rmse_m, s.bits, x.elsewhere_bits, c.rival, c.by_views],
             v.null,
+            [v.copies, v.repeated],
             np.ascontiguousarray(c.turn).view(np.float64),
             s.links,
             s.branches,
@@ -143,6 +144,6 @@ def _candidate(data: bytes, at: int, a: Extent, b: Extent) -> tuple[Candidate, i
         rmse_m=float(f[5]),
         rival=bool(f[8]),
         by_views=bool(f[9]),
-        views=ViewEvidence(first, second, z, cell, told, f[10:12]),
+        views=ViewEvidence(first, second, z, cell, told, float(f[12]), float(f[13]), f[10:12]),
     )
     return candidate, end

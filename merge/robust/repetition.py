@@ -38,6 +38,11 @@ class CopySettings:
     """Upper bound of the share of junctions that differ between copies, whatever the maps' matches
     with themselves show: many of these are chance, not copies (`benchmarks/calibration.py`). Also
     of the detectors' fault rate, beyond which changes would carry no information."""
+    most_stated: float = 0.3
+    """Fault rates beyond are those of saved maps, of which doors and furniture of other times are
+    part: upper bounds, against which two maps of one plan differ so little that they could be no
+    copies. They are bounded by what the alignment shows. Without it maps of offices of one plan,
+    drawn without noise, are merged (`benchmarks/grids.py`)."""
 
 
 COPIES = CopySettings()
@@ -128,7 +133,9 @@ def _sameness_of(
     differing, faults = _differing(cases, np.cumsum([0, *matched]))
     against = np.array([len(c.conflicts) for _, _, c in cases])
     changed, compared = differing + against, matched + against
-    fault = np.minimum(faults / matched, COPIES.most_changed)
+    stated = np.minimum(faults / matched, COPIES.most_changed)
+    seen = np.minimum(stated, (changed + 1) / (compared + 1))
+    fault = np.where(stated > COPIES.most_stated, seen, stated)
     change = fault + (1 - fault) * copies.change_rate
     kept_nats, changed_nats = np.log((1 - fault) / (1 - change)), np.log(fault / change)
     parts = [_Lengths.of(a, b, c.corridors, copies.variation) for a, b, c in cases]

@@ -290,7 +290,9 @@ def _repetitions(
 ) -> list[float]:
     """0 to 1 for each alignment: how likely it is a copy."""
     uniform = uniformity(a, b) if odd else 0.0
-    shares = [max(uniform, threshold.may_be_copy(c), misfits(a, b, c)) for c in odd]
+    shares = [
+        max(uniform, threshold.may_be_copy(c), misfits(a, b, c), c.views.repeated) for c in odd
+    ]
     if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
         shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
     return shares
@@ -312,7 +314,7 @@ def _assess(
     asked = max(shares) > 0
     answers = []
     for c, share in zip(odd, shares, strict=True):
-        same_bits = next(same).bits + _told_from_copies(c) if asked else None
+        same_bits = next(same).bits + c.views.copies if asked else None
         need_same = share * threshold.need_copy_bits
         carried = counted_bits(c)
         answers.append(Answers(threshold.need_bits, c.bits, carried, share, same_bits, need_same))
@@ -365,19 +367,6 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
     if margin is not None and margin < MATCH.lead_bits:
         return NEARLY
     return ""
-
-
-ALIKE_Z = 2.0
-"""Middle of z at other placements from which on views do not tell a place from its copies: -1 to
-1.5 in real buildings, 3 to 4 in simulated offices, of which two pairs of different buildings were
-merged without this limit (of 276 pairs of 24 runs)."""
-
-
-def _told_from_copies(c: Candidate) -> float:
-    """What views add to the evidence that a placement is no copy [bits]: all that speaks against
-    it, and what speaks for it where the other placements of the two maps do not look alike."""
-    total = c.views.total
-    return total if c.views.null[0] < ALIKE_Z else min(total, 0.0)
 
 
 def _held(a: Prepared, b: Prepared, best: Candidate) -> bool:

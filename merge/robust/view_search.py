@@ -112,6 +112,8 @@ class Picture:
         for start in starts[np.unique(np.rint(few).astype(np.int64))].tolist():
             rows = np.flatnonzero((way >= start) & (way <= start + STRETCH_M))
             # A jump from one view to the next tears a stretch apart.
+            if not len(rows):
+                continue
             rows = rows[np.abs(self.place[rows] - np.median(self.place[rows])) < STRETCH_M / 2]
             walls = np.concatenate([self.walls[k] for k in rows] or [np.zeros(0, np.complex128)])
             if len(walls) >= LEAST_WALLS:

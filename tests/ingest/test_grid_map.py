@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -64,7 +65,7 @@ def grid_of(world: World, seen: set[int] | None = None, resolution: float = 0.05
 
 def topomap(name: str, grid: Grid) -> TopoMap:
     found = map_of_grid(GridLog(name, grid, {"junctions": {"from": "grid", "topic": name}}))
-    return map_from_document(map_to_document(found))
+    return replace(map_from_document(map_to_document(found)), views=found.views)
 
 
 @pytest.mark.parametrize("kind", ["maze", "office", "organic", "city"])

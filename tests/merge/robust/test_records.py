@@ -87,6 +87,8 @@ def test_what_views_say_comes_back(pair):
         np.array([4.0, 3.5, -1.0]),
         np.array([0, 0, 1]),
         np.array([8.5, -4.0]),
+        3.5,
+        0.25,
         np.array([0.5, 0.4]),
     )
     found = (replace(found[0], views=said, by_views=True),)

@@ -3,12 +3,11 @@
 import numpy as np
 
 from topobatch.merge.robust.view_evidence import (
-    LEAST_Z,
     NO_VIEW_EVIDENCE,
-    apart,
     judged,
     laid,
     refined,
+    repeats,
     revisits,
     worth_judging,
 )
@@ -30,11 +29,12 @@ def test_the_place_itself_is_told_from_other_placements() -> None:
     assert np.hypot(*off[:2]) < 0.4
     assert abs(wrap(off[2])) < 0.03
     here = laid(a, b, compose(T, b.pose), 24)
-    elsewhere = [other.found.z for _, other in others] + [apart(a, b, T)]
-    told = judged(here, elsewhere, revisits(a))
+    elsewhere = [other for _, other in others]
+    told = judged(here, elsewhere, (repeats(a), repeats(b)), revisits(a))
     assert told.agreeing >= 3
-    assert told.total > 20
-    assert told.against == 0
+    assert told.total > 10
+    assert told.copies > 2
+    assert told.repeated == told.against == 0
 
 
 def test_another_building_does_not_agree() -> None:
@@ -43,8 +43,7 @@ def test_another_building_does_not_agree() -> None:
     for T, some in refined(a, b, placements(a, b)):
         if worth_judging(some):
             here = laid(a, b, compose(T, b.pose), 24)
-            assert judged(here, [apart(a, b, T)], revisits(a)).total < 10
-    assert np.median(apart(a, b, np.zeros(3))) < LEAST_Z
+            assert judged(here, [], (repeats(a), repeats(b)), revisits(a)).total < 4
 
 
 def test_a_placement_that_is_off_is_corrected() -> None:
@@ -63,6 +62,20 @@ def test_views_that_do_not_meet_say_nothing() -> None:
     b = pictured(views_of(walls_of(1), line((5, 35), (35, 35))))
     here = laid(a, b, b.pose, 24)
     assert len(here) == 0
-    assert judged(here, [], np.zeros(0)) is NO_VIEW_EVIDENCE
+    assert judged(here, [], (repeats(a), repeats(b)), np.zeros(0)) is NO_VIEW_EVIDENCE
     assert not worth_judging(here)
     assert len(revisits(a)) == 0
+
+
+def test_where_the_maps_repeat_themselves_the_place_may_be_a_copy() -> None:
+    room = walls_of(1)
+    aisles = np.concatenate([room, room + np.array([40.0, 0, 40.0, 0])])
+    a = pictured(views_of(aisles, line((5, 20), (75, 20))))
+    b = pictured(views_of(room, line((8, 21), (33, 21)), T_B_WORLD))
+    (T, _), *_ = refined(a, b, placements(a, b))
+    here = laid(a, b, compose(T, b.pose), 24)
+    told = judged(here, [], (repeats(a), repeats(b)), revisits(a))
+    assert repeats(a).size > 5
+    assert told.total > 10
+    assert told.repeated > 0.5
+    assert told.copies < 3
