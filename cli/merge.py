@@ -32,7 +32,6 @@ from .workspace import MERGED, Workspace
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ..merge.cache import ResultCache
     from ..merge.merged_schema import MergedGraph
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
@@ -173,11 +172,10 @@ def merge(
         if said is None:
             settings = _settings(method, false_merge_rate, options)
             before = {} if replace_last else _merged_before(place, chosen, everything, screen)
-            store = _store(place, settings, screen)
-            maps, broken = read_maps(place, chosen, screen, store)
+            maps, broken = read_maps(place, chosen, screen)
             if lost := before.keys() & set(broken):
                 raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
-            result = _merged(place, maps, settings, workers, everything, screen, store)
+            result = _merged(place, maps, settings, workers, everything, screen)
             result, moved = with_sites(place, result, maps, before or sites_before(place))
             _write(place, result, maps, documents)
             told = "; ".join(
@@ -240,10 +238,10 @@ def _repeat(
         screen.line(f"{place.merged_json}: removed; none of its runs is left")
         return
     settings = _about(settings, new, runs)
-    documents, store = contents(place, runs), _store(place, settings, screen)
-    maps, _ = read_maps(place, runs, screen, store)
+    documents = contents(place, runs)
+    maps, _ = read_maps(place, runs, screen)
     everything = runs == place.runs()
-    result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen, store)
+    result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen)
     # A run alone is a site of its own name, old or new.
     before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
     result, moved = with_sites(place, result, maps, before)
@@ -336,14 +334,6 @@ def _settings(
     return replace(settings, paper=paper, robust=robust)
 
 
-def _store(place: Workspace, settings: MergeSettings, screen: Screen) -> ResultCache:
-    """The cache of earlier merges."""
-    from ..merge.cache import ResultCache
-    from ..merge.robust import era_of
-
-    return ResultCache(place.pairs, era_of(settings.robust), screen.warn)
-
-
 def _merged(
     place: Workspace,
     maps: list[TopoMap],
@@ -351,17 +341,19 @@ def _merged(
     workers: Callable[[int], Workers | None],
     everything: bool,
     screen: Screen,
-    store: ResultCache,
 ) -> MergeResult:
+    from ..merge.kept import Kept
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
+    from ..merge.robust import era_of
 
-    with matching(place, pairs_of(len(maps)), store, workers, screen) as means:
+    kept = Kept(place.kept, era_of(settings.robust), screen.warn)
+    with matching(place, pairs_of(len(maps)), kept, workers, screen) as means:
         result = merge_maps(
             maps, settings, locks=place.locks(), discarded=place.discards(), means=means
         )
     if everything and settings.method == "robust":
-        store.settle()
+        kept.settle()
     return result
 
 

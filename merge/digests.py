@@ -51,16 +51,3 @@ def _parts(value: object) -> Iterator[bytes]:
         yield from _parts(np.asarray(value.values))
     else:
         yield repr(value).encode()
-
-
-class Digests:
-    """Digests of maps, each computed once."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, tuple[TopoMap, bytes]] = {}
-
-    def __call__(self, topomap: TopoMap) -> bytes:
-        """`digest_of`."""
-        if id(topomap) not in self._known:
-            self._known[id(topomap)] = topomap, digest_of(topomap)
-        return self._known[id(topomap)][1]

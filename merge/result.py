@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -217,53 +217,17 @@ def _seen_from(x: FloatArray, y: FloatArray) -> FloatArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
     """Runs that were merged; `poses[run]` is T_component_run (3,); spread: joint errors, if asked
-    for; text: the document's text of its places (`document.places_text`), if known; site: its name
-    (`sites.site_names`), if it was given one."""
+    for; site: its name (`sites.site_names`), if it was given one."""
 
     id: int
     poses: Mapping[str, FloatArray]
     spread: Spread | None = None
-    text: bytes = b""
     site: str = ""
 
     @property
     def name(self) -> str:
         """What it is called: its site, or its number."""
         return self.site or f"component {self.id}"
-
-
-class Late(Sequence[T]):
-    """A sequence that is made on first access: those of kept components may never be needed."""
-
-    __slots__ = ("_count", "_made", "_make")
-
-    def __init__(self, count: int, make: Callable[[], Sequence[T]]) -> None:
-        self._count = count
-        self._make = make
-        self._made: Sequence[T] | None = None
-
-    def _whole(self) -> Sequence[T]:
-        if self._made is None:
-            self._made = self._make()
-        return self._made
-
-    def __len__(self) -> int:
-        return self._count
-
-    @overload
-    def __getitem__(self, k: int) -> T: ...
-    @overload
-    def __getitem__(self, k: slice) -> Sequence[T]: ...
-    def __getitem__(self, k: int | slice) -> T | Sequence[T]:
-        return self._whole()[k]
-
-    def __iter__(self) -> Iterator[T]:
-        return iter(self._whole())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and tuple(self) == tuple(other)
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -383,18 +347,13 @@ class Unlisted:
     screened: int = 0
 
 
-def nothing_kept(_: PairVerdict) -> bytes | None:
-    """The default of `MergeResult.kept_entry`: no entry is kept."""
-    return None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeResult:
     """All that `merged.json` holds.
 
     verdicts: one per pair of runs, sorted by (a, b), without those that a large merge counts in
     `unlisted`. info: other entries of the document's `graph` (method, settings, warnings, layers).
-    JSON values only. kept_entry: gives the document's entry of a verdict, as JSON, if it is kept.
+    JSON values only.
     """
 
     components: tuple[Component, ...]
@@ -402,7 +361,6 @@ class MergeResult:
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
     unlisted: Unlisted | None = None
-    kept_entry: Callable[[PairVerdict], bytes | None] = nothing_kept
 
     def standings(self) -> dict[Standing, int]:
         """Number of pairs, listed or not, in each state."""

@@ -15,7 +15,7 @@ from ..result import Alignment, PairVerdict, Verdict
 from .alignment import Candidate, match, self_matches
 from .entries import Case, alignment_of
 from .mirror import doubt_mirrored, mirrored
-from .pairing import Pair, Samples
+from .pairing import Pair
 from .prepare import Prepared, prepare
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
@@ -42,7 +42,6 @@ def thresholds(
     settings: RobustSettings,
     linked: Iterable[Pair] | None = None,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
-    copies_of: Callable[[Samples], CopyModel] | None = None,
 ) -> ThresholdOf:
     """The thresholds in a batch of maps.
 
@@ -50,7 +49,7 @@ def thresholds(
     offices, all of whose maps repeat themselves, with mazes, none of which do. linked: pairs with a
     placement better than chance; maps that chains of these connect are of like buildings, unless
     they are too few to tell. None: all maps are. with_themselves: matches of each map with other
-    parts of itself, if known; copies_of: replaces `copy_model`.
+    parts of itself, if known.
     """
     own = with_themselves or list(self_matches(prepared, settings))
     like = _like_buildings(len(own), linked, settings)
@@ -59,10 +58,8 @@ def thresholds(
     @cache
     def copies(of: frozenset[int]) -> CopyModel:
         maps = (k for k in range(len(own)) if ANY in of or like[k] in of)
-        samples = [(k, c) for k in maps for c in own[k] if c.bits > MATCH.lead_bits]
-        if copies_of is not None:
-            return copies_of(samples)
-        return copy_model([(prepared[k], c) for k, c in samples], settings)
+        samples = ((prepared[k], c) for k in maps for c in own[k] if c.bits > MATCH.lead_bits)
+        return copy_model(list(samples), settings)
 
     @cache  # few differ: no map has less copied than most of those of like buildings
     def reached(of: frozenset[int], count: PairCount, most: float) -> Threshold:

@@ -15,12 +15,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..digests import digested
-from ..packs import Kept, Key, Kind
+from ..kept import Kept
 from ..result import Alignment, Verdict, pairs_of
 from .alignment import laid_over, match
 from .components import Components
-from .kept_verdicts import threshold_digest
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
@@ -49,9 +47,6 @@ Sides = tuple[Runs, Runs]
 
 Asked = tuple[MergedMap, MergedMap]
 
-NOT_JOINED = b"not joined"
-"""Record of two components with too little evidence to be joined."""
-
 Said = tuple[MergedMap, MergedMap, Assessment]
 
 
@@ -74,14 +69,14 @@ class Rematcher:
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
     dishonoured: Mapping[Pair, tuple[int, int]] = field(default_factory=dict)
-    kept: Kept | None = None
+    kept: Kept = field(default_factory=Kept)
     _merged: MergedMaps = field(init=False)
     _told: dict[tuple[MergedMap, MergedMap, Threshold], Assessment | None] = field(
         default_factory=dict
     )
 
     def __post_init__(self) -> None:
-        self._merged = MergedMaps(self.maps, self.prepared, self.kept)
+        self._merged = MergedMaps(self.maps, self.kept, self.prepared)
 
     def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
         """The pairs joined by their components; joined: the alignments of the pairs joined
@@ -140,9 +135,8 @@ class Rematcher:
         against copies could be as well: as long as nothing was merged wrongly, a wrong merge can
         only be a pair across components. But then pairs that only merged maps show to be beyond
         chance would have to be counted, too. Tried: of 338 pairs of three batches of 72 runs in
-        tunnels 5 more are merged, none wrongly; but every merge would have to fuse all components
-        with open pairs again, which `_known_not_to_join` saves, and the count would have to be kept
-        in the document for `explain`.
+        tunnels 5 more are merged, none wrongly; but the count would have to be kept in the document
+        for `explain`.
         """
         members = self.components.members.values()
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
@@ -153,26 +147,16 @@ class Rematcher:
             if key in self._told:
                 continue
             self._told[key] = None
-            if self._known_not_to_join(one, two, threshold):
-                continue
             candidates = self._merged.matched(one, two, self.settings)
             if candidates:
                 fresh.append(key)
                 cases.append((one.prepared, two.prepared, candidates, threshold))
         for key, view in zip(fresh, assess_all(cases), strict=True):
-            one, two, threshold = key
-            if self._joins(one, two, view):
+            if self._joins(*key[:2], view):
                 self._told[key] = view
-            elif self.kept is not None:
-                self.kept.add(Kind.VERDICT, _key(one, two, threshold), NOT_JOINED)
         told = ((one, two, self._told[one, two, threshold]) for one, two, threshold in wanted)
         joined = [(one, two, view) for one, two, view in told if view is not None]
         return [said for said in joined if self._honours_locks(*said)]
-
-    def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:
-        """Whether an earlier merge, or round, found too little evidence, as for most components."""
-        found = self.kept and self.kept.find(Kind.VERDICT, _key(one, two, threshold))
-        return found == NOT_JOINED
 
     def _apart(self, x: Runs, y: Runs) -> bool:
         """Whether a lock forbids joining two components, or a match between them was discarded,
@@ -201,11 +185,6 @@ class Rematcher:
         )
 
 
-def _key(one: MergedMap, two: MergedMap, threshold: Threshold) -> Key:
-    """Key of the result for two components' merged maps and a threshold."""
-    return digested(one.digest, two.digest), threshold_digest(threshold, copies=True)
-
-
 def _strength(said: Said) -> tuple[float, Runs, Runs]:
     one, two, view = said
     return view.bits, one.runs, two.runs
@@ -220,7 +199,7 @@ def view_of_components(
 ) -> tuple[MergedMap, MergedMap, Assessment]:
     """The assessment of the merged maps of two components. sides: the runs of each, sorted;
     accepted: the alignments by which each was joined."""
-    merged = MergedMaps(maps)
+    merged = MergedMaps(maps, Kept())
     one, two = (merged.of(runs, accepted) for runs in sides)
     candidates = match(one.prepared, two.prepared, settings, rivals=True)
     return one, two, assess(one.prepared, two.prepared, candidates, threshold)

@@ -1,6 +1,6 @@
 """Tasks: pairs of maps matched by one worker, as a pure function.
 
-A task names maps by run and content digest; the worker reads them. Results come back as packs,
+A task names maps by run and content digest; the worker reads them. Results come back as bytes,
 whoever made them, so that one process, many, and a cache give the same numbers.
 """
 
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import cache
@@ -20,14 +21,17 @@ import scipy
 from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
+from .. import codec
 from ..digests import DIGEST, digest_of, digested
-from ..packs import Kind, Pack, PackWriter
-from .alignment import match_all, self_matches
+from ..kept import Kind
+from .alignment import Candidate, match_all, self_matches
+from .conflicts import Conflicts
 from .mirror import mirrored
 from .prepare import Prepared, prepare
-from .records import Found, in_short, to_bytes
-from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import Faint
+from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
+from .support import Support
+from .verdict import Faint, beyond_chance_bits, faint_of
+from .view_evidence import ViewEvidence
 
 Ready = Callable[[bytes, bool], Prepared]
 """Gives the prepared map of a digest, or its mirror image."""
@@ -104,8 +108,55 @@ def _program() -> str:
     return out.hexdigest()
 
 
-def matched(task: MatchTask) -> bytes:
-    """Do a task in a worker process: a pack with a record for each pair, in their order."""
+HEAD = struct.Struct("<Idd")
+"""Head of the result of matching two maps: junctions and evidence of the best alignment if none is
+beyond chance, else 0; largest evidence against chance. The candidates follow, if there are any."""
+
+CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, ViewEvidence)}
+
+
+@dataclass(frozen=True, slots=True)
+class Told:
+    """The result of matching two maps, in short.
+
+    faint: the best alignment if none is beyond chance; against_chance: largest evidence against
+    chance of any alignment with enough junctions to be merged [bits]; full: whether there are
+    candidates.
+    """
+
+    faint: Faint | None = None
+    against_chance: float = 0.0
+    full: bool = False
+
+    @classmethod
+    def of(cls, data: bytes) -> Told:
+        """What the bytes of a result say."""
+        junctions, bits, against_chance = HEAD.unpack_from(data)
+        faint = Faint(junctions, bits, against_chance) if junctions else None
+        return cls(faint, against_chance, len(data) > HEAD.size)
+
+
+def candidates_of(data: bytes) -> tuple[Candidate, ...]:
+    """The candidates in the bytes of a result."""
+    return codec.from_bytes(data[HEAD.size :], CLASSES) if len(data) > HEAD.size else ()
+
+
+def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
+    """What is kept of the candidates of a pair: those beyond chance, or a summary of the best."""
+    odd = tuple(c for c in found if c.bits > MATCH.lead_bits)
+    if odd:
+        return HEAD.pack(0, 0.0, beyond_chance_bits(odd, settings)) + codec.to_bytes(odd)
+    faint = faint_of(found, settings) or Faint(0, 0.0)
+    return HEAD.pack(faint.junctions, faint.bits, faint.against_chance)
+
+
+def image_result_of(found: tuple[Candidate, ...]) -> bytes:
+    """What is kept of the candidates of a map and a mirror image: a summary of the best."""
+    return HEAD.pack(len(found[0]) if found else 0, found[0].bits if found else 0.0, 0.0)
+
+
+def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
+    """Do a task in a worker process: the worker's era, and the result of each pair."""
     run_of = {digest: run for run, digest in task.runs}
 
     def ready(digest: bytes, image: bool) -> Prepared:
@@ -118,7 +169,7 @@ def matched(task: MatchTask) -> bytes:
             _ready[digest, image] = found
         return found
 
-    return match_task(task, ready).to_bytes()
+    return era_of(task.settings), match_task(task, ready)
 
 
 _ready: dict[tuple[bytes, bool], Prepared] = {}  # in a worker: maps that the last tasks asked for
@@ -131,30 +182,14 @@ def _read(maps: Maps | None, run: str, digest: bytes) -> TopoMap:
     return found
 
 
-def match_task(task: MatchTask, ready: Ready) -> Pack:
-    """Do a task: the records of its pairs."""
-    out = PackWriter(era_of(task.settings))
+def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
+    """Do a task: the result of each pair."""
     digests = [digest for _, digest in task.runs]
     pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
     if task.kind is Kind.ITSELF:
         own = self_matches((ready(digest, False) for digest, _ in pairs), task.settings)
-        for pair, found in zip(pairs, own, strict=True):
-            out.add(pair, task.kind, payload=to_bytes(found))
-        return out.pack()
+        return [HEAD.pack(0, 0.0, 0.0) + codec.to_bytes(found) for found in own]
     image = task.kind is Kind.IMAGE
     both = ((ready(a, False), ready(b, image)) for a, b in pairs)
     every = match_all(both, task.settings, rivals=task.kind is Kind.RIVALS)
-    for pair, found in zip(pairs, every, strict=True):
-        kept = in_short(found, task.settings)
-        if image:
-            kept = Found(faint=Faint(len(found[0]), found[0].bits) if found else None)
-        faint = kept.faint or Faint(0, 0.0)
-        out.add(
-            pair,
-            task.kind,
-            junctions=faint.junctions,
-            bits=faint.bits,
-            beyond=kept.against_chance(task.settings),
-            payload=to_bytes(kept.candidates),
-        )
-    return out.pack()
+    return [image_result_of(f) if image else result_of(f, task.settings) for f in every]
