@@ -18,6 +18,7 @@ from .merged_schema import MERGED_SCHEMA, MergedDocument, MergeEntry, Placed, Po
 from .result import (
     Alignment,
     Component,
+    CopyTest,
     FusedMap,
     MergeResult,
     PairVerdict,
@@ -26,7 +27,7 @@ from .result import (
     by_run,
 )
 
-EXTRA = ("against_chance_bits", "same_place_bits")
+EXTRA = ("against_chance_bits", "same_place_bits", "copy_test")
 """Entries added by the robust method."""
 
 
@@ -45,6 +46,7 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
         "rmse_m": rounded(alignment.rmse_m, METRES),
         "contradictions": list(alignment.contradictions),
         **_contradicting(alignment),
+        **_known(copy_test=alignment.copy_test and asdict(alignment.copy_test)),
     }
 
 
@@ -91,6 +93,8 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
         runner_up=pair.runner_up and _alignment(pair.runner_up),
         margin_bits=bits_to_document(pair.margin_bits),
         advice=pair.advice,
+        lacks=pair.lacks or None,
+        lead_needed_bits=pair.lead_needed_bits,
     )
     return entry | dict(pair.extra)
 
@@ -236,7 +240,8 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
     together = None
     if entry.together is not None:
         together = (tuple(entry.together[0]), tuple(entry.together[1]))
-    extra = {name: getattr(entry, name) for name in EXTRA if getattr(entry, name) is not None}
+    named = entry.model_dump(include=set(EXTRA), exclude_none=True)
+    extra = {name: named[name] for name in EXTRA[: None if best is None else -1] if name in named}
     return PairVerdict(
         a=entry.a,
         b=entry.b,
@@ -257,6 +262,8 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
         placed=_sigmas_from(entry.placed),
         together=together,
         transform_sigma=_sigmas_from(entry.transform_sigma),
+        lacks=entry.lacks or "",
+        lead_needed_bits=entry.lead_needed_bits,
         extra=extra,
     )
 
@@ -268,6 +275,7 @@ def _sigmas_from(placed: Placed | None) -> tuple[float, float] | None:
 def _alignment_from(
     entry: MergeEntry | RunnerUp, transform: Pose, matched: list[tuple[int, int]]
 ) -> Alignment:
+    tested = entry.copy_test
     return Alignment(
         transform=_pose_from(transform),
         evidence_bits=entry.evidence_bits,
@@ -276,6 +284,7 @@ def _alignment_from(
         corridors=entry.corridors,
         contradictions=tuple(entry.contradictions),
         contradicting=tuple((tuple(c.a), tuple(c.b)) for c in entry.contradicting),
+        copy_test=None if tested is None else CopyTest(**tested.model_dump()),
     )
 
 

@@ -55,6 +55,19 @@ AcceptedBy = Literal["pair", "components", "runs", "lock"]
 other runs, which place the two like one of the pair's own alignments; a lock."""
 
 
+@dataclass(frozen=True, slots=True)
+class CopyTest:
+    """The test whether an alignment is a copy of the place, as rounded in documents.
+
+    bits: evidence that it is not; needed_bits: the threshold of that; repetition: 0 to 1, how
+    likely it is one by its size and the building.
+    """
+
+    bits: float
+    needed_bits: float
+    repetition: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """An alignment of map b with map a.
@@ -66,7 +79,7 @@ class Alignment:
     transform; corridors: number of matched ones; contradictions: sentences, one per disagreement
     found ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting:
     for each of these the vertices of a and of b concerned, a corridor as its two ends; empty if not
-    known.
+    known; copy_test: None if it was not tested for being a copy.
     """
 
     transform: FloatArray
@@ -76,6 +89,7 @@ class Alignment:
     corridors: int = 0
     contradictions: tuple[str, ...] = ()
     contradicting: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = ()
+    copy_test: CopyTest | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matched", np.reshape(self.matched, (-1, 2)))
@@ -101,8 +115,9 @@ class PairVerdict:
     distance [m] within which the middle of one's map lies in 68.3 % of cases, relative to the
     other's (root mean square of both ways to see it), and 1 sigma [rad] of the rotation between
     them. together: the runs of the two components whose evidence joined the pair. transform_sigma:
-    like `placed`, for an accepted pair, given all maps of its component. extra: JSON values that a
-    method adds to its entry.
+    like `placed`, for an accepted pair, given all maps of its component. lacks: what the two maps
+    lack for being merged, as a clause, "" if nothing; lead_needed_bits: the lead that their best
+    alignment needs. extra: JSON values that a method adds to its entry.
     """
 
     a: str
@@ -122,6 +137,8 @@ class PairVerdict:
     placed: tuple[float, float] | None = None
     together: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     transform_sigma: tuple[float, float] | None = None
+    lacks: str = ""
+    lead_needed_bits: float | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

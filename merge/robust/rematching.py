@@ -17,13 +17,13 @@ import numpy as np
 from ...topology.topomap import TopoMap
 from ..kept import Kept
 from ..result import Alignment, Verdict, pairs_of
-from .alignment import laid_over, match
+from .alignment import Candidate, laid_over
 from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
-from .verdict import Assessment, Threshold, assess, assess_all
+from .verdict import Assessment, Threshold, assess_all
 from .wording import summary
 
 Pair = tuple[int, int]
@@ -190,32 +190,47 @@ def _strength(said: Said) -> tuple[float, Runs, Runs]:
     return view.bits, one.runs, two.runs
 
 
-def view_of_components(
+def matches_of_components(
     maps: Sequence[TopoMap],
     sides: tuple[Runs, Runs],
     accepted: Mapping[Pair, Alignment],
-    threshold: Threshold,
     settings: RobustSettings,
-) -> tuple[MergedMap, MergedMap, Assessment]:
-    """The assessment of the merged maps of two components. sides: the runs of each, sorted;
-    accepted: the alignments by which each was joined."""
+) -> tuple[MergedMap, MergedMap, tuple[Candidate, ...]]:
+    """The merged maps of two components, and how these can be matched. sides: the runs of each,
+    sorted; accepted: the alignments by which each was joined."""
     merged = MergedMaps(maps, Kept())
     one, two = (merged.of(runs, accepted) for runs in sides)
-    candidates = match(one.prepared, two.prepared, settings, rivals=True)
-    return one, two, assess(one.prepared, two.prepared, candidates, threshold)
+    return one, two, merged.matched(one, two, settings)
 
 
 def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Alignment]:
-    """The alignments of pairs of runs that a match of two fused maps implies, the strongest first.
+    """The alignments of pairs of runs that a match of two fused maps implies, the strongest
+    first."""
+    assert view.best is not None
+    known = {**one.maps, **two.maps}
+    out = {}
+    for (i, j), pairs in linked_junctions(one, two, view.best).items():
+        matched = np.array(pairs, np.int64)
+        pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
+        transform, rmse = laid_over(pa, pb)
+        corridors, tested = len(view.best.corridors), view.answers[0].copy_test
+        out[i, j] = Alignment(transform, view.bits, matched, rmse, corridors, copy_test=tested)
+    return out
+
+
+def linked_junctions(
+    one: MergedMap, two: MergedMap, best: Candidate
+) -> dict[Pair, list[tuple[int, int]]]:
+    """The junctions of pairs of runs, sorted, that a match of two fused maps makes one; the pairs
+    with most first.
 
     A pair is linked by the matched places that both its runs saw; pairs with fewer than three are
     left out, unless there are no others: then the best one with at least two counts.
     """
-    assert view.best is not None
     shared: dict[Pair, list[tuple[int, int]]] = defaultdict(list)
     run_of_one = {m.run: i for i, m in one.maps.items()}
     run_of_two = {m.run: j for j, m in two.maps.items()}
-    for p, q in zip(view.best.a.tolist(), view.best.b.tolist(), strict=True):
+    for p, q in zip(best.a.tolist(), best.b.tolist(), strict=True):
         for run_i, vertices_i in sorted(one.members[p].items()):
             for run_j, vertices_j in sorted(two.members[q].items()):
                 i, j = run_of_one[run_i], run_of_two[run_j]
@@ -223,14 +238,8 @@ def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Align
                 shared[(i, j) if i < j else (j, i)].append((u, v) if i < j else (v, u))
     ranked = sorted(shared.items(), key=lambda item: (-len(item[1]), item[0]))
     strong = [item for item in ranked if len(item[1]) >= 3]
-    known = {**one.maps, **two.maps}
-    out = {}
-    for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
-        matched = np.array(sorted(pairs), np.int64)
-        pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
-        transform, rmse = laid_over(pa, pb)
-        out[i, j] = Alignment(transform, view.bits, matched, rmse, len(view.best.corridors))
-    return out
+    some = strong or [item for item in ranked[:1] if len(item[1]) >= 2]
+    return {pair: sorted(pairs) for pair, pairs in some}
 
 
 def _reason(
