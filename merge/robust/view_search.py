@@ -52,7 +52,7 @@ three pixels and 3° of drift."""
 
 KEPT = 33
 """Prepared pictures that are kept: a tile of tasks has 32 maps a side, with each of which one map
-is matched in turn. Of 70 views each 20 MB."""
+is matched in turn. Of 70 views each 8 MB."""
 
 
 @dataclass(frozen=True, eq=False)
