@@ -11,9 +11,10 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
-from . import paper_options
+from .grouped import grouped
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
 from .output import say, say_lines, warn
+from .paper_options import PaperOptions
 from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ TO_MERGE = "topobatch merge --all"
 """What gives runs a verdict."""
 
 
+@grouped
 def explain(
     a: Annotated[
         str,
@@ -49,12 +51,7 @@ def explain(
         ),
     ] = "robust",
     merge: MergeOption = MERGED,
-    degree: paper_options.DegreeOption = None,
-    confidence: paper_options.ConfidenceOption = None,
-    confidence_of: paper_options.ConfidenceOfOption = None,
-    weights: paper_options.WeightsOption = None,
-    iterative: paper_options.IterativeOption = None,
-    met: paper_options.MetOption = None,
+    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
     as_json: JsonOption = False,
     rows: Annotated[
         int | None,
@@ -92,13 +89,10 @@ def explain(
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
     first, second = place.chosen_runs([a, b], False)
-    options = paper_options.PaperOptions(
-        degree, confidence, confidence_of, weights, iterative, tuple(met or ())
-    )
     if method == "paper":
-        _by_paper(place, (first, second), options, as_json, rows)
+        _by_paper(place, (first, second), paper, as_json, rows)
     else:
-        options.refuse()
+        paper.refuse()
         _by_evidence(place, (first, second), as_json, rows)
 
 
@@ -160,7 +154,9 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
         if document is not None:
             what = "at the rate" if document.graph.method == "paper" else "with the settings"
             own = f", {what} of {place.merged_json.name}"
-        merge, notes = _before_a_merge(place, read, settings, pair, own)
+        held = document is not None and _holds(document, pair)
+        runs = sorted(document.graph.home) if document is not None and held else place.runs()
+        merge, notes = _before_a_merge(place, runs, read, settings, pair, own)
         notes[0] = f"{why_not}; {notes[0]}"
     else:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
@@ -176,18 +172,19 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
 
 def _before_a_merge(
     place: Workspace,
+    runs: Sequence[str],
     read: Callable[[str], TopoMap],
     settings: RobustSettings,
     pair: tuple[str, str],
     own: str,
 ) -> tuple[Merge, list[str]]:
-    """The maps of a workspace that were not merged, as a merge, and notes on what is told of a
-    pair. own: whose the settings are."""
+    """Maps that were not merged, as a merge, and notes on what is told of a pair. own: whose the
+    settings are."""
     from ..merge.merging import MOST_LISTED, MergeSettings, merge_maps
     from ..merge.result import pairs_of
     from ..merge.robust.explained import Merge
 
-    runs, locks, gone = place.runs(), place.locks(), place.discards()
+    locks, gone = place.locks(), place.discards()
     if pairs_of(len(runs)) <= MOST_LISTED:
         maps, lost = _readable(runs, read, pair)
         result = merge_maps(maps, MergeSettings(robust=settings), locks=locks, discarded=gone)
@@ -272,7 +269,7 @@ def _record(recording: Path, draw: Callable[[], None], quiet: bool, how: str = "
 def _by_paper(
     place: Workspace,
     pair: tuple[str, str],
-    options: paper_options.PaperOptions,
+    options: PaperOptions,
     as_json: bool,
     rows: int | None,
 ) -> None:

@@ -68,6 +68,10 @@ class Kept:
         self._digests: dict[int, tuple[TopoMap, bytes]] = {}
         self._database: sqlite3.Connection | None = None
 
+    def __del__(self) -> None:
+        if self._database is not None:
+            self._database.close()
+
     def digest(self, topomap: TopoMap) -> bytes:
         """`digest_of` a map, computed once."""
         if id(topomap) not in self._digests:
@@ -112,7 +116,7 @@ class Kept:
             "WHERE kind = ? AND a = ? AND b = ? AND era = ?"
         )
         rows = self._rows(asked, (kind, *key, self.era))
-        return next((data for crc, data in rows if zlib.crc32(data) == crc), None)
+        return next((data for crc, data in rows if zlib.crc32(data or b"") == crc), None)
 
     def _rows(self, statement: str, values: tuple[object, ...] = ()) -> list[Any]:
         """The rows that a statement gives; none without a database."""

@@ -149,7 +149,7 @@ class Batch:
         return {
             pair: told.best
             for pair, told in self.alone.items()
-            if told.best is not None and told.reason.endswith(OTHER_SIZE)
+            if told.best is not None and told.lacks == OTHER_SIZE
         }
 
     def asked_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:

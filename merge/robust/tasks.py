@@ -6,13 +6,10 @@ whoever made them, so that one process, many, and a cache give the same numbers.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import struct
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -22,7 +19,7 @@ from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
 from .. import codec
-from ..digests import DIGEST, digest_of, digested
+from ..digests import digest_of, digested, program_digest
 from ..kept import Kind
 from .alignment import Candidate, match_all, self_matches
 from .conflicts import Conflicts
@@ -91,21 +88,10 @@ def era_of(settings: RobustSettings) -> bytes:
     """Digest that changes whenever results may: of the program, the libraries and the settings of
     matching."""
     told = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
-    parts = [_program(), np.__version__, scipy.__version__, told]
+    program = program_digest("topology", "merge").hex()
+    parts = [program, np.__version__, scipy.__version__, told]
     text = json.dumps(parts, sort_keys=True)
     return digested(text.encode())
-
-
-@cache
-def _program() -> str:
-    """Digest of all code that matching can reach, because a version number might be forgotten."""
-    root = Path(__file__).parents[2]
-    out = hashlib.blake2b(digest_size=DIGEST)
-    for folder in ("topology", "merge"):
-        for path in sorted((root / folder).rglob("*.py")):
-            out.update(path.relative_to(root).as_posix().encode())
-            out.update(path.read_bytes())
-    return out.hexdigest()
 
 
 HEAD = struct.Struct("<Idd")

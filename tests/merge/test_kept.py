@@ -88,7 +88,7 @@ def test_a_run_by_another_name_is_not_matched_again(fleet, tmp_path):
     assert out == text(maps)
 
 
-@pytest.mark.parametrize("harm", ["flip", "cut", "empty", "junk", "gone", "row", "type"])
+@pytest.mark.parametrize("harm", ["flip", "cut", "empty", "junk", "gone", "row", "type", "null"])
 def test_damage_costs_time_only(fleet, tmp_path, harm):
     right, _ = merged_with(tmp_path, fleet)
     path = tmp_path / "kept.sqlite"
@@ -100,9 +100,9 @@ def test_damage_costs_time_only(fleet, tmp_path, harm):
     path.write_bytes(content.get(harm, bytes(data) if harm == "flip" else whole))
     if harm == "gone":
         path.unlink()
-    elif harm in ("row", "type"):
+    elif harm in ("row", "type", "null"):
         with sqlite3.connect(path) as database:
-            data = "zeroblob(99)" if harm == "row" else "3.5"
+            data = {"row": "zeroblob(99)", "type": "3.5", "null": "NULL"}[harm]
             database.execute(f"UPDATE result SET data = {data} WHERE rowid % 2")
     out, fresh = merged_with(tmp_path, fleet)
     assert out == right
@@ -122,7 +122,7 @@ def test_settings_and_program_make_another_era(monkeypatch):
     plain = era_of(DEFAULT_ROBUST)
     assert era_of(RobustSettings(hypotheses=4)) != plain
     assert era_of(RobustSettings(false_merge_rate=0.01)) == plain
-    monkeypatch.setattr(tasks, "_program", lambda: "other")
+    monkeypatch.setattr(tasks, "program_digest", lambda *_: b"other")
     assert era_of(DEFAULT_ROBUST) != plain
 
 
