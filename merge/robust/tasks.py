@@ -46,7 +46,7 @@ class Maps(Protocol):
 class TaskSettings:
     """How pairs are divided among workers, without influence on the results."""
 
-    tile: int = 32
+    tile: int = 16
     """Maps per side of the tiles in which pairs are taken; a task is at most one tile: a map that
     is read serves a row of it, and the overhead of a task is small beside a second of work. Even
     few pairs are divided into as many tasks, for the sake of several workers."""
