@@ -33,8 +33,8 @@ import numpy as np
 from observed import observed_map
 
 from topobatch.cli.merge import GARBAGE
-from topobatch.merge.cache import ResultCache
 from topobatch.merge.document import write_merged
+from topobatch.merge.kept import Kept
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
@@ -139,22 +139,22 @@ def one_size(count, first):
     row["all"] = clock.lap() / len(pairs) * pairs_of(count)
     del ready
     with tempfile.TemporaryDirectory() as folder:
-        cache, path = Path(folder) / "pairs", Path(folder) / "merged.json"
-        store = ResultCache(cache, era_of(DEFAULT_ROBUST))
+        cache, path = Path(folder) / "kept.sqlite", Path(folder) / "merged.json"
+        kept = Kept(cache, era_of(DEFAULT_ROBUST))
         clock.lap()
-        result = merge_maps(maps, means=Means(store=store))
-        store.flush()
+        result = merge_maps(maps, means=Means(kept=kept))
+        kept.flush()
         write_merged(path, result)
         row["merge"] = clock.lap()
         row["peak MB"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
         row["rest"] = row["merge"] - row["prepare"] - row["index"] - row["match"]
         row["MB"] = path.stat().st_size / 1e6
-        row["cache MB"] = sum(p.stat().st_size for p in cache.iterdir()) / 1e6
+        row["cache MB"] = cache.stat().st_size / 1e6
         for name, new in (("nothing", []), ("one more", [late]), ("office", [office])):
             clock.lap()
-            store = ResultCache(cache, era_of(DEFAULT_ROBUST))
-            more = merge_maps([*maps, *new], means=Means(store=store))
-            store.flush()
+            kept = Kept(cache, era_of(DEFAULT_ROBUST))
+            more = merge_maps([*maps, *new], means=Means(kept=kept))
+            kept.flush()
             write_merged(path, more)
             row[name] = clock.lap()
     row["false"], row["found"], row["overlap"] = judged(
@@ -205,9 +205,8 @@ def beyond(count, first):
     """How many of the pairs beyond chance the index gives none."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     need = needed_bits(pairs_of(count), DEFAULT_ROBUST)
-    seen = {
-        (i, j) for i, j in screening.chances(ready, screening.SCREENING.share * need).pairs.tolist()
-    }
+    likely = screening.likely_pairs(ready, screening.SCREENING.share * need)
+    seen = {(i, j) for i, j in likely.tolist()}
     found = [
         (i, j)
         for i, a in enumerate(ready)

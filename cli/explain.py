@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import json
 import shlex
+from functools import cache
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
-from . import paper_options
+from .grouped import grouped
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
 from .output import say, say_lines, warn
+from .paper_options import PaperOptions
 from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
@@ -22,7 +24,7 @@ if TYPE_CHECKING:
     from ..merge.decision import Decision
     from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
-    from ..merge.robust.explained import Batch
+    from ..merge.robust.explained import Merge
     from ..merge.robust.settings import RobustSettings
     from ..topology.topomap import TopoMap
 
@@ -31,6 +33,7 @@ TO_MERGE = "topobatch merge --all"
 """What gives runs a verdict."""
 
 
+@grouped
 def explain(
     a: Annotated[
         str,
@@ -48,12 +51,7 @@ def explain(
         ),
     ] = "robust",
     merge: MergeOption = MERGED,
-    degree: paper_options.DegreeOption = None,
-    confidence: paper_options.ConfidenceOption = None,
-    confidence_of: paper_options.ConfidenceOfOption = None,
-    weights: paper_options.WeightsOption = None,
-    iterative: paper_options.IterativeOption = None,
-    met: paper_options.MetOption = None,
+    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
     as_json: JsonOption = False,
     rows: Annotated[
         int | None,
@@ -91,13 +89,10 @@ def explain(
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
     first, second = place.chosen_runs([a, b], False)
-    options = paper_options.PaperOptions(
-        degree, confidence, confidence_of, weights, iterative, tuple(met or ())
-    )
     if method == "paper":
-        _by_paper(place, (first, second), options, as_json, rows)
+        _by_paper(place, (first, second), paper, as_json, rows)
     else:
-        options.refuse()
+        paper.refuse()
         _by_evidence(place, (first, second), as_json, rows)
 
 
@@ -148,70 +143,82 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     from dataclasses import replace
 
     from ..merge.document import poses_from_document, verdict_from_entry
-    from ..merge.robust.explained import Batch, explain
+    from ..merge.robust.explained import Merge, explain
     from .unchanged import changed_since, told_changed
 
-    maps = {run: place.read_map(run) for run in pair}
     document = _last_merge(place)
     why_not = _not_merged(document, pair, place.merged_json.name)
-    runs = place.runs()
-    if document is not None and _holds(document, pair):
-        runs = sorted(document.graph.home)
-    settings = _settings(place, document)
-    gone = _read_others(place, runs, maps)
-    ordered = [maps[run] for run in sorted(maps)]
+    settings, read = _settings(place, document), cache(place.read_map)
     if document is None or why_not:
         own = ""
         if document is not None:
             what = "at the rate" if document.graph.method == "paper" else "with the settings"
             own = f", {what} of {place.merged_json.name}"
-        batch, notes = _before_a_merge(place, ordered, settings, pair, own)
+        held = document is not None and _holds(document, pair)
+        runs = sorted(document.graph.home) if document is not None and held else place.runs()
+        merge, notes = _before_a_merge(place, runs, read, settings, pair, own)
         notes[0] = f"{why_not}; {notes[0]}"
     else:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
-        batch = Batch(ordered, said, settings, place.locks(), poses_from_document(document))
+        poses = poses_from_document(document)
+        merge = Merge(read, len(poses), said, settings, place.locks(), poses)
         new = changed_since(place, document.graph.maps or {}, pair)
         notes = [f"{told_changed(new)}; merge again"] if new else []
-    if gone:
-        noun = "map" if len(gone) == 1 else "maps"
-        notes.append(
-            f"the {noun} of {listed(gone, 3)} cannot be read: how much the buildings repeat "
-            "themselves is told without"
-        )
-    decision = explain(batch, *pair)
+    decision = explain(merge, *pair)
     told = replace(decision, notes=(*notes, *decision.notes))
-    return maps[pair[0]], maps[pair[1]], replace(told, of_merge=told.of_merge and not why_not)
+    a, b = map(read, pair)
+    return a, b, replace(told, of_merge=told.of_merge and not why_not)
 
 
 def _before_a_merge(
     place: Workspace,
-    maps: Sequence[TopoMap],
+    runs: Sequence[str],
+    read: Callable[[str], TopoMap],
     settings: RobustSettings,
     pair: tuple[str, str],
     own: str,
-) -> tuple[Batch, list[str]]:
+) -> tuple[Merge, list[str]]:
     """Maps that were not merged, as a merge, and notes on what is told of a pair. own: whose the
     settings are."""
     from ..merge.merging import MOST_LISTED, MergeSettings, merge_maps
     from ..merge.result import pairs_of
-    from ..merge.robust.explained import Batch
+    from ..merge.robust.explained import Merge
 
-    locks, gone, count = place.locks(), place.discards(), counted(len(maps), "map")
-    if pairs_of(len(maps)) <= MOST_LISTED:
+    locks, gone = place.locks(), place.discards()
+    if pairs_of(len(runs)) <= MOST_LISTED:
+        maps, lost = _readable(runs, read, pair)
         result = merge_maps(maps, MergeSettings(robust=settings), locks=locks, discarded=gone)
         said = {(v.a, v.b): v for v in result.verdicts}
         poses = {run: pose for c in result.components for run, pose in c.poses.items()}
-        note = f"this is what a merge of {count} would say{own}"
-        return Batch(maps, said, settings, locks, poses), [note]
+        notes = [f"this is what a merge of {counted(len(maps), 'map')} would say{own}"]
+        if lost:
+            what = f"the map{'' if len(lost) == 1 else 's'} of {listed(lost, 3)}"
+            notes.append(f"{what} cannot be read: the merge is told without")
+        return Merge(read, len(maps), said, settings, locks, poses), notes
     notes = [
-        f"this is what the two maps say by themselves, asked as one pair of {count}{own}; a merge "
-        "also counts what the others say"
+        f"this is what the two maps say by themselves, asked as one pair of "
+        f"{counted(len(runs), 'map')}{own}; a merge also counts what the others say"
     ]
     told = {"same": "locked as the same", "never": "locked apart"}
     notes += [f"{told[k.decision]}, which is not counted here" for k in locks if (k.a, k.b) == pair]
     if pair in gone:
         notes.append("the match was discarded, which is not counted here")
-    return Batch(maps, {}, settings, locks), notes
+    return Merge(read, len(runs), {}, settings, locks), notes
+
+
+def _readable(
+    runs: Sequence[str], read: Callable[[str], TopoMap], pair: tuple[str, str]
+) -> tuple[list[TopoMap], list[str]]:
+    """The maps of these runs, and the names of those that cannot be read; a pair has to be."""
+    maps, lost = [], []
+    for run in runs:
+        try:
+            maps.append(read(run))
+        except (DocumentError, FileNotFoundError):
+            if run in pair:
+                raise
+            lost.append(run)
+    return maps, lost
 
 
 def _settings(place: Workspace, document: MergedDocument | None) -> RobustSettings:
@@ -248,19 +255,6 @@ def _holds(document: MergedDocument, pair: tuple[str, str]) -> bool:
     return document.graph.home.keys() >= set(pair)
 
 
-def _read_others(place: Workspace, runs: list[str], maps: dict[str, TopoMap]) -> list[str]:
-    """Read the maps of these runs into `maps`; returns the names of unreadable ones."""
-    gone = []
-    for run in runs:
-        if run in maps:
-            continue
-        try:
-            maps[run] = place.read_map(run)
-        except (DocumentError, FileNotFoundError):
-            gone.append(run)
-    return gone
-
-
 def _record(recording: Path, draw: Callable[[], None], quiet: bool, how: str = "") -> None:
     """Write a recording; a failure to write is only a warning. how: to look at it."""
     try:
@@ -275,7 +269,7 @@ def _record(recording: Path, draw: Callable[[], None], quiet: bool, how: str = "
 def _by_paper(
     place: Workspace,
     pair: tuple[str, str],
-    options: paper_options.PaperOptions,
+    options: PaperOptions,
     as_json: bool,
     rows: int | None,
 ) -> None:

@@ -11,20 +11,10 @@ import typer
 
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
-from .ingest import (
-    AllowScan,
-    BaseFrame,
-    JunctionFields,
-    JunctionTopic,
-    OdometryTopic,
-    Separate,
-    TimeSource,
-    read_settings,
-)
-from .log_paths import logs_of
+from .grouped import grouped
 from .options import JsonOption
 from .output import Screen, complain, say, say_lines, table, warn
-from .scan_options import CloudBand, JunctionsFrom, LaserPose, ScanStamp, ScanTopic
+from .read_options import ReadOptions
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -35,6 +25,7 @@ WHOLE_BYTES = 64_000_000
 some minutes at most, with a progress bar."""
 
 
+@grouped
 def info(
     logs: Annotated[
         list[str],
@@ -44,18 +35,7 @@ def info(
             "elsewhere (s3://, gs://, az://, https://).",
         ),
     ],
-    odometry_topic: OdometryTopic = None,
-    junction_topic: JunctionTopic = None,
-    junction_fields: JunctionFields = None,
-    junctions_from: JunctionsFrom = None,
-    scan_topic: ScanTopic = None,
-    laser_pose: LaserPose = None,
-    scan_stamp: ScanStamp = "begin",
-    cloud_band: CloudBand = None,
-    base_frame: BaseFrame = None,
-    time: TimeSource = "header",
-    separate: Separate = False,
-    allow_scan: AllowScan = False,
+    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
     as_json: JsonOption = False,
 ) -> None:
     """Show what logs hold and what ingest would use.
@@ -71,23 +51,10 @@ def info(
       topobatch info logs/ --json
     """
     from ..ingest.reading import inspect_log
-    from ..ingest.remote.path import log_path
     from .run_names import run_names
 
-    settings = read_settings(
-        odometry_topic=odometry_topic,
-        junction_topic=junction_topic,
-        junction_fields=junction_fields,
-        junctions_from=junctions_from,
-        scan_topic=scan_topic,
-        laser_pose=laser_pose,
-        scan_stamp=scan_stamp,
-        cloud_band=cloud_band,
-        base_frame=base_frame,
-        time=time,
-    )
-    given = [log_path(log, allow_scan=allow_scan) for log in logs]
-    known, missing = logs_of(given, warn, separate=separate)
+    settings = read.settings()
+    known, missing = read.logs(logs, warn)
     for _, error in missing:
         complain(str(error))
     failed, told = bool(missing), []

@@ -7,29 +7,20 @@ from collections.abc import Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
+from .grouped import grouped
 from .journal import note
-from .log_paths import logs_of
 from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
 from .output import Screen
-from .scan_options import (
-    CloudBand,
-    JunctionsFrom,
-    LaserPose,
-    RobotRadius,
-    ScanStamp,
-    ScanTopic,
-    numbers,
-)
+from .read_options import ReadOptions
 from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
-    from ..ingest.reading import ReadSettings
     from ..ingest.remote.path import LogPath
     from ..topology.errors import LogError
     from .ingest_worker import IngestJob, IngestOutcome
@@ -38,64 +29,8 @@ if TYPE_CHECKING:
 WORTH_A_PROCESS_BYTES = 32_000_000
 WORTH_A_PROCESS_LOGS = 8
 
-OdometryTopic = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TOPIC",
-        help="Odometry topic; default: the only one of the best known type, else /odom.",
-    ),
-]
-JunctionTopic = Annotated[
-    str | None,
-    typer.Option(
-        metavar="TOPIC",
-        help="Junction detections; default: /junctions, else the only PoseArray topic.",
-    ),
-]
-JunctionFields = Annotated[
-    str | None,
-    typer.Option(
-        metavar="MAPPING",
-        # An example that no line breaks: it is there to be copied.
-        help="How to read junctions from messages of another type, for instance "
-        '"center=middle,branches=ways[].angle"; see docs/detections.md.',
-    ),
-]
-BaseFrame = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FRAME",
-        help="The robot's frame, if a topic such as /tf holds the odometry of several robots.",
-    ),
-]
-TimeSource = Annotated[
-    Literal["header", "log"],
-    typer.Option(help="Take times from message headers or from when the log received them."),
-]
-Strict = Annotated[
-    bool,
-    typer.Option(
-        "--strict",
-        help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
-    ),
-]
 
-Separate = Annotated[
-    bool,
-    typer.Option(
-        "--separate",
-        help="Take parts of a split recording (run_0.bag, run_1.bag) as runs of their own.",
-    ),
-]
-
-AllowScan = Annotated[
-    bool,
-    typer.Option(
-        "--allow-scan", help="Read remote logs without an index whole, instead of refusing them."
-    ),
-]
-
-
+@grouped
 def ingest(
     logs: Annotated[
         list[str],
@@ -106,17 +41,15 @@ def ingest(
         ),
     ],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    odometry_topic: OdometryTopic = None,
-    junction_topic: JunctionTopic = None,
-    junction_fields: JunctionFields = None,
-    junctions_from: JunctionsFrom = None,
-    scan_topic: ScanTopic = None,
-    laser_pose: LaserPose = None,
-    scan_stamp: ScanStamp = "begin",
-    cloud_band: CloudBand = None,
-    base_frame: BaseFrame = None,
-    robot_radius: RobotRadius = 0.25,
-    time: TimeSource = "header",
+    read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
+    robot_radius: Annotated[
+        float,
+        typer.Option(
+            metavar="METRES",
+            help="Radius of the robot that has to fit through the corridors of a saved map or a "
+            "grid.",
+        ),
+    ] = 0.25,
     closure: Annotated[
         Literal["none", "gated", "full"],
         typer.Option(
@@ -139,9 +72,13 @@ def ingest(
     force: Annotated[
         bool, typer.Option("--force", help="Redo finished runs; replace maps made from other logs.")
     ] = False,
-    strict: Strict = False,
-    separate: Separate = False,
-    allow_scan: AllowScan = False,
+    strict: Annotated[
+        bool,
+        typer.Option(
+            "--strict",
+            help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
+        ),
+    ] = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -165,27 +102,13 @@ def ingest(
       topobatch ingest logs/ --odometry-topic /odom --workspace ws
     """
     from ..ingest.mapping_settings import MappingSettings
-    from ..ingest.remote.path import log_path
     from .ingest_worker import IngestJob
 
-    read = read_settings(
-        odometry_topic=odometry_topic,
-        junction_topic=junction_topic,
-        junction_fields=junction_fields,
-        junctions_from=junctions_from,
-        scan_topic=scan_topic,
-        laser_pose=laser_pose,
-        scan_stamp=scan_stamp,
-        cloud_band=cloud_band,
-        base_frame=base_frame,
-        time=time,
-        strict=strict,
-    )
+    settings = read.settings(strict=strict)
     place, screen = Workspace(workspace), Screen(quiet, verbose)
-    given = [log_path(log, allow_scan=allow_scan) for log in logs]
-    found, missing = logs_of(given, screen.warn, separate=separate)
+    found, missing = read.logs(logs, screen.warn)
     mapping = MappingSettings(closure=closure, robot_radius_m=robot_radius)
-    planned = _plan(found, missing, name, IngestJob(Path(), "", place, read, mapping, force))
+    planned = _plan(found, missing, name, IngestJob(Path(), "", place, settings, mapping, force))
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []
         before = _records(planned)
@@ -204,18 +127,6 @@ def ingest(
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
         raise typer.Exit(2 if all(outcome.needs_option for outcome in failed) else 1)
-
-
-def read_settings(laser_pose: str | None, cloud_band: str | None, **others: Any) -> ReadSettings:
-    """The settings of the options about reading; UsageError for numbers that are none."""
-    from ..ingest.reading import ReadSettings
-    from ..ingest.scans.slicing import SliceSettings
-
-    return ReadSettings(
-        laser_pose=numbers(laser_pose, "--laser-pose", "x,y,yaw"),  # type: ignore[arg-type]
-        slices=SliceSettings(numbers(cloud_band, "--cloud-band", "low,high")),  # type: ignore[arg-type]
-        **others,
-    )
 
 
 def _plan(

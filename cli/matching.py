@@ -13,26 +13,23 @@ from .output import Screen
 from .workspace import Workspace
 
 if TYPE_CHECKING:
-    from ..merge.cache import ResultCache
+    from ..merge.kept import Kept
     from ..merge.robust import Means
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
 
 
 def read_maps(
-    place: Workspace, names: list[str], screen: Screen, store: ResultCache
+    place: Workspace, names: list[str], screen: Screen
 ) -> tuple[list[TopoMap], list[str]]:
-    """The readable maps, and the names of the others. Maps are kept in the store."""
-    from ..merge.kept_maps import KeptMaps
-
-    maps, broken, known = [], [], KeptMaps(store)
+    """The readable maps, and the names of the others."""
+    maps, broken = [], []
     for name in names:
         try:
-            maps.append(place.read_map(name, known.read))
+            maps.append(place.read_map(name))
         except DocumentError as error:
             screen.complain(f"{error}; left out")
             broken.append(name)
-    known.keep()
     if not maps:
         raise DataError(f"{place.maps}: none of the {counted(len(names), 'map')} can be read")
     return maps, broken
@@ -42,23 +39,23 @@ def read_maps(
 def matching(
     place: Workspace,
     pairs: int,
-    store: ResultCache,
+    kept: Kept,
     workers: Callable[[int], Workers | None],
     screen: Screen,
 ) -> Iterator[Means]:
-    """The means to match `pairs` pairs, with progress on the screen; results are kept in the store,
-    also if the command is interrupted."""
+    """The means to match `pairs` pairs, with progress on the screen; results are kept, also if
+    the command is interrupted."""
     from ..merge.robust import Means
 
     with screen.progress("matching", pairs, "pairs") as advance:
         means = Means(
             workers=workers(pairs),
             maps=replace(place, root=place.root.resolve()),
-            store=store,
+            kept=kept,
             on_pair=lambda done, _: advance(done),
             tell=screen.detail,
         )
         try:
             yield means
         finally:
-            store.flush()
+            kept.flush()

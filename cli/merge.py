@@ -6,7 +6,7 @@ import gc
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -14,7 +14,7 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
-from . import paper_options
+from .grouped import grouped
 from .journal import note
 from .matching import matching, read_maps
 from .options import (
@@ -25,6 +25,7 @@ from .options import (
     complete_run,
 )
 from .output import Screen
+from .paper_options import PaperOptions
 from .site_names import sites_before, with_sites
 from .workers import start_worker
 from .workspace import MERGED, Workspace
@@ -32,13 +33,12 @@ from .workspace import MERGED, Workspace
 if TYPE_CHECKING:
     from concurrent.futures import Executor
 
-    from ..merge.cache import ResultCache
     from ..merge.merged_schema import MergedGraph
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
-    from .unchanged import Line
+    from .unchanged import Line, Said
 
 MOST_LINES, MOST_JOINED = 20, 5
 """Limits of printed lines: for all pairs, and for those only joined through others."""
@@ -54,6 +54,87 @@ WORTH_PROCESSES = 4000
 """Pairs to match from which on processes are started, each of which reads the maps."""
 
 
+@dataclass(frozen=True, slots=True)
+class MethodOptions:
+    """How runs are merged."""
+
+    method: Annotated[
+        Literal["robust", "paper"],
+        typer.Option(
+            help="robust: tolerant matching, evidence in bits, three verdicts; "
+            "paper: Huang & Beevers, section by section, for comparison."
+        ),
+    ] = "robust"
+    false_merge_rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="SHARE",
+            min=1e-9,
+            max=0.5,
+            help="Share of batches that may hold any false merge; default 0.001.",
+        ),
+    ] = None
+
+    def settings(self, paper: PaperOptions) -> MergeSettings:
+        """The settings; UsageError if they are invalid."""
+        from ..merge.merging import MergeSettings
+
+        settings = MergeSettings(method=self.method)
+        of_paper, robust = paper.over(settings.paper), settings.robust
+        if self.false_merge_rate is not None:
+            of_paper = replace(of_paper, false_merge_rate=self.false_merge_rate)
+            robust = replace(robust, false_merge_rate=self.false_merge_rate)
+        return replace(settings, paper=of_paper, robust=robust)
+
+
+@dataclass(frozen=True, slots=True)
+class MatchOptions:
+    """Where pairs are matched."""
+
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=0, help="Processes to match with; 0: one per core."
+        ),
+    ] = 0
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
+            "the same path; needs topobatch[cluster].",
+        ),
+    ] = None
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="With --all: only match the I-th of N shares of the pairs, for the cache; a last "
+            "merge --all collects what all shares found.",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """UsageError if there can be no such cluster."""
+        from .cluster import require_cluster
+
+        if self.cluster is not None:
+            require_cluster(self.cluster)
+
+    def workers(self, pairs: int) -> Workers | None:
+        """What so many pairs are matched by: None for this process, else processes or a cluster."""
+        from ..merge.workers import Workers
+        from .cluster import cluster
+
+        if self.cluster is not None:
+            return Workers(partial(cluster, self.cluster))
+        count = min(self.jobs or os.cpu_count() or 1, pairs)
+        # An explicit number of processes is used as it is.
+        worth = 0 if self.jobs else WORTH_PROCESSES
+        return Workers(partial(_executor, count), worth) if count > 1 else None
+
+
+@grouped
 def merge(
     runs: Annotated[
         list[str] | None,
@@ -63,22 +144,7 @@ def merge(
         bool, typer.Option("--all", help="Merge every run of the workspace.")
     ] = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    method: Annotated[
-        Literal["robust", "paper"],
-        typer.Option(
-            help="robust: tolerant matching, evidence in bits, three verdicts; "
-            "paper: Huang & Beevers, section by section, for comparison."
-        ),
-    ] = "robust",
-    false_merge_rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SHARE",
-            min=1e-9,
-            max=0.5,
-            help="Share of batches that may hold any false merge; default 0.001.",
-        ),
-    ] = None,
+    how: MethodOptions = MethodOptions(),
     output: Annotated[
         str | None,
         typer.Option(
@@ -90,34 +156,8 @@ def merge(
         bool,
         typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
     ] = False,
-    degree: paper_options.DegreeOption = None,
-    confidence: paper_options.ConfidenceOption = None,
-    confidence_of: paper_options.ConfidenceOfOption = None,
-    weights: paper_options.WeightsOption = None,
-    iterative: paper_options.IterativeOption = None,
-    met: paper_options.MetOption = None,
-    jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=0, help="Processes to match with; 0: one per core."
-        ),
-    ] = 0,
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
-            "the same path; needs topobatch[cluster].",
-        ),
-    ] = None,
-    shard: Annotated[
-        str | None,
-        typer.Option(
-            metavar="I/N",
-            help="With --all: only match the I-th of N shares of the pairs, for the cache; a last "
-            "merge --all collects what all shares found.",
-        ),
-    ] = None,
+    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
+    where: MatchOptions = MatchOptions(),
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -135,24 +175,15 @@ def merge(
       topobatch merge --all
       topobatch merge run1 run2 --output two
     """
-    from .unchanged import Said, contents, made_from, recalled, remember
-
     place, screen = Workspace(workspace), Screen(quiet, verbose)
     if output is not None:
         place = Workspace(workspace, output)
         place.check_merge()
-    options = paper_options.PaperOptions(
-        degree, confidence, confidence_of, weights, iterative, tuple(met or ())
-    )
-    if method == "robust":
-        options.refuse()
-    if cluster is not None:
-        from .cluster import require_cluster
-
-        require_cluster(cluster)
-    workers = partial(_workers, jobs, cluster)
-    if shard is not None:
-        if not everything or runs or method != "robust":
+    if how.method == "robust":
+        paper.refuse()
+    where.check()
+    if where.shard is not None:
+        if not everything or runs or how.method != "robust":
             raise UsageError("--shard goes with --all and the robust method")
         if output is not None:
             raise UsageError(
@@ -161,37 +192,52 @@ def merge(
             )
         from .shard import match_share, share_of
 
-        settings = _settings(method, false_merge_rate, options)
-        match_share(place, settings, share_of(shard), workers, screen)
+        match_share(place, how.settings(paper), share_of(where.shard), where.workers, screen)
         return
     with place.held(screen.warn, make=False), _seldom_collected():
         chosen = place.chosen_runs(runs or [], everything)
-        documents = contents(place, chosen)
-        asked = made_from(place, documents, (method, false_merge_rate, options))
-        broken: list[str] = []
-        said = recalled(place, asked)
-        if said is None:
-            settings = _settings(method, false_merge_rate, options)
-            before = {} if replace_last else _merged_before(place, chosen, everything, screen)
-            store = _store(place, settings, screen)
-            maps, broken = read_maps(place, chosen, screen, store)
-            if lost := before.keys() & set(broken):
-                raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
-            result = _merged(place, maps, settings, workers, everything, screen, store)
-            result, moved = with_sites(place, result, maps, before or sites_before(place))
-            _write(place, result, maps, documents)
-            told = "; ".join(
-                [f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}", *moved]
-            )
-            said = Said((*_summary(result, place), *(("folded", each) for each in moved)), told)
-            if not broken:
-                remember(place, asked, said, screen)
-        else:
-            screen.detail("nothing is new: the merge of these maps lies there")
+        before = partial(_merged_before, place, chosen, everything, screen)
+        said, broken = _merged_or_recalled(
+            place, chosen, everything, (how, paper), dict if replace_last else before, where, screen
+        )
         note(place, "merge", said.note, screen.warn)
     said.show(screen)
     if broken:
         raise typer.Exit(1)
+
+
+def _merged_or_recalled(
+    place: Workspace,
+    chosen: list[str],
+    everything: bool,
+    asked: tuple[MethodOptions, PaperOptions],
+    merged_before: Callable[[], dict[str, str]],
+    where: MatchOptions,
+    screen: Screen,
+) -> tuple[Said, list[str]]:
+    """What a merge says that is made, or lies there; and the runs whose maps cannot be read.
+    merged_before: gives the runs that it may not leave out, with their sites."""
+    from .unchanged import Said, contents, made_from, recalled, remember
+
+    documents = contents(place, chosen)
+    key = made_from(place, documents, asked)
+    said = recalled(place, key)
+    if said is not None:
+        screen.detail("nothing is new: the merge of these maps lies there")
+        return said, []
+    how, paper = asked
+    settings, before = how.settings(paper), merged_before()
+    maps, broken = read_maps(place, chosen, screen)
+    if lost := before.keys() & set(broken):
+        raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
+    result = _merged(place, maps, settings, where.workers, everything, screen)
+    result, moved = with_sites(place, result, maps, before or sites_before(place))
+    _write(place, result, maps, documents)
+    told = "; ".join([f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}", *moved])
+    said = Said((*_summary(result, place), *(("folded", each) for each in moved)), told)
+    if not broken:
+        remember(place, key, said, screen)
+    return said, broken
 
 
 @contextmanager
@@ -240,10 +286,10 @@ def _repeat(
         screen.line(f"{place.merged_json}: removed; none of its runs is left")
         return
     settings = _about(settings, new, runs)
-    documents, store = contents(place, runs), _store(place, settings, screen)
-    maps, _ = read_maps(place, runs, screen, store)
+    documents = contents(place, runs)
+    maps, _ = read_maps(place, runs, screen)
     everything = runs == place.runs()
-    result = _merged(place, maps, settings, partial(_workers, 0, None), everything, screen, store)
+    result = _merged(place, maps, settings, MatchOptions().workers, everything, screen)
     # A run alone is a site of its own name, old or new.
     before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
     result, moved = with_sites(place, result, maps, before)
@@ -320,30 +366,6 @@ def _was_piece(place: Workspace, run: str, chosen: Collection[str]) -> bool:
     return isinstance(gives, list) and run not in gives
 
 
-def _settings(
-    method: Literal["robust", "paper"],
-    false_merge_rate: float | None,
-    options: paper_options.PaperOptions,
-) -> MergeSettings:
-    """The settings of the options; UsageError if they are invalid."""
-    from ..merge.merging import MergeSettings
-
-    settings = MergeSettings(method=method)
-    paper, robust = options.over(settings.paper), settings.robust
-    if false_merge_rate is not None:
-        paper = replace(paper, false_merge_rate=false_merge_rate)
-        robust = replace(robust, false_merge_rate=false_merge_rate)
-    return replace(settings, paper=paper, robust=robust)
-
-
-def _store(place: Workspace, settings: MergeSettings, screen: Screen) -> ResultCache:
-    """The cache of earlier merges."""
-    from ..merge.cache import ResultCache
-    from ..merge.robust import era_of
-
-    return ResultCache(place.pairs, era_of(settings.robust), screen.warn)
-
-
 def _merged(
     place: Workspace,
     maps: list[TopoMap],
@@ -351,31 +373,20 @@ def _merged(
     workers: Callable[[int], Workers | None],
     everything: bool,
     screen: Screen,
-    store: ResultCache,
 ) -> MergeResult:
+    from ..merge.kept import Kept
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
+    from ..merge.robust import era_of
 
-    with matching(place, pairs_of(len(maps)), store, workers, screen) as means:
+    kept = Kept(place.kept, era_of(settings.robust), screen.warn)
+    with matching(place, pairs_of(len(maps)), kept, workers, screen) as means:
         result = merge_maps(
             maps, settings, locks=place.locks(), discarded=place.discards(), means=means
         )
     if everything and settings.method == "robust":
-        store.settle()
+        kept.settle()
     return result
-
-
-def _workers(jobs: int, cluster: str | None, pairs: int) -> Workers | None:
-    """Where to match: None for this process, else processes or a cluster."""
-    from ..merge.workers import Workers
-    from .cluster import cluster as dask_cluster
-
-    if cluster is not None:
-        return Workers(partial(dask_cluster, cluster))
-    count = min(jobs or os.cpu_count() or 1, pairs)
-    # An explicit number of processes is used as it is.
-    worth = 0 if jobs else WORTH_PROCESSES
-    return Workers(partial(_executor, count), worth) if count > 1 else None
 
 
 @contextmanager

@@ -18,70 +18,66 @@ Degree = Literal["exact", "inexact"]
 ConfidenceOf = Literal["match", "corridor"]
 Weights = Literal["equal", "reweighted"]
 
-DegreeOption = Annotated[
-    Degree | None,
-    typer.Option(
-        help="Paper's method: must matched junctions have equally many branches (exact: a static "
-        "world, the default), or may doors open and close, so that one may be missing (inexact)? "
-        "(§2.1)",
-    ),
-]
-ConfidenceOption = Annotated[
-    float | None,
-    typer.Option(
-        metavar="P",
-        help="Paper's method: probability that a correct match passes the comparison of its "
-        "corridors' lengths; default 0.999. Closer to 1: fewer correct matches are rejected, but "
-        "more agree by chance, so that each is weaker evidence.",
-    ),
-]
-ConfidenceOfOption = Annotated[
-    ConfidenceOf | None,
-    typer.Option(
-        help="Paper's method: what --confidence applies to. match, the default: all corridors of "
-        "a match together; corridor: each by itself, so that a correct match of k corridors passes "
-        "with P ** k. As published: --confidence 0.95 --confidence-of corridor. (§5)",
-    ),
-]
-WeightsOption = Annotated[
-    Weights | None,
-    typer.Option(
-        help="Paper's method: weights of matched junctions when one map is fitted to the other. "
-        "equal, the default: all count alike, so that one far off shows a bad match; reweighted: "
-        "junctions far off count less, for maps that are bent in places. (§3.1)",
-    ),
-]
-IterativeOption = Annotated[
-    bool | None,
-    typer.Option(
-        "--iterative/--once",
-        help="Paper's method: how matches are clustered. --once: by their own transforms, as "
-        "published. --iterative: also matches of other transforms join, as those of few junctions "
-        "may have, if the cluster's transform lays their junctions on each other; repeated until "
-        "nothing changes. (§5)",
-    ),
-]
-MetOption = Annotated[
-    list[str] | None,
-    typer.Option(
-        metavar="RUN@TIME,RUN@TIME",
-        help="Paper's method: two robots were near each other, each at a time of its own log: "
-        "matches are grown from junctions near both only. In nanoseconds, or in seconds with a "
-        "decimal point. May be given several times. (§4.2)",
-    ),
-]
-
 
 @dataclass(frozen=True, slots=True)
 class PaperOptions:
-    """The options given; None or empty for others."""
+    """The options given; None for others."""
 
-    degree: Degree | None = None
-    confidence: float | None = None
-    confidence_of: ConfidenceOf | None = None
-    weights: Weights | None = None
-    iterative: bool | None = None
-    met: tuple[str, ...] = ()
+    degree: Annotated[
+        Degree | None,
+        typer.Option(
+            help="Paper's method: must matched junctions have equally many branches (exact: a "
+            "static world, the default), or may doors open and close, so that one may be missing "
+            "(inexact)? (§2.1)",
+        ),
+    ] = None
+    confidence: Annotated[
+        float | None,
+        typer.Option(
+            metavar="P",
+            help="Paper's method: probability that a correct match passes the comparison of its "
+            "corridors' lengths; default 0.999. Closer to 1: fewer correct matches are rejected, "
+            "but more agree by chance, so that each is weaker evidence.",
+        ),
+    ] = None
+    confidence_of: Annotated[
+        ConfidenceOf | None,
+        typer.Option(
+            help="Paper's method: what --confidence applies to. match, the default: all corridors "
+            "of a match together; corridor: each by itself, so that a correct match of k corridors "
+            "passes with P ** k. As published: --confidence 0.95 --confidence-of corridor. (§5)",
+        ),
+    ] = None
+    weights: Annotated[
+        Weights | None,
+        typer.Option(
+            help="Paper's method: weights of matched junctions when one map is fitted to the "
+            "other. equal, the default: all count alike, so that one far off shows a bad match; "
+            "reweighted: junctions far off count less, for maps that are bent in places. (§3.1)",
+        ),
+    ] = None
+    iterative: Annotated[
+        bool | None,
+        typer.Option(
+            "--iterative/--once",
+            help="Paper's method: how matches are clustered. --once: by their own transforms, as "
+            "published. --iterative: also matches of other transforms join, as those of few "
+            "junctions may have, if the cluster's transform lays their junctions on each other; "
+            "repeated until nothing changes. (§5)",
+        ),
+    ] = None
+    met: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="RUN@TIME,RUN@TIME",
+            help="Paper's method: two robots were near each other, each at a time of its own log: "
+            "matches are grown from junctions near both only. In nanoseconds, or in seconds with a "
+            "decimal point. May be given several times. (§4.2)",
+        ),
+    ] = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "met", self.met or None)
 
     def refuse(self) -> None:
         """UsageError if any was given: other methods have none of them."""
@@ -109,7 +105,7 @@ class PaperOptions:
                 weights=_or(self.weights, clusters.weights),
                 iterative=_or(self.iterative, clusters.iterative),
             ),
-            meetings=tuple(map(parse_meeting, self.met)) or settings.meetings,
+            meetings=tuple(map(parse_meeting, self.met or ())) or settings.meetings,
         )
 
 

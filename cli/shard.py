@@ -37,18 +37,18 @@ def match_share(
 ) -> None:
     """Match a share of all pairs and keep the results in the cache. Other shares may run at the
     same time: the workspace is locked only to write."""
-    from ..merge.cache import ResultCache
+    from ..merge.kept import Kept
     from ..merge.result import pairs_of
     from ..merge.robust import era_of, match_shard
 
     held = partial(place.held, lambda _: None, make=False)
-    store = ResultCache(place.pairs, era_of(settings.robust), screen.warn, held)
-    maps, broken = read_maps(place, place.chosen_runs([], True), screen, store)
+    kept = Kept(place.kept, era_of(settings.robust), screen.warn, held)
+    maps, broken = read_maps(place, place.chosen_runs([], True), screen)
     pairs = pairs_of(len(maps)) // share[1]
-    with matching(place, pairs, store, workers, screen) as means:
+    with matching(place, pairs, kept, workers, screen) as means:
         done = match_shard(maps, settings.robust, share, means)
     screen.line(
-        f"share {share[0]} of {share[1]}: {counted(done, 'pair')} in {place.pairs}; "
+        f"share {share[0]} of {share[1]}: {counted(done, 'pair')} in {place.kept}; "
         f"when all shares are done: {place.call('merge', '--all')}"
     )
     if broken:

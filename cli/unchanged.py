@@ -76,11 +76,20 @@ def told_changed(runs: Sequence[str]) -> str:
 
 def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
     """A digest of everything that a merge depends on; documents: the runs' `contents`."""
+    from ..merge.digests import program_digest  # which loads large arrays
+
     decisions = (place.locks_json, place.discards_json, place.sites_json)
     spoken = [(os.path.lexists(path), _content(path)) for path in decisions]
     libraries = [sys.version, *map(version, LIBRARIES)]
     where = [str(place.root), place.call("view", place.merge)]  # which is said
-    every = [_program(), libraries, where, repr(options), dict(documents), spoken]
+    every = [
+        program_digest(*FOLDERS).hex(),
+        libraries,
+        where,
+        repr(options),
+        dict(documents),
+        spoken,
+    ]
     return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
 
 
@@ -123,14 +132,3 @@ def _content(path: Path) -> str | None:
             return hashlib.file_digest(file, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
     except (DocumentError, OSError):
         return None
-
-
-def _program() -> str:
-    """A digest of all code that a merge can use."""
-    root = Path(__file__).parents[1]
-    out = hashlib.blake2b(digest_size=16)
-    for folder in FOLDERS:
-        for path in sorted((root / folder).rglob("*.py")):
-            out.update(path.relative_to(root).as_posix().encode())
-            out.update(path.read_bytes())
-    return out.hexdigest()

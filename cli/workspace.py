@@ -59,14 +59,18 @@ class Workspace:
             cache,
             cache / "ingest",
             cache / "log",
-            self.pairs,
             self.merge_record.parent,
             self.export_record.parent,
             self.root / "explain",
             self.exports,
         ):
             self._require(folder, stat.S_IFDIR, "folder")
-        self._require(self.root / ".lock", stat.S_IFREG, "file")
+        for file in (
+            self.root / ".lock",
+            self.kept,
+            self.kept.with_name(f"{self.kept.name}-journal"),
+        ):
+            self._require(file, stat.S_IFREG, "file")
 
     def _require(self, path: Path, kind: int, name: str) -> None:
         """DataError if a path is of another kind than topobatch creates."""
@@ -200,9 +204,9 @@ class Workspace:
         return place
 
     @property
-    def pairs(self) -> Path:
-        """Folder of cached matching results; may be deleted at any time."""
-        return self.root / "cache" / "pairs"
+    def kept(self) -> Path:
+        """The database of results of merging; may be deleted at any time."""
+        return self.root / "cache" / "kept.sqlite"
 
     @property
     def merge_record(self) -> Path:
@@ -291,9 +295,9 @@ class Workspace:
         if not self.root.is_dir():
             raise self.no_maps()
 
-    def read_map(self, run: str, read: Callable[[Path], TopoMap] | None = None) -> TopoMap:
+    def read_map(self, run: str) -> TopoMap:
         """The map of a run; DocumentError with the way out if it cannot be read, or is another
-        run's. read: what reads it, where some maps are kept."""
+        run's."""
         from ..topology.document import read_map
         from ..topology.map_schema import with_way_out
 
@@ -302,7 +306,7 @@ class Workspace:
         except UsageError as error:  # a name that a file has, but that nothing of ours gave it
             raise DocumentError(f"{self.maps}: {error}") from error
         try:
-            topomap = (read or read_map)(path)
+            topomap = read_map(path)
             if topomap.run != run:
                 raise DocumentError(f"{path}: is the map of run {topomap.run!r}, not {run!r}")
         except DocumentError as error:
@@ -500,7 +504,7 @@ class Workspace:
         records = (
             self.ingest_record("x").parent, self.merge_record.parent, self.export_record.parent,
         )  # fmt: skip
-        for folder in (self.root, self.maps, *records, self.pairs):
+        for folder in (self.root, self.maps, *records):
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)

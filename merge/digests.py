@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 
@@ -21,6 +23,14 @@ any."""
 def digested(*parts: bytes) -> bytes:
     """A 16-byte digest of the concatenated parts."""
     return hashlib.blake2b(b"".join(parts), digest_size=DIGEST).digest()
+
+
+@cache
+def program_digest(*folders: str) -> bytes:
+    """A 16-byte digest of all code in some folders, because a version number might be forgotten."""
+    root = Path(__file__).parents[1]
+    paths = [path for folder in folders for path in sorted((root / folder).rglob("*.py"))]
+    return digested(*(p.relative_to(root).as_posix().encode() + p.read_bytes() for p in paths))
 
 
 def digest_of(topomap: TopoMap) -> bytes:
@@ -51,16 +61,3 @@ def _parts(value: object) -> Iterator[bytes]:
         yield from _parts(np.asarray(value.values))
     else:
         yield repr(value).encode()
-
-
-class Digests:
-    """Digests of maps, each computed once."""
-
-    def __init__(self) -> None:
-        self._known: dict[int, tuple[TopoMap, bytes]] = {}
-
-    def __call__(self, topomap: TopoMap) -> bytes:
-        """`digest_of`."""
-        if id(topomap) not in self._known:
-            self._known[id(topomap)] = topomap, digest_of(topomap)
-        return self._known[id(topomap)][1]

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, replace
-from itertools import chain, islice
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,22 +12,22 @@ import numpy as np
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edge_fields, edges_to_document, vertex_fields
-from ..topology.files import Json, encoded, read_json, write_json
+from ..topology.files import read_json, write_json
 from ..topology.map_schema import validated
 from .merged_schema import MERGED_SCHEMA, MergedDocument, MergeEntry, Placed, Pose, RunnerUp
 from .result import (
     Alignment,
     Component,
+    CopyTest,
     FusedMap,
     MergeResult,
     PairVerdict,
     Unlisted,
     Verdict,
     by_run,
-    nothing_kept,
 )
 
-EXTRA = ("against_chance_bits", "same_place_bits")
+EXTRA = ("against_chance_bits", "same_place_bits", "copy_test")
 """Entries added by the robust method."""
 
 
@@ -47,6 +46,7 @@ def _alignment(alignment: Alignment) -> dict[str, Any]:
         "rmse_m": rounded(alignment.rmse_m, METRES),
         "contradictions": list(alignment.contradictions),
         **_contradicting(alignment),
+        **_known(copy_test=alignment.copy_test and asdict(alignment.copy_test)),
     }
 
 
@@ -93,6 +93,8 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
         runner_up=pair.runner_up and _alignment(pair.runner_up),
         margin_bits=bits_to_document(pair.margin_bits),
         advice=pair.advice,
+        lacks=pair.lacks or None,
+        lead_needed_bits=pair.lead_needed_bits,
     )
     return entry | dict(pair.extra)
 
@@ -103,8 +105,7 @@ def _known(**values: Any) -> dict[str, Any]:
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
     """The node-link dict of a merge, ready for `json`."""
-    unknown = [replace(component, text=b"") for component in result.components]
-    parts = _parts(replace(result, kept_entry=nothing_kept, components=tuple(unknown)))
+    parts = _parts(result)
     return {key: list(part) if isinstance(part, Iterator) else part for key, part in parts.items()}
 
 
@@ -128,59 +129,10 @@ def _parts(result: MergeResult) -> dict[str, Any]:
         "directed": False,
         "multigraph": True,
         "graph": graph,
-        **_places(result),
-        "merges": (result.kept_entry(pair) or entry_of(pair) for pair in result.verdicts),
+        "nodes": _nodes(result.fused),
+        "edges": _edges(result.fused),
+        "merges": map(entry_of, result.verdicts),
     }
-
-
-def _places(result: MergeResult) -> dict[str, Iterator[Any]]:
-    """The fused vertices and corridors, as text if the text of all components is kept."""
-    fused = result.fused
-    texts = [component.text.partition(BETWEEN) for component in result.components]
-    nodes, edges = ([text[k].splitlines() for text in texts] for k in (0, 2))
-    n, m = len(fused) - fused.turned, len(fused.source) - fused.turned
-    if sum(map(len, nodes)) != n or sum(map(len, edges)) != m:
-        return {"nodes": _nodes(fused), "edges": _edges(fused)}
-    numbers = enumerate(fused.component.tolist())
-    ends = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
-    return {
-        "nodes": chain(_numbered(NODE, numbers, nodes), _late(_nodes, fused, n)),
-        "edges": chain(_numbered(EDGE, ends, edges), _late(_edges, fused, m)),
-    }
-
-
-def _late(
-    entries: Callable[[FusedMap], Iterator[dict[str, Any]]], fused: FusedMap, first: int
-) -> Iterator[dict[str, Any]]:
-    """The entries of turning points, which are not in the text of components."""
-    return islice(entries(fused), first, None) if fused.turned else iter(())
-
-
-BETWEEN = b"\n\n"
-"""Separates the vertices and the corridors in the text of a component, one per line."""
-
-NODE, EDGE = b'{"id":%d,"component":%d,', b'{"source":%d,"target":%d,'
-"""The beginnings of their entries: numbers that depend on the other components."""
-
-
-def places_text(fused: FusedMap) -> bytes:
-    """The text of the vertices and corridors of one component, without `NODE` and `EDGE`."""
-    both = (_nodes(fused), _edges(fused))
-    return BETWEEN.join(b"\n".join(map(_without_numbers, entries)) for entries in both)
-
-
-def _without_numbers(entry: dict[str, Any]) -> bytes:
-    return encoded(dict(islice(entry.items(), 2, None)))[1:]
-
-
-def _numbered(
-    begin: bytes, numbers: Iterator[tuple[int, int]], texts: Iterable[Sequence[bytes]]
-) -> Iterator[Json]:
-    """The entries of all components, with their numbers."""
-    for lines in texts:
-        if lines:
-            own = islice(numbers, len(lines))
-            yield Json(b",".join([begin % n + rest for n, rest in zip(own, lines, strict=True)]))
 
 
 def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
@@ -288,7 +240,8 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
     together = None
     if entry.together is not None:
         together = (tuple(entry.together[0]), tuple(entry.together[1]))
-    extra = {name: getattr(entry, name) for name in EXTRA if getattr(entry, name) is not None}
+    named = entry.model_dump(include=set(EXTRA), exclude_none=True)
+    extra = {name: named[name] for name in EXTRA[: None if best is None else -1] if name in named}
     return PairVerdict(
         a=entry.a,
         b=entry.b,
@@ -309,6 +262,8 @@ def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
         placed=_sigmas_from(entry.placed),
         together=together,
         transform_sigma=_sigmas_from(entry.transform_sigma),
+        lacks=entry.lacks or "",
+        lead_needed_bits=entry.lead_needed_bits,
         extra=extra,
     )
 
@@ -320,6 +275,7 @@ def _sigmas_from(placed: Placed | None) -> tuple[float, float] | None:
 def _alignment_from(
     entry: MergeEntry | RunnerUp, transform: Pose, matched: list[tuple[int, int]]
 ) -> Alignment:
+    tested = entry.copy_test
     return Alignment(
         transform=_pose_from(transform),
         evidence_bits=entry.evidence_bits,
@@ -328,6 +284,7 @@ def _alignment_from(
         corridors=entry.corridors,
         contradictions=tuple(entry.contradictions),
         contradicting=tuple((tuple(c.a), tuple(c.b)) for c in entry.contradicting),
+        copy_test=None if tested is None else CopyTest(**tested.model_dump()),
     )
 
 

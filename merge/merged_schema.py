@@ -169,12 +169,26 @@ class Contradiction(Model):
     )
 
 
+class CopyAnswer(Model):
+    """Whether an alignment is a copy of the place, where that was asked."""
+
+    bits: Finite = Field(description="What says that it is the place itself and not a copy of it.")
+    needed_bits: Finite = Field(description="How much of that is needed.")
+    repetition: Finite = Field(
+        description="0 to 1: how likely it is a copy by its size and by how the building repeats "
+        "itself."
+    )
+
+
 class Contradicted(Model):
     """What speaks against an alignment."""
 
     contradictions: list[str] = Field(default_factory=list, description=_CONTRADICTIONS)
     contradicting: list[Contradiction] = Field(
         default_factory=list, description="One for each of the contradictions, where known."
+    )
+    copy_test: CopyAnswer | None = Field(
+        None, description="The test for a copy of the place; absent where it was not made."
     )
 
     @model_validator(mode="after")
@@ -275,6 +289,12 @@ class MergeEntry(Contradicted):
         "poses of graph.components, not by its own transform.",
     )
     advice: str | None = Field(None, description="What would settle an ambiguous pair.")
+    lacks: str | None = Field(
+        None, description="What the two maps lack for being merged by themselves, if anything."
+    )
+    lead_needed_bits: Finite | None = Field(
+        None, description="The margin_bits that merging needs; absent of unrelated pairs."
+    )
     locked: str | None = Field(None, description="same or never, where a person decided.")
 
     @model_validator(mode="after")

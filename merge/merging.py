@@ -12,7 +12,6 @@ from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from . import robust
-from .digests import digest_of
 from .discards import REASON, Names
 from .fusion.fuse import fuse
 from .fusion.turning_ends import with_turning_ends
@@ -77,7 +76,7 @@ def merge_maps(
     components, fused = fuse(ordered, verdicts, asked=asked, kept=means.kept)
     fused = with_turning_ends(fused, components, ordered)
     placed = _with_placements(shown, components)
-    same = _same_recordings(ordered, means.kept.digest if means.kept else digest_of)
+    same = _same_recordings(ordered, means.kept.digest)
     said = [*same, *(VIEWS_LOST.format(run=m.run) for m in ordered if m.views_lost)]
     return MergeResult(
         components,
@@ -85,7 +84,6 @@ def merge_maps(
         placed,
         info=_info(settings, components, placed, said),
         unlisted=_unlisted(len(ordered), verdicts, shown, components),
-        kept_entry=means.kept_entry,
     )
 
 

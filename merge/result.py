@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Literal, TypeVar, overload
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -55,6 +55,19 @@ AcceptedBy = Literal["pair", "components", "runs", "lock"]
 other runs, which place the two like one of the pair's own alignments; a lock."""
 
 
+@dataclass(frozen=True, slots=True)
+class CopyTest:
+    """The test whether an alignment is a copy of the place, as rounded in documents.
+
+    bits: evidence that it is not; needed_bits: the threshold of that; repetition: 0 to 1, how
+    likely it is one by its size and the building.
+    """
+
+    bits: float
+    needed_bits: float
+    repetition: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
     """An alignment of map b with map a.
@@ -66,7 +79,7 @@ class Alignment:
     transform; corridors: number of matched ones; contradictions: sentences, one per disagreement
     found ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting:
     for each of these the vertices of a and of b concerned, a corridor as its two ends; empty if not
-    known.
+    known; copy_test: None if it was not tested for being a copy.
     """
 
     transform: FloatArray
@@ -76,6 +89,7 @@ class Alignment:
     corridors: int = 0
     contradictions: tuple[str, ...] = ()
     contradicting: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = ()
+    copy_test: CopyTest | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matched", np.reshape(self.matched, (-1, 2)))
@@ -101,8 +115,9 @@ class PairVerdict:
     distance [m] within which the middle of one's map lies in 68.3 % of cases, relative to the
     other's (root mean square of both ways to see it), and 1 sigma [rad] of the rotation between
     them. together: the runs of the two components whose evidence joined the pair. transform_sigma:
-    like `placed`, for an accepted pair, given all maps of its component. extra: JSON values that a
-    method adds to its entry.
+    like `placed`, for an accepted pair, given all maps of its component. lacks: what the two maps
+    lack for being merged, as a clause, "" if nothing; lead_needed_bits: the lead that their best
+    alignment needs. extra: JSON values that a method adds to its entry.
     """
 
     a: str
@@ -122,6 +137,8 @@ class PairVerdict:
     placed: tuple[float, float] | None = None
     together: tuple[tuple[str, ...], tuple[str, ...]] | None = None
     transform_sigma: tuple[float, float] | None = None
+    lacks: str = ""
+    lead_needed_bits: float | None = None
     extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -217,53 +234,17 @@ def _seen_from(x: FloatArray, y: FloatArray) -> FloatArray:
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
     """Runs that were merged; `poses[run]` is T_component_run (3,); spread: joint errors, if asked
-    for; text: the document's text of its places (`document.places_text`), if known; site: its name
-    (`sites.site_names`), if it was given one."""
+    for; site: its name (`sites.site_names`), if it was given one."""
 
     id: int
     poses: Mapping[str, FloatArray]
     spread: Spread | None = None
-    text: bytes = b""
     site: str = ""
 
     @property
     def name(self) -> str:
         """What it is called: its site, or its number."""
         return self.site or f"component {self.id}"
-
-
-class Late(Sequence[T]):
-    """A sequence that is made on first access: those of kept components may never be needed."""
-
-    __slots__ = ("_count", "_made", "_make")
-
-    def __init__(self, count: int, make: Callable[[], Sequence[T]]) -> None:
-        self._count = count
-        self._make = make
-        self._made: Sequence[T] | None = None
-
-    def _whole(self) -> Sequence[T]:
-        if self._made is None:
-            self._made = self._make()
-        return self._made
-
-    def __len__(self) -> int:
-        return self._count
-
-    @overload
-    def __getitem__(self, k: int) -> T: ...
-    @overload
-    def __getitem__(self, k: slice) -> Sequence[T]: ...
-    def __getitem__(self, k: int | slice) -> T | Sequence[T]:
-        return self._whole()[k]
-
-    def __iter__(self) -> Iterator[T]:
-        return iter(self._whole())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Sequence) and tuple(self) == tuple(other)
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -383,18 +364,13 @@ class Unlisted:
     screened: int = 0
 
 
-def nothing_kept(_: PairVerdict) -> bytes | None:
-    """The default of `MergeResult.kept_entry`: no entry is kept."""
-    return None
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class MergeResult:
     """All that `merged.json` holds.
 
     verdicts: one per pair of runs, sorted by (a, b), without those that a large merge counts in
     `unlisted`. info: other entries of the document's `graph` (method, settings, warnings, layers).
-    JSON values only. kept_entry: gives the document's entry of a verdict, as JSON, if it is kept.
+    JSON values only.
     """
 
     components: tuple[Component, ...]
@@ -402,7 +378,6 @@ class MergeResult:
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
     unlisted: Unlisted | None = None
-    kept_entry: Callable[[PairVerdict], bytes | None] = nothing_kept
 
     def standings(self) -> dict[Standing, int]:
         """Number of pairs, listed or not, in each state."""

@@ -19,7 +19,7 @@ from topobatch.merge.decision_text import lines
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import MergeResult, Verdict
-from topobatch.merge.robust.explained import Batch, explain
+from topobatch.merge.robust.explained import Merge, explain
 from topobatch.merge.wording import told_placement
 from topobatch.simulation import (
     MIXED,
@@ -205,7 +205,8 @@ def test_the_page_on_verdicts_shows_what_explain_says_today(maps: dict[str, Topo
     example = shown[next(k for k, line in enumerate(shown) if "maze-1 and maze-2" in line) :]
     read = [map_from_document(map_to_document(topomap)) for topomap in maps.values()]
     said = {(pair.a, pair.b): pair for pair in merge_maps(read).verdicts}
-    told = lines(explain(Batch(read, said), "maze-1", "maze-2"))
+    by_run = {m.run: m for m in read}
+    told = lines(explain(Merge(by_run.__getitem__, len(read), said), "maze-1", "maze-2"))
     assert len(example) > 15
     assert [
         line for line in example if line and line.strip() not in {"…", *map(str.strip, told)}

@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from io import BufferedReader
-from itertools import groupby, islice
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -30,18 +30,12 @@ WRITTEN_TOGETHER = 1000
 """Entries of an iterator that are encoded at once."""
 
 
-class Json(bytes):
-    """JSON text of a value, to be written as it is."""
-
-    __slots__ = ()
-
-
-def encoded(value: Any) -> Json:
+def encoded(value: Any) -> bytes:
     """A value as JSON; ValueError where it holds what JSON cannot express (NaN, infinity)."""
     text = to_json(value)
     if b"NaN" in text or b"Infinity" in text:
         json.dumps(value, allow_nan=False)  # which tells numbers from words
-    return Json(text)
+    return text
 
 
 def read_json(path: Path) -> Any:
@@ -100,8 +94,7 @@ def write_json(path: Path, doc: Any) -> None:
     """Write a document atomically: after a crash either the old file or the new one is there,
     whole.
 
-    Values of the top-level dict that are iterators are consumed and written in parts; their entries
-    may be `Json`, also of several entries separated by commas.
+    Values of the top-level dict that are iterators are consumed and written in parts.
     """
 
     def fill(temporary: Path) -> None:
@@ -126,9 +119,7 @@ def _json(doc: Any) -> Iterator[bytes]:
 def _listed(entries: Iterator[Any]) -> Iterator[bytes]:
     before = b"["
     while some := list(islice(entries, WRITTEN_TOGETHER)):
-        groups = groupby(some, key=lambda entry: isinstance(entry, Json))
-        parts = (b",".join(own) if known else encoded([*own])[1:-1] for known, own in groups)
-        yield before + b",".join(parts)
+        yield before + encoded(some)[1:-1]
         before = b","
     yield b"]" if before == b"," else b"[]"
 

@@ -5,9 +5,8 @@ Independent of the method: only matched vertices and transforms of accepted pair
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -18,12 +17,11 @@ from scipy.cluster.hierarchy import DisjointSet
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
-from ..digests import DIGEST, digested
+from ..codec import from_bytes, to_bytes
+from ..digests import digested
 from ..discards import Names
-from ..document import places_text
-from ..packs import Kept, Kind
-from ..result import Component, FusedMap, Late, PairVerdict, by_run
-from .component import FusedComponent, from_bytes, observations_of, to_bytes
+from ..kept import Kept, Kind
+from ..result import Component, FusedMap, PairVerdict, Spread, by_run
 from .data_association import COINCIDENCE, coincident
 from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
@@ -72,8 +70,22 @@ def fuse(
         )
         for runs, own, some in zip(groups, inside, wanted, strict=True)
     ]
-    components = tuple(Component(k, p.poses, p.spread, p.text) for k, p in enumerate(parts))
+    components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
     return components, _in_a_row([p.fused for p in parts])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FusedComponent:
+    """One component: T_component_run of every run, its part of the fused map (numbered from 0), and
+    the covariances of the runs' placements, if computed."""
+
+    poses: Mapping[str, FloatArray]
+    fused: FusedMap
+    spread: Spread | None = None
+
+
+CLASSES = {cls.__name__: cls for cls in (FusedComponent, FusedMap, Spread, Ragged)}
+"""What a kept component consists of."""
 
 
 def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -> list[list[str]]:
@@ -98,49 +110,31 @@ def fused_once(
     """`fuse_component` of maps sorted by run, cached in `kept`."""
     if kept is None:
         return fuse_component(maps, inside, sure)
-    asked = None if sure is None else sure.tobytes()
-    digest = component_digest([kept.digest(m) for m in maps], maps, inside, asked)
-    data = kept.find(Kind.COMPONENT, (digest, digest))
-    found = None if data is None else from_bytes(data, maps)
-    if found is None or not _tells(found, sure):
-        found = fuse_component(maps, inside, sure)
-        kept.add(Kind.COMPONENT, (digest, digest), to_bytes(found, maps))
-    return found if sure is None else replace(found, text=_text(found.fused, digest, maps, kept))
-
-
-def _text(fused: FusedMap, digest: bytes, maps: Sequence[TopoMap], kept: Kept) -> bytes:
-    """The document text of the places of a component, cached by its digest."""
-    key = digest, digested(*(f"{m.run}\n".encode() for m in maps))
-    text = kept.find(Kind.TEXT, key)
-    if text is None:
-        text = places_text(fused)
-        kept.add(Kind.TEXT, key, text)
-    return text
-
-
-def _tells(found: FusedComponent, sure: IntArray | None) -> bool:
-    """Whether a cached component has the covariances of all pairs asked for; one of a single run
-    has none."""
-    return sure is None or found.spread is None or np.array_equal(found.spread.key, sure)
+    digest = component_digest(maps, inside, kept, sure)
+    (data,) = kept.find(Kind.COMPONENT, [(digest, digest)])
+    if data is None:
+        data = to_bytes(fuse_component(maps, inside, sure))
+        kept.add(Kind.COMPONENT, (digest, digest), data)
+    found: FusedComponent = from_bytes(data, CLASSES)
+    return found
 
 
 def component_digest(
-    digests: Sequence[bytes],
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
-    asked: bytes | None = None,
+    kept: Kept,
+    sure: IntArray | None = None,
 ) -> bytes:
-    """A digest of everything that a component depends on: the contents of its maps in order of
-    name, the matches that join them, strongest first, and the covariances asked for; not of names
-    or evidence."""
+    """A digest of everything that a component depends on: its maps and their names, the matches
+    that join them, strongest first, and the covariances asked for; not of evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
-    out = hashlib.blake2b(repr(asked).encode(), digest_size=DIGEST)
-    out.update(b"".join(digests))
+    names = repr([m.run for m in maps]), repr(sure if sure is None else sure.tolist())
+    parts = [*map(str.encode, names), *map(kept.digest, maps)]
     for v in sorted(inside, key=lambda v: (-v.evidence_bits, v.a, v.b)):
         if v.best is not None:
-            out.update(f"{number[v.a]} {number[v.b]} {len(v.best.matched)};".encode())
-            out.update(v.best.transform.tobytes() + v.best.matched.tobytes())
-    return out.digest()
+            parts.append(f"{number[v.a]} {number[v.b]} {len(v.best.matched)};".encode())
+            parts += [v.best.transform.tobytes(), v.best.matched.tobytes()]
+    return digested(*parts)
 
 
 def fuse_component(
@@ -208,6 +202,22 @@ def _place_positions(pool: Pool, label: IntArray, pose: FloatArray) -> FloatArra
 # --- places and corridors as a map, and the concatenation of components ---------------------------
 
 
+def observations_of(
+    maps: Sequence[TopoMap], members: Sequence[Mapping[str, tuple[int, ...]]]
+) -> tuple[tuple[tuple[str, int], ...], ...]:
+    """For every place the passes of all its members as (run, time), sorted."""
+    place_of = {m.run: np.zeros(len(m), np.int64) for m in maps}
+    for k, own in enumerate(members):
+        for run, vertices in own.items():
+            place_of[run][list(vertices)] = k
+    seen: list[list[tuple[str, int]]] = [[] for _ in members]
+    for m in maps:
+        rows = place_of[m.run][m.observation_vertex].tolist()
+        for k, time_ns in zip(rows, m.observation_time_ns.tolist(), strict=True):
+            seen[k].append((m.run, time_ns))
+    return tuple(tuple(sorted(s)) for s in seen)
+
+
 def _fused_map(
     pool: Pool, xy: FloatArray, places: Sequence[Place], corridors: Sequence[Corridor]
 ) -> FusedMap:
@@ -245,17 +255,14 @@ def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
     def chained(name: str) -> tuple[Any, ...]:
         return tuple(chain.from_iterable(getattr(p, name) for p in parts))
 
-    def late(name: str) -> Late[Any]:
-        return Late(sum(len(getattr(p, name)) for p in parts), lambda: chained(name))
-
     ints, floats = np.zeros(0, np.int64), np.zeros(0)
     return FusedMap(
         component=np.repeat(np.arange(len(parts)), sizes),
         xy=joined("xy", np.zeros((0, 2))),
         branches=Ragged.joined([p.branches for p in parts]),
         kind=chained("kind"),
-        members=late("members"),
-        observations=late("observations"),
+        members=chained("members"),
+        observations=chained("observations"),
         source=joined("source", ints) + first,
         target=joined("target", ints) + first,
         source_branch=joined("source_branch", ints),
@@ -264,7 +271,7 @@ def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
         length_sigma=joined("length_sigma", floats),
         traversals=joined("traversals", ints),
         paths=chained("paths"),
-        edge_members=late("edge_members"),
+        edge_members=chained("edge_members"),
         position_sigma=_sigmas_in_a_row(parts),
     )
 

@@ -1,29 +1,22 @@
-"""The assessment of single pairs of a batch, and the thresholds that they must reach."""
+"""The thresholds that the pairs of a batch must reach."""
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
 from ...topology.connected import connected
-from ...topology.topomap import TopoMap
-from ..result import Alignment, PairVerdict, Verdict
-from .alignment import Candidate, match, self_matches
-from .entries import Case, alignment_of
-from .mirror import doubt_mirrored, mirrored
-from .pairing import Pair, Samples
-from .prepare import Prepared, prepare
+from .alignment import Candidate, self_matches
+from .pairing import Pair
+from .prepare import Prepared
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
 from .verdict import (
-    Assessment,
     PairCount,
     Threshold,
-    assess,
     counted_bits,
     needed_bits,
     threshold_for,
@@ -42,7 +35,6 @@ def thresholds(
     settings: RobustSettings,
     linked: Iterable[Pair] | None = None,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
-    copies_of: Callable[[Samples], CopyModel] | None = None,
 ) -> ThresholdOf:
     """The thresholds in a batch of maps.
 
@@ -50,7 +42,7 @@ def thresholds(
     offices, all of whose maps repeat themselves, with mazes, none of which do. linked: pairs with a
     placement better than chance; maps that chains of these connect are of like buildings, unless
     they are too few to tell. None: all maps are. with_themselves: matches of each map with other
-    parts of itself, if known; copies_of: replaces `copy_model`.
+    parts of itself, if known.
     """
     own = with_themselves or list(self_matches(prepared, settings))
     like = _like_buildings(len(own), linked, settings)
@@ -59,10 +51,8 @@ def thresholds(
     @cache
     def copies(of: frozenset[int]) -> CopyModel:
         maps = (k for k in range(len(own)) if ANY in of or like[k] in of)
-        samples = [(k, c) for k in maps for c in own[k] if c.bits > MATCH.lead_bits]
-        if copies_of is not None:
-            return copies_of(samples)
-        return copy_model([(prepared[k], c) for k, c in samples], settings)
+        samples = ((prepared[k], c) for k in maps for c in own[k] if c.bits > MATCH.lead_bits)
+        return copy_model(list(samples), settings)
 
     @cache  # few differ: no map has less copied than most of those of like buildings
     def reached(of: frozenset[int], count: PairCount, most: float) -> Threshold:
@@ -143,51 +133,3 @@ def _told_share(copy: Candidate) -> float:
     exchanges two junctions, both matches state the same: any rectangle is its own copy."""
     pairs = np.sort(np.column_stack([copy.a, copy.b]), axis=1)
     return len(np.unique(pairs, axis=0)) / len(pairs)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AssessedPair:
-    """Two maps of a batch, their candidates and the assessment."""
-
-    a: Prepared
-    b: Prepared
-    candidates: tuple[Candidate, ...]
-    view: Assessment
-
-    def alone(self) -> PairVerdict:
-        """The verdict on the pair, without locks and other runs."""
-        return Case(self.a, self.b, self.view).verdict()
-
-    def alignment(self, chosen: Candidate, bits: float) -> Alignment:
-        """A candidate as an alignment with the given evidence."""
-        return alignment_of(chosen, self.a, self.b, bits)
-
-
-def assess_pair(
-    maps: Sequence[TopoMap],
-    pair: Pair,
-    settings: RobustSettings,
-    *,
-    count: PairCount,
-    linked: Iterable[Pair] | None = None,
-) -> AssessedPair:
-    """Steps 1 to 3 of `decide` for one pair of a batch.
-
-    maps: those of the batch, sorted by run; pair: two of their indices, i < j; count: of the batch;
-    linked: see `thresholds`.
-    """
-    prepared = [prepare(m) for m in maps]
-    i, j = pair
-    threshold = thresholds(prepared, settings, linked)(pair, count)
-    found = match(prepared[i], prepared[j], settings)
-    view = assess(prepared[i], prepared[j], found, threshold)
-    if view.verdict is Verdict.MERGED:
-        found = match(prepared[i], prepared[j], settings, rivals=True)
-        view = assess(prepared[i], prepared[j], found, threshold)
-
-    def image_bits(pairs: list[Pair]) -> dict[Pair, float]:
-        best = {p: match(prepared[i], prepare(mirrored(maps[j])), settings) for p in pairs}
-        return {p: c[0].bits if c else -np.inf for p, c in best.items()}
-
-    view = doubt_mirrored({pair: view}, image_bits)[pair]
-    return AssessedPair(prepared[i], prepared[j], found, view)

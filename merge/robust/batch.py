@@ -16,13 +16,12 @@ from ..result import Alignment, PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
 from .assessment import ThresholdOf
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
-from .kept_verdicts import KeptVerdicts
 from .mirror import doubt_mirrored
-from .pairing import Means, Pair, Pairwise, Told
+from .pairing import Means, Pair, Pairwise
 from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
-from .tasks import in_tiles
+from .tasks import Told, in_tiles
 from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, needed_bits
 
 
@@ -65,14 +64,6 @@ class Batch:
         return self.thresholds_of([p for p, t in found if t.against_chance > MATCH.lead_bits])
 
     @cached_property
-    def _kept(self) -> KeptVerdicts | None:
-        """Verdicts kept by earlier merges."""
-        own, means = self.matcher, self.matcher.means
-        if means.store is None:
-            return None
-        return KeptVerdicts(means.store, own.maps, own.digests, self.threshold, means.verdict_keys)
-
-    @cached_property
     def _against_chance(self) -> FloatArray:
         """Evidence against chance of the pairs that were matched first [bits]."""
         return np.array([found.against_chance for found in self.found.values()])
@@ -83,37 +74,25 @@ class Batch:
         found = {(i, j): short for (i, j), short in zip(wanted.tolist(), told, strict=True)}
         found |= {pair: Told() for pair in gone}
         self.found.update(found)
-        likely = {}
-        ours = [pair for pair in found if pair not in self.asked and pair not in gone]
-        known = self._kept.find(ours) if self._kept else {}
-        self._hold(known)
-        pairs = [pair for pair in found if pair not in known]
-        fresh: dict[Pair, PairVerdict]
+        likely, pairs = {}, list(found)
         for start in range(0, len(pairs), MATCH.at_once):
-            fresh = {}
             for pair, (view, _) in self.views(pairs[start : start + MATCH.at_once]).items():
                 if pair in gone:
                     likely[pair] = replace(view, discarded=True)
                 elif view.verdict is Verdict.MERGED or pair in self.asked:
                     likely[pair] = view
                 else:
-                    fresh[pair] = self.worded(pair, view)
-            self._keep(fresh)
-        fresh = {}
+                    self._hold(pair, view)
         likely |= self.beside_rivals(likely)
         for pair, view in doubt_mirrored(likely, self._image_bits).items():
             if view.verdict is Verdict.MERGED and pair not in self.asked:
-                fresh[pair] = self.worded(pair, view)
+                self._hold(pair, view)
             else:
                 self.assessments[pair] = view
-        self._keep(fresh)
 
-    def _hold(self, verdicts: Mapping[Pair, PairVerdict]) -> None:
-        for pair, verdict in verdicts.items():
-            (self.joins if verdict.accepted else self.alone)[pair] = verdict
-
-    def _keep(self, fresh: Mapping[Pair, PairVerdict]) -> None:
-        self._hold(self._kept.keep(fresh) if self._kept else fresh)
+    def _hold(self, pair: Pair, view: Assessment) -> None:
+        verdict = self.worded(pair, view)
+        (self.joins if verdict.accepted else self.alone)[pair] = verdict
 
     def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
         """Pairs of one component with a candidate that agrees with where other runs place the two:
@@ -129,17 +108,6 @@ class Batch:
                         out[pair] = n
                         break
         return out
-
-    def known_seconded(self, which: Mapping[Pair, int]) -> dict[Pair, PairVerdict]:
-        """Kept verdicts on pairs that other runs corroborate by a candidate."""
-        return self._kept.find(which, which) if self._kept else {}
-
-    def keep_seconded(
-        self, verdicts: Mapping[Pair, PairVerdict], which: Mapping[Pair, int]
-    ) -> None:
-        """Keep such verdicts."""
-        if self._kept:
-            self._kept.keep(verdicts, which)
 
     def candidates(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """The candidates of those of the pairs that have any beyond chance."""
@@ -181,7 +149,7 @@ class Batch:
         return {
             pair: told.best
             for pair, told in self.alone.items()
-            if told.best is not None and told.reason.endswith(OTHER_SIZE)
+            if told.best is not None and told.lacks == OTHER_SIZE
         }
 
     def asked_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:
@@ -239,7 +207,7 @@ class Batch:
 def wanted_pairs(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
     """(k, 2) pairs to be matched: all of a small batch; of a large one those that pass screening,
     and those named by locks."""
-    likely = pairs_to_match(matcher.probes, matcher.settings, matcher.digests, matcher.means.kept)
+    likely = pairs_to_match(matcher.prepared, matcher.settings)
     asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
     return np.unique(np.concatenate([likely, asked]), axis=0)
 

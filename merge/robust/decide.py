@@ -68,7 +68,6 @@ def decide(
         prepared,
         settings,
         with_themselves=matcher.with_themselves(),
-        copies_of=matcher.copies,
     )
     batch = Batch(matcher, thresholds_of, alone, frozenset(locked))
     wanted = wanted_pairs(matcher, [*locked, *gone])
@@ -190,29 +189,25 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
 
     A verdict from the two maps alone stands unless a lock, a component or other runs concern the
     pair (`said`). For those, the candidates are read again, placements that other runs
-    corroborate are added, and the verdict is computed with them. Verdicts changed by corroboration
-    alone are kept for later merges.
+    corroborate are added, and the verdict is computed with them.
     """
     prepared = batch.matcher.prepared
     pairs = sorted(batch.found)
     held = {pair: v for pair, v in (batch.joins | batch.alone).items() if not said.of(pair)}
     asked = [pair for pair in pairs if pair not in batch.joins or pair not in held]
     second = batch.corroborated(asked, components)
-    kept = batch.known_seconded({pair: n for pair, n in second.items() if pair in held})
-    held = {pair: v for pair, v in held.items() if pair not in second} | kept
-    again = [pair for pair in pairs if pair not in held]
-    told = batch.views([pair for pair in again if pair not in batch.assessments])
+    held = {pair: v for pair, v in held.items() if pair not in second}
+    told = batch.views([p for p in pairs if p not in held and p not in batch.assessments])
     views = {pair: view for pair, (view, _) in told.items()} | batch.assessments
     views |= batch.beside_rivals({pair: views[pair] for pair in told if pair in batch.joins})
     candidates = {pair: found for pair, (_, found) in told.items()}
     candidates |= batch.candidates([pair for pair in second if pair in batch.assessments])
-    fresh = {}
     for pair in pairs:
         if pair in held:
             yield held[pair]
             continue
         i, j = pair
-        case = Case(
+        yield Case(
             prepared[i],
             prepared[j],
             views[pair],
@@ -222,9 +217,4 @@ def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[Pa
             reunion=said.reunions.get(pair),
             corroborated=candidates[pair][second[pair]] if pair in second else None,
             together=components.together(i, j),
-        )
-        verdict = case.verdict()
-        if pair in batch.alone and pair in second and not said.of(pair):
-            fresh[pair] = verdict
-        yield verdict
-    batch.keep_seconded(fresh, second)
+        ).verdict()

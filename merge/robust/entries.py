@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import DOUBTS, Assessment, counted_bits
+from .verdict import DOUBTS, Answers, Assessment, counted_bits
 from .wording import contradictions, nothing, summary
 
 MAPS_ALONE = "the maps alone say:"
@@ -110,15 +111,19 @@ class Case:
     def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
         replaces the braces in the reason."""
-        view = self.view
-        known = (bits for c, bits in view.ranked if same_matches(c, chosen))
-        bits = next(known, counted_bits(chosen))
-        others = (r for r in view.ranked if not same_placement(r[0], chosen, self.b))
-        second = next((alignment_of(c, self.a, self.b, bits) for c, bits in others), None)
+        best = self._alignment(chosen)
+        others = (c for c, _ in self.view.ranked if not same_placement(c, chosen, self.b))
+        second = next(map(self._alignment, others), None)
+        bits = best.evidence_bits
         margin = None if second is None else bits - second.evidence_bits
-        told = reason.format(summary(chosen, bits, view.need_bits, margin))
-        best = alignment_of(chosen, self.a, self.b, bits)
+        told = reason.format(summary(chosen, bits, self.view.need_bits, margin))
         return self._joined(told, (best, second, margin), by=by)
+
+    def _alignment(self, c: Candidate) -> Alignment:
+        """A candidate with the evidence that the assessment gives it, if it has it."""
+        known = zip(self.view.ranked, self.view.answers, strict=True)
+        answers = next((told for (other, _), told in known if same_matches(other, c)), None)
+        return alignment_of(c, self.a, self.b, answers)
 
     def _joined(
         self,
@@ -145,6 +150,7 @@ class Case:
             accepted_by=by,
             together=None if reunion is None else reunion.sides,
             locked=None if self.lock is None else self.lock.decision,
+            lead_needed_bits=view.lead_bits,
             extra=_extra(view),
         )
 
@@ -153,7 +159,7 @@ class Case:
     ) -> PairVerdict:
         """settling: what would settle an ambiguous pair, if that is not another recording."""
         view = self.view
-        shown = [alignment_of(c, self.a, self.b, bits) for c, bits in view.ranked[:2]]
+        shown = [self._alignment(c) for c, _ in view.ranked[:2]]
         if self.refused is not None:
             settling = self.refused.advice
         if verdict is not Verdict.AMBIGUOUS:
@@ -173,8 +179,18 @@ class Case:
             margin_bits=view.margin,
             advice=settling,
             locked=None if self.lock is None else self.lock.decision,
-            extra=_extra(view),
+            lacks=view.why,
+            lead_needed_bits=view.lead_bits if shown else None,
+            extra=_extra(view) | self._copy_test(verdict),
         )
+
+    def _copy_test(self, verdict: Verdict) -> dict[str, Any]:
+        """The test for a copy, of runs that a person locked apart: of unrelated ones the document
+        states no alignment that could."""
+        tested = self.view.answers[0].copy_test if self.view.answers else None
+        if verdict is not Verdict.UNRELATED or tested is None:
+            return {}
+        return {"copy_test": asdict(tested)}
 
 
 def doubt(pair: PairVerdict) -> str:
@@ -196,9 +212,9 @@ def doubt(pair: PairVerdict) -> str:
     return "; ".join(found)
 
 
-def _extra(view: Assessment) -> dict[str, float]:
+def _extra(view: Assessment) -> dict[str, Any]:
     """What a document says of an assessment beside its evidence."""
-    out = {}
+    out: dict[str, Any] = {}
     if view.against_chance > 0:
         out["against_chance_bits"] = view.against_chance
     if view.same_bits is not None:
@@ -206,16 +222,17 @@ def _extra(view: Assessment) -> dict[str, float]:
     return out
 
 
-def alignment_of(c: Candidate, a: Prepared, b: Prepared, bits: float) -> Alignment:
-    """A candidate as an alignment with the given evidence."""
+def alignment_of(c: Candidate, a: Prepared, b: Prepared, answers: Answers | None) -> Alignment:
+    """A candidate as an alignment. answers: its evidence; None if it was not assessed."""
     order = np.argsort(c.a, kind="stable")
     against = contradictions(c, a, b)
     return Alignment(
         transform=c.transform,
-        evidence_bits=bits,
+        evidence_bits=counted_bits(c) if answers is None else answers.bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
         contradictions=tuple(told for told, _, _ in against),
         contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
+        copy_test=None if answers is None else answers.copy_test,
     )

@@ -1,13 +1,16 @@
 """Why the robust method decided on two runs as it did, from the documents of a workspace.
 
-The pair is assessed again by the functions that `decide` calls, with the settings and the pair
-count of the merge; the contributions of other runs and locks are read from its document.
+The verdict, its evidence and what it lacks are those of the merge (`merged.json`). What the
+evidence of a placement consists of, link by link, is read off the match of the two maps, which is
+the same as when they were merged.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain
 from math import ceil
 
 import numpy as np
@@ -20,110 +23,182 @@ from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
 from ..discards import discarded
 from ..locks import Lock, lock_table
-from ..result import Alignment, PairVerdict, Verdict, pairs_of, shown_bits
+from ..result import Alignment, CopyTest, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
 from ..wording import told_bits
-from .alignment import Candidate, best_seed, same_placement
-from .assessment import AssessedPair, assess_pair, thresholds
+from .alignment import Candidate, best_seed, match, same_placement
 from .conflicts import one_by_one
+from .decide import decide
+from .entries import alignment_of
 from .forced import forced_alignment
 from .growth import given_up
-from .pairing import Pair
 from .prepare import Prepared, prepare
-from .rematching import view_of_components
+from .rematching import linked_junctions, matches_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
-from .verdict import Answers, Assessment, PairCount, counted_bits, in_steps, needed_bits
+from .verdict import counted_bits, in_steps, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """Verdicts that differ by less are the same up to the rounding of documents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Batch:
+class Merge:
     """A merge as stated by its documents.
 
-    maps: of all its runs that can still be read, sorted by run; said: its verdict on every pair,
-    empty if there was no merge: these maps are then taken to be a batch; settings: of the merge;
-    locks: present ones; poses: (3,) of every run in its component; row: index of each map by run;
-    against_chance: evidence against chance of the pairs for which the merge states any [bits].
+    read: gives the map of a run; runs: number of all its runs; said: its verdicts, none if these
+    runs were not merged; settings: of the merge; locks: present ones; poses: (3,) of every run in
+    its component.
     """
 
-    maps: Sequence[TopoMap]
-    said: Mapping[tuple[str, str], PairVerdict]
+    read: Callable[[str], TopoMap]
+    runs: int
+    said: Mapping[tuple[str, str], PairVerdict] = field(default_factory=dict)
     settings: RobustSettings = DEFAULT_ROBUST
     locks: Sequence[Lock] = ()
     poses: Mapping[str, FloatArray] = field(default_factory=dict)
-    row: Mapping[str, int] = field(init=False)
-    against_chance: Mapping[tuple[str, str], float] = field(init=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "row", {m.run: i for i, m in enumerate(self.maps)})
-        told = {pair: v.extra.get("against_chance_bits", 0.0) for pair, v in self.said.items()}
-        stated = {pair: bits for pair, bits in told.items() if bits}
-        object.__setattr__(self, "against_chance", stated)
-
-    def count(self, joined: PairVerdict | None = None) -> PairCount:
+    def pairs(self, told: PairVerdict) -> int:
         """The pairs that shared the false-merge rate, or those that still did when components
-        joined a pair; pairs of earlier versions without that entry count as beyond chance."""
-        pairs = pairs_of(len(self.poses)) or len(self.said) or pairs_of(len(self.maps))
-        if joined is not None and joined.accepted_by == "components" and joined.threshold_bits:
-            least = joined.threshold_bits - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
-            pairs = round(2.0**least * self.settings.false_merge_rate)
-        if not self.against_chance:
-            return PairCount(pairs, pairs)
-        need = needed_bits(pairs, self.settings)
-        return PairCount(pairs, sum(bits >= need for bits in self.against_chance.values()))
-
-    @property
-    def linked(self) -> list[Pair] | None:
-        """The pairs with a placement better than chance; None if there was no merge, or an earlier
-        version's without that entry."""
-        if not self.against_chance:
-            return None
-        beyond = (p for p, bits in self.against_chance.items() if bits > MATCH.lead_bits)
-        return [(self.row[a], self.row[b]) for a, b in beyond if {a, b} <= self.row.keys()]
-
-    def unlisted(self, a: str, b: str) -> bool:
-        """Whether a pair is one of those that a large merge counted but did not list."""
-        return (a, b) not in self.said and a in self.poses and b in self.poses
+        joined a pair."""
+        if told.accepted_by != "components" or not told.threshold_bits:
+            return pairs_of(self.runs)
+        least = told.threshold_bits - 10.0**-BITS / 2  # it was rounded, as pairs will be, up
+        pairs: int = round(2.0**least * self.settings.false_merge_rate)
+        return pairs
 
 
-def explain(batch: Batch, a: str, b: str) -> Decision:
-    """Why two runs a < b were merged or not. Raises KeyError if the map of one is missing."""
-    pair = (a, b)
-    rows = (batch.row[a], batch.row[b])
-    own = assess_pair(batch.maps, rows, batch.settings, count=batch.count(), linked=batch.linked)
-    alone = own.alone()
-    unlisted = batch.unlisted(a, b)
-    told = _unlisted(batch, alone) if unlisted else batch.said.get(pair, alone)
-    shown, start = _shown(batch, own, told)
-    placements = tuple(placement for placement, _ in shown)
+@dataclass(frozen=True, eq=False)
+class _Pair:
+    """Two maps of a merge, prepared."""
+
+    merge: Merge
+    maps: tuple[TopoMap, TopoMap]
+    a: Prepared
+    b: Prepared
+
+    @classmethod
+    def of(cls, merge: Merge, a: str, b: str) -> _Pair:
+        """Two runs of a merge."""
+        maps = merge.read(a), merge.read(b)
+        return cls(merge, maps, *map(prepare, maps))
+
+    def alone(self) -> PairVerdict:
+        """What the two maps say by themselves, as one of all pairs of the merge."""
+        settings, pairs = self.merge.settings, in_steps(pairs_of(self.merge.runs))
+        one_of = replace(settings, false_merge_rate=settings.false_merge_rate / pairs)
+        return decide(self.maps, one_of)[0]
+
+    @cached_property
+    def plain(self) -> tuple[Candidate, ...]:
+        """The candidates of the two maps."""
+        return match(self.a, self.b, self.merge.settings)
+
+    @cached_property
+    def beside_rivals(self) -> tuple[Candidate, ...]:
+        """The same including all other hypotheses beyond chance."""
+        return match(self.a, self.b, self.merge.settings, rivals=True)
+
+    def candidates(self, told: PairVerdict) -> Iterator[Candidate]:
+        """All of them, first those that the verdict is about: a pair is merged by itself only
+        beside rivals."""
+        if told.accepted_by == "pair":
+            yield from self.beside_rivals
+        yield from self.plain
+        if told.accepted_by != "pair":
+            yield from self.beside_rivals
+
+    def chosen(self, told: PairVerdict) -> Candidate | None:
+        """The candidate that the verdict refers to: the one in the document, else the best."""
+        best = None if told.verdict is Verdict.UNRELATED else told.best
+        if best is not None and (found := self.known(told, best)) is not None:
+            return found
+        return next(self.candidates(told), None)
+
+    def known(self, told: PairVerdict, alignment: Alignment) -> Candidate | None:
+        """The candidate of an alignment in the document, if the maps still have it."""
+        same = (c for c in self.candidates(told) if _of(c, alignment))
+        return next(chain(same, filter(lambda c: _of(c, alignment), self._forced(told))), None)
+
+    def _forced(self, told: PairVerdict) -> Iterator[Candidate]:
+        """The placement by a lock of the two as the same."""
+        for lock in self.merge.locks:
+            if (lock.a, lock.b, lock.decision) == (told.a, told.b, "same"):
+                forced = forced_alignment(self.a, self.b, self.plain, lock, self.merge.settings)
+                yield from () if forced is None else (forced,)
+
+    def next_best(self, told: PairVerdict, chosen: Candidate) -> Candidate | None:
+        """The candidate of the runner-up."""
+        if told.verdict is not Verdict.UNRELATED:
+            return None if told.runner_up is None else self.known(told, told.runner_up)
+        beyond = (c for c in self.candidates(told) if c.bits > MATCH.lead_bits)
+        return next((c for c in beyond if not same_placement(c, chosen, self.b)), None)
+
+    def placement(self, c: Candidate, known: Alignment | None) -> Placement:
+        """A candidate with its evidence, as far as the document tells it."""
+        own = alignment_of(c, self.a, self.b, None)
+        tested = None if known is None else known.copy_test
+        if known is not None and tested is not None:
+            own = replace(own, evidence_bits=known.evidence_bits, copy_test=tested)
+        terms = _terms(_Naming(self.a, self.b), c, own.evidence_bits, tested)
+        return Placement(own, terms, c.searched)
+
+
+def _of(c: Candidate, alignment: Alignment) -> bool:
+    """Whether a candidate matches what an alignment does."""
+    pairs = set(map(tuple, alignment.matched.tolist()))
+    return set(zip(c.a.tolist(), c.b.tolist(), strict=True)) == pairs
+
+
+def explain(merge: Merge, a: str, b: str) -> Decision:
+    """Why two runs a < b were merged or not, or would be by their two maps alone. Raises what
+    `Merge.read` does."""
+    pair = _Pair.of(merge, a, b)
+    listed = (a, b) in merge.said
+    unlisted = not listed and a in merge.poses and b in merge.poses
+    told = merge.said[a, b] if listed else pair.alone()
+    told = _unlisted(merge, told) if unlisted else told
+    start = None
+    if told.accepted_by == "components" and told.together is not None:
+        placements = _of_components(merge, told, told.together)
+    elif (chosen := pair.chosen(told)) is None:
+        placements, start = _of_seed(pair)
+    else:
+        rival = pair.next_best(told, chosen)
+        placements = [pair.placement(chosen, _tested(told))]
+        placements += [] if rival is None else [pair.placement(rival, told.runner_up)]
     return Decision(
         said=told,
-        of_merge=unlisted or pair in batch.said,
-        requirement=_requirement(batch, told, own.view, shown[0][1] if shown else None),
-        placements=placements,
+        of_merge=unlisted or listed,
+        requirement=_requirement(merge, told, placements),
+        placements=tuple(placements),
         start=start,
-        by_others=_by_others(batch, told),
-        why="" if told.accepted else own.view.why,
-        notes=_notes(batch, told, alone, placements) if pair in batch.said else (),
+        by_others=_by_others(merge, told),
+        why="" if told.accepted else told.lacks,
+        notes=_notes(merge, told, placements) if listed else (),
     )
 
 
-def _notes(
-    batch: Batch, told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
-) -> tuple[str, ...]:
+def _tested(told: PairVerdict) -> Alignment | None:
+    """The alignment of a verdict with its test for a copy. Of runs that a person locked apart the
+    document states that alone."""
+    if "copy_test" not in told.extra:
+        return told.best
+    tested, nothing = CopyTest(**told.extra["copy_test"]), np.zeros((0, 2), np.int64)
+    return Alignment(np.zeros(3), told.evidence_bits, nothing, 0.0, copy_test=tested)
+
+
+def _notes(merge: Merge, told: PairVerdict, placements: Sequence[Placement]) -> tuple[str, ...]:
     """Notes on a pair of the last merge."""
     if discarded(told):  # nothing of it was counted, so that nothing can differ
         return ()
-    return (*_lock_notes(batch, told), *_changed(told, alone, placements))
+    return (*_lock_notes(merge, told), *_changed(told, placements))
 
 
-def _unlisted(batch: Batch, alone: PairVerdict) -> PairVerdict:
+def _unlisted(merge: Merge, alone: PairVerdict) -> PairVerdict:
     """The verdict on a pair that the merge did not list: its own assessment, and through which runs
     others join the two, if they do."""
     pair = (alone.a, alone.b)
-    known = [*batch.said.values(), replace(alone, accepted=False)]
+    known = [*merge.said.values(), replace(alone, accepted=False)]
     through = joined_through(known).get(pair, ())
     if alone.verdict is Verdict.UNRELATED:
         return replace(alone, through=through)
@@ -136,103 +211,69 @@ def _unlisted(batch: Batch, alone: PairVerdict) -> PairVerdict:
         f"matched now: {alone.reason}",
         threshold_bits=alone.threshold_bits,
         through=through,
+        lacks=alone.lacks,
+        extra=alone.extra,
     )
 
 
-def _by_others(batch: Batch, told: PairVerdict) -> FloatArray | None:
+def _by_others(merge: Merge, told: PairVerdict) -> FloatArray | None:
     """T_a_b of two runs that only others join."""
-    if not told.through or told.a not in batch.poses or told.b not in batch.poses:
+    if not told.through or told.a not in merge.poses or told.b not in merge.poses:
         return None
-    return between(batch.poses[told.a], batch.poses[told.b])
+    return between(merge.poses[told.a], merge.poses[told.b])
 
 
-Shown = tuple[Placement, Answers]
-
-
-def _shown(batch: Batch, own: AssessedPair, told: PairVerdict) -> tuple[list[Shown], Start | None]:
-    """The placement that the verdict refers to and the next best one; without any, the best
-    hypothesis."""
-    if told.accepted_by == "components" and told.together is not None:
-        return _of_components(batch, told, told.together), None
-    chosen = _chosen(batch, own, told)
-    if chosen is None:
-        return _of_seed(own, batch.settings)
-    others = (c for c, _ in own.view.ranked if not same_placement(c, chosen, own.b))
-    rival = next(others, None)
-    found = [chosen] if rival is None else [chosen, rival]
-    return [_placement_of(own, c) for c in found], None
-
-
-def _chosen(batch: Batch, own: AssessedPair, told: PairVerdict) -> Candidate | None:
-    """The candidate that the verdict refers to: the one in the document, else the best."""
-    known = [*(c for c, _ in own.view.ranked), *own.candidates]
-    for lock in batch.locks:
-        if (lock.a, lock.b, lock.decision) == (told.a, told.b, "same"):
-            forced = forced_alignment(own.a, own.b, own.candidates, lock, batch.settings)
-            known += [] if forced is None else [forced]
-    if told.best is not None:
-        pairs = {tuple(p) for p in told.best.matched.tolist()}
-        same = (c for c in known if set(zip(c.a.tolist(), c.b.tolist(), strict=True)) == pairs)
-        if (found := next(same, None)) is not None:
-            return found
-    return next(iter(known), None)
-
-
-def _placement_of(own: AssessedPair, c: Candidate) -> Shown:
-    view = own.view
-    asked = zip(view.ranked, view.answers, strict=True)
-    answers = next(
-        (a for (r, _), a in asked if r is c),
-        Answers(view.need_bits, c.bits, counted_bits(c)),
-    )
-    terms = _terms(_Naming(own.a, own.b), c, answers)
-    return Placement(own.alignment(c, answers.bits), terms, c.searched), answers
-
-
-def _of_seed(own: AssessedPair, settings: RobustSettings) -> tuple[list[Shown], Start | None]:
+def _of_seed(pair: _Pair) -> tuple[list[Placement], Start | None]:
     """The best hypothesis if none grew, and why."""
-    best = best_seed(own.a, own.b, settings)
+    settings = pair.merge.settings
+    best = best_seed(pair.a, pair.b, settings)
     if best is None:
         return [], None
     lanes, seed, candidate, count = best
     found, expected = given_up(lanes, seed, settings)
     needed = max(MATCH.fewest, ceil(MATCH.least_share * expected))
-    return [_placement_of(own, candidate)], Start(found, expected, needed, count)
+    return [pair.placement(candidate, None)], Start(found, expected, needed, count)
 
 
 def _of_components(
-    batch: Batch, told: PairVerdict, sides: tuple[tuple[str, ...], tuple[str, ...]]
-) -> list[Shown]:
+    merge: Merge, told: PairVerdict, sides: tuple[tuple[str, ...], tuple[str, ...]]
+) -> list[Placement]:
     """The placement of a pair that its components joined, with their evidence."""
-    x, y = (tuple(batch.row[run] for run in side if run in batch.row) for side in sides)
-    threshold_of = thresholds([prepare(m) for m in batch.maps], batch.settings, batch.linked)
-    threshold = threshold_of((*x, *y), batch.count(told))
+    runs = sorted((*sides[0], *sides[1]))
+    row = {run: k for k, run in enumerate(runs)}
+    maps = [merge.read(run) for run in runs]
     inside = {
-        (batch.row[a], batch.row[b]): v.best
-        for (a, b), v in batch.said.items()
+        (row[a], row[b]): v.best
+        for (a, b), v in merge.said.items()
         if v.accepted_by in ("pair", "lock", "components")
-        and a in batch.row
-        and b in batch.row
+        and a in row
+        and b in row
         and v.best is not None
     }
-    one, two, view = view_of_components(batch.maps, (x, y), inside, threshold, batch.settings)
-    if view.best is None or told.best is None:
+    x, y = (tuple(row[run] for run in side) for side in sides)
+    one, two, candidates = matches_of_components(maps, (x, y), inside, merge.settings)
+    if told.best is None or not candidates:
         return []
+    ends, asked = (row[told.a], row[told.b]), told.best.matched.tolist()
+    linked = (linked_junctions(one, two, c).get(ends) for c in candidates)
+    same = (
+        c for c, own in zip(candidates, linked, strict=True) if own and asked == [*map(list, own)]
+    )
+    best = next(same, candidates[0])
     swapped = told.a not in one.names
-    runs = (told.b, told.a) if swapped else (told.a, told.b)
+    names = (told.b, told.a) if swapped else (told.a, told.b)
     naming = _Naming(
         one.prepared,
         two.prepared,
-        [members.get(runs[0], ())[:1] for members in one.members],
-        [members.get(runs[1], ())[:1] for members in two.members],
+        [members.get(names[0], ())[:1] for members in one.members],
+        [members.get(names[1], ())[:1] for members in two.members],
         swapped,
     )
-    answers = view.answers[0]
     # Of maps that changed since, some junctions may be gone.
-    sizes = [len(batch.maps[batch.row[run]]) for run in (told.a, told.b)]
+    sizes = [len(maps[k]) for k in ends]
     matched = told.best.matched[(told.best.matched < sizes).all(axis=1)]
-    shown = replace(told.best, matched=matched, corridors=len(view.best.corridors))
-    return [(Placement(shown, _terms(naming, view.best, answers)), answers)]
+    shown = replace(told.best, matched=matched, corridors=len(best.corridors))
+    return [Placement(shown, _terms(naming, best, shown.evidence_bits, shown.copy_test))]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -274,19 +315,18 @@ def _behind(
     return tuple(found) if len(found) == len(vertices) else ()
 
 
-def _terms(naming: _Naming, c: Candidate, answers: Answers) -> tuple[Term, ...]:
-    """The evidence of a placement, part by part; the parts add up to `answers.bits`."""
-    few = answers.carried - answers.against_chance
-    copies = answers.bits - answers.carried
+def _terms(naming: _Naming, c: Candidate, bits: float, tested: CopyTest | None) -> tuple[Term, ...]:
+    """The evidence of a placement, part by part; the parts add up to `bits` if it was tested for
+    being a copy, else to what speaks against chance."""
+    few = counted_bits(c) - c.bits
     terms = [*_links(naming, c), *_branches(naming, c), *_views(naming, c), *_against(naming, c)]
     terms.append(naming.term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if rounded(few, BITS) < 0:
         told = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
         terms.append(naming.term("few", few, told))
-    if answers.same_place is not None:
-        terms.append(
-            naming.term("copies", copies, _copy_told(answers.same_place, answers.need_same))
-        )
+    if tested is not None:
+        copies = min(rounded(bits, BITS) - counted_bits(c), 0.0)
+        terms.append(naming.term("copies", copies, _copy_told(tested.bits, tested.needed_bits)))
     return tuple(terms)
 
 
@@ -350,36 +390,31 @@ def _against(naming: _Naming, c: Candidate) -> list[Term]:
     return [naming.term(x.kind, -x.bits, told[x.kind], one=x.of_a, two=x.of_b) for x in found]
 
 
-def _requirement(
-    batch: Batch, told: PairVerdict, view: Assessment, answers: Answers | None
-) -> Requirement:
-    """The requirements for merging; view: of the two maps alone."""
-    settings, pairs = batch.settings, batch.count(told).all
-    asked = answers is not None and answers.same_place is not None
+def _requirement(merge: Merge, told: PairVerdict, placements: Sequence[Placement]) -> Requirement:
+    """The requirements for merging."""
+    settings, pairs = merge.settings, merge.pairs(told)
+    tested = placements[0].alignment.copy_test if placements else None
+    lead = None if told.accepted_by == "components" else told.lead_needed_bits
     return Requirement(
         threshold_bits=needed_bits(pairs, settings),
         pairs=in_steps(pairs),
         unrounded_pairs=None if in_steps(pairs) == pairs else pairs,
         false_merge_rate=settings.false_merge_rate,
         least_junctions=settings.min_matches,
-        lead_bits=MATCH.lead_bits if told.accepted_by == "components" else view.lead_bits,
+        lead_bits=MATCH.lead_bits if lead is None else lead,
         junction_bits=MATCH.junction_bits,
-        repetition=0.0 if answers is None else answers.repetition,
-        same_place_bits=answers.same_place if answers is not None and asked else None,
-        same_place_needed=answers.need_same if answers is not None and asked else None,
+        repetition=0.0 if tested is None else tested.repetition,
+        same_place_bits=None if tested is None else tested.bits,
+        same_place_needed=None if tested is None else tested.needed_bits,
     )
 
 
-def _changed(
-    told: PairVerdict, alone: PairVerdict, placements: Sequence[Placement]
-) -> tuple[str, ...]:
+def _changed(told: PairVerdict, placements: Sequence[Placement]) -> tuple[str, ...]:
     """A note if the maps no longer give what the document says."""
-    now = alone.evidence_bits
-    if told.accepted_by not in (None, "pair") and placements:
+    now = 0.0
+    if placements and (told.verdict is not Verdict.UNRELATED or told.evidence_bits):
         now = sum(term.bits for term in placements[0].terms)
     same = abs(now - told.evidence_bits) < SAME_BITS
-    if told.accepted_by in (None, "pair") and told.locked is None and not _set_aside(told, alone):
-        same &= told.verdict == alone.verdict
     if told.best is not None and placements:
         same &= _alike(told.best, placements[0].alignment)
     if same:
@@ -391,9 +426,9 @@ def _changed(
     return (f"{differ}: they, the locks or topobatch have changed since; merge again",)
 
 
-def _lock_notes(batch: Batch, told: PairVerdict) -> tuple[str, ...]:
+def _lock_notes(merge: Merge, told: PairVerdict) -> tuple[str, ...]:
     """A note if a lock was set or cleared since the merge, or is infeasible."""
-    lock = lock_table(batch.locks).get((told.a, told.b))
+    lock = lock_table(merge.locks).get((told.a, told.b))
     now = None if lock is None else lock.decision
     if now != told.locked:
         what = {"same": "locked as the same", "never": "locked apart", None: "unlocked"}[now]
@@ -401,11 +436,6 @@ def _lock_notes(batch: Batch, told: PairVerdict) -> tuple[str, ...]:
     if now == "same" and not told.accepted:
         return (told.reason.partition("; the maps alone say")[0],)
     return ()
-
-
-def _set_aside(told: PairVerdict, alone: PairVerdict) -> bool:
-    """Whether the pair would be merged by itself and was kept out by other runs."""
-    return alone.accepted and not told.accepted
 
 
 def _alike(x: Alignment, y: Alignment) -> bool:

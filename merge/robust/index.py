@@ -17,63 +17,18 @@ from scipy.sparse.csgraph import connected_components
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import wrap
-from ..packs import arrays_from_bytes, arrays_to_bytes
 from .branch_patterns import LENGTH_SCALE
 from .links import KEY_STEP, windows
-from .prepare import Extent, Prepared, length_bits
+from .prepare import Prepared, length_bits
 from .settings import MATCH
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Probes:
-    """The columns of a map of k directed corridors that the index needs, as in `Prepared`."""
-
-    extent: Extent
-    tail: IntArray
-    head: IntArray
-    pattern: IntArray
-    probe_row: IntArray
-    probe_key: FloatArray
-    length: FloatArray
-    variance: FloatArray
-    sagitta: FloatArray
-    angle: FloatArray
-    rarity: FloatArray
-    end_information: FloatArray
-
-    @classmethod
-    def of(cls, a: Prepared) -> Probes:
-        """Those of a prepared map."""
-        return cls(a.extent, *(getattr(a, name) for name in PROBES))
-
-    def to_bytes(self) -> bytes:
-        """Serialised."""
-        return arrays_to_bytes([getattr(self, name) for name in PROBES])
-
-    @classmethod
-    def from_bytes(cls, data: bytes, extent: Extent) -> Probes | None:
-        """Inverse of `to_bytes` for a map of this extent; None if the bytes cannot be of one."""
-        arrays = arrays_from_bytes(data, "iiiifffffff")
-        if arrays is None:
-            return None
-        n, k = extent.junctions, extent.corridors
-        out = cls(extent, *arrays)
-        per_corridor = (getattr(out, name) for name in PROBES if not name.startswith("probe"))
-        if any(len(x) != k for x in per_corridor) or len(out.probe_row) != len(out.probe_key):
-            return None
-        within = ((out.tail, n), (out.head, n), (out.probe_row, k))
-        if not all(((x >= 0) & (x < high)).all() for x, high in within):
-            return None
-        return out if (out.variance >= 0).all() else None
-
-
-PROBES = tuple(name for name in Probes.__dataclass_fields__ if name != "extent")
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Asked:
-    """The corridors of some maps, one direction each, concatenated: columns as in `Probes`. owner:
-    map of each; tail, head: vertices, numbered through all maps."""
+    """The corridors of some maps, one direction each, concatenated: columns as in `Prepared`.
+
+    owner: map of each; tail, head: vertices, numbered through all maps.
+    """
 
     owner: IntArray
     tail: IntArray
@@ -87,10 +42,10 @@ class Asked:
     end_information: FloatArray
 
     @classmethod
-    def of(cls, maps: Sequence[Probes]) -> Asked:
+    def of(cls, maps: Sequence[Prepared]) -> Asked:
         """The corridors of these maps."""
         half = [len(m.tail) // 2 for m in maps]
-        first = np.cumsum([0, *(m.extent.junctions for m in maps)])
+        first = np.cumsum([0, *(len(m) for m in maps)])
         owner = np.arange(len(maps)).repeat(half)
         parts = {
             name: np.concatenate([getattr(m, name)[:k] for m, k in zip(maps, half, strict=True)])
@@ -127,9 +82,9 @@ class Corridors:
     worst: FloatArray
 
     @classmethod
-    def of(cls, maps: Sequence[Probes]) -> Corridors:
+    def of(cls, maps: Sequence[Prepared]) -> Corridors:
         """Index some maps. O(k log k)."""
-        first = np.cumsum([0, *(m.extent.junctions for m in maps)])
+        first = np.cumsum([0, *(len(m) for m in maps)])
         rows = [m.probe_row for m in maps]
 
         def gathered(name: str) -> FloatArray:
@@ -166,7 +121,7 @@ class Corridors:
         return np.asarray(self.worst[np.maximum(at, 0)])
 
     def chances(
-        self, maps: Sequence[Probes], least: float, after: IntArray | None = None
+        self, maps: Sequence[Prepared], least: float, after: IntArray | None = None
     ) -> FloatArray:
         """(given maps, maps here) evidence [bits] of the best connected set of links of two maps,
         minus log2 of the number of links; -inf if all links together have less than `least`, and

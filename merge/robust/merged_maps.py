@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 
 from ...topology.topomap import RunNoise, TopoMap
 from ..fusion.fuse import component_digest, fuse
-from ..packs import Kept, Key, Kind, arrays_from_bytes, arrays_to_bytes
+from ..kept import Kept, Kind
 from ..result import Alignment, FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
 from .alignment import Candidate, match
 from .mirror import mirrored
-from .prepare import Extent, Prepared, prepare
-from .records import from_bytes, in_short, to_bytes
+from .prepare import Prepared, prepare
 from .settings import RobustSettings
+from .tasks import Told, candidates_of, image_result_of, result_of
 
 Pair = tuple[int, int]
 Runs = tuple[int, ...]
@@ -30,8 +30,8 @@ class MergedMap:
         runs: Runs,
         own: Sequence[TopoMap],
         inside: Sequence[PairVerdict],
-        prepared: Callable[[], Prepared] | None,
-        kept: Kept | None,
+        kept: Kept,
+        prepared: Prepared | None = None,
     ) -> None:
         self.runs = runs
         self.maps = dict(zip(runs, own, strict=True))
@@ -46,11 +46,8 @@ class MergedMap:
 
     @cached_property
     def digest(self) -> bytes:
-        """Digest of all that it follows from; empty if nothing is kept."""
-        own, kept = list(self.maps.values()), self._kept
-        if kept is None:
-            return b""
-        return component_digest([kept.digest(m) for m in own], own, self._inside)
+        """Digest of all that it follows from."""
+        return component_digest(list(self.maps.values()), self._inside, self._kept)
 
     @cached_property
     def _fused(self) -> FusedMap:
@@ -71,31 +68,22 @@ class MergedMap:
         return own[0] if len(own) == 1 else _as_map(self._fused, own)
 
     @cached_property
-    def extent(self) -> Extent:
-        """Its size."""
-        return Extent.of(self._fused if len(self.runs) > 1 else self.as_map)
-
-    @cached_property
     def prepared(self) -> Prepared:
         """Prepared for matching."""
-        return self._prepared() if self._prepared else prepare(self.as_map)
+        return prepare(self.as_map) if self._prepared is None else self._prepared
 
 
 class MergedMaps:
     """The merged maps of groups of runs, and their matches. kept: results of earlier merges."""
 
     def __init__(
-        self,
-        maps: Sequence[TopoMap],
-        prepared: Sequence[Prepared] = (),
-        kept: Kept | None = None,
+        self, maps: Sequence[TopoMap], kept: Kept, prepared: Sequence[Prepared] = ()
     ) -> None:
         self._maps = maps
         self._prepared = prepared
         self._kept = kept
         self._made: dict[tuple[Runs, tuple[tuple[Pair, bytes], ...]], MergedMap] = {}
         self._matched: dict[tuple[MergedMap, MergedMap], tuple[Candidate, ...]] = {}
-        self._images: dict[tuple[MergedMap, MergedMap], float] = {}
 
     def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
         """The merged map of some runs, sorted, by the accepted alignments between them."""
@@ -109,11 +97,9 @@ class MergedMaps:
                 )
                 for (i, j), a in known
             ]
-            alone = None
-            if self._prepared and len(runs) == 1:
-                alone = partial(self._prepared.__getitem__, runs[0])
+            alone = self._prepared[runs[0]] if self._prepared and len(runs) == 1 else None
             own = [maps[i] for i in runs]
-            self._made[key] = MergedMap(runs, own, inside, alone, self._kept)
+            self._made[key] = MergedMap(runs, own, inside, self._kept, alone)
         return self._made[key]
 
     def matched(
@@ -121,49 +107,37 @@ class MergedMaps:
     ) -> tuple[Candidate, ...]:
         """The candidates of two of them that are beyond chance."""
         if (one, two) not in self._matched:
-            self._matched[one, two] = self._candidates(one, two, settings)
+            data = self._result(
+                Kind.RIVALS,
+                (one, two),
+                lambda: result_of(
+                    match(one.prepared, two.prepared, settings, rivals=True), settings
+                ),
+            )
+            self._matched[one, two] = candidates_of(data)
         return self._matched[one, two]
-
-    def _candidates(
-        self, one: MergedMap, two: MergedMap, settings: RobustSettings
-    ) -> tuple[Candidate, ...]:
-        data = self._find(Kind.PAIR, one, two)
-        if data == b"":
-            return ()
-        found = None if data is None else from_bytes(data, one.extent, two.extent)
-        if found is None:
-            every = match(one.prepared, two.prepared, settings, rivals=True)
-            found = in_short(every, settings).candidates
-            self._keep(Kind.PAIR, one, two, to_bytes(found))
-        return found
 
     def image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
         """Evidence of the best alignment of the first with the mirror image of the second
         [bits]."""
-        if (one, two) not in self._images:
-            self._images[one, two] = self._image_bits(one, two, settings)
-        return self._images[one, two]
+        data = self._result(
+            Kind.IMAGE,
+            (one, two),
+            lambda: image_result_of(match(one.prepared, prepare(mirrored(two.as_map)), settings)),
+        )
+        faint = Told.of(data).faint
+        return -np.inf if faint is None else faint.bits
 
-    def _image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
-        data = self._find(Kind.IMAGE, one, two)
-        known = None if data is None else arrays_from_bytes(data, "f")
-        if known is not None and len(known[0]) < 2:
-            return float(max(known[0], default=-np.inf))
-        found = match(one.prepared, prepare(mirrored(two.as_map)), settings)
-        best = np.array([c.bits for c in found[:1]])
-        self._keep(Kind.IMAGE, one, two, arrays_to_bytes([best]))
-        return float(max(best, default=-np.inf))
-
-    def _find(self, kind: Kind, one: MergedMap, two: MergedMap) -> bytes | None:
-        return None if self._kept is None else self._kept.find(kind, _key(one, two))
-
-    def _keep(self, kind: Kind, one: MergedMap, two: MergedMap, payload: bytes) -> None:
-        if self._kept is not None:
-            self._kept.add(kind, _key(one, two), payload)
-
-
-def _key(one: MergedMap, two: MergedMap) -> Key:
-    return one.digest, two.digest
+    def _result(
+        self, kind: Kind, pair: tuple[MergedMap, MergedMap], made: Callable[[], bytes]
+    ) -> bytes:
+        """The result that is kept of two of them; else it is made."""
+        key = pair[0].digest, pair[1].digest
+        (data,) = self._kept.find(kind, [key])
+        if data is None:
+            data = made()
+            self._kept.add(kind, key, data)
+        return data
 
 
 def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +14,6 @@ from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import NO_VIEWS, Views
-from ..result import FusedMap
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
 from .corridor_points import CorridorPoints, corridor_shapes
 from .halves import Halves, halves
@@ -24,21 +22,6 @@ from .settings import MATCH
 
 LEAST_M = 10.0**-METRES
 """Lower bound of 1 sigma of a length: the precision of documents."""
-
-
-class Extent(NamedTuple):
-    """Size of a map: junctions, directed corridors (both directions of each), and views."""
-
-    junctions: int
-    corridors: int
-    views: int = 0
-
-    @classmethod
-    def of(cls, topomap: TopoMap | FusedMap) -> Extent:
-        """The extent of a map once it is prepared."""
-        z = topomap.xy[:, 0] + 1j * topomap.xy[:, 1]
-        seen = len(topomap.views) if isinstance(topomap, TopoMap) else 0
-        return cls(len(topomap), 2 * len(_corridors(topomap, z)), seen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,17 +147,6 @@ class Prepared:
     def __len__(self) -> int:
         return len(self.z)
 
-    @property
-    def extent(self) -> Extent:
-        """Its size."""
-        return Extent(len(self), len(self.tail), len(self.views))
-
-
-def _corridors(m: TopoMap | FusedMap, z: ComplexArray) -> IntArray:
-    """Rows of the corridors that matching uses: no loops, and none without a length."""
-    long = np.abs(z[m.source] - z[m.target]) > LEAST_M
-    return np.flatnonzero((m.source != m.target) & long)
-
 
 def prepare(topomap: TopoMap) -> Prepared:
     """Prepare a map for matching; pure and picklable. O(n log n).
@@ -188,7 +160,9 @@ def prepare(topomap: TopoMap) -> Prepared:
     observations = np.maximum(np.bincount(m.observation_vertex, minlength=len(z)), 1).astype(
         np.int64
     )
-    rows = _corridors(m, z)
+    # No loops, and none without a length.
+    long = np.abs(z[m.source] - z[m.target]) > LEAST_M
+    rows = np.flatnonzero((m.source != m.target) & long)
     tail = np.concatenate([m.source[rows], m.target[rows]])
     head = np.concatenate([m.target[rows], m.source[rows]])
     leave = np.concatenate([m.source_branch[rows], m.target_branch[rows]])

@@ -15,17 +15,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ...topology.topomap import TopoMap
-from ..digests import digested
-from ..packs import Kept, Key, Kind
+from ..kept import Kept
 from ..result import Alignment, Verdict, pairs_of
-from .alignment import laid_over, match
+from .alignment import Candidate, laid_over
 from .components import Components
-from .kept_verdicts import threshold_digest
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .prepare import Prepared
 from .settings import RobustSettings
-from .verdict import Assessment, Threshold, assess, assess_all
+from .verdict import Assessment, Threshold, assess_all
 from .wording import summary
 
 Pair = tuple[int, int]
@@ -49,9 +47,6 @@ Sides = tuple[Runs, Runs]
 
 Asked = tuple[MergedMap, MergedMap]
 
-NOT_JOINED = b"not joined"
-"""Record of two components with too little evidence to be joined."""
-
 Said = tuple[MergedMap, MergedMap, Assessment]
 
 
@@ -74,14 +69,14 @@ class Rematcher:
     settings: RobustSettings
     discarded: frozenset[Pair] = frozenset()
     dishonoured: Mapping[Pair, tuple[int, int]] = field(default_factory=dict)
-    kept: Kept | None = None
+    kept: Kept = field(default_factory=Kept)
     _merged: MergedMaps = field(init=False)
     _told: dict[tuple[MergedMap, MergedMap, Threshold], Assessment | None] = field(
         default_factory=dict
     )
 
     def __post_init__(self) -> None:
-        self._merged = MergedMaps(self.maps, self.prepared, self.kept)
+        self._merged = MergedMaps(self.maps, self.kept, self.prepared)
 
     def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
         """The pairs joined by their components; joined: the alignments of the pairs joined
@@ -140,9 +135,8 @@ class Rematcher:
         against copies could be as well: as long as nothing was merged wrongly, a wrong merge can
         only be a pair across components. But then pairs that only merged maps show to be beyond
         chance would have to be counted, too. Tried: of 338 pairs of three batches of 72 runs in
-        tunnels 5 more are merged, none wrongly; but every merge would have to fuse all components
-        with open pairs again, which `_known_not_to_join` saves, and the count would have to be kept
-        in the document for `explain`.
+        tunnels 5 more are merged, none wrongly; but the count would have to be kept in the document
+        for `explain`.
         """
         members = self.components.members.values()
         left = pairs_of(len(self.maps)) - sum(pairs_of(len(runs)) for runs in members)
@@ -153,26 +147,16 @@ class Rematcher:
             if key in self._told:
                 continue
             self._told[key] = None
-            if self._known_not_to_join(one, two, threshold):
-                continue
             candidates = self._merged.matched(one, two, self.settings)
             if candidates:
                 fresh.append(key)
                 cases.append((one.prepared, two.prepared, candidates, threshold))
         for key, view in zip(fresh, assess_all(cases), strict=True):
-            one, two, threshold = key
-            if self._joins(one, two, view):
+            if self._joins(*key[:2], view):
                 self._told[key] = view
-            elif self.kept is not None:
-                self.kept.add(Kind.VERDICT, _key(one, two, threshold), NOT_JOINED)
         told = ((one, two, self._told[one, two, threshold]) for one, two, threshold in wanted)
         joined = [(one, two, view) for one, two, view in told if view is not None]
         return [said for said in joined if self._honours_locks(*said)]
-
-    def _known_not_to_join(self, one: MergedMap, two: MergedMap, threshold: Threshold) -> bool:
-        """Whether an earlier merge, or round, found too little evidence, as for most components."""
-        found = self.kept and self.kept.find(Kind.VERDICT, _key(one, two, threshold))
-        return found == NOT_JOINED
 
     def _apart(self, x: Runs, y: Runs) -> bool:
         """Whether a lock forbids joining two components, or a match between them was discarded,
@@ -201,42 +185,52 @@ class Rematcher:
         )
 
 
-def _key(one: MergedMap, two: MergedMap, threshold: Threshold) -> Key:
-    """Key of the result for two components' merged maps and a threshold."""
-    return digested(one.digest, two.digest), threshold_digest(threshold, copies=True)
-
-
 def _strength(said: Said) -> tuple[float, Runs, Runs]:
     one, two, view = said
     return view.bits, one.runs, two.runs
 
 
-def view_of_components(
+def matches_of_components(
     maps: Sequence[TopoMap],
     sides: tuple[Runs, Runs],
     accepted: Mapping[Pair, Alignment],
-    threshold: Threshold,
     settings: RobustSettings,
-) -> tuple[MergedMap, MergedMap, Assessment]:
-    """The assessment of the merged maps of two components. sides: the runs of each, sorted;
-    accepted: the alignments by which each was joined."""
-    merged = MergedMaps(maps)
+) -> tuple[MergedMap, MergedMap, tuple[Candidate, ...]]:
+    """The merged maps of two components, and how these can be matched. sides: the runs of each,
+    sorted; accepted: the alignments by which each was joined."""
+    merged = MergedMaps(maps, Kept())
     one, two = (merged.of(runs, accepted) for runs in sides)
-    candidates = match(one.prepared, two.prepared, settings, rivals=True)
-    return one, two, assess(one.prepared, two.prepared, candidates, threshold)
+    return one, two, merged.matched(one, two, settings)
 
 
 def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Alignment]:
-    """The alignments of pairs of runs that a match of two fused maps implies, the strongest first.
+    """The alignments of pairs of runs that a match of two fused maps implies, the strongest
+    first."""
+    assert view.best is not None
+    known = {**one.maps, **two.maps}
+    out = {}
+    for (i, j), pairs in linked_junctions(one, two, view.best).items():
+        matched = np.array(pairs, np.int64)
+        pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
+        transform, rmse = laid_over(pa, pb)
+        corridors, tested = len(view.best.corridors), view.answers[0].copy_test
+        out[i, j] = Alignment(transform, view.bits, matched, rmse, corridors, copy_test=tested)
+    return out
+
+
+def linked_junctions(
+    one: MergedMap, two: MergedMap, best: Candidate
+) -> dict[Pair, list[tuple[int, int]]]:
+    """The junctions of pairs of runs, sorted, that a match of two fused maps makes one; the pairs
+    with most first.
 
     A pair is linked by the matched places that both its runs saw; pairs with fewer than three are
     left out, unless there are no others: then the best one with at least two counts.
     """
-    assert view.best is not None
     shared: dict[Pair, list[tuple[int, int]]] = defaultdict(list)
     run_of_one = {m.run: i for i, m in one.maps.items()}
     run_of_two = {m.run: j for j, m in two.maps.items()}
-    for p, q in zip(view.best.a.tolist(), view.best.b.tolist(), strict=True):
+    for p, q in zip(best.a.tolist(), best.b.tolist(), strict=True):
         for run_i, vertices_i in sorted(one.members[p].items()):
             for run_j, vertices_j in sorted(two.members[q].items()):
                 i, j = run_of_one[run_i], run_of_two[run_j]
@@ -244,14 +238,8 @@ def _links(one: MergedMap, two: MergedMap, view: Assessment) -> dict[Pair, Align
                 shared[(i, j) if i < j else (j, i)].append((u, v) if i < j else (v, u))
     ranked = sorted(shared.items(), key=lambda item: (-len(item[1]), item[0]))
     strong = [item for item in ranked if len(item[1]) >= 3]
-    known = {**one.maps, **two.maps}
-    out = {}
-    for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
-        matched = np.array(sorted(pairs), np.int64)
-        pa, pb = known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]]
-        transform, rmse = laid_over(pa, pb)
-        out[i, j] = Alignment(transform, view.bits, matched, rmse, len(view.best.corridors))
-    return out
+    some = strong or [item for item in ranked[:1] if len(item[1]) >= 2]
+    return {pair: sorted(pairs) for pair, pairs in some}
 
 
 def _reason(

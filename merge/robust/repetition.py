@@ -16,7 +16,6 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.matching.likelihood import BIT, LIKELIHOOD
 from ...topology.quadratic_forms import MEDIAN_CHI2
-from ..packs import arrays_from_bytes, arrays_to_bytes
 from .atlas import Atlas
 from .branches import lonely_branches
 from .prepare import Prepared
@@ -90,19 +89,6 @@ class CopyModel:
     variation: float
     exact_odds: tuple[float, ...]
     change_rate: float
-
-    def to_bytes(self) -> bytes:
-        """Serialised."""
-        return arrays_to_bytes([np.array([self.variation, self.change_rate, *self.exact_odds])])
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> CopyModel | None:
-        """Inverse of `to_bytes`; None if the bytes are invalid."""
-        (numbers,) = arrays_from_bytes(data, "f") or [np.zeros(0)]
-        if len(numbers) != 2 + len(SHARES) or not ((numbers >= 0) & (numbers <= 1)).all():
-            return None
-        variation, change_rate, *odds = numbers.tolist()
-        return cls(variation, tuple(odds), change_rate) if sum(odds) > 0 else None
 
 
 def default_copies(settings: RobustSettings) -> CopyModel:

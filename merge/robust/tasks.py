@@ -1,17 +1,15 @@
 """Tasks: pairs of maps matched by one worker, as a pure function.
 
-A task names maps by run and content digest; the worker reads them. Results come back as packs,
+A task names maps by run and content digest; the worker reads them. Results come back as bytes,
 whoever made them, so that one process, many, and a cache give the same numbers.
 """
 
 from __future__ import annotations
 
-import hashlib
 import json
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
-from pathlib import Path
 from typing import Protocol
 
 import numpy as np
@@ -20,14 +18,17 @@ import scipy
 from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
-from ..digests import DIGEST, digest_of, digested
-from ..packs import Kind, Pack, PackWriter
-from .alignment import match_all, self_matches
+from .. import codec
+from ..digests import digest_of, digested, program_digest
+from ..kept import Kind
+from .alignment import Candidate, match_all, self_matches
+from .conflicts import Conflicts
 from .mirror import mirrored
 from .prepare import Prepared, prepare
-from .records import Found, in_short, to_bytes
-from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import Faint
+from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
+from .support import Support
+from .verdict import Faint, beyond_chance_bits, faint_of
+from .view_evidence import ViewEvidence
 
 Ready = Callable[[bytes, bool], Prepared]
 """Gives the prepared map of a digest, or its mirror image."""
@@ -45,7 +46,7 @@ class Maps(Protocol):
 class TaskSettings:
     """How pairs are divided among workers, without influence on the results."""
 
-    tile: int = 32
+    tile: int = 16
     """Maps per side of the tiles in which pairs are taken; a task is at most one tile: a map that
     is read serves a row of it, and the overhead of a task is small beside a second of work. Even
     few pairs are divided into as many tasks, for the sake of several workers."""
@@ -87,25 +88,61 @@ def era_of(settings: RobustSettings) -> bytes:
     """Digest that changes whenever results may: of the program, the libraries and the settings of
     matching."""
     told = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
-    parts = [_program(), np.__version__, scipy.__version__, told]
+    program = program_digest("topology", "merge").hex()
+    parts = [program, np.__version__, scipy.__version__, told]
     text = json.dumps(parts, sort_keys=True)
     return digested(text.encode())
 
 
-@cache
-def _program() -> str:
-    """Digest of all code that matching can reach, because a version number might be forgotten."""
-    root = Path(__file__).parents[2]
-    out = hashlib.blake2b(digest_size=DIGEST)
-    for folder in ("topology", "merge"):
-        for path in sorted((root / folder).rglob("*.py")):
-            out.update(path.relative_to(root).as_posix().encode())
-            out.update(path.read_bytes())
-    return out.hexdigest()
+HEAD = struct.Struct("<Idd")
+"""Head of the result of matching two maps: junctions and evidence of the best alignment if none is
+beyond chance, else 0; largest evidence against chance. The candidates follow, if there are any."""
+
+CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, ViewEvidence)}
 
 
-def matched(task: MatchTask) -> bytes:
-    """Do a task in a worker process: a pack with a record for each pair, in their order."""
+@dataclass(frozen=True, slots=True)
+class Told:
+    """The result of matching two maps, in short.
+
+    faint: the best alignment if none is beyond chance; against_chance: largest evidence against
+    chance of any alignment with enough junctions to be merged [bits]; full: whether there are
+    candidates.
+    """
+
+    faint: Faint | None = None
+    against_chance: float = 0.0
+    full: bool = False
+
+    @classmethod
+    def of(cls, data: bytes) -> Told:
+        """What the bytes of a result say."""
+        junctions, bits, against_chance = HEAD.unpack_from(data)
+        faint = Faint(junctions, bits, against_chance) if junctions else None
+        return cls(faint, against_chance, len(data) > HEAD.size)
+
+
+def candidates_of(data: bytes) -> tuple[Candidate, ...]:
+    """The candidates in the bytes of a result."""
+    return codec.from_bytes(data[HEAD.size :], CLASSES) if len(data) > HEAD.size else ()
+
+
+def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
+    """What is kept of the candidates of a pair: those beyond chance, or a summary of the best."""
+    odd = tuple(c for c in found if c.bits > MATCH.lead_bits)
+    if odd:
+        return HEAD.pack(0, 0.0, beyond_chance_bits(odd, settings)) + codec.to_bytes(odd)
+    faint = faint_of(found, settings) or Faint(0, 0.0)
+    return HEAD.pack(faint.junctions, faint.bits, faint.against_chance)
+
+
+def image_result_of(found: tuple[Candidate, ...]) -> bytes:
+    """What is kept of the candidates of a map and a mirror image: a summary of the best."""
+    return HEAD.pack(len(found[0]) if found else 0, found[0].bits if found else 0.0, 0.0)
+
+
+def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
+    """Do a task in a worker process: the worker's era, and the result of each pair."""
     run_of = {digest: run for run, digest in task.runs}
 
     def ready(digest: bytes, image: bool) -> Prepared:
@@ -118,7 +155,7 @@ def matched(task: MatchTask) -> bytes:
             _ready[digest, image] = found
         return found
 
-    return match_task(task, ready).to_bytes()
+    return era_of(task.settings), match_task(task, ready)
 
 
 _ready: dict[tuple[bytes, bool], Prepared] = {}  # in a worker: maps that the last tasks asked for
@@ -131,30 +168,14 @@ def _read(maps: Maps | None, run: str, digest: bytes) -> TopoMap:
     return found
 
 
-def match_task(task: MatchTask, ready: Ready) -> Pack:
-    """Do a task: the records of its pairs."""
-    out = PackWriter(era_of(task.settings))
+def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
+    """Do a task: the result of each pair."""
     digests = [digest for _, digest in task.runs]
     pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
     if task.kind is Kind.ITSELF:
         own = self_matches((ready(digest, False) for digest, _ in pairs), task.settings)
-        for pair, found in zip(pairs, own, strict=True):
-            out.add(pair, task.kind, payload=to_bytes(found))
-        return out.pack()
+        return [HEAD.pack(0, 0.0, 0.0) + codec.to_bytes(found) for found in own]
     image = task.kind is Kind.IMAGE
     both = ((ready(a, False), ready(b, image)) for a, b in pairs)
     every = match_all(both, task.settings, rivals=task.kind is Kind.RIVALS)
-    for pair, found in zip(pairs, every, strict=True):
-        kept = in_short(found, task.settings)
-        if image:
-            kept = Found(faint=Faint(len(found[0]), found[0].bits) if found else None)
-        faint = kept.faint or Faint(0, 0.0)
-        out.add(
-            pair,
-            task.kind,
-            junctions=faint.junctions,
-            bits=faint.bits,
-            beyond=kept.against_chance(task.settings),
-            payload=to_bytes(kept.candidates),
-        )
-    return out.pack()
+    return [image_result_of(f) if image else result_of(f, task.settings) for f in every]

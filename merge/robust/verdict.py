@@ -10,7 +10,7 @@ import numpy as np
 
 from ...topology.digits import BITS, rounded
 from ...topology.se2 import apply, fit_rigid
-from ..result import Verdict
+from ..result import CopyTest, Verdict
 from .alignment import Candidate
 from .prepare import Prepared
 from .repetition import CopyModel, Sameness, fits_by_noise, sameness_of, size_sigmas
@@ -29,6 +29,10 @@ NEARLY = "another placement fits nearly as well"
 
 DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY)
 """Why a pair is ambiguous that is more than too little evidence: it may belong elsewhere."""
+
+
+SHARE_DIGITS = 4
+"""Digits of shares in documents: more than any of them is known to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +101,14 @@ class Answers:
         if self.same_place is None:
             return np.inf
         return self.same_place + self.need - self.need_same
+
+    @property
+    def copy_test(self) -> CopyTest | None:
+        """The second question, as it is stated; None if it was not asked."""
+        if self.same_place is None:
+            return None
+        same, need = (rounded(bits, BITS) for bits in (self.same_place, self.need_same))
+        return CopyTest(same, need, round(self.repetition, SHARE_DIGITS))
 
 
 @dataclass(frozen=True, slots=True)

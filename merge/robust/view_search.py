@@ -50,9 +50,9 @@ SAME_M, SAME_PER_M, SAME_RAD = 1.2, 0.05, 0.2
 """Stretches that are placed alike within so much, and per metre between them, support each other:
 three pixels and 3° of drift."""
 
-KEPT = 33
-"""Prepared pictures that are kept: a tile of tasks has 32 maps a side, with each of which one map
-is matched in turn. Of 70 views each 20 MB."""
+KEPT = 17
+"""Prepared pictures that are kept: a tile of tasks has 16 maps a side, with each of which one map
+is matched in turn. Of 70 views each 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)

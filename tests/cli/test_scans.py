@@ -14,7 +14,7 @@ from mcap.writer import Writer
 from PIL import Image
 
 from topobatch.cli.info import described
-from topobatch.cli.scan_options import numbers
+from topobatch.cli.read_options import numbers
 from topobatch.ingest.inspection import inspect_log
 from topobatch.topology.errors import UsageError
 

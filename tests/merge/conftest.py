@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.merge.packs import Kind
 from topobatch.simulation import make_world
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, wrap
@@ -205,32 +204,3 @@ def moved():
         )
 
     return moved
-
-
-class Shelf:
-    """A store of merges in memory."""
-
-    era = b"e" * 16
-
-    def __init__(self):
-        self.known = {}
-
-    def packs(self, digests):
-        return []
-
-    def find(self, kind, key):
-        return self.known.get((kind, key))
-
-    def every(self, kind):
-        return (payload for (of, _), payload in self.known.items() if of is kind)
-
-    def keep(self, pack):
-        for k, row in enumerate(pack.rows):
-            key = pack.digests[row["a"]], pack.digests[row["b"]]
-            self.known[Kind(row["kind"]), key] = pack.payload(k)
-
-
-@pytest.fixture
-def new_store():
-    """Makes stores of merges in memory."""
-    return Shelf

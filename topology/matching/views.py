@@ -69,15 +69,15 @@ class ViewIndex:
 
     points: (n, m) wall cells as complex numbers [m], padded by zeros; normal: (n, m) directions
     across the walls as unit numbers, squared, times how straight the wall is there; there: (n, m)
-    whether there is a point; nearest: (n, f, f) the wall nearest to each fine cell, as a complex
-    number [m]; kind: (n, f, f) what a wall of another view tells here; near: (n, c, c) how well a
+    whether there is a point; nearest: (n, f, f) the wall nearest to each fine cell, as a row of
+    `_PLACES`; kind: (n, f, f) what a wall of another view tells here; near: (n, c, c) how well a
     wall would fit here, in coarse cells.
     """
 
     points: NDArray[np.complex64]
     normal: NDArray[np.complex64]
     there: NDArray[np.bool_]
-    nearest: NDArray[np.complex64]
+    nearest: NDArray[np.uint16]
     kind: NDArray[np.uint8]
     near: NDArray[np.float32]
 
@@ -86,13 +86,13 @@ class ViewIndex:
 
     @classmethod
     def of(cls, views: Views) -> ViewIndex:
-        """Prepare views. About 3 ms and 250 kB each."""
+        """Prepare views. About 3 ms and 100 kB each."""
         n, fine = len(views), 2 * SIDE
         count = (views.cells == WALL).sum(axis=(1, 2))
         most = int(count.max(initial=0))
         points = np.zeros((n, most), np.complex64)
         normal = np.zeros((n, most), np.complex64)
-        nearest = np.zeros((n, fine, fine), np.complex64)
+        nearest = np.full((n, fine, fine), fine * fine, np.uint16)
         kind = np.zeros((n, fine, fine), np.uint8)
         coarse = SIDE // 2
         near = np.zeros((n, coarse, coarse), np.float32)
@@ -104,7 +104,7 @@ class ViewIndex:
             normal[k, : len(row)] = _normals(cells == WALL)[row, column]
             wide = np.kron(cells, np.ones((2, 2), np.uint8))
             away, (y, x) = ndimage.distance_transform_edt(wide != WALL, return_indices=True)
-            nearest[k] = _metres(x, FINE_M) + 1j * _metres(y, FINE_M)
+            nearest[k] = y * fine + x
             away *= FINE_M
             clear = wide == FREE
             kind[k] = np.where(
@@ -137,6 +137,15 @@ class ViewIndex:
 
 def _metres(cell: IntArray, size_m: float) -> FloatArray:
     return np.asarray((cell + 0.5) * size_m - REACH_M)
+
+
+def _places() -> NDArray[np.complex64]:
+    """The middles of all fine cells [m], and of none, 0."""
+    along = _metres(np.arange(2 * SIDE), FINE_M)
+    return np.append(along + 1j * along[:, None], 0.0).astype(np.complex64)
+
+
+_PLACES = _places()
 
 
 def _normals(wall: NDArray[np.bool_]) -> ComplexArray:
@@ -307,11 +316,11 @@ def _cells(z: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
 
 
 def _looked_up(
-    field: NDArray[np.complex64], row: IntArray, z: NDArray[np.complex64]
+    field: NDArray[np.uint16], row: IntArray, z: NDArray[np.complex64]
 ) -> tuple[NDArray[np.complex64], NDArray[np.bool_]]:
     """Shift from points to the nearest wall, and whether they lie inside of the view."""
     cell, inside = _cells(z)
-    off = np.take(field.reshape(-1), cell + row[:, None] * field[0].size) - z
+    off = _PLACES[np.take(field.reshape(-1), cell + row[:, None] * field[0].size)] - z
     return off, inside
 
 

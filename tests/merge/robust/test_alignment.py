@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.merge.codec import to_bytes
 from topobatch.merge.robust.alignment import _apart, match, match_all, same_placement
 from topobatch.merge.robust.links import candidate_links
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.records import to_bytes
 from topobatch.topology.se2 import inverse
 
 from .plans import EDGES, POINTS, SETTINGS, rows_of_a_field

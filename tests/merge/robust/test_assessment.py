@@ -3,13 +3,15 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 
 from topobatch.merge.result import Verdict
-from topobatch.merge.robust.alignment import self_matches
-from topobatch.merge.robust.assessment import _told_once, assess_pair, thresholds
+from topobatch.merge.robust import assessment
+from topobatch.merge.robust.alignment import match, self_matches
+from topobatch.merge.robust.assessment import _told_once, thresholds
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
-from topobatch.merge.robust.verdict import MAYBE_COPY, PairCount, counted_bits, needed_bits
+from topobatch.merge.robust.verdict import MAYBE_COPY, PairCount, assess, counted_bits, needed_bits
 from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE, ViewEvidence
 
 from .plans import COPIES, SETTINGS
@@ -66,7 +68,19 @@ class Repetition:
         return self.junctions
 
 
-def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
+@pytest.fixture
+def reached(monkeypatch):
+    """The thresholds of maps by what each matches of itself; copies: gives the copy model of
+    (map, match) samples."""
+
+    def reached(own, links=None, copies=lambda _: COPIES):
+        monkeypatch.setattr(assessment, "copy_model", lambda samples, _: copies(samples))
+        return thresholds(range(len(own)), SETTINGS, links, own)
+
+    return reached
+
+
+def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show(reached):
     chance = Repetition(30, bits=MATCH.lead_bits - 1)
     own = [(), (Repetition(6), Repetition(4)), (Repetition(8),), (chance,)]
     heard = []
@@ -75,7 +89,7 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
         heard.extend((k, len(c)) for k, c in samples)
         return COPIES
 
-    asked = thresholds([None] * 4, SETTINGS, None, own, copies)
+    asked = reached(own, copies=copies)
     count = PairCount(6, 2)
     most = np.quantile([0, 6, 8, 0], SETTINGS.copied_share)
     assert [asked([k], count).copied for k in range(4)] == [most, most, 8.0, most]
@@ -84,7 +98,7 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show():
     assert heard == [(1, 6), (1, 4), (2, 8)]
 
 
-def test_maps_that_nothing_links_say_nothing_of_each_other():
+def test_maps_that_nothing_links_say_nothing_of_each_other(reached):
     own = [(Repetition(n),) if n else () for n in (0, 0, 0, 0, 6, 7, 8, 9, 10, 12)]
     heard = []
 
@@ -93,7 +107,7 @@ def test_maps_that_nothing_links_say_nothing_of_each_other():
         return replace(COPIES, change_rate=0.01 * len(samples))
 
     links = [(0, 1), (2, 1), (2, 3), (5, 6), (7, 8), (6, 8)]
-    asked = thresholds([None] * 10, SETTINGS, links, own, copies)
+    asked = reached(own, links, copies)
     count = PairCount(45, 2)
     most = np.quantile([7, 8, 9, 10], SETTINGS.copied_share)
     # Of the two that nothing links there are too few: they are held to all maps.
@@ -106,20 +120,20 @@ def test_maps_that_nothing_links_say_nothing_of_each_other():
     both = asked([2, 5], count)
     assert (both.copied, both.copies.change_rate) == (most, 0.04)
     assert asked([5, 2], count) is both
-    turned = thresholds([None] * 10, SETTINGS, [(j, i) for i, j in links[::-1]], own, copies)
+    turned = reached(own, [(j, i) for i, j in links[::-1]], copies)
     assert all(turned([k], count) == asked([k], count) for k in range(10))
 
 
-def test_what_half_a_turn_says_twice_is_no_copy_unless_once_is_beyond_chance():
+def test_what_half_a_turn_says_twice_is_no_copy_unless_once_is_beyond_chance(reached):
     tested = Repetition(8).tested_bits
     enough = 2 * (MATCH.lead_bits + tested) - tested
     own = [(Repetition(8, bits, back=True),) for bits in (enough - 0.1, enough + 0.1)]
-    asked = thresholds([None] * 2, SETTINGS, None, own, lambda _: COPIES)
+    asked = reached(own)
     most = np.quantile([0, 8], SETTINGS.copied_share)
     assert [asked([k], PairCount(1, 1)).copied for k in range(2)] == [most, 8.0]
 
 
-def test_a_copy_that_nothing_ends_may_go_on():
+def test_a_copy_that_nothing_ends_may_go_on(reached):
     enough, lead = needed_bits(1, SETTINGS), MATCH.lead_bits
     copies = [
         Repetition(6, enough + 0.1),
@@ -129,9 +143,16 @@ def test_a_copy_that_nothing_ends_may_go_on():
         # A few junctions tell little, whatever they seem to tell.
         Repetition(3, 99.0),
     ]
-    asked = thresholds([None] * 5, SETTINGS, None, [(c,) for c in copies], lambda _: COPIES)
+    asked = reached([(c,) for c in copies])
     # The other maps of the batch are held to what was seen.
     assert [asked([k], PairCount(10, 2)).copied for k in range(5)] == [np.inf, 6.0, 6.0, 6.0, 6.0]
+
+
+def assessed(a, b, count):
+    """Two maps, as one of so many pairs."""
+    ready = [prepare(a), prepare(b)]
+    found = match(*ready, SETTINGS, rivals=True)
+    return assess(*ready, found, thresholds(ready, SETTINGS)((0, 1), count))
 
 
 def test_what_may_lie_in_the_next_wing_is_not_merged(drawn):
@@ -142,10 +163,10 @@ def test_what_may_lie_in_the_next_wing_is_not_merged(drawn):
     ((copy,),) = self_matches([prepare(turned)], SETTINGS)
     assert len(copy) == 2 * CORNER
     assert _told_once(copy) == counted_bits(copy) / 2
-    view = assess_pair([turned, other_run], (0, 1), SETTINGS, count=many).view
+    view = assessed(turned, other_run, many)
     assert (view.verdict, view.why, len(view.best)) == (Verdict.AMBIGUOUS, MAYBE_COPY, len(WING))
     # Beyond its corner the wing opposite is seen to be another one.
     ended = wing_and_corner(drawn, leads_on=[(4, (-16, -2.5)), (2, (-13, -5.5))])
     assert next(self_matches([prepare(ended)], SETTINGS))[0].bits > MATCH.lead_bits
-    view = assess_pair([ended, other_run], (0, 1), SETTINGS, count=many).view
+    view = assessed(ended, other_run, many)
     assert (view.verdict, len(view.best)) == (Verdict.MERGED, len(WING))

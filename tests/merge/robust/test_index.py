@@ -3,16 +3,14 @@
 import numpy as np
 import pytest
 
-from topobatch.merge.digests import digest_of
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
-from topobatch.merge.packs import Kept
 from topobatch.merge.result import pairs_of
-from topobatch.merge.robust import DEFAULT_ROBUST, prepare
+from topobatch.merge.robust import prepare
 from topobatch.merge.robust.index import Corridors
 from topobatch.merge.robust.links import _components, candidate_links
-from topobatch.merge.robust.screening import ScreeningSettings, chances, pairs_to_match
+from topobatch.merge.robust.screening import ScreeningSettings, likely_pairs
 from topobatch.merge.robust.tasks import TaskSettings
 from topobatch.simulation import make_world
 
@@ -65,9 +63,9 @@ def test_maps_that_are_asked_together_say_what_they_say_alone(buildings):
 
 def test_blocks_make_no_difference(buildings, monkeypatch):
     ready = [prepare(m) for m in buildings]
-    whole = chances(ready, 12.0).pairs
+    whole = likely_pairs(ready, 12.0)
     monkeypatch.setattr("topobatch.merge.robust.screening.TASKS", TaskSettings(at_hand=4))
-    np.testing.assert_array_equal(chances(ready, 12.0).pairs, whole)
+    np.testing.assert_array_equal(likely_pairs(ready, 12.0), whole)
     assert (whole[:, 0] < whole[:, 1]).all()
     assert 0 < len(whole) < pairs_of(len(ready))
 
@@ -75,8 +73,8 @@ def test_blocks_make_no_difference(buildings, monkeypatch):
 def test_maps_without_corridors_have_no_chance(buildings, see, maze):
     lone = prepare(see(maze, [0], 1, "lone"))
     ready = [lone, prepare(buildings[0]), lone]
-    assert chances(ready, 6.0).pairs.shape == (0, 2)
-    assert chances([], 6.0).pairs.shape == (0, 2)
+    assert likely_pairs(ready, 6.0).shape == (0, 2)
+    assert likely_pairs([], 6.0).shape == (0, 2)
 
 
 @pytest.fixture
@@ -128,47 +126,3 @@ def test_the_threshold_is_that_of_all_pairs(buildings, request):
     assert len(before) == 1
     request.getfixturevalue("large")
     assert thresholds() == before
-
-
-def test_beside_known_maps_only_new_ones_are_looked_up(buildings, large, monkeypatch, new_store):
-    maps = sorted(buildings, key=lambda m: m.run)
-    ready, digests = [prepare(m) for m in maps], [digest_of(m) for m in maps]
-    asked = []
-    chances_of = Corridors.chances
-
-    def counted(self, a, least, after):
-        asked.append((self.maps - 1 - after).sum())
-        return chances_of(self, a, least, after)
-
-    monkeypatch.setattr(Corridors, "chances", counted)
-    kept, looked = Kept(new_store()), []
-    for left_out in ({3, 7}, {7}, set(), {1, 2}, set()):
-        rows = [k for k in range(len(maps)) if k not in left_out]
-        some, names = [ready[k] for k in rows], [digests[k] for k in rows]
-        right = pairs_to_match(some, DEFAULT_ROBUST)
-        asked.clear()
-        np.testing.assert_array_equal(pairs_to_match(some, DEFAULT_ROBUST, names, kept), right)
-        looked.append(sum(asked))
-    # Of 13 maps all pairs, of one more 13 and 14; then nothing new, or what was there before.
-    assert looked == [78, 13, 14, 0, 0]
-
-
-def test_chances_of_other_bytes_are_refused(buildings, large, new_store):
-    maps = sorted(buildings, key=lambda m: m.run)
-    ready, digests = [prepare(m) for m in maps], [digest_of(m) for m in maps]
-    kept = Kept(new_store())
-    right = pairs_to_match(ready, DEFAULT_ROBUST, digests, kept)
-    ((key, data),) = kept.store.known.items()
-    for at in range(0, len(data), 8):
-        for junk in (b"\xff" * 8, b"\xff" * 7 + b"\x7f", data[: len(data) // 2]):
-            kept.store.known[key] = (data[:at] + junk + data[at + 8 :])[: max(len(data), at)]
-            pairs = pairs_to_match(ready, DEFAULT_ROBUST, digests, kept)
-            assert ((pairs >= 0) & (pairs < len(maps))).all()
-    kept.store.known.clear()
-    turned = pairs_to_match(ready[::-1], DEFAULT_ROBUST, digests[::-1], kept)
-    kept.store.known.update({key: data})
-    np.testing.assert_array_equal(
-        pairs_to_match(ready[::-1], DEFAULT_ROBUST, digests[::-1], kept), turned
-    )
-    last = len(maps) - 1  # what is looked up in what makes a difference to what chance offers alone
-    assert {(last - j, last - i) for i, j in turned.tolist()} >= {(i, j) for i, j in right.tolist()}
