@@ -15,6 +15,7 @@ from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.columns import columns_of, take
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
+from ..topology.map_pose_graph import NO_MEASUREMENTS, Measurements
 from ..topology.quadratic_forms import ONE_SIGMA, quadratic_quantile
 from ..topology.topomap import (
     EDGE_COLUMNS,
@@ -79,7 +80,8 @@ class Alignment:
     transform; corridors: number of matched ones; contradictions: sentences, one per disagreement
     found ("junction 12 of run2 falls inside corridor 3–4 of run1, unseen there"); contradicting:
     for each of these the vertices of a and of b concerned, a corridor as its two ends; empty if not
-    known; copy_test: None if it was not tested for being a copy.
+    known; copy_test: None if it was not tested for being a copy; ties: relative poses of vertices
+    of a and of b that were measured otherwise than by matching them.
     """
 
     transform: FloatArray
@@ -90,6 +92,7 @@ class Alignment:
     contradictions: tuple[str, ...] = ()
     contradicting: tuple[tuple[tuple[int, ...], tuple[int, ...]], ...] = ()
     copy_test: CopyTest | None = None
+    ties: Measurements = NO_MEASUREMENTS
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "matched", np.reshape(self.matched, (-1, 2)))

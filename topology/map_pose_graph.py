@@ -33,6 +33,11 @@ class Measurements:
     information: FloatArray
 
 
+NO_MEASUREMENTS = Measurements(
+    np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
+)
+
+
 def odometry_measurements(topomap: TopoMap) -> Measurements:
     """Relative poses along the corridors of a map, without loops, with the errors of the odometry.
 

@@ -1,6 +1,6 @@
 """Fusion of maps by accepted verdicts into one map (§4).
 
-Independent of the method: only matched vertices and transforms of accepted pairs are used.
+Independent of the method: only matched vertices, transforms and ties of accepted pairs are used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,15 @@ from ..result import Component, FusedMap, PairVerdict, Spread, by_run
 from .data_association import COINCIDENCE, coincident
 from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
-from .joint_graph import Joint, fitted_poses, measured_within, pass_counts, run_poses, settle
+from .joint_graph import (
+    Joint,
+    fitted_poses,
+    measured_across,
+    measured_within,
+    pass_counts,
+    run_poses,
+    settle,
+)
 from .places import Place, fused_places
 from .uncertainty import fused_sigmas, spread
 from .vertex_partition import Groups, Pool, identify
@@ -126,7 +134,7 @@ def component_digest(
     sure: IntArray | None = None,
 ) -> bytes:
     """A digest of everything that a component depends on: its maps and their names, the matches
-    that join them, strongest first, and the covariances asked for; not of evidence."""
+    and ties that join them, strongest first, and the covariances asked for; not of evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
     names = repr([m.run for m in maps]), repr(sure if sure is None else sure.tolist())
     parts = [*map(str.encode, names), *map(kept.digest, maps)]
@@ -134,6 +142,7 @@ def component_digest(
         if v.best is not None:
             parts.append(f"{number[v.a]} {number[v.b]} {len(v.best.matched)};".encode())
             parts += [v.best.transform.tobytes(), v.best.matched.tobytes()]
+            parts += [v.best.ties.measurement.tobytes(), v.best.ties.information.tobytes()]
     return digested(*parts)
 
 
@@ -145,8 +154,7 @@ def fuse_component(
     pool = Pool.of(maps)
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
-    matched = [(v.a, v.b) for v in inside]
-    joint = _settle(pool, groups, start, matched)
+    joint = _settle(pool, groups, start, inside)
     pose = joint.pose
     label = groups.labels()
     xy = _place_positions(pool, label, pose)
@@ -175,19 +183,20 @@ def fuse_component(
 
 
 def _settle(
-    pool: Pool, groups: Groups, start: Mapping[str, FloatArray], matched: Sequence[tuple[str, str]]
+    pool: Pool, groups: Groups, start: Mapping[str, FloatArray], inside: Sequence[PairVerdict]
 ) -> Joint:
     """Optimise and fuse coincident vertices alternately, until there are none."""
     if len(pool.maps) < 2:
         return settle(pool, groups.labels(), start)
-    within = measured_within(pool)
-    joint = settle(pool, groups.labels(), start, within)
+    within, across = measured_within(pool), measured_across(pool, inside)
+    matched = [(v.a, v.b) for v in inside]
+    joint = settle(pool, groups.labels(), start, within, across)
     for _ in range(COINCIDENCE.rounds):
         pairs = coincident(pool, groups, joint.pose, matched)
         joined = [groups.join(u, v) for u, v in pairs]
         if not any(joined):
             break
-        joint = settle(pool, groups.labels(), start, within)
+        joint = settle(pool, groups.labels(), start, within, across)
     return joint
 
 

@@ -17,7 +17,12 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.connected import connected
-from ...topology.map_pose_graph import Measurements, map_pose_graph, odometry_measurements
+from ...topology.map_pose_graph import (
+    NO_MEASUREMENTS,
+    Measurements,
+    map_pose_graph,
+    odometry_measurements,
+)
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.structure import grid_direction, padded_branches
 from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors
@@ -122,16 +127,20 @@ def run_poses(runs: Sequence[str], verdicts: Sequence[PairVerdict]) -> dict[str,
 
 
 def settle(
-    pool: Pool, label: IntArray, start: Mapping[str, FloatArray], within: Measurements | None = None
+    pool: Pool,
+    label: IntArray,
+    start: Mapping[str, FloatArray],
+    within: Measurements | None = None,
+    across: Measurements = NO_MEASUREMENTS,
 ) -> Joint:
     """The maximum-likelihood poses of all rows of a pool.
 
     label: (n,) place of each row; start: T_component_run of every run; within: `measured_within` of
-    the pool, if computed before. The frame is chosen so that the rigid fit of the first run's map
-    to its optimised vertices is the identity.
+    the pool, if computed before; across: `measured_across`. The frame is chosen so that the rigid
+    fit of the first run's map to its optimised vertices is the identity.
     """
     guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
-    ties = _identity_factors(pool, label, guess)
+    ties = joined([_identity_factors(pool, label, guess), across])
     if len(ties.source) == 0:
         return Joint(guess, None, None)
     within = within or measured_within(pool)
@@ -157,6 +166,20 @@ def settle(
 def measured_within(pool: Pool) -> Measurements:
     """The relative measurements of every run between its own rows."""
     return joined([_map_factors(m, pool.first[m.run]) for m in pool.maps])
+
+
+def measured_across(pool: Pool, verdicts: Sequence[PairVerdict]) -> Measurements:
+    """The relative measurements between rows of different runs, as accepted verdicts hold them."""
+    ties = [
+        replace(
+            v.best.ties,
+            source=v.best.ties.source + pool.first[v.a],
+            target=v.best.ties.target + pool.first[v.b],
+        )
+        for v in verdicts
+        if v.best is not None
+    ]
+    return joined([NO_MEASUREMENTS, *ties])
 
 
 def fitted_poses(pool: Pool, pose: FloatArray) -> dict[str, FloatArray]:

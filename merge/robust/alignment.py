@@ -369,6 +369,10 @@ def _placed(
     lanes = _lanes([(a, b, [seed], 0)])
     (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), all_searched=True)
     if candidate is None:
+        # Junctions that lie near each other but look different are not taken for one place.
+        alike = ungrown(lanes, [seed]).branch
+        kept = np.flatnonzero((alike >= 0) | (alike == alike.max()))
+        seed = replace(seed, a=seed.a[kept], b=seed.b[kept])
         (candidate,) = _judged(ungrown(lanes, [seed]), np.zeros(1), all_searched=True)
     if candidate is None:
         return None

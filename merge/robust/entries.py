@@ -18,6 +18,7 @@ from .components import Refusal
 from .prepare import Prepared
 from .rematching import Reunion
 from .verdict import DOUBTS, Answers, Assessment, counted_bits
+from .view_ties import view_ties
 from .wording import contradictions, nothing, summary
 
 MAPS_ALONE = "the maps alone say:"
@@ -235,4 +236,5 @@ def alignment_of(c: Candidate, a: Prepared, b: Prepared, answers: Answers | None
         contradictions=tuple(told for told, _, _ in against),
         contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
         copy_test=None if answers is None else answers.copy_test,
+        ties=view_ties(a, b, c.views),
     )

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.digits import BITS, rounded
-from ...topology.se2 import apply, fit_rigid
 from ..result import CopyTest, Verdict
 from .alignment import Candidate
 from .prepare import Prepared
@@ -20,8 +19,6 @@ OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
 NO_WORSE = "another placement that chance does not explain has no more against it"
 MAYBE_COPY = "this may be another copy of the place, as buildings in this merge repeat themselves"
-
-LOOSE = "views place the two, but too few junctions agree with that to fuse the maps by"
 
 MISFITS = "this may be another copy of the place, as its lengths differ by more than noise"
 
@@ -337,8 +334,6 @@ def _assess(
     why = _missing(best, told, margin, threshold)
     if why == MAYBE_COPY and misfits(a, b, best):
         why = MISFITS
-    if not why and not _held(a, b, best):
-        why = LOOSE
     contested = not why and _contested(ranked, threshold)
     # If something else is missing, the explanation states the lead required over the runner-up.
     no_worse = contested or any(_contests(c, best, threshold.need_bits) for c, _ in ranked[1:2])
@@ -379,20 +374,6 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
     if margin is not None and margin < MATCH.lead_bits:
         return NEARLY
     return ""
-
-
-def _held(a: Prepared, b: Prepared, best: Candidate) -> bool:
-    """Whether the matched junctions alone hold a placement that views propose: these are what fused
-    maps are laid out by. With one to four junctions, some of them wrong, the parts of a convention
-    centre came to lie 3.6 to 8.8 m off, where the views had placed them to .6 and .8 m."""
-    if not best.by_views:
-        return True
-    if len(best) < MATCH.fewest:
-        return False
-    at_a, at_b = (np.column_stack([z.real, z.imag]) for z in (a.z[best.a], b.z[best.b]))
-    places = b.views.pose[best.views.second, :2]
-    off = apply(fit_rigid(at_a, at_b), places) - apply(best.transform, places)
-    return bool(np.hypot(*off.T).max(initial=0.0) < MATCH.gate_m + MATCH.crossing_m)
 
 
 def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> bool:

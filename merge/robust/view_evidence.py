@@ -49,7 +49,8 @@ LEAST_BITS = 1.0
 class ViewEvidence:
     """Views of two maps that a placement lays over each other.
 
-    first, second: (k,) views of a and b; z: (k,) `Registered.z`; cell: (k,) the part of the overlap
+    first, second: (k,) views of a and b; transform, information: of their registration, as in
+    `Registered`, (k, 3) and (k, 3, 3); z: (k,) `Registered.z`; cell: (k,) the part of the overlap
     that each is in; bits: (c,) evidence of every part against chance, positive for the placement;
     copies: evidence that it is no copy [bits]; repeated: 0 to 1, how likely it is a copy by its
     size; null: (2,) middle and spread of z at the placements of copies.
@@ -57,6 +58,8 @@ class ViewEvidence:
 
     first: IntArray
     second: IntArray
+    transform: FloatArray
+    information: FloatArray
     z: FloatArray
     cell: IntArray
     bits: FloatArray
@@ -84,9 +87,16 @@ class ViewEvidence:
 
 
 NO_VIEW_EVIDENCE = ViewEvidence(
-    *(np.zeros(0, np.int64),) * 2, np.zeros(0), np.zeros(0, np.int64), np.zeros(0), 0.0, 0.0,
+    *(np.zeros(0, np.int64),) * 2,
+    np.zeros((0, 3)),
+    np.zeros((0, 3, 3)),
+    np.zeros(0),
+    np.zeros(0, np.int64),
+    np.zeros(0),
+    0.0,
+    0.0,
     np.zeros(2),
-)  # fmt: skip
+)
 """Of maps without views, and where none lie over each other."""
 
 
@@ -193,10 +203,19 @@ def judged(
     # If none of n others is as good, the next one is at a rate of .5 / (n + 1) (Jeffreys' prior).
     unseen = float(np.log2(2 * (null.count + 1)))
     copies = min(_odds(mean, null, true), unseen)
+    found = here.found
     return ViewEvidence(
-        here.first, here.second, here.found.z, cell, bits, copies, repeated,
+        here.first,
+        here.second,
+        found.transform,
+        found.information,
+        found.z,
+        cell,
+        bits,
+        copies,
+        repeated,
         np.array([null.mean, null.sigma]),
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True)
