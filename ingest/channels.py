@@ -9,7 +9,7 @@ from .junction_source import junction_source
 from .logs.field_check import check_fields
 from .logs.fields import JunctionFields, fields_decoder
 from .logs.intake import Intake, decoder_for
-from .logs.messages import Channel, Findings, first_messages
+from .logs.messages import Channel, Findings
 from .logs.poses import PoseDecoder
 from .logs.recording import Recording, opened
 from .logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS, choose_odometry
@@ -109,7 +109,7 @@ def try_mapping(recording: Recording, settings: ReadSettings) -> None:
     for file in recording.files:
         with opened(file) as container:
             for block in container.blocks(intake.want, Findings(), None):
-                intake.take(first_messages(block, TRIED))
+                intake.take(block.rows(slice(TRIED)))
                 found = TopicPoses.of(intake.of_topic(topic))
                 if found.failed < found.messages:
                     return

@@ -14,7 +14,7 @@ from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import Channel, DamageError, Findings
 from .recording import Recording, opened
 from .saved_map import checked_grid
-from .schema import UnreadableError, as_expected, object_decoder
+from .schema import as_expected, object_decoder
 from .wire import WireParser
 
 FREE = 20
@@ -61,11 +61,7 @@ def grid_of_message(channel: Channel, payload: bytes) -> Grid:
         raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
     if as_expected(channel, "grid"):
         return _of_wire(payload, channel.encoding == "ros1")
-    try:
-        decode = object_decoder(channel)
-    except UnreadableError:
-        return _of_wire(payload, channel.encoding == "ros1")
-    return _of_object(decode(payload))
+    return _of_object(object_decoder(channel)(payload))
 
 
 def _of_wire(raw: bytes, ros1: bool) -> Grid:
@@ -74,7 +70,7 @@ def _of_wire(raw: bytes, ros1: bool) -> Grid:
     parser.stamp()
     (resolution,) = struct.unpack_from(f"{parser.order}f", raw, parser.advance(4))
     width, height = parser.count(), parser.count()
-    pose = struct.unpack_from(f"{parser.order}7d", raw, parser.poses(1))
+    pose = struct.unpack_from(f"{parser.order}7d", raw, parser.doubles(7))
     cells = parser.count()
     data = np.frombuffer(raw, np.int8, cells, parser.advance(cells))
     return _checked(data, (height, width), resolution, pose, frame)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
-from ..remote.path import TAIL_BYTES, LogPath, RemotePath, log_path
+from ..remote.path import LogPath, RemotePath, log_path
 from .bag import MAGIC as BAG_MAGIC
 from .bag import BagFile
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
@@ -164,7 +164,7 @@ def log_fingerprint(path: LogPath) -> str:
     for file in recording.files:
         if isinstance(file, RemotePath):
             size, tag, modified_s = file.state
-            told = tag or modified_s or file.end(max(0, size - TAIL_BYTES), size)
+            told = tag or modified_s or file.tail()
             digest.update(f"{file}\0{size}\0{told!r}\0".encode())
             continue
         for part in (file, file.with_name(file.name + "-wal")):

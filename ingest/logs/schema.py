@@ -66,15 +66,24 @@ class UnreadableError(DamageError):
 def as_expected(channel: Channel, kind: str) -> bool:
     """Whether the definition begins with the fields expected of the kind.
 
-    True for a log without definitions. Definitions other than `.msg` text are not parsed here and
-    give False, so that the general decoder is used.
+    True also for a log without definitions, or with one that cannot be read: the type's name is
+    trusted then. Definitions other than `.msg` text that can be read give False, so that the
+    general decoder is used.
     """
     if not channel.schema:
         return True
-    if channel.schema_encoding not in ("ros2msg", "ros1msg"):
-        return False
-    begins = _begins_with if len(channel.schema) <= REMEMBERED_BYTES else _begins_with.__wrapped__
-    return begins(channel.schema, kind, channel.encoding == "ros1")
+    if channel.schema_encoding in ("ros2msg", "ros1msg"):
+        short = len(channel.schema) <= REMEMBERED_BYTES
+        begins = _begins_with if short else _begins_with.__wrapped__
+        if begins(channel.schema, kind, channel.encoding == "ros1"):
+            return True
+    try:
+        object_decoder(channel)
+    except UnreadableError:
+        return True
+    except DamageError:
+        pass
+    return False
 
 
 @lru_cache(64)

@@ -21,7 +21,6 @@ from ...topology.arrays import BoolArray, IntArray
 from ...topology.errors import LogError
 from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
-from .limits import longest_message
 from .messages import (
     NAME_BYTES,
     SCHEMA_BYTES,
@@ -40,6 +39,7 @@ from .messages import (
     printable,
     several,
 )
+from .topics import longest_message
 from .write_ahead import PAGES, WriteAhead, beside, read_write_ahead
 
 MAGIC = b"SQLite format 3\x00"

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from topobatch.ingest.logs.columns import Growing
 from topobatch.ingest.logs.messages import Channel, DamageError
+from topobatch.ingest.logs.pose_wire import WireDecoder
 from topobatch.ingest.logs.schema import as_expected, object_decoder
 from topobatch.ingest.logs.walk import bag_records, mcap_records
-from topobatch.ingest.logs.wire import WireDecoder
 
 NAMES = st.sampled_from(["odom", "/odom", "base_link", "a", "", "robot/odom", "ü" * 5])
 NUMBERS = st.floats(allow_nan=False, width=64)
