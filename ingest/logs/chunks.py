@@ -11,9 +11,13 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
+
+try:  # ten times as fast as the standard library's, which takes as long as lz4 itself
+    from isal.isal_zlib import crc32
+except ImportError:  # a platform without its wheel
+    from zlib import crc32
 
 from ...topology.arrays import BoolArray, IntArray
 from ..remote.path import LogPath, RemotePath

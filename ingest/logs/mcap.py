@@ -6,13 +6,12 @@ import struct
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, Channels
-from .chunks import RECORD_BYTES, Chunk, ChunkedLog, ChunkIndex, Read, Scan
+from .chunks import RECORD_BYTES, Chunk, ChunkedLog, ChunkIndex, Read, Scan, crc32
 from .columns import column, gather, words
 from .messages import (
     SCHEMA_BYTES,

@@ -277,7 +277,7 @@ class _Reader:
             return
         once = self._once(number)
         self._findings.span(int(time.min()), int(time.max()))
-        for key in np.unique(topic).tolist():
+        for key in sorted(set(topics)):
             mine = once & (topic == key)
             channel, count = self._channels.get(key), int(mine.sum())
             if channel is None:
@@ -331,14 +331,14 @@ class _Reader:
 
         A damaged page may list a row twice, in place of another.
         """
-        last, self._last = self._last, int(number[-1])
+        last = self._last
         once = np.ones(len(number), bool)
-        if (np.diff(number, prepend=last) != 1).any():
+        if (number != np.arange(last + 1, last + 1 + len(number))).any():
             number, first = np.unique(number, return_index=True)
             once[:] = False
             once[first] = True
             self._missing += _missing(number, last)
-            self._last = int(number[-1])
+        self._last = int(number[-1])
         return once
 
 

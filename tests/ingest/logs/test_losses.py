@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.grid_log import GridLog
-from topobatch.ingest.logs import limits, messages, recording
+from topobatch.ingest.logs import messages, recording, topics
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_log, read_run
 from topobatch.topology.errors import LogError
 
@@ -476,7 +476,7 @@ def test_clouds_above_the_limit_of_other_messages_are_read(logs, sensors, tmp_pa
 
 @pytest.mark.parametrize("kind", CLOUD_LOGS)
 def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypatch, kind):
-    monkeypatch.setattr(limits, "CLOUD_BYTES", 17 << 20)
+    monkeypatch.setattr(topics, "CLOUD_BYTES", 17 << 20)
     path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
     run = read_run(path)
     assert run.warnings == ("1 message of /points above 17 MiB left out",)
