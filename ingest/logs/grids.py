@@ -12,7 +12,7 @@ from ...topology.se2 import yaw_from_quaternion
 from .foxglove import as_text, get, integer, load_json, real, unit_quaternion, vector
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import Channel, DamageError, Findings
-from .recording import Recording, opened
+from .recording import Recording
 from .saved_map import checked_grid
 from .schema import as_expected, object_decoder
 from .wire import WireParser
@@ -37,7 +37,7 @@ def last_grid(recording: Recording, topic: str, findings: Findings) -> tuple[Gri
 
     payloads: list[tuple[Channel, bytes]] = []
     for file in recording.files:
-        with opened(file) as log:
+        with file.opened() as log:
             for block in log.blocks(want, findings, None):
                 for at, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
                     payloads.append((channels[block.sink], block.data[at : at + size].tobytes()))

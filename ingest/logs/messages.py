@@ -263,9 +263,17 @@ class Container(Protocol):
         """
 
     def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
+        self,
+        want: Want,
+        findings: Findings,
+        progress: Progress | None = None,
+        *,
+        by_index: bool = True,
     ) -> Iterator[Block]:
-        """Scan the file once; a channel is offered to `want` when it is met."""
+        """Scan the file once; a channel is offered to `want` when it is met.
+
+        by_index: whether to believe the file's index, if there is a sound one.
+        """
 
 
 class DamageError(Exception):

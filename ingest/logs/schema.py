@@ -188,37 +188,6 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     return decode
 
 
-class Member(NamedTuple):
-    """A field of a message type: the type of its value, or of its items if it is a list."""
-
-    type_name: str
-    listed: bool
-
-
-def members(channel: Channel) -> dict[str, dict[str, Member]]:
-    """Fields by name of the channel's type and of every type that it uses.
-
-    Raises DamageError if the type has no readable definition.
-    """
-    definitions = _store(channel).fielddefs
-    if channel.type_name not in definitions:
-        raise DamageError(f"no definition of {channel.type_name} is known")
-    return {
-        type_name: {name: _member(*described) for name, described in fields}
-        for type_name, (_, fields) in definitions.items()
-    }
-
-
-def _member(node: int, described: Any) -> Member:
-    """A field by rosbags' description: Nodetype, and a name or the items' type."""
-    from rosbags.interfaces import Nodetype
-
-    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        inner = _member(*described[0])
-        return Member(inner.type_name, listed=True)
-    return Member(described[0] if node == Nodetype.BASE else described, listed=False)
-
-
 def _store(channel: Channel) -> Any:
     """rosbags' typestore with the embedded definition, or with ROS's own without one."""
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore

@@ -109,7 +109,12 @@ class SqliteFile:
         return Survey(counts, first or 0, last or 0)
 
     def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
+        self,
+        want: Want,
+        findings: Findings,
+        progress: Progress | None = None,
+        *,
+        by_index: bool = True,
     ) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         keep_freed_memory()

@@ -6,15 +6,13 @@ Blocks that were read are kept within a limit of memory, since logs are read mor
 from __future__ import annotations
 
 import threading
-from bisect import bisect_right
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 
-import numpy as np
-
-from ...topology.arrays import BoolArray, IntArray
+from ...topology.arrays import IntArray
 from .store import TAIL_MOST, Got
 
 BLOCK_BYTES = 1 << 12
@@ -95,12 +93,18 @@ class RemoteFile:
 
     def _planned(self, begin: IntArray, end: IntArray) -> list[tuple[int, int]]:
         """Requests for the blocks of some ranges that are not held."""
-        wanted = np.zeros(-(-self.size // BLOCK_BYTES), bool)
-        for first, stop in zip(begin.tolist(), end.tolist(), strict=True):
-            wanted[first // BLOCK_BYTES : -(-stop // BLOCK_BYTES)] = True
         with self._lock:
-            wanted[list(self._held)] = False
-        return [self._bytes(first, stop) for first, stop in _runs(wanted)]
+            held = sorted(self._held)
+        out: list[tuple[int, int]] = []
+        for first, stop in _joined(begin // BLOCK_BYTES, -(-end // BLOCK_BYTES)):
+            at = first
+            while at < stop:
+                k = bisect_left(held, at)
+                until = min(stop, at + PART_BYTES // BLOCK_BYTES, *held[k : k + 1])
+                if until > at:
+                    out.append(self._bytes(at, until))
+                at = max(until, at + 1)  # a block that is held is passed over
+        return out
 
     def _bytes(self, first: int, stop: int) -> tuple[int, int]:
         """The range of bytes of some blocks; of the last one without what is known of it."""
@@ -159,12 +163,12 @@ class RemoteFile:
             self._held.popitem(last=False)
 
 
-def _runs(wanted: BoolArray) -> list[tuple[int, int]]:
-    """First block, and the one after the last, of every run of wanted ones, cut into requests."""
-    edges = np.flatnonzero(np.diff(wanted, prepend=False, append=False)).reshape(-1, 2)
-    most = PART_BYTES // BLOCK_BYTES
-    return [
-        (first, min(first + most, stop))
-        for begin, stop in edges.tolist()
-        for first in range(begin, stop, most)
-    ]
+def _joined(begin: IntArray, end: IntArray) -> list[tuple[int, int]]:
+    """Ranges in ascending order, those that touch or overlap as one."""
+    out: list[tuple[int, int]] = []
+    for first, stop in sorted(zip(begin.tolist(), end.tolist(), strict=True)):
+        if out and first <= out[-1][1]:
+            out[-1] = out[-1][0], max(out[-1][1], stop)
+        else:
+            out.append((first, stop))
+    return out
