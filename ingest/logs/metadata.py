@@ -35,7 +35,7 @@ class Metadata(NamedTuple):
 def parse_metadata(text: str) -> Metadata:
     """The files and the count in a metadata.yaml; raises ValueError if there are none."""
     found = yaml_values(text, BAG_INFORMATION)
-    files = [_name(file) for file in found.get("relative_file_paths", ()) if file]
+    files = [name for file in found.get("relative_file_paths", ()) if (name := _name(file))]
     if not files:
         raise ValueError("it lists no files")
     if any(file[0] in _STRANGE for file in files):
