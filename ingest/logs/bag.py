@@ -5,7 +5,9 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from functools import cached_property
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +48,9 @@ HEADER_BYTES = 2 * NAME_BYTES + 128
 
 INDEX_BYTES = 1 << 26
 """Largest index section read: a chunk with a dozen topics takes 200 bytes in it."""
+
+TAIL_BYTES = 1 << 18
+"""End of a damaged bag in which descriptions of connections are looked for."""
 
 DESCRIBED = 1 << 18
 """Records of one file that are parsed one by one, 3 µs each: four for every connection."""
@@ -218,7 +223,9 @@ class BagScan(Scan):
         self._template: HeadTemplate | None = None
         self._headers: set[bytes] = set()
         self._described, self._tries = DESCRIBED, TRIES
-        if index is not None:
+        if index is None:
+            channels.take_index(_at_the_end(source), believed=True)
+        else:
             channels.take_index(index.channels, believed=by_index)
 
     def all(self) -> Iterator[Block]:
@@ -399,6 +406,23 @@ class BagScan(Scan):
             else:
                 self.findings.unreadable_bytes += size
         return out
+
+
+def _at_the_end(source: Source) -> dict[int, Channel]:
+    """The connections described in the last bytes of a bag, where a closed one repeats them.
+
+    Elsewhere they stand in the first chunk alone, which may be damaged.
+    """
+    out: dict[int, Channel] = {}
+    tail = source.copy(source.size - TAIL_BYTES, TAIL_BYTES)
+    read = reader_of(np.frombuffer(tail, np.uint8))
+    for match in islice(_START.finditer(tail), DESCRIBED):
+        record = record_at(read, match.start())
+        if record is not None and record.op == CONNECTION and record.end <= len(tail):
+            with suppress(DamageError):
+                data = tail[record.data_at : record.end]
+                out.setdefault(record.number(b"conn"), _channel(record.fields, data))
+    return out
 
 
 def _chunk(record: Record) -> Chunk:

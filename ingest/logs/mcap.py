@@ -59,6 +59,9 @@ SUMMARY_BYTES = 1 << 26
 LARGEST_MESSAGE, LARGEST_RECORD = 1 << 32, 1 << 40
 """Larger ones are damage: lengths in ROS messages have 32 bits."""
 
+DATA_END_HEAD = struct.pack("<BQ", DATA_END, 4)
+"""Opcode and length of the record behind the data."""
+
 CHAIN = 3
 """Records in a row that have to be plausible where reading goes on after damage."""
 
@@ -124,8 +127,20 @@ class McapScan(Scan):
         self._definitions = Definitions(channels)
         self._tries = TRIES
         self._ended = self._complete = False
-        if summary is not None:
+        if summary is None:
+            self._read_behind_data()
+        else:
             channels.take_index(summary.channels, believed=by_index)
+
+    def _read_behind_data(self) -> None:
+        """Read what a damaged summary repeats: the chunk that describes a channel first may be
+        damaged as well, as where bytes are missing."""
+        tail = self._source.copy(self._source.size - SLAB_BYTES, SLAB_BYTES)
+        behind = tail.rfind(DATA_END_HEAD) + len(DATA_END_HEAD) + 4
+        if behind > len(DATA_END_HEAD) + 4:
+            data = np.frombuffer(tail, np.uint8)[behind:]
+            where, _ = mcap_records(data)
+            self._definitions.read(data, where[np.isin(data[where], (SCHEMA, CHANNEL))])
 
     def all(self) -> Iterator[Block]:
         """All messages of the file, record by record."""
