@@ -6,18 +6,17 @@ from collections.abc import Callable, Mapping
 
 from ..topology.errors import LogError, UsageError
 from .junction_source import junction_source
-from .logs.field_check import check_fields
 from .logs.fields import JunctionFields, fields_decoder
 from .logs.intake import Intake, decoder_for
-from .logs.messages import Channel, Findings, first_messages
+from .logs.messages import Channel, Findings
 from .logs.poses import PoseDecoder
-from .logs.recording import Recording, opened
+from .logs.recording import Recording
 from .logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS, choose_odometry
 from .read_settings import ReadSettings
 from .topic_poses import TopicPoses
 
 TRIED = 100
-"""Number of messages tried before all are read, if only messages show their contents."""
+"""Number of messages tried before all are read."""
 
 
 def acceptance(
@@ -66,7 +65,6 @@ def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecode
     def by_topic(channel: Channel) -> PoseDecoder:
         if channel.topic != named:
             return decoder_for(channel)
-        check_fields(channel, fields, log)
         return fields_decoder(channel, fields, log)
 
     return by_topic
@@ -83,16 +81,9 @@ def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
 def check_mapping(
     recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings
 ) -> None:
-    """UsageError if --junction-fields does not fit the topic, before all of it is read.
-
-    What the definition of the messages leaves open is checked on the first messages.
-    """
-    if settings.junction_fields is None:
-        return
-    fields, log = JunctionFields.parse(settings.junction_fields), str(recording.path)
-    channels = [c for c, n in counts.items() if n and c.topic == settings.mapped_topic]
-    sure = [check_fields(channel, fields, log) for channel in channels]
-    if channels and not all(sure):
+    """UsageError if --junction-fields does not fit the topic, before all of it is read."""
+    topics = {channel.topic for channel, count in counts.items() if count}
+    if settings.junction_fields is not None and settings.mapped_topic in topics:
         try_mapping(recording, settings)
 
 
@@ -107,9 +98,9 @@ def try_mapping(recording: Recording, settings: ReadSettings) -> None:
     )
     found = TopicPoses.of(())
     for file in recording.files:
-        with opened(file) as container:
+        with file.opened() as container:
             for block in container.blocks(intake.want, Findings(), None):
-                intake.take(first_messages(block, TRIED))
+                intake.take(block.rows(slice(TRIED)))
                 found = TopicPoses.of(intake.of_topic(topic))
                 if found.failed < found.messages:
                     return

@@ -12,7 +12,7 @@ from .channels import check_mapping
 from .junction_source import JunctionSource, junction_source, sensor_topics
 from .logs.intake import Intake
 from .logs.messages import Channel
-from .logs.recording import Recording, recording_at, run_name, sniff
+from .logs.recording import Recording, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import JUNCTION_KINDS, choose_odometry, odometry_topics
 from .read_settings import DEFAULT_READ, ReadSettings, Way
@@ -60,7 +60,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
-        findings = walk(recording, Intake(lambda _: False), None)
+        findings = walk(recording, Intake(lambda _: False), None, by_index=False)
         problems = damage_of(recording, findings)
         survey = Index(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
     uses = _uses(recording, survey.counts, settings, problems)
@@ -71,7 +71,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     return LogInfo(
         recording.path,
         run_name(recording.path),
-        "+".join(sorted({sniff(file) or "" for file in recording.files})),
+        "+".join(sorted({file.kind or "" for file in recording.files})),
         recording.bytes,
         survey.start_ns,
         (survey.end_ns - survey.start_ns) / 1e9,
@@ -105,7 +105,7 @@ def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
         why = f"{width} x {height} cells of {grid.resolution_m:g} m"
     except LogError as error:
         problems = (str(error),)
-    image = TopicInfo(recording.files[1].name, "map_server", 1, "grid", why)
+    image = TopicInfo(recording.files[1].path.name, "map_server", 1, "grid", why)
     name = run_name(path)
     found = LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
     return replace(found, warnings=notes)

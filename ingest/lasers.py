@@ -110,7 +110,7 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
         where = joined(read.recording, frames, body, read.faults.add)
     if where.fixed is not None:
         warnings += where.fixed.contradictions(where.body)
-    known = [laser for laser in every if laser in found and where.knows(laser.frames)]
+    known = [laser for laser in found if where.knows(laser.frames)]
     used = known or [laser for laser in found if laser.frames <= found[0].frames]
     for laser in (laser for laser in found if laser not in used):
         named = ", ".join(map(repr, sorted(laser.frames)[:5]))
@@ -139,10 +139,11 @@ def _others(
     return found
 
 
-def _rank(laser: Laser, own: str, usual: str) -> tuple[bool, bool, int]:
+def _rank(laser: Laser, own: str, usual: str) -> tuple[bool, bool, int, list[list[bool]]]:
     """Sorts lasers by which is used, if one has to be: of the odometry's robot, of the usual name,
-    with the widest view."""
-    return not laser.topic.startswith(own), laser.topic != usual, -_width(laser)
+    with the widest view; of two as wide by where they look, so that names do not count."""
+    where = sorted(view.tolist() for view in laser.views.values())
+    return not laser.topic.startswith(own), laser.topic != usual, -_width(laser), where
 
 
 def _width(laser: Laser) -> int:

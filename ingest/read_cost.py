@@ -9,7 +9,7 @@ from .channels import acceptance
 from .junction_source import JunctionSource, junction_source
 from .logs.chunks import ChunkedLog
 from .logs.messages import UNWANTED, Channel
-from .logs.recording import Recording, container, recording_at
+from .logs.recording import Recording, recording_at
 from .logs.topics import TRANSFORM_KINDS
 from .read_settings import ReadSettings
 from .remote.path import RemotePath
@@ -56,8 +56,8 @@ def _of_topic(topic: str) -> Accept:
 def _cost(recording: Recording, accept: Accept) -> int:
     total = 0
     for file in recording.files:
-        log = container(file)
+        log = file.container
         if not isinstance(log, ChunkedLog):
-            raise LogError(f"{file}: can only be read as a whole")
+            raise LogError(f"{file.path}: can only be read as a whole")
         total += log.cost(lambda channel: 0 if accept(channel) else UNWANTED)
     return total

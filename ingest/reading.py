@@ -14,18 +14,17 @@ from .channels import acceptance, check_mapping, decoders, kept_whole, try_mappi
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, walks
+from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
 from .logs.messages import Findings
 from .logs.recording import (
     Recording,
-    find_logs,
     log_exists,
     log_fingerprint,
     log_size,
     recording_at,
     run_name,
-    with_parts_joined,
 )
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
@@ -137,7 +136,7 @@ def _walked(
     if counts is not None:
         check_mapping(recording, counts, settings)
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
-    return intake, walk(recording, intake, progress, index)
+    return intake, walk(recording, intake, progress, by_index=index is not None)
 
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
@@ -179,7 +178,7 @@ def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> Gr
     grid, notes = read_saved_map(path)
     if on_bytes is not None:
         on_bytes(recording.bytes)
-    about = {"from": "grid", "topic": recording.files[1].name, "type": "map_server"}
+    about = {"from": "grid", "topic": recording.files[1].path.name, "type": "map_server"}
     return GridLog(run_name(path), grid, {"junctions": about}, notes)
 
 

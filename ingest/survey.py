@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 
 from ..topology.errors import LogError
 from .logs.intake import Intake
-from .logs.messages import Channel, Container, Findings, Survey, several
-from .logs.recording import Recording, opened, run_name, sniff
+from .logs.messages import Channel, Findings, Survey, several
+from .logs.recording import Recording, run_name
 from .read_settings import ReadSettings
 
 OnBytes = Callable[[int], None]
@@ -19,15 +18,13 @@ OnBytes = Callable[[int], None]
 class Index:
     """The combined indexes of all files.
 
-    sure: whether they are reliable; log: the reader of the only file, which keeps its index; None
-    for several files, or one that was decompressed.
+    sure: whether they are reliable.
     """
 
     counts: dict[Channel, int]
     start_ns: int
     end_ns: int
     sure: bool = False
-    log: Container | None = None
 
 
 def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Index | None]:
@@ -36,14 +33,11 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
     A file that is compressed as a whole is only decompressed if `exact`.
     """
     surveys: list[Survey] = []
-    only: Container | None = None
     for file in recording.files:
-        packed = sniff(file) == "zstd"
-        if packed and not exact:
+        if file.packed and not exact:
             return recording, None
-        with opened(file) as log:
+        with file.opened() as log:
             survey = log.survey(exact)
-            only = log if len(recording.files) == 1 and not packed else None
         if survey is None:
             return recording, None
         surveys.append(survey)
@@ -57,15 +51,15 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
     end = max((survey.end_ns for survey in filled), default=0)
     by_start = replace(recording, files=tuple(recording.files[k] for k in order))
     sure = all(survey.sure for survey in surveys)
-    return by_start, Index(counts, start, end, sure, only)
+    return by_start, Index(counts, start, end, sure)
 
 
 def walk(
-    recording: Recording, intake: Intake, on_bytes: OnBytes | None, index: Index | None = None
+    recording: Recording, intake: Intake, on_bytes: OnBytes | None, *, by_index: bool = True
 ) -> Findings:
     """Read all files; the calls of on_bytes add up to the size of the recording.
 
-    index: from `surveyed`; what it has read is not read again.
+    by_index: whether to believe their indexes.
     """
     findings = Findings()
     intake.expect(recording.bytes)
@@ -78,14 +72,13 @@ def walk(
             if on_bytes is not None:
                 on_bytes(count)
 
-        known = index.log if index is not None else None
-        packed = known is None and sniff(file) == "zstd"
-        with opened(file, index is not None) if known is None else nullcontext(known) as log:
-            for block in log.blocks(intake.want, findings, None if packed else progress):
+        with file.opened() as log:
+            onward = None if file.packed else progress
+            for block in log.blocks(intake.want, findings, onward, by_index=by_index):
                 intake.take(block)
                 del block  # its memory, still in the processor's cache, serves the next one
-        if file.stat().st_size > told:
-            progress(file.stat().st_size - told)
+        if file.bytes > told:
+            progress(file.bytes - told)
     return findings
 
 

@@ -192,8 +192,10 @@ class BagFile(ChunkedLog):
             return "its index has no checksum"  # all is read, which is quick here
         return self.index.chunks
 
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> BagScan:
-        return BagScan(source, channels, findings, self.index, self.by_index)
+    def _scan(
+        self, source: Source, channels: Channels, findings: Findings, by_index: bool
+    ) -> BagScan:
+        return BagScan(source, channels, findings, self.index, by_index)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Counts from the chunk infos of the index."""

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import BoolArray, IntArray
-from .limits import longest_message
 from .messages import UNWANTED, Channel, Findings, Want
+from .topics import longest_message
 
 NUMBERS = 1 << 16
 """Channels have numbers below this."""

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from .inflate import (
     Allowance,
     LimitError,
     WrongSizeError,
+    checksum,
     inflate,
     inflate_part,
     keep_freed_memory,
@@ -100,24 +100,23 @@ class ChunkIndex(NamedTuple):
 
 
 class ChunkedLog(ABC):
-    """One log in chunks. BEHIND: bytes read behind a chunk to find its end.
-
-    by_index: whether only the chunks are read that hold what is wanted, if the index is sound.
-    """
+    """One log in chunks. BEHIND: bytes read behind a chunk to find its end."""
 
     BEHIND = 0
 
-    def __init__(self, path: LogPath, by_index: bool = True) -> None:
+    def __init__(self, path: LogPath) -> None:
         self.path = path
-        self.by_index = by_index
 
     @abstractmethod
     def _chunks(self) -> ChunkIndex | str:
         """The contents of each chunk by the file's index, or why there is none."""
 
     @abstractmethod
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> Scan:
-        """A new scan of the file; what its index describes is registered with the channels."""
+    def _scan(self, source: Source, channels: Channels, findings: Findings, by_index: bool) -> Scan:
+        """A new scan of the file; what its index describes is registered with the channels.
+
+        by_index: whether it is believed.
+        """
 
     def _ranges(self, index: ChunkIndex, needed: BoolArray) -> tuple[IntArray, IntArray]:
         return index.begin[needed], index.end[needed] + self.BEHIND
@@ -129,22 +128,30 @@ class ChunkedLog(ABC):
         begin, end = np.array([0]), np.array([source.size])
         if isinstance(index, ChunkIndex):
             channels = Channels(want, Findings())
-            self._scan(source, channels, Findings())
+            self._scan(source, channels, Findings(), by_index=True)
             begin, end = self._ranges(index, index.needed(channels.wanted()))
         return self.path.file.cost(begin, np.minimum(end, source.size))
 
     def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
+        self,
+        want: Want,
+        findings: Findings,
+        progress: Progress | None = None,
+        *,
+        by_index: bool = True,
     ) -> Iterator[Block]:
-        """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
+        """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed.
+
+        by_index: whether only the chunks are read that hold what is wanted, if the index is sound.
+        """
         keep_freed_memory()
         with open_source(self.path, progress) as source:
             remote = source if isinstance(source, RemoteSource) else None
-            index = self._chunks() if self.by_index or remote else "it is not believed"
+            index = self._chunks() if by_index or remote else "it is not believed"
             if remote is not None and isinstance(index, str):
                 remote.check_scan(index)
             channels = Channels(want, findings)
-            with self._scan(source, channels, findings) as scan:
+            with self._scan(source, channels, findings, by_index) as scan:
                 if isinstance(index, ChunkIndex):
                     yield from self._chosen(scan, source, index, channels)
                 elif remote is not None:
@@ -386,7 +393,7 @@ class Scan(ABC):
         found, crc, allowed = 0, 0, self._allowance.limit(chunk.compression, chunk.data_size)
         for piece in self._stream(chunk) if chunk.compression or chunk.crc else ():
             found += len(piece)
-            crc = crc32(piece, crc)
+            crc = checksum(piece, crc)
             if found > allowed:
                 raise LimitError
         if chunk.crc and crc != chunk.crc:
@@ -441,6 +448,6 @@ def _inflated(chunk: Chunk, read: Callable[[int, int], Bytes | bytes]) -> Bytes 
         data = inflate(chunk.compression, data, chunk.size)
     elif len(data) != chunk.size:
         raise WrongSizeError
-    if chunk.crc and crc32(np.frombuffer(data, np.uint8).data) != chunk.crc:
+    if chunk.crc and checksum(np.frombuffer(data, np.uint8).data) != chunk.crc:
         raise WrongChecksumError
     return data

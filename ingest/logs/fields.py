@@ -141,6 +141,9 @@ class JunctionFields:
             return tuple(real(get(turn, name)) for name in "xyzw")
         if get(turn, "x") is not None or get(turn, "position") is not None:
             return _towards(_point(turn, center[2]), center)
+        if isinstance(value, dict) or is_dataclass(value):
+            expected = "angles, quaternions, poses or points"
+            raise DamageError(f"{_described(value)}; expected {expected}")
         return _about_z(self._angle(value))
 
     def _check_degrees(self, ways: list[Any]) -> None:
@@ -244,19 +247,18 @@ def _member(value: Any, name: str) -> Any:
 
 
 def _described(value: Any) -> str:
-    """What there is instead of the member that a path asks for."""
+    """What there is instead of what a path asks for."""
     if isinstance(value, list | tuple | np.ndarray):
         return "a list is met where [] does not say so"
     names = list(value) if isinstance(value, dict) else []
+    owner = "the message"
     if is_dataclass(value):  # as rosbags makes them of definitions
-        names = [member.name for member in members_of(value)]
-    return f"the message has {listed(names)}" if names else "leads into a value without fields"
-
-
-def listed(names: list[Any]) -> str:
-    """Names in one line, the first dozen of them."""
-    shown = ", ".join(as_text(name) for name in names[:12])
-    return f"{shown} and {len(names) - 12} more" if len(names) > 12 else shown
+        names = [member.name for member in members_of(value) if member.name[:1] != "_"]
+        owner = str(getattr(value, "__msgtype__", owner)).replace("/msg/", "/")
+    if not names:
+        return "leads into a value without fields"
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return f"{owner} has {', '.join(as_text(name) for name in names[:12])}{more}"
 
 
 def _holder(path: FieldPath, item: Any, message: Any) -> Any:
@@ -279,6 +281,8 @@ def _point(value: Any, z: float = 0.0) -> tuple[float, float, float]:
     """
     inner = get(value, "position")
     value = value if inner is None else inner
+    if get(value, "x") is None:
+        raise DamageError(f"{_described(value)}; expected a point or a pose")
     height = get(value, "z")
     return real(get(value, "x")), real(get(value, "y")), z if height is None else real(height)
 

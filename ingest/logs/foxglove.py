@@ -6,17 +6,50 @@ import json
 import struct
 from collections.abc import Callable, Iterator
 from math import hypot
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from ...topology.arrays import IntArray
-from .messages import LATEST_NS, Bytes, DamageError, text
-from .one_by_one import OneByOne
+from .messages import LATEST_NS, MESSAGE_BYTES, Bytes, DamageError, text
 from .poses import Frames, Poses, Row, join, no_poses
 
 POSES = 1 << 16
 """Largest number of poses of one message decoded one by one."""
+
+
+T = TypeVar("T")
+
+
+class OneByOne(Generic[T]):
+    """Decodes messages one by one, for encodings without fixed places.
+
+    parse: raises DamageError for a message that cannot be decoded; failed: the number of these;
+    reason: of the first of them.
+    """
+
+    LONGEST = MESSAGE_BYTES
+
+    def __init__(self, parse: Callable[[Any], T]) -> None:
+        self._parse = parse
+        self.failed = 0
+        self.reason = ""
+
+    def _parsed(self, message: Bytes) -> T:
+        return self._parse(message.tobytes())
+
+    def parsed(self, data: Bytes, start: IntArray, size: IntArray) -> Iterator[tuple[int, T]]:
+        """Number and content of every message of a batch that can be decoded."""
+        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+            try:
+                if length > self.LONGEST:
+                    raise DamageError("a message is implausibly long")
+                content = self._parsed(data[at : at + length])
+            except DamageError as damage:
+                self.failed += 1
+                self.reason = self.reason or str(damage)
+                continue
+            yield number, content
 
 
 class RowDecoder(OneByOne[list[Row]]):

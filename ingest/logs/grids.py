@@ -12,9 +12,9 @@ from ...topology.se2 import yaw_from_quaternion
 from .foxglove import as_text, get, integer, load_json, real, unit_quaternion, vector
 from .inflate import ZSTD_MAGIC, inflate_message
 from .messages import Channel, DamageError, Findings
-from .recording import Recording, opened
+from .recording import Recording
 from .saved_map import checked_grid
-from .schema import UnreadableError, as_expected, object_decoder
+from .schema import as_expected, object_decoder
 from .wire import WireParser
 
 FREE = 20
@@ -37,7 +37,7 @@ def last_grid(recording: Recording, topic: str, findings: Findings) -> tuple[Gri
 
     payloads: list[tuple[Channel, bytes]] = []
     for file in recording.files:
-        with opened(file) as log:
+        with file.opened() as log:
             for block in log.blocks(want, findings, None):
                 for at, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
                     payloads.append((channels[block.sink], block.data[at : at + size].tobytes()))
@@ -61,11 +61,7 @@ def grid_of_message(channel: Channel, payload: bytes) -> Grid:
         raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
     if as_expected(channel, "grid"):
         return _of_wire(payload, channel.encoding == "ros1")
-    try:
-        decode = object_decoder(channel)
-    except UnreadableError:
-        return _of_wire(payload, channel.encoding == "ros1")
-    return _of_object(decode(payload))
+    return _of_object(object_decoder(channel)(payload))
 
 
 def _of_wire(raw: bytes, ros1: bool) -> Grid:
@@ -74,7 +70,7 @@ def _of_wire(raw: bytes, ros1: bool) -> Grid:
     parser.stamp()
     (resolution,) = struct.unpack_from(f"{parser.order}f", raw, parser.advance(4))
     width, height = parser.count(), parser.count()
-    pose = struct.unpack_from(f"{parser.order}7d", raw, parser.poses(1))
+    pose = struct.unpack_from(f"{parser.order}7d", raw, parser.doubles(7))
     cells = parser.count()
     data = np.frombuffer(raw, np.int8, cells, parser.advance(cells))
     return _checked(data, (height, width), resolution, pose, frame)

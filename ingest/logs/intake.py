@@ -11,8 +11,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
-from .columns import Growing, words
-from .doubted import DoubtedDecoder
+from .columns import Growing
 from .foxglove import (
     RowDecoder,
     json_rows,
@@ -21,12 +20,12 @@ from .foxglove import (
     protobuf_transform,
     protobuf_transforms,
 )
-from .inflate import ZSTD_MAGIC, inflate_message
+from .inflate import unpacked
 from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError
+from .pose_wire import WireDecoder
 from .poses import Heads, PoseDecoder, Poses
-from .schema import UnreadableError, as_expected, object_decoder
+from .schema import as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
-from .wire import WireDecoder
 
 DENSE = 64
 """From so many messages in a block on, they are decoded in place; fewer are collected first. With 8
@@ -52,8 +51,6 @@ PROTOBUF = {
     "foxglove.FrameTransforms": protobuf_transforms,
 }
 
-_MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
-
 
 def decoder_for(channel: Channel) -> PoseDecoder:
     """The decoder for a channel of one of the known types; raises DamageError if there is none."""
@@ -62,17 +59,8 @@ def decoder_for(channel: Channel) -> PoseDecoder:
     if kind is not None and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
         return WireDecoder(kind, channel.encoding == "ros1")
     if channel.encoding in ("cdr", "ros1"):
-        try:
-            decode = object_decoder(channel)
-        except UnreadableError:
-            if kind is None:
-                raise
-            # The type's name is known; as in a log without definitions it is taken at its word.
-            return WireDecoder(kind, channel.encoding == "ros1")
-        by_definition = RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
-        if kind is None:
-            return by_definition
-        return DoubtedDecoder(by_definition, WireDecoder(kind, channel.encoding == "ros1"))
+        decode = object_decoder(channel)
+        return RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
     if channel.encoding == "json":
         return RowDecoder(json_rows)
     if channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
@@ -207,9 +195,14 @@ class Sink:
             self._add_heads(heads, log_ns)
             return
         self._flush_heads()
-        if self.channel.encoding == "cdr" and self._packed(data, start, size).any():
-            self._unpack(data, log_ns, start, size)
-        elif len(start) >= DENSE:
+        for part, failed in unpacked(block) if self.channel.encoding == "cdr" else ((block, 0),):
+            self.messages += failed
+            self.undecoded += failed
+            self._add_whole(part)
+
+    def _add_whole(self, block: Block) -> None:
+        data, _, log_ns, start, size = block
+        if len(start) >= DENSE:
             self._flush_pending()
             self._decode(data, log_ns, start, size)
         else:
@@ -239,32 +232,6 @@ class Sink:
 
     def _empty(self) -> tuple[Growing, ...]:
         return _empty_columns(self.whole, states_sigma(self.channel))
-
-    def _packed(self, data: Bytes, start: IntArray, size: IntArray) -> BoolArray:
-        """Which payloads are zstd streams: ROS 2 can compress single messages."""
-        packed = size >= 9
-        if packed.all():
-            return np.asarray(words(data, "<u4", start) == _MAGIC)
-        packed[packed] = words(data, "<u4", start[packed]) == _MAGIC
-        return packed
-
-    def _unpack(self, data: Bytes, log_ns: IntArray, start: IntArray, size: IntArray) -> None:
-        packed = self._packed(data, start, size)
-        for k, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
-            payload = data[at : at + length].tobytes()
-            try:
-                self._keep(inflate_message(payload) if packed[k] else payload)
-            except DamageError:
-                self.messages += 1
-                self.undecoded += 1
-                continue
-            self._pending_ns.append(int(log_ns[k]))
-            if self._pending_bytes >= PENDING_BYTES:
-                self._flush_pending()
-
-    def _keep(self, payload: bytes) -> None:
-        self._pending.append(payload)
-        self._pending_bytes += len(payload)
 
     def flush(self) -> None:
         """Decode what was collected."""

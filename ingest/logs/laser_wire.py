@@ -1,21 +1,21 @@
-"""Columnar decoding of sensor_msgs/LaserScan and MultiEchoLaserScan, in CDR and ROS 1's encoding.
+"""Columnar decoding of sensor_msgs/LaserScan and MultiEchoLaserScan.
 
-The layout of a LaserScan depends only on its frame's name and its number of beams: one message is
-parsed, and all messages of the same size with the same bytes there are decoded at once. Echoes have
-a different layout in every message: they are scanned beam by beam, for all messages together.
+The layout of a LaserScan depends on its frame's name and its number of beams. Echoes have a
+different one in every message: they are scanned beam by beam, for all messages together.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import Float32Array, IntArray
-from .columns import Shape, column, gather
-from .messages import Bytes, DamageError
+from .columns import Shape
+from .messages import Bytes
 from .scan_rows import Geometry, RawScans, checked_beams, in_order
-from .wire import TEMPLATES, WireParser
+from .wire import TemplateDecoder, WireParser, stamps_ns
 
 LaserKind = Literal["laser_scan", "multi_echo"]
 
@@ -25,12 +25,12 @@ ABOUT_BYTES = 4 * (len(ABOUT) + 2)
 
 
 class _Template(NamedTuple):
-    """The layout of messages of one shape; see `wire.Template`.
+    """The layout of messages of one shape and size; see `wire.Template`.
 
     echoes: whether ranges are lists, the first of which begins at ranges_at.
     """
 
-    size: int
+    width: int
     shape: Shape
     order: str
     ros1: bool
@@ -41,23 +41,34 @@ class _Template(NamedTuple):
     beams: int
     echoes: bool
 
+    def scans(self, rows: Bytes, message: IntArray) -> list[RawScans]:
+        """The scans of messages (rows) of this shape, but those whose echoes do not fit."""
+        stamp_ns = stamps_ns(rows, self.stamp_at, self.order, self.ros1)
+        about = _numbers(rows, self.about_at, ABOUT_BYTES // 4, f"{self.order}f4")
+        if self.echoes:
+            ranges, whole = _first_or_strongest(rows, self)
+            message, stamp_ns = message[whole], stamp_ns[whole]
+            about, ranges = about[whole], ranges[whole]
+        else:
+            ranges = _numbers(rows, self.ranges_at, self.beams, f"{self.order}f4")
+        return [
+            RawScans(message[which], stamp_ns[which], ranges[which], _geometry(self.frame, stated))
+            for which, stated in _alike(about)
+        ]
 
-def _parse(kind: LaserKind, raw: bytes, ros1: bool) -> _Template:
+
+def _parsed(kind: LaserKind, ros1: bool, raw: bytes) -> _Template:
     """The template of one message; raises DamageError if it cannot be a message of this kind."""
     parser = WireParser(raw, ros1)
     stamp_at, frame = parser.header()
     parser.align(4)
     about_at = parser.advance(ABOUT_BYTES)
     beams = checked_beams(parser.count())
-    ranges_at = parser.position
+    ranges_at, shape = parser.position, parser.shape
     echoes = kind == "multi_echo"
-    if not echoes:
-        parser.advance(4 * beams)
-    elif parser.position + 4 * (beams + 1) > len(raw):
-        raise DamageError("a message ends too early")
-    shape = Shape.of(np.frombuffer(raw, np.uint8, parser.position), tuple(parser.fixed))
+    parser.advance(4 * (beams + echoes))
     return _Template(
-        size=parser.position,
+        width=len(raw) if echoes else parser.position,
         shape=shape,
         order=parser.order,
         ros1=ros1,
@@ -70,86 +81,22 @@ def _parse(kind: LaserKind, raw: bytes, ros1: bool) -> _Template:
     )
 
 
-class LaserDecoder:
+class LaserDecoder(TemplateDecoder[_Template, RawScans]):
     """Decodes laser scans in CDR or in ROS 1's encoding."""
 
     def __init__(self, kind: LaserKind, ros1: bool) -> None:
-        self._kind: LaserKind = kind
-        self._ros1 = ros1
-        self.failed = 0
-        self.reason = ""
-        self._templates: dict[int, list[_Template]] = {}
+        super().__init__(partial(_parsed, kind, ros1), _Template.scans)
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> list[RawScans]:
-        """The scans of a batch of messages. O(bytes) when shapes are few."""
-        message = np.arange(len(start))
-        order = np.argsort(size, kind="stable")
-        cuts = np.flatnonzero(np.diff(size[order])) + 1
-        parts: list[RawScans] = []
-        for group in np.split(order, cuts) if len(order) else []:
-            parts += self._same_size(data, start[group], int(size[group[0]]), message[group])
+        """The scans of a batch of messages."""
+        before = self.failed
+        parts = self.parts(data, start, size)
+        parsed = len(start) - (self.failed - before)
+        unfit = parsed - sum(len(part.message) for part in parts)
+        if unfit:
+            self.failed += unfit
+            self.reason = self.reason or "its echoes do not fit into the message"
         return in_order(parts)
-
-    def _same_size(
-        self, data: Bytes, start: IntArray, size: int, message: IntArray
-    ) -> list[RawScans]:
-        known = self._templates.setdefault(size, [])
-        parts: list[RawScans] = []
-        for template in known:
-            start, message, found = self._fitting(data, start, size, message, template)
-            parts += found
-        while len(start):
-            raw = data[start[0] : start[0] + size].tobytes()
-            try:
-                template = _parse(self._kind, raw, self._ros1)
-            except DamageError as damage:
-                self._refuse(1, str(damage))
-                start, message = start[1:], message[1:]
-                continue
-            if len(known) < TEMPLATES:
-                known.append(template)
-                start, message, found = self._fitting(data, start, size, message, template)
-            else:
-                _, _, found = self._fitting(data, start[:1], size, message[:1], template)
-                start, message = start[1:], message[1:]
-            parts += found
-        if len(self._templates) > TEMPLATES * TEMPLATES:
-            self._templates.clear()
-        return parts
-
-    def _fitting(
-        self, data: Bytes, start: IntArray, size: int, message: IntArray, template: _Template
-    ) -> tuple[IntArray, IntArray, list[RawScans]]:
-        """The messages of another shape than the template's, and the scans of the others."""
-        if len(start) == 0:
-            return start, message, []
-        rows = gather(data, start, size if template.echoes else template.size)
-        other = template.shape.misfits(rows)
-        fits = np.ones(len(start), bool) if other is None else ~other
-        if not fits.any():
-            return start, message, []
-        return start[~fits], message[~fits], self._scans(rows[fits], size, message[fits], template)
-
-    def _scans(self, rows: Bytes, size: int, message: IntArray, t: _Template) -> list[RawScans]:
-        seconds = column(rows, f"{t.order}{'u4' if t.ros1 else 'i4'}", t.stamp_at)
-        stamp_ns = seconds * 10**9 + column(rows, f"{t.order}u4", t.stamp_at + 4)
-        about = _numbers(rows, t.about_at, ABOUT_BYTES // 4, f"{t.order}f4")
-        if t.echoes:
-            ranges, whole = _first_or_strongest(rows, size, t)
-            self._refuse(int((~whole).sum()), "its echoes do not fit into the message")
-            message, stamp_ns = message[whole], stamp_ns[whole]
-            about, ranges = about[whole], ranges[whole]
-        else:
-            ranges = _numbers(rows, t.ranges_at, t.beams, f"{t.order}f4")
-        return [
-            RawScans(message[which], stamp_ns[which], ranges[which], _geometry(t.frame, told))
-            for which, told in _alike(about)
-        ]
-
-    def _refuse(self, count: int, reason: str) -> None:
-        self.failed += count
-        if count and not self.reason:
-            self.reason = reason
 
 
 def _numbers(rows: Bytes, at: int, count: int, kind: str) -> Float32Array:
@@ -178,7 +125,7 @@ def _geometry(frame: str, about: list[float]) -> Geometry:
 
 
 def _first_or_strongest(
-    rows: Bytes, size: int, t: _Template
+    rows: Bytes, t: _Template
 ) -> tuple[Float32Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
     """(n, beams) one range per beam, NaN without echo; (n,) which messages are intact.
 
@@ -186,7 +133,7 @@ def _first_or_strongest(
     first. Strategy: everything from the first echo on is 4 bytes wide, so a message is a row of
     words; a pointer per message advances from list to list, beam by beam.
     """
-    count = (size - t.ranges_at) // 4
+    count = (t.width - t.ranges_at) // 4
     words = _numbers(rows, t.ranges_at, count, f"{t.order}u4").astype(np.int64)
     values = _numbers(rows, t.ranges_at, count, f"{t.order}f4")
     begin, length, at, whole = _lists(words, np.zeros(len(rows), np.int64), t.beams)

@@ -6,7 +6,6 @@ import struct
 from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import NamedTuple
-from zlib import crc32
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from ...topology.arrays import IntArray
 from .channels import NUMBERS, Channels
 from .chunks import RECORD_BYTES, Chunk, ChunkedLog, ChunkIndex, Read, Scan
 from .columns import column, gather, words
+from .inflate import checksum
 from .messages import (
     SCHEMA_BYTES,
     Block,
@@ -74,12 +74,8 @@ _INDEX = struct.Struct("<HI").unpack_from
 _U32, _U64 = (struct.Struct(f).unpack_from for f in ("<I", "<Q"))
 
 
-def _known(op: int) -> bool:
-    """Whether a record may have this opcode; a bit away from a message's, it is damaged."""
-    return 0 < op <= DATA_END or (op >= PRIVATE and op - PRIVATE not in (*_IN_CHUNKS, CHUNK))
-
-
-_KNOWN = np.array([_known(op) for op in range(256)])
+_KNOWN = np.array([0 < op <= DATA_END or op >= PRIVATE for op in range(256)])
+"""Which opcodes a record may have."""
 
 
 class McapFile(ChunkedLog):
@@ -99,8 +95,10 @@ class McapFile(ChunkedLog):
             return "it has no index, or a damaged one"
         return self.summary.chunks
 
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> McapScan:
-        return McapScan(source, channels, findings, self.summary, self.by_index)
+    def _scan(
+        self, source: Source, channels: Channels, findings: Findings, by_index: bool
+    ) -> McapScan:
+        return McapScan(source, channels, findings, self.summary, by_index)
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Message counts from the statistics record of a valid summary."""
@@ -136,7 +134,7 @@ class McapScan(Scan):
 
     def _read_behind_data(self) -> None:
         """Read what a damaged summary repeats: the chunk that describes a channel first may be
-        damaged as well."""
+        damaged as well, as where bytes are missing."""
         tail = self._source.copy(self._source.size - SLAB_BYTES, SLAB_BYTES)
         behind = tail.rfind(DATA_END_HEAD) + len(DATA_END_HEAD) + 4
         if behind > len(DATA_END_HEAD) + 4:
@@ -228,7 +226,7 @@ class McapScan(Scan):
         """Compare the checksum of the data section, if there is one."""
         found = 0
         for at in range(0, position, SLAB_BYTES) if expected else ():
-            found = crc32(self._source.view(at, min(SLAB_BYTES, position - at)).data, found)
+            found = checksum(self._source.view(at, min(SLAB_BYTES, position - at)).data, found)
         if found != expected:
             self.findings.note("the checksum (CRC) of the data section is wrong")
 
@@ -277,7 +275,7 @@ def _plausible(head: bytes) -> bool:
         return bool(MESSAGE_HEAD <= length < LARGEST_MESSAGE)
     if op == MESSAGE_INDEX:
         return len(head) >= RECORD_HEAD + 6 and bool(_INDEX(head, RECORD_HEAD)[1] + 6 == length)
-    return _known(op) and bool(length < LARGEST_RECORD)
+    return bool(_KNOWN[op] and length < LARGEST_RECORD)
 
 
 def _leads_on(read: Read, position: int, stop: int) -> bool:
@@ -315,7 +313,7 @@ def _chunk(head: bytes, position: int) -> Chunk | None:
 class Definitions:
     """The schemas and channels of one file as they are read; writers repeat them in every chunk.
 
-    Of every number the first description is read.
+    Of every number the first description that can be read counts.
     """
 
     def __init__(self, channels: Channels) -> None:
@@ -324,8 +322,8 @@ class Definitions:
         self._length = np.zeros(2 * NUMBERS, np.int64)
 
     def read(self, data: Bytes, where: IntArray) -> int:
-        """Read the new ones among records at `where`; returns the bytes of those that are
-        damaged."""
+        """Read the new ones among records at `where`; returns the bytes of those that are damaged:
+        that cannot be read, or are of another length than before."""
         where = where[where + RECORD_HEAD + 2 <= len(data)]
         number = words(data, "<u2", where + RECORD_HEAD) + NUMBERS * (data[where] == SCHEMA)
         size = words(data, "<i8", where + 1)
@@ -336,26 +334,28 @@ class Definitions:
             op, length = _RECORD(data.data, place)
             body = data[place + RECORD_HEAD : place + RECORD_HEAD + length].tobytes()
             try:
-                self._add(op, body)
-                self._length[key] = length
+                self._length[key] = length if self._add(op, body) else 0
             except (DamageError, struct.error):
                 damaged += len(body)
         known = self._length[number]
         return damaged + int(size[(known > 0) & (size != known)].sum())
 
-    def _add(self, op: int, body: bytes) -> None:
+    def _add(self, op: int, body: bytes) -> bool:
+        """Read a schema, or a channel if its schema is known."""
         if op == SCHEMA:
             (name, encoding, definition), _ = _strings(body, 2, 3)
             if len(definition) > SCHEMA_BYTES or not self._channels.has_room(len(definition)):
                 definition = b""
             self._schemas[_number(body)] = normal_type(text(name)), text(encoding), definition
-            return
+            return True
         (topic, encoding), _ = _strings(body, 4, 2)
         schema = self._schemas.get(_number(body[2:]))
-        if schema is not None:
-            type_name, kind, text_of = schema
-            channel = Channel(normal_topic(text(topic)), type_name, text(encoding), text_of, kind)
-            self._channels.describe(_number(body), channel)
+        if schema is None:
+            return False
+        type_name, kind, text_of = schema
+        channel = Channel(normal_topic(text(topic)), type_name, text(encoding), text_of, kind)
+        self._channels.describe(_number(body), channel)
+        return True
 
 
 def _number(body: bytes) -> int:
@@ -402,7 +402,7 @@ def _read_summary(source: Source) -> Summary | None:
     if op != FOOTER or length != 20 or not 0 < start <= footer or footer - start > SUMMARY_BYTES:
         return None
     raw = source.copy(start, footer - start + RECORD_HEAD + 16)
-    if crc and crc32(raw) != crc:
+    if crc and checksum(raw) != crc:
         return None
     data = np.frombuffer(raw, np.uint8)[: footer - start]
     where, stop = mcap_records(data)

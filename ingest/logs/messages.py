@@ -32,7 +32,7 @@ SCHEMA_BYTES = 1 << 20
 MESSAGE_BYTES = 1 << 24
 """Longest message that is decoded, 16 MiB: an odometry message has 700 bytes, an array of a
 thousand poses 56,000. Longer ones are skipped without being read, but for clouds and grids
-(`limits.longest_message`)."""
+(`topics.longest_message`)."""
 
 
 class Channel(NamedTuple):
@@ -84,11 +84,10 @@ class Block(NamedTuple):
     start: IntArray
     size: IntArray
 
-
-def first_messages(block: Block, count: int) -> Block:
-    """A block reduced to its first messages."""
-    log_time_ns, start, size = (a[:count] for a in (block.log_time_ns, block.start, block.size))
-    return block._replace(log_time_ns=log_time_ns, start=start, size=size)
+    def rows(self, which: IntArray | slice) -> Block:
+        """Some of its messages."""
+        log_ns, start, size = self.log_time_ns[which], self.start[which], self.size[which]
+        return self._replace(log_time_ns=log_ns, start=start, size=size)
 
 
 Want = Callable[[Channel], int]
@@ -264,9 +263,17 @@ class Container(Protocol):
         """
 
     def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
+        self,
+        want: Want,
+        findings: Findings,
+        progress: Progress | None = None,
+        *,
+        by_index: bool = True,
     ) -> Iterator[Block]:
-        """Scan the file once; a channel is offered to `want` when it is met."""
+        """Scan the file once; a channel is offered to `want` when it is met.
+
+        by_index: whether to believe the file's index, if there is a sound one.
+        """
 
 
 class DamageError(Exception):

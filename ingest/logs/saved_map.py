@@ -1,7 +1,4 @@
-"""Maps saved by ROS's map_server: `map.yaml` beside an image of the grid.
-
-Only the YAML that map savers write is supported: `key: value`, lists in brackets or with dashes.
-"""
+"""Maps saved by ROS's map_server: `map.yaml` beside an image of the grid."""
 
 from __future__ import annotations
 
@@ -21,6 +18,7 @@ from ...topology.errors import LogError
 from ...topology.run import Grid
 from ..remote.path import LogPath, RemotePath
 from .messages import printable
+from .metadata import yaml_values
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -51,7 +49,6 @@ LOSSY_SHADES = 5
 USUAL_FREE_THRESH = 0.196
 """By which such cells are unknown: map_server's default."""
 
-_LINE = re.compile(r"^(?P<key>[A-Za-z_]+)\s*:\s*(?P<value>.*?)\s*(#.*)?$")
 _NAMED = re.compile(r"\.ya?ml$", re.IGNORECASE)
 
 
@@ -83,7 +80,7 @@ def is_saved_map(path: LogPath) -> TypeGuard[Path]:
     if isinstance(path, RemotePath) or not _NAMED.search(path.name) or not path.is_file():
         return False
     try:
-        found = _keys(_text(path))
+        found = yaml_values(_text(path))
     except (OSError, ValueError):
         return False
     return {"image", "resolution", "origin"} <= set(found)
@@ -93,7 +90,7 @@ def saved_map_files(path: Path) -> tuple[Path, ...]:
     """The description and the image: where it says or, for a path of another computer, one of that
     name beside it. LogError if there is none."""
     try:
-        named = _image(_keys(_text(path)))
+        named = _image(yaml_values(_text(path)))
     except (OSError, ValueError) as error:
         raise LogError(f"{path}: {error}") from error
     image = path.parent / named
@@ -109,8 +106,11 @@ def read_saved_map(path: Path) -> SavedMap:
     cannot be read."""
     _, image = saved_map_files(path)
     try:
-        found = _keys(_text(path))
-        x, y, yaw = [float(v) for v in (*found["origin"], "0")[:3]]
+        found = yaml_values(_text(path))
+        origin = [float(v) for v in (*found["origin"], "0")[:3]]
+        if len(origin) < 3:
+            raise ValueError("its origin is not x, y and yaw")
+        x, y, yaw = origin
         like = Grid(_NONE, _NONE, _number(found, "resolution"), (x, y, yaw))
         grid, notes = _read(image, found, like)
         if not (path.parent / _image(found)).is_file():
@@ -131,24 +131,6 @@ def _text(path: Path) -> str:
     if len(raw) > YAML_BYTES:
         raise ValueError("the description is implausibly long")
     return raw.decode("utf-8", "replace")
-
-
-def _keys(text: str) -> dict[str, list[str]]:
-    """Values by key, as lists."""
-    out: dict[str, list[str]] = {}
-    last: list[str] | None = None
-    for line in text.splitlines():
-        item = re.match(r"^\s*-\s+(.*?)\s*(#.*)?$", line)
-        if item and last is not None:
-            last.append(item[1].strip("\"'"))
-            continue
-        match = _LINE.match(line)
-        if match is None:
-            continue
-        value = match["value"].strip()
-        inner = value[1:-1].split(",") if value.startswith("[") else [value] if value else []
-        last = out[match["key"]] = [part.strip().strip("\"'") for part in inner]
-    return out
 
 
 def _image(found: dict[str, list[str]]) -> str:

@@ -9,20 +9,13 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .clouds import Cloud, json_cloud, object_cloud, protobuf_cloud, wire_cloud
-from .columns import words
-from .inflate import ZSTD_MAGIC, inflate_message
+from .inflate import SLICE_BYTES, unpacked
 from .laser_wire import LaserDecoder
-from .limits import CLOUD_BYTES
 from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
 from .scan_objects import ObjectScanDecoder, OneScan, json_scan, object_scan, protobuf_scan
 from .scan_rows import RawScans, ScanDecoder
-from .schema import UnreadableError, as_expected, object_decoder
-from .topics import CLOUD_KINDS, SCAN_KINDS
-
-SLICE_BYTES = 1 << 22
-"""Bytes of a block decoded at once: blocks may be large, and decoding needs several copies."""
-
-_MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
+from .schema import as_expected, object_decoder
+from .topics import CLOUD_BYTES, CLOUD_KINDS, SCAN_KINDS
 
 Slicer = Callable[[Cloud], RawScans]
 
@@ -35,17 +28,10 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     if channel.type_name in CLOUD_KINDS:
         return _cloud_decoder(channel, slicer)
     kind = SCAN_KINDS.get(channel.type_name)
-    ros1 = channel.encoding == "ros1"
     if channel.encoding in ("cdr", "ros1"):
         if kind is not None and as_expected(channel, kind):
-            return LaserDecoder(kind, ros1)
-        try:
-            decode = object_decoder(channel)
-        except UnreadableError:
-            if kind is None:
-                raise
-            # The type's name is known and trusted, as in a log without definitions.
-            return LaserDecoder(kind, ros1)
+            return LaserDecoder(kind, channel.encoding == "ros1")
+        decode = object_decoder(channel)
         return ObjectScanDecoder(lambda raw: object_scan(decode(raw)))
     if channel.encoding == "json":
         return ObjectScanDecoder(json_scan)
@@ -65,12 +51,7 @@ def _cloud_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
         raise DamageError(f"clouds encoded as {channel.encoding[:40]!r} are not read")
     if not foxglove and as_expected(channel, "cloud"):
         return CloudDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
-    try:
-        decode = object_decoder(channel)
-    except UnreadableError:
-        if foxglove:
-            raise
-        return CloudDecoder(lambda raw: slicer(wire_cloud(raw, ros1)))
+    decode = object_decoder(channel)
     return ObjectScanDecoder(lambda raw: slicer(object_cloud(decode(raw))))
 
 
@@ -112,48 +93,14 @@ class ScanIntake:
 
     def take(self, block: Block) -> Iterator[TimedScans]:
         """The scans of a block, in order."""
-        data, _, log_ns, start, size = block
-        self.messages += len(start)
-        log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
+        self.messages += len(block.start)
         # Cut where the bytes so far fill another slice.
-        filled = (np.cumsum(size) - size) // SLICE_BYTES
-        for part in np.split(np.arange(len(start)), np.flatnonzero(np.diff(filled)) + 1):
-            yield from self._decoded(data, log_ns[part], start[part], size[part])
-
-    def _decoded(
-        self, data: Bytes, log_ns: IntArray, start: IntArray, size: IntArray
-    ) -> Iterator[TimedScans]:
-        if self._cdr and (size >= 9).all() and (words(data, "<u4", start) == _MAGIC).any():
-            for inflated in self._inflated(data, start, size):
-                yield from self._of(*inflated[1:], log_ns[inflated[0]])
-        else:
-            yield from self._of(data, start, size, log_ns)
-
-    def _of(
-        self, data: Bytes, start: IntArray, size: IntArray, log_ns: IntArray
-    ) -> Iterator[TimedScans]:
-        for scans in self._decoder.decode(data, start, size):
-            yield TimedScans(scans, log_ns[scans.message])
-
-    def _inflated(
-        self, data: Bytes, start: IntArray, size: IntArray
-    ) -> Iterator[tuple[IntArray, Bytes, IntArray, IntArray]]:
-        """Messages that are zstd streams, inflated: their indices, a buffer, offsets and sizes."""
-        out: dict[int, bytes] = {}
-        for k, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
-            payload = data[at : at + length].tobytes()
-            try:
-                out[k] = inflate_message(payload) if payload[:4] == ZSTD_MAGIC else payload
-            except DamageError:
-                self._unpacked += 1
-            if sum(map(len, out.values())) > SLICE_BYTES:
-                yield _buffer(out)
-                out = {}
-        if out:
-            yield _buffer(out)
-
-
-def _buffer(payloads: dict[int, bytes]) -> tuple[IntArray, Bytes, IntArray, IntArray]:
-    sizes = np.array([len(payload) for payload in payloads.values()], np.int64)
-    whole = np.frombuffer(b"".join(payloads.values()), np.uint8)
-    return np.array(list(payloads), np.int64), whole, np.cumsum(sizes) - sizes, sizes
+        filled = (np.cumsum(block.size) - block.size) // SLICE_BYTES
+        for rows in np.split(np.arange(len(filled)), np.flatnonzero(np.diff(filled)) + 1):
+            for part, failed in (
+                unpacked(block.rows(rows)) if self._cdr else ((block.rows(rows), 0),)
+            ):
+                self._unpacked += failed
+                log_ns = np.clip(part.log_time_ns, 0, LATEST_NS - 1)
+                for scans in self._decoder.decode(part.data, part.start, part.size):
+                    yield TimedScans(scans, log_ns[scans.message])

@@ -9,6 +9,7 @@ import numpy as np
 from ...topology.arrays import Float32Array, IntArray
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import (
+    OneByOne,
     as_text,
     get,
     load_json,
@@ -21,7 +22,6 @@ from .foxglove import (
     unit_quaternion,
 )
 from .messages import Bytes, DamageError, text
-from .one_by_one import OneByOne
 from .scan_rows import Geometry, RawScans, checked_beams
 
 OneScan = tuple[int, Float32Array, Geometry]

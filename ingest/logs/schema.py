@@ -66,15 +66,24 @@ class UnreadableError(DamageError):
 def as_expected(channel: Channel, kind: str) -> bool:
     """Whether the definition begins with the fields expected of the kind.
 
-    True for a log without definitions. Definitions other than `.msg` text are not parsed here and
-    give False, so that the general decoder is used.
+    True also for a log without definitions, or with one that cannot be read: the type's name is
+    trusted then. Definitions other than `.msg` text that can be read give False, so that the
+    general decoder is used.
     """
     if not channel.schema:
         return True
-    if channel.schema_encoding not in ("ros2msg", "ros1msg"):
-        return False
-    begins = _begins_with if len(channel.schema) <= REMEMBERED_BYTES else _begins_with.__wrapped__
-    return begins(channel.schema, kind, channel.encoding == "ros1")
+    if channel.schema_encoding in ("ros2msg", "ros1msg"):
+        short = len(channel.schema) <= REMEMBERED_BYTES
+        begins = _begins_with if short else _begins_with.__wrapped__
+        if begins(channel.schema, kind, channel.encoding == "ros1"):
+            return True
+    try:
+        object_decoder(channel)
+    except UnreadableError:
+        return True
+    except DamageError:
+        pass
+    return False
 
 
 @lru_cache(64)
@@ -177,37 +186,6 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
             raise DamageError(f"a message does not decode ({type(error).__name__})") from error
 
     return decode
-
-
-class Member(NamedTuple):
-    """A field of a message type: the type of its value, or of its items if it is a list."""
-
-    type_name: str
-    listed: bool
-
-
-def members(channel: Channel) -> dict[str, dict[str, Member]]:
-    """Fields by name of the channel's type and of every type that it uses.
-
-    Raises DamageError if the type has no readable definition.
-    """
-    definitions = _store(channel).fielddefs
-    if channel.type_name not in definitions:
-        raise DamageError(f"no definition of {channel.type_name} is known")
-    return {
-        type_name: {name: _member(*described) for name, described in fields}
-        for type_name, (_, fields) in definitions.items()
-    }
-
-
-def _member(node: int, described: Any) -> Member:
-    """A field by rosbags' description: Nodetype, and a name or the items' type."""
-    from rosbags.interfaces import Nodetype
-
-    if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
-        inner = _member(*described[0])
-        return Member(inner.type_name, listed=True)
-    return Member(described[0] if node == Nodetype.BASE else described, listed=False)
 
 
 def _store(channel: Channel) -> Any:

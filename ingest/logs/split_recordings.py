@@ -11,9 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from ..remote.path import LogPath
-
-SUFFIX = re.compile(r"(\.(mcap|bag|db3|active|zstd|zst|ya?ml))+$", re.IGNORECASE)
-"""Suffixes of a log's name."""
+from .log_file import SUFFIX, is_log
 
 _PART = re.compile(r"^(?P<stem>.*?)_?(?P<begun>\d{4}(-\d\d){5})?_(?P<number>\d+)$")
 """Name of a part; ROS 1 puts its start time before its number."""
@@ -99,3 +97,24 @@ def is_path_of_parts(path: Path) -> bool:
 def name_of_parts(path: Path) -> str:
     """The name of a split recording by its path: what its parts' names have before the number."""
     return SUFFIX.sub("", path.name).removesuffix(_ALL) or path.parent.name
+
+
+def entries(folder: LogPath) -> list[LogPath]:
+    """Entries of a folder that are not hidden, by name."""
+    shown = (entry for entry in folder.iterdir() if not entry.name.startswith("."))
+    return sorted(shown, key=lambda entry: entry.name)
+
+
+def parts_at(path: Path) -> tuple[LogPath, ...]:
+    """The parts of the split recording that a path stands for, none if it stands for none; their
+    times were compared when they were found."""
+    if not is_path_of_parts(path):
+        return ()
+    try:
+        files = [entry for entry in entries(path.parent) if entry.is_file() and is_log(entry)]
+    except OSError:
+        return ()
+    for first, *others in split_recordings(files, span=None):
+        if others and isinstance(first, Path) and path_of_parts(first) == path:
+            return first, *others
+    return ()

@@ -21,7 +21,6 @@ from ...topology.arrays import BoolArray, IntArray
 from ...topology.errors import LogError
 from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
-from .limits import longest_message
 from .messages import (
     NAME_BYTES,
     SCHEMA_BYTES,
@@ -40,6 +39,7 @@ from .messages import (
     printable,
     several,
 )
+from .topics import longest_message
 from .write_ahead import PAGES, WriteAhead, beside, read_write_ahead
 
 MAGIC = b"SQLite format 3\x00"
@@ -109,7 +109,12 @@ class SqliteFile:
         return Survey(counts, first or 0, last or 0)
 
     def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
+        self,
+        want: Want,
+        findings: Findings,
+        progress: Progress | None = None,
+        *,
+        by_index: bool = True,
     ) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         keep_freed_memory()
@@ -277,7 +282,7 @@ class _Reader:
             return
         once = self._once(number)
         self._findings.span(int(time.min()), int(time.max()))
-        for key in np.unique(topic).tolist():
+        for key in sorted(set(topics)):
             mine = once & (topic == key)
             channel, count = self._channels.get(key), int(mine.sum())
             if channel is None:
@@ -331,14 +336,14 @@ class _Reader:
 
         A damaged page may list a row twice, in place of another.
         """
-        last, self._last = self._last, int(number[-1])
+        last = self._last
         once = np.ones(len(number), bool)
-        if (np.diff(number, prepend=last) != 1).any():
+        if (number != np.arange(last + 1, last + 1 + len(number))).any():
             number, first = np.unique(number, return_index=True)
             once[:] = False
             once[first] = True
             self._missing += _missing(number, last)
-            self._last = int(number[-1])
+        self._last = int(number[-1])
         return once
 
 

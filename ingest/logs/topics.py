@@ -8,8 +8,8 @@ from difflib import get_close_matches
 
 from ...topology.errors import LogError, UsageError
 from .laser_wire import LaserKind
-from .messages import Channel
-from .wire import Kind
+from .messages import MESSAGE_BYTES, Channel
+from .pose_wire import Kind
 
 ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
     "nav_msgs/msg/Odometry": (0, "odometry"),
@@ -78,6 +78,23 @@ JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
 SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
 CLOUD_TYPES = "sensor_msgs/PointCloud2 or foxglove.PointCloud"
 GRID_TYPES = "nav_msgs/OccupancyGrid"
+
+
+CLOUD_BYTES = 1 << 26
+"""Longest cloud in CDR or ROS 1's encoding, which is decoded in place: `clouds.MOST_POINTS` of 32
+bytes."""
+
+GRID_BYTES = (1 << 24) + (1 << 13)
+"""Longest grid in these encodings: `saved_map.MOST_CELLS`, and what is told of them."""
+
+
+def longest_message(channel: Channel) -> int:
+    """Longest message of a channel that is decoded [bytes]."""
+    if channel.encoding not in ("cdr", "ros1"):
+        return MESSAGE_BYTES
+    if channel.type_name == "sensor_msgs/msg/PointCloud2":
+        return CLOUD_BYTES
+    return GRID_BYTES if channel.type_name in GRID_KINDS else MESSAGE_BYTES
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,94 +1,27 @@
-"""Columnar decoding of ROS messages with poses, in CDR (ROS 2) and ROS 1 serialization.
+"""Columnar decoding of messages in CDR (ROS 2) and ROS 1 serialization.
 
-The offsets of all fields in such a message depend on its strings and counts only. One message is
-parsed, its strings and counts become a template, and all messages of the same size with the same
-bytes there are decoded at once; the others yield further templates.
+The offsets of all fields in a message depend on its strings and counts only. One message is parsed,
+its strings and counts become a template, and all messages of the same size with the same bytes
+there are decoded at once; the others yield further templates.
 """
 
 from __future__ import annotations
 
 import struct
-from typing import Literal, NamedTuple
+from collections.abc import Callable
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
-from ...topology.arrays import FloatArray, IntArray
+from ...topology.arrays import IntArray
 from .columns import Shape, column, gather
 from .messages import NAME_BYTES, Bytes, DamageError, text
-from .poses import Frames, Heads, Poses, join
-
-Kind = Literal[
-    "odometry",
-    "pose",
-    "pose_covariance",
-    "pose_array",
-    "transforms",
-    "foxglove_pose",
-    "foxglove_poses",
-]
-
-POSE_BYTES = 56
-MOST_POSES = 1024
-"""Most poses of one message: of a junction 32 count, of particles there are some hundreds."""
 
 MANY = 1024
 """Messages of one size from which on those that are alike and broken are counted together."""
 
-COVARIANCE = 36
-"""Numbers of a covariance of x, y, z and rotations about them, row by row."""
-FARTHEST_M = 1e9
-"""Bound of stated sigmas [m], to keep them within single precision."""
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
-
-
-class _Run(NamedTuple):
-    """`length` consecutive poses with one stamp and one pair of frames; covariance: whether that of
-    the only one follows."""
-
-    stamp_at: int
-    frame: int
-    pose_at: int
-    length: int
-    covariance: bool = False
-
-
-class Template(NamedTuple):
-    """Offsets of the fields in messages of one shape.
-
-    size: bytes from the message's begin to the end of the last needed field; order: "<" or ">".
-    """
-
-    size: int
-    shape: Shape
-    runs: tuple[_Run, ...]
-    order: str
-    ros1: bool
-
-    def poses(self, rows: Bytes, message: IntArray) -> Poses:
-        """The poses of messages (rows) of this shape."""
-        parts = [self._run(rows, message, run) for run in self.runs]
-        return join(parts)
-
-    def _run(self, rows: Bytes, message: IntArray, run: _Run) -> Poses:
-        seconds_type = f"{self.order}{'u4' if self.ros1 else 'i4'}"
-        stamp_ns = column(rows, seconds_type, run.stamp_at) * 10**9
-        stamp_ns += column(rows, f"{self.order}u4", run.stamp_at + 4)
-        span = rows[:, run.pose_at : run.pose_at + POSE_BYTES * run.length]
-        value = np.ascontiguousarray(span).view(f"{self.order}f8").astype(np.float64, copy=False)
-        if run.length != 1:
-            message, stamp_ns = np.repeat(message, run.length), np.repeat(stamp_ns, run.length)
-        frame = np.full(len(message), run.frame, np.int64)
-        sigma_m = self._sigma_m(rows, run) if run.covariance else None
-        value = value.reshape(-1, 7)
-        return Poses(message, np.zeros_like(message), stamp_ns, frame, value, sigma_m)
-
-    def _sigma_m(self, rows: Bytes, run: _Run) -> FloatArray:
-        """(k,) stated 1 sigma of the positions [m], NaN where none is stated (0 or less)."""
-        begin = run.pose_at + POSE_BYTES
-        span = np.ascontiguousarray(rows[:, begin : begin + 8 * COVARIANCE])
-        variance = span.view(f"{self.order}f8").astype(np.float64)[:, [0, 7]].max(axis=1)
-        return np.minimum(np.sqrt(np.where(variance > 0, variance, np.nan)), FARTHEST_M)
 
 
 class WireParser:
@@ -153,116 +86,124 @@ class WireParser:
             self.advance(4)
         return self.stamp(), self.string()
 
-    def poses(self, count: int) -> int:
-        """Offset of `count` consecutive poses."""
+    def doubles(self, count: int) -> int:
+        """Offset of `count` consecutive float64."""
         if count:
             self.align(8)
-        return self.advance(POSE_BYTES * count)
+        return self.advance(8 * count)
+
+    @property
+    def shape(self) -> Shape:
+        """What was parsed, as what messages of the same layout share."""
+        head = np.frombuffer(self._raw, np.uint8, self.position)
+        return Shape.of(head, tuple(self.fixed))
 
 
-def parse(kind: Kind, raw: bytes, ros1: bool, frames: Frames) -> Template:
-    """The template of one message; raises DamageError if it cannot be a message of this kind."""
-    parser = WireParser(raw, ros1)
-    runs: list[_Run] = []
-    if kind == "transforms":
-        for _ in range(min(parser.count(), len(raw) // POSE_BYTES + 1)):
-            stamp, frame = parser.header()
-            pair = frames.number(frame, parser.string())
-            runs.append(_Run(stamp, pair, parser.poses(1), 1))
-    else:
-        stamp, frame = (
-            (parser.stamp(), parser.string()) if kind.startswith("foxglove") else parser.header()
-        )
-        child = parser.string() if kind == "odometry" else ""
-        many = kind in ("pose_array", "foxglove_poses")
-        count = parser.count() if many else 1
-        if count > MOST_POSES:
-            raise DamageError(f"more than {MOST_POSES} poses in a message, which is the limit")
-        told = kind == "pose_covariance"
-        runs.append(_Run(stamp, frames.number(frame, child), parser.poses(count), count, told))
-        if told:
-            parser.advance(8 * COVARIANCE)
-    shape = Shape.of(np.frombuffer(raw, np.uint8, parser.position), tuple(parser.fixed))
-    return Template(parser.position, shape, tuple(runs), parser.order, ros1)
+def stamps_ns(rows: Bytes, at: int, order: str, ros1: bool) -> IntArray:
+    """(n,) times of messages, as rows, at one offset [ns]."""
+    seconds = column(rows, f"{order}{'u4' if ros1 else 'i4'}", at)
+    return seconds * 10**9 + column(rows, f"{order}u4", at + 4)
 
 
-class WireDecoder:
-    """Decodes messages of one kind in CDR or ROS 1 serialization."""
+class Template(Protocol):
+    """The layout of messages of one size."""
 
-    def __init__(self, kind: Kind, ros1: bool) -> None:
-        self._kind: Kind = kind
-        self._ros1 = ros1
-        self.frames = Frames()
+    @property
+    def width(self) -> int:
+        """Bytes from a message's begin to the end of what is needed."""
+
+    @property
+    def shape(self) -> Shape:
+        """What such messages share."""
+
+
+T = TypeVar("T", bound=Template)
+P = TypeVar("P")
+
+
+class TemplateDecoder(Generic[T, P]):
+    """Decodes messages by templates.
+
+    parse: the template of one message, or DamageError; decode: what messages (rows of `width`
+    bytes) of a template hold, with their numbers. failed: messages that could not be parsed;
+    reason: why the first of them could not be.
+    """
+
+    def __init__(
+        self, parse: Callable[[bytes], T], decode: Callable[[T, Bytes, IntArray], list[P]]
+    ) -> None:
+        self._parse = parse
+        self._decode = decode
         self.failed = 0
         self.reason = ""
-        self._templates: dict[int, list[Template]] = {}
+        self._templates: dict[int, list[T]] = {}
 
-    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
-        """The needed fields of the messages, if all have one known shape, else None."""
+    def fitting(self, data: Bytes, start: IntArray, size: IntArray) -> tuple[T, Bytes] | None:
+        """The template of messages that all have one that is known, and their rows; else None."""
         known = self._templates.get(int(size[0]))
         if not known or not (size == size[0]).all():
             return None
-        rows = gather(data, start, known[0].size)
-        fits = known[0].shape.misfits(rows) is None
-        return Heads(rows, known[0].poses) if fits else None
+        rows = gather(data, start, known[0].width)
+        return (known[0], rows) if known[0].shape.misfits(rows) is None else None
 
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
-        """The poses of a batch of messages. O(bytes read) with few shapes."""
+    def parts(self, data: Bytes, start: IntArray, size: IntArray) -> list[P]:
+        """What a batch of messages holds, in no order. O(bytes read) with few templates."""
         message = np.arange(len(start))
         if len(start) and (size == size[0]).all():
-            parts = self._same_size(data, start, int(size[0]), message)
-        else:
-            # One group per size: sort once, then split where the size changes.
-            order = np.argsort(size, kind="stable")
-            cuts = np.flatnonzero(np.diff(size[order])) + 1
-            parts = []
-            for group in np.split(order, cuts) if len(order) else []:
-                parts += self._same_size(data, start[group], int(size[group[0]]), message[group])
-        return join(parts)
+            return self._same_size(data, start, int(size[0]), message)
+        # One group per size: sort once, then split where the size changes.
+        order = np.argsort(size, kind="stable")
+        cuts = np.flatnonzero(np.diff(size[order])) + 1
+        out: list[P] = []
+        for group in np.split(order, cuts) if len(order) else []:
+            out += self._same_size(data, start[group], int(size[group[0]]), message[group])
+        return out
 
-    def _same_size(self, data: Bytes, start: IntArray, size: int, message: IntArray) -> list[Poses]:
-        parts = []
+    def _same_size(self, data: Bytes, start: IntArray, size: int, message: IntArray) -> list[P]:
+        out: list[P] = []
         known = self._templates.setdefault(size, [])
         for template in known:
-            start, message, part = self._fitting(data, start, message, template)
-            parts.append(part)
-            if len(start) == 0:
-                return parts
+            start, message = self._take(data, start, message, template, out)
         fresh = True
         while len(start):
             raw = data[start[0] : start[0] + size].tobytes()
             try:
-                template = parse(self._kind, raw, self._ros1, self.frames)
+                template = self._parse(raw)
             except DamageError as damage:
                 flood = fresh and len(start) >= MANY
-                left = self._unlike(data, start, raw) if flood else np.arange(1, len(start))
+                left = _unlike(data, start, raw) if flood else np.arange(1, len(start))
                 self.failed += len(start) - len(left)
                 self.reason = self.reason or str(damage)
                 start, message, fresh = start[left], message[left], False
                 continue
             if len(known) < TEMPLATES:
                 known.append(template)
-                start, message, part = self._fitting(data, start, message, template)
+                start, message = self._take(data, start, message, template, out)
             else:
-                _, _, part = self._fitting(data, start[:1], message[:1], template)
+                self._take(data, start[:1], message[:1], template, out)
                 start, message = start[1:], message[1:]
-            parts.append(part)
         if len(self._templates) > TEMPLATES * TEMPLATES:
             self._templates.clear()
-        return parts
+        return out
 
-    def _unlike(self, data: Bytes, start: IntArray, raw: bytes) -> IntArray:
-        """Messages that differ from those bytes and may be valid; the first one is."""
-        head = np.frombuffer(raw, np.uint8)
-        other = Shape.of(head, ((0, len(head)),)).misfits(gather(data, start, len(head)))
-        return np.zeros(0, np.int64) if other is None else other.nonzero()[0]
-
-    def _fitting(
-        self, data: Bytes, start: IntArray, message: IntArray, template: Template
-    ) -> tuple[IntArray, IntArray, Poses]:
-        """The messages that do not have the template's shape, and the poses of those that do."""
-        rows = gather(data, start, template.size)
+    def _take(
+        self, data: Bytes, start: IntArray, message: IntArray, template: T, out: list[P]
+    ) -> tuple[IntArray, IntArray]:
+        """Decode the messages that have the template's shape; returns the others."""
+        if len(start) == 0:
+            return start, message
+        rows = gather(data, start, template.width)
         other = template.shape.misfits(rows)
         if other is None:
-            return start[:0], message[:0], template.poses(rows, message)
-        return start[other], message[other], template.poses(rows[~other], message[~other])
+            out += self._decode(template, rows, message)
+            return start[:0], message[:0]
+        if not other.all():
+            out += self._decode(template, rows[~other], message[~other])
+        return start[other], message[other]
+
+
+def _unlike(data: Bytes, start: IntArray, raw: bytes) -> IntArray:
+    """Messages that differ from those bytes and may be valid; the first one is."""
+    head = np.frombuffer(raw, np.uint8)
+    other = Shape.of(head, ((0, len(head)),)).misfits(gather(data, start, len(head)))
+    return np.zeros(0, np.int64) if other is None else other.nonzero()[0]

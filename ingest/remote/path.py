@@ -17,16 +17,16 @@ from typing import Any, NamedTuple
 from urllib.parse import unquote, urlsplit, urlunsplit
 
 from ...topology.errors import LogError, UsageError
-from .source import RemoteFile
+from .source import BLOCK_BYTES, RemoteFile
 from .store import (
     TAIL_MOST,
     BadKeyError,
     Got,
     MissingObjectError,
     Stat,
-    asked,
     listed,
     listed_here,
+    requested,
     require_obstore,
 )
 from .threads import side_by_side
@@ -35,7 +35,7 @@ _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
 _LOG = re.compile(r"\.(mcap|bag|db3|active|zstd|zst)$", re.IGNORECASE)
 _HEAD_FIRST = re.compile(r"\.(bag|active)$", re.IGNORECASE)
 
-HEAD_BYTES = 4352
+HEAD_BYTES = 2 * BLOCK_BYTES
 """Front of a bag that is read: magic and first record, which holds the index position. Writers pad
 it to 4096 bytes."""
 
@@ -59,10 +59,10 @@ class _Status(NamedTuple):
 
 @dataclass(slots=True)
 class Known:
-    """The known state of an object, and bytes of its ends by offset."""
+    """The known state of an object, and what was read of its ends."""
 
     stat: Stat | None = None
-    ends: dict[int, bytes] = field(default_factory=dict)
+    ends: list[Got] = field(default_factory=list)
 
 
 @dataclass(slots=True)
@@ -213,7 +213,7 @@ class RemotePath:
         assert mode == "rb"
         if self.state.size > SMALL_FILE_BYTES:
             raise LogError(f"{self}: is implausibly long for what it is")
-        return io.BytesIO(self.end(0, self.state.size))
+        return io.BytesIO(self.file.read(0, self.state.size))
 
     def read_text(self, encoding: str, errors: str) -> str:
         """A small file's content as text."""
@@ -247,23 +247,24 @@ class RemotePath:
     def file(self) -> RemoteFile:
         """The object for reading; bytes read are kept as long as this path."""
         if self._file is None:
-            self._file = RemoteFile(self.state.size, self._object.ends, self._asked)
+            self._file = RemoteFile(self.state.size, self._object.ends, self._requested)
         return self._file
 
     def fresh(self) -> RemotePath:
-        """The same place with no bytes but the object's ends."""
+        """The same place with no bytes but those of the object's ends."""
         return RemotePath(self.root, self.key, self._node, allow_scan=self.allow_scan)
 
     @property
     def kept_bytes(self) -> int:
-        """Bytes kept by `file` and `state`, for this object and those directly in this folder."""
+        """Bytes kept of the ends of this object, and of those directly in this folder."""
         known = self._found.objects() if self._found is not None else []
-        return sum(len(data) for each in known for data in each.ends.values())
+        return sum(len(got.data) for each in known for got in each.ends)
 
     def forget(self) -> None:
         """Drop the kept bytes; they are requested again when needed."""
+        self._file = None
         for known in self._found.objects() if self._found is not None else ():
-            known.ends.clear()
+            known.ends = []
 
     def magic(self) -> bytes:
         """The first bytes, which tell the format, or the last: MCAP files end with the same
@@ -271,42 +272,32 @@ class RemotePath:
         known = self._object
         if not known.ends:
             self._first_look(known)
-        start, data = max(known.ends.items())
-        size = self.state.size
-        if start + len(data) == size and not _HEAD_FIRST.search(self.name):
-            return data[-8:] if data[-8:-3] == b"\x89MCAP" else self.end(0, min(size, 16))
-        return self.end(0, min(size, 16))
+        if not known.ends:
+            return b""
+        start, data, stat = known.ends[0]
+        ends = start + len(data) == stat.size and data[-8:-3] == b"\x89MCAP"
+        return data[-8:] if ends and not _HEAD_FIRST.search(self.name) else self.file.read(0, 16)
 
-    def end(self, start: int, stop: int) -> bytes:
-        """Bytes of one of the object's ends, which are kept."""
-        ends = self._object.ends
-        for at, data in ends.items():
-            if at <= start and stop <= at + len(data):
-                return data[start - at : stop - at]
-        self._keep((start, stop)) if stop > start else None
-        return ends[start][: stop - start] if stop > start else b""
+    def tail(self) -> bytes:
+        """The last bytes."""
+        start = max(0, self.state.size - TAIL_BYTES)
+        return self.file.read(start, self.state.size - start)
 
     def _first_look(self, known: Known) -> None:
         """Request the end of the object that holds its index: the first of a bag, the last of
         others."""
         size = known.stat.size if known.stat is not None else TAIL_SHARE * TAIL_BYTES
-        if size == 0:
-            known.ends[0] = b""
-        elif _HEAD_FIRST.search(self.name):
-            self._keep((0, min(size, HEAD_BYTES)))
-        else:
-            self._keep(min(TAIL_BYTES + size // TAIL_SHARE, TAIL_MOST))
+        wanted: tuple[int, int] | int = min(TAIL_BYTES + size // TAIL_SHARE, TAIL_MOST)
+        if _HEAD_FIRST.search(self.name):
+            wanted = 0, min(size, HEAD_BYTES)
+        if size > 0:
+            known.ends = [self._requested(wanted).result()]
+            known.stat = known.stat or known.ends[0].stat
 
-    def _keep(self, wanted: tuple[int, int] | int) -> None:
-        known = self._object
-        got = self._asked(wanted).result()
-        known.stat = known.stat or got.stat
-        known.ends[got.start] = got.data
-
-    def _asked(self, wanted: tuple[int, int] | int) -> Future[Got]:
+    def _requested(self, wanted: tuple[int, int] | int) -> Future[Got]:
         """A request for bytes of the object in its known state."""
         known = self._object.stat
-        return asked(self.root, self.key.rstrip("/"), wanted, known, named=str(self))
+        return requested(self.root, self.key.rstrip("/"), wanted, known, named=str(self))
 
     @property
     def _object(self) -> Known:

@@ -25,13 +25,8 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-PIECE_BYTES = 1 << 20
-"""Bytes taken from a response at a time; longer responses than requested are cut."""
-
-
 TAIL_MOST = 1 << 19
 """Limit on the end of an object that is requested without its size, or kept with its path."""
-
 
 MOST_KEYS = 1 << 22
 """Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
@@ -85,7 +80,7 @@ class BadKeyError(LogError):
     """A folder holds a key that is no valid path, so that it cannot be listed."""
 
 
-def asked(
+def requested(
     root: str, key: str, wanted: tuple[int, int] | int, known: Stat | None, *, named: str
 ) -> Future[Got]:
     """Start one request. wanted: first byte and the one after the last, or a number of bytes at the
@@ -115,7 +110,11 @@ def _answer(
         stat = _stat(answer.meta)
         if known is not None and not _same(known, stat):
             raise LogError(f"{named}: changed while it was read; read it again")
-        data = _exactly(answer.stream(PIECE_BYTES), stop - start, named)
+        data = bytes(answer.bytes())
+    if len(data) != stop - start:
+        raise LogError(
+            f"{named}: the server sent {len(data)} of the {stop - start} bytes it announced"
+        )
     if isinstance(wanted, tuple) and (start, stop) != (wanted[0], min(wanted[1], stat.size)):
         raise LogError(f"{named}: the server sent bytes {start} to {stop} in place of {wanted}")
     return Got(start, data, stat)
@@ -134,19 +133,6 @@ def _same(known: Stat, now: Stat) -> bool:
         return (known.size, known.etag) == (now.size, now.etag)
     times = known.modified_s, now.modified_s
     return known.size == now.size and (times[0] == times[1] or not all(times))
-
-
-def _exactly(pieces: Iterator[bytes], length: int, named: str) -> bytes:
-    found: list[bytes] = []
-    size = 0
-    for piece in pieces:
-        found.append(bytes(piece))
-        size += len(piece)
-        if size > length:
-            raise LogError(f"{named}: the server sent more than the {length} bytes it announced")
-    if size < length:
-        raise LogError(f"{named}: the server sent {size} of the {length} bytes it announced")
-    return b"".join(found)
 
 
 def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:

@@ -11,6 +11,7 @@ from ...topology.errors import UsageError
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
 from ..logs.scan_rows import Geometry, RawScans
+from .surfaces import SURFACES
 
 FARTHEST_M = 1000.0
 """Larger ranges are invalid: the longest scanners measure some hundred metres."""
@@ -77,7 +78,7 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     """
     from scipy.spatial.transform import Rotation
 
-    ranges = np.full(BEAMS, np.inf)
+    ranges, turns = np.full(BEAMS, np.inf), np.zeros(BEAMS)
     level, place = Rotation.from_quat(T_body_sensor[3:]), T_body_sensor[:3]
     low, high = settings.band(float(place[2]))
     for first in range(0, len(cloud.xyz), PIECE):
@@ -89,8 +90,12 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
         far = way >= settings.nearest_m
         turn = np.arctan2(y[far], x[far])
         beam = np.floor((turn + np.pi) / (2 * np.pi) * BEAMS).astype(np.int64) % BEAMS
-        np.minimum.at(ranges, beam, way[far])
-    ranges = _in_a_row(ranges)
+        # Of the points of a direction the last one of this order stays: the nearest.
+        order = np.argsort(-way[far], kind="stable")
+        beam, turn, way = beam[order], turn[order], way[far][order]
+        nearer = way < ranges[beam]
+        ranges[beam[nearer]], turns[beam[nearer]] = way[nearer], turn[nearer]
+    ranges = _on_centres(*_in_a_row(ranges, turns))
     ranges[np.isinf(ranges)] = np.nan
     step = 2 * np.pi / len(ranges)
     geometry = Geometry(cloud.frame, -np.pi + step / 2, step, level=True)
@@ -103,12 +108,36 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     )
 
 
-def _in_a_row(ranges: FloatArray) -> FloatArray:
-    """The ranges in the narrowest directions that have returns in adjacent ones; (BEAMS,) unchanged
-    if no width does. ranges: inf without return."""
+def _in_a_row(ranges: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The nearest points, by range and angle, in the narrowest directions that have returns in
+    adjacent ones; (BEAMS,) unchanged if no width does. ranges: inf without return."""
     for degrees in range(1, WIDEST + 1):
-        wider = ranges.reshape(-1, degrees).min(axis=1)
-        seen = np.isfinite(wider)
+        nearest = ranges.reshape(-1, degrees).argmin(axis=1)
+        nearest += degrees * np.arange(len(nearest))
+        seen = np.isfinite(ranges[nearest])
         if (seen & np.roll(seen, -1)).sum() >= IN_A_ROW * seen.sum():
-            return np.asarray(wider)
-    return ranges
+            return ranges[nearest], turns[nearest]
+    return ranges, turns
+
+
+def _on_centres(ranges: FloatArray, turns: FloatArray) -> FloatArray:
+    """(m,) ranges in the middle of every direction: where the line from its point to that of the
+    direction on the other side of the middle crosses it, if both can be on one surface.
+
+    Wide directions would otherwise put points half a width beside where they were seen.
+    """
+    count = len(ranges)
+    centre = -np.pi + 2 * np.pi / count * (np.arange(count) + 0.5)
+    own = turns - centre
+    out = ranges
+    for side in (1, -1):
+        other_range = np.roll(ranges, -side)
+        between = (np.roll(turns, -side) - turns + np.pi) % (2 * np.pi) - np.pi
+        with np.errstate(invalid="ignore"):
+            reach = SURFACES.grazing * np.minimum(ranges, other_range) * np.abs(between)
+            one = np.isfinite(ranges) & (np.abs(ranges - other_range) < reach) & (side * own < 0)
+        part, rest = np.sin(-own[one]), np.sin(between[one] + own[one])
+        crossing = ranges[one] * part + other_range[one] * rest
+        out = out.copy()
+        out[one] = ranges[one] * other_range[one] * np.sin(between[one]) / crossing
+    return out

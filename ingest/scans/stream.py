@@ -15,7 +15,7 @@ from ...topology.se2 import compose, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
 from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
-from ..logs.recording import Recording, opened, sniff
+from ..logs.recording import Recording
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
 from .field_of_view import LaserNumbers
@@ -153,8 +153,8 @@ class ScanStream:
 
         findings = Findings()
         for file in self._recording.files:
-            progress = None if sniff(file) == "zstd" else self._on_bytes
-            with opened(file) as log:
+            progress = None if file.packed else self._on_bytes
+            with file.opened() as log:
                 for block in log.blocks(want, findings, progress):
                     yield from intakes[block.sink].take(block)
         tally = self.tally

@@ -63,14 +63,14 @@ def read_of(path: Path) -> tuple[int, int, Findings]:
     """How many messages of the wanted types decode, how many do not; and what was met."""
     from topobatch.ingest.logs.intake import Intake, decoder_for
     from topobatch.ingest.logs.messages import Findings
-    from topobatch.ingest.logs.recording import opened, recording_at
+    from topobatch.ingest.logs.recording import recording_at
     from topobatch.ingest.logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS
 
     findings = Findings()
     types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
     intake = Intake(lambda channel: channel.type_name in types, decoder_for)
     for file in recording_at(path).files:
-        with opened(file) as log:
+        with file.opened() as log:
             for block in log.blocks(intake.want, findings):
                 intake.take(block)
     for sink in intake.sinks:

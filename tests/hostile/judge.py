@@ -74,7 +74,8 @@ def halves(workspace: Path) -> str:
     found: dict[str, set[str]] = {}
     for path in (workspace / "maps").glob("[!.]*.*"):
         found.setdefault(path.stem, set()).add(path.suffix)
-    half = [name for name, suffixes in found.items() if suffixes != {".json", ".rrd"}]
+    whole = {".json", ".rrd"}, {".json", ".rrd", ".views"}
+    half = [name for name, suffixes in found.items() if suffixes not in whole]
     return f"half a run: {', '.join(half)}" if half else ""
 
 

@@ -19,8 +19,8 @@ from topobatch.cli.places_file import read_places
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
 from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
+from topobatch.ingest.logs.pose_wire import WireDecoder
 from topobatch.ingest.logs.poses import Frames
-from topobatch.ingest.logs.wire import WireDecoder
 from topobatch.ingest.reading import read_log
 from topobatch.topology.errors import DataError, LogError, UsageError
 

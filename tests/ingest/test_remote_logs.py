@@ -126,7 +126,7 @@ def test_only_the_chunks_that_hold_wanted_topics_are_read(
     assert len(bucket.proxy.gets) == 1
     same_readings(read_run(found), read_run(path))
     assert bucket.proxy.sent == index.sent + said
-    assert bucket.proxy.sent <= 1.1 * bound
+    assert bucket.proxy.sent <= 1.2 * bound  # chunks of 100 kB, with indexes between them
     assert bound < 0.15 * size
 
 
@@ -238,7 +238,7 @@ def test_memory_is_bounded_and_what_was_dropped_is_read_again(
         for offset in random.integers(0, len(data) - 50_000, 40).tolist():
             length = int(random.integers(1, 50_000))
             assert file.read(offset, length, ahead) == data[offset : offset + length]
-        assert file._held._bytes <= 100_000 + 50_000
+        assert sum(map(len, file._held.values())) <= 100_000
 
 
 def test_what_was_looked_at_goes_with_the_log_to_other_processes(bucket: Any) -> None:

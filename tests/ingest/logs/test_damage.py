@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.ingest.logs import intake, wire
+from topobatch.ingest.logs import intake, pose_wire
 from topobatch.ingest.logs.messages import several_that
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
 from topobatch.ingest.sightings import SightingSettings
@@ -471,7 +471,7 @@ def test_a_short_last_part_does_not_cost_the_others(logs, tmp_path, storage, len
 def test_more_poses_than_a_junction_has_are_left_out_by_a_limit(logs, tmp_path, monkeypatch):
     """They compress well: 100 KB can hold millions."""
     drive = logs.drive()
-    many = tuple(logs.yaw_pose(0.5, 0.0, 0.0) for _ in range(wire.MOST_POSES + 1))
+    many = tuple(logs.yaw_pose(0.5, 0.0, 0.0) for _ in range(pose_wire.MOST_POSES + 1))
     last = [replace(m, poses=many) if m.topic == "/junctions" else m for m in drive[220:]]
     run = read_run(logs.mcap(tmp_path / "run.mcap", [*drive[:220], *last]))
     assert len(run.detections) == 20

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.grid_log import GridLog
-from topobatch.ingest.logs import limits, messages, recording
+from topobatch.ingest.logs import log_file, messages, topics
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_log, read_run
 from topobatch.topology.errors import LogError
 
@@ -190,8 +190,8 @@ def test_a_file_that_inflates_without_end_is_refused(logs, tmp_path, monkeypatch
 
     path = tmp_path / "run.mcap.zstd"
     path.write_bytes(zstandard.compress(b"\x89MCAP0\r\n" + bytes(1 << 24)))
-    monkeypatch.setattr(recording, "UNPACKED_BYTES", 1 << 20)
-    monkeypatch.setattr(recording, "UNPACKED_RATIO", 10)
+    monkeypatch.setattr(log_file, "UNPACKED_BYTES", 1 << 20)
+    monkeypatch.setattr(log_file, "UNPACKED_RATIO", 10)
     with pytest.raises(LogError, match="inflates to more than"):
         read_run(path)
     assert not [p for p in tmp_path.iterdir() if p != path]
@@ -476,7 +476,7 @@ def test_clouds_above_the_limit_of_other_messages_are_read(logs, sensors, tmp_pa
 
 @pytest.mark.parametrize("kind", CLOUD_LOGS)
 def test_clouds_above_their_own_limit_are_told(logs, sensors, tmp_path, monkeypatch, kind):
-    monkeypatch.setattr(limits, "CLOUD_BYTES", 17 << 20)
+    monkeypatch.setattr(topics, "CLOUD_BYTES", 17 << 20)
     path = clouded(logs, sensors, tmp_path / "run", kind, {3: 18 << 20, 6: LONG})
     run = read_run(path)
     assert run.warnings == ("1 message of /points above 17 MiB left out",)

@@ -81,7 +81,7 @@ def test_png_with_alpha_block_lists_and_quotes(tmp_path: Path) -> None:
         (("negate: 0", "negate: maybe"), "its negate is 'maybe', not a number"),
         (("-1.0", "1e99"), "no place"),
         (("negate: 0", "mode: odd"), "mode"),
-        (("-1.0, 2.0, 0.0", ""), "could not convert"),
+        (("-1.0, 2.0, 0.0", ""), "its origin is not x, y and yaw"),
     ],
 )
 def test_descriptions_that_are_wrong(tmp_path: Path, change: tuple[str, str], why: str) -> None:

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.ingest.logs.recording import recording_at, run_name, with_parts_joined
+from topobatch.ingest.logs.finding import with_parts_joined
+from topobatch.ingest.logs.log_file import LogFile
+from topobatch.ingest.logs.recording import recording_at, run_name
 from topobatch.ingest.logs.split_recordings import path_of_parts, split_recordings
 from topobatch.ingest.reading import find_logs, log_fingerprint
 
@@ -54,7 +56,7 @@ def test_a_split_recording_has_a_path(logs, tmp_path, beside):
     path = tmp_path / "run_*.bag" if beside else tmp_path
     assert find_logs([tmp_path]) == [*other, path]
     assert find_logs([tmp_path], separate=True) == [*other, *parts]
-    assert list(recording_at(path).files) == parts
+    assert [file.path for file in recording_at(path).files] == parts
     assert run_name(path) == ("run" if beside else tmp_path.name)
     assert with_parts_joined([*parts, *other]) == [path, *other]
     assert with_parts_joined(parts[:1]) == parts[:1]
@@ -69,5 +71,5 @@ def test_a_file_that_is_called_like_a_split_recording_is_itself(logs, tmp_path):
     logs.bag(tmp_path / "run_0.bag", drive[:200])
     logs.bag(tmp_path / "run_1.bag", drive[200:])
     assert path_of_parts(tmp_path / "run_0.bag") == named
-    assert recording_at(named).files == (named,)
+    assert recording_at(named).files == (LogFile(named),)
     assert run_name(named) == "run_*"

@@ -109,7 +109,7 @@ def test_nothing_is_kept_of_a_log_that_is_done(fleet: Any, tmp_path: Path) -> No
     ]
     announce(jobs, Screen(quiet=True, verbose=False))
     kept = [job.log.kept_bytes for job in jobs]  # type: ignore[union-attr]
-    assert all(10_000 > size > 1_000 for size in kept)
+    assert all(20_000 > size > 1_000 for size in kept)
     assert [ingest_one(job, lambda _: None).status for job in jobs] == ["done", "done"]
     assert [job.log.kept_bytes for job in jobs] == [0, 0]  # type: ignore[union-attr]
 

@@ -97,7 +97,7 @@ def faults(servers: ModuleType) -> dict[str, tuple[Any, str]]:
         "sends all": (servers.Fault(answer=lambda a: replace(a, status=200)), "range requests"),
         "another place": (lying(**{"Content-Range": "bytes 0-16/192641"}), "cannot be read"),
         "another size": (lying(**{"Content-Range": "bytes 1-2/999999999999"}), "cannot be read"),
-        "too much": (servers.Fault(answer=longer), "sent more than"),
+        "too much": (servers.Fault(answer=longer), "bytes it announced"),
     }
 
 

@@ -279,7 +279,20 @@ def test_slices_of_sparse_clouds_have_wider_directions(apart_deg: float, wide_de
     inside = np.abs(angle) < np.radians(90)
     assert np.isfinite(ranges[inside]).mean() > 0.8
     assert not np.isfinite(ranges[np.abs(angle) > np.radians(107)]).any()
-    assert ranges[np.isfinite(ranges)] == pytest.approx(4.0)
+    assert ranges[np.isfinite(ranges)] == pytest.approx(4.0, abs=0.01)  # on chords
+
+
+@pytest.mark.parametrize("apart_deg", [0.3, 1, 2.25, 4.5])
+def test_a_wall_is_as_straight_in_slices_of_sparse_clouds(apart_deg: float) -> None:
+    from topobatch.ingest.logs.clouds import Cloud
+
+    turn = np.radians(np.arange(-60, 60, apart_deg) + 0.3)
+    wall = np.column_stack([np.full_like(turn, 3.0), 3.0 * np.tan(turn), np.zeros_like(turn)])
+    scans = sliced(Cloud(0, "c", wall), LEVEL, DEFAULT_SLICES)
+    ranges = scans.ranges_m[0]
+    angle = scans.geometry.angle_min + scans.geometry.angle_increment * np.arange(len(ranges))
+    ahead = (ranges * np.cos(angle))[np.isfinite(ranges)][1:-1]  # the ends have one neighbour
+    assert ahead == pytest.approx(3.0, abs=0.001)
 
 
 def test_a_band_needs_two_heights() -> None:
