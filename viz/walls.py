@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..merge.result import Component, FusedMap
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.grids import cell_for, cropped, grid_at
 from ..topology.run import Grid
 from ..topology.se2 import apply, compose, fit_groups
 from ..topology.topomap import TopoMap
@@ -29,9 +30,6 @@ together: for shifts a tenth of what junctions near a view weigh, for turns as m
 
 WALL_SHARE = 0.5
 """Share of the views of a cell that show a wall there, from which on it is one."""
-
-MOST_CELLS = 1 << 24
-"""Largest grid, the same as `ingest` reads; larger ones have larger cells."""
 
 
 def map_walls(topomap: TopoMap, cell_m: float = FINE_M) -> Grid | None:
@@ -99,8 +97,7 @@ def walls_of(views: Sequence[Views], frame: str, cell_m: float = FINE_M) -> Grid
     if not len(pose):
         return None
     low, high = pose[:, :2].min(axis=0) - REACH_M, pose[:, :2].max(axis=0) + REACH_M
-    while np.prod(np.ceil((high - low) / cell_m) + 1) > MOST_CELLS:
-        cell_m *= 2
+    cell_m = cell_for(high - low, cell_m)
     first = np.floor(low / cell_m).astype(np.int64)
     width, height = (np.floor(high / cell_m).astype(np.int64) - first + 1).tolist()
     looks = np.zeros((WALL + 1, height, width), np.uint16)
@@ -114,9 +111,7 @@ def walls_of(views: Sequence[Views], frame: str, cell_m: float = FINE_M) -> Grid
             for state in (FREE, WALL):
                 part[state] += states == state
     occupied = (looks[WALL] > 0) & (looks[WALL] >= WALL_SHARE * (looks[WALL] + looks[FREE]))
-    free = (looks[FREE] > 0) & ~occupied
-    origin = (*(first * cell_m).tolist(), 0.0)
-    return cropped(Grid(free, ~free & ~occupied, cell_m, origin, frame))
+    return cropped(grid_at(first, occupied, looks[FREE] > 0, cell_m, frame))
 
 
 def _resampled(
@@ -132,15 +127,3 @@ def _resampled(
     row = np.floor((c * y[:, None] - s * x + REACH_M) / CELL_M).astype(np.int64)
     within = (column >= 0) & (column < SIDE) & (row >= 0) & (row < SIDE)
     return corner, np.where(within, cells[row % SIDE, column % SIDE], np.uint8(UNKNOWN))
-
-
-def cropped(grid: Grid) -> Grid | None:
-    """The part of a grid that holds all that is known; None if nothing is."""
-    known = ~grid.unknown
-    rows, columns = (np.flatnonzero(known.any(axis=axis)) for axis in (1, 0))
-    if not len(rows):
-        return None
-    within = np.s_[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
-    shift = grid.resolution_m * np.array([columns[0], rows[0], 0.0])
-    x, y, yaw = compose(np.array(grid.origin), shift).tolist()
-    return grid._replace(free=grid.free[within], unknown=grid.unknown[within], origin=(x, y, yaw))
