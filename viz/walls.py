@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Component, FusedMap
-from ..topology.arrays import FloatArray, IntArray
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.grids import cell_for, cropped, grid_at
 from ..topology.run import Grid
 from ..topology.se2 import apply, compose, fit_groups
@@ -42,13 +42,21 @@ def site_walls(
 ) -> Grid | None:
     """The walls and the free space of all runs of a component, in its frame; None if no run has
     views. maps: as they were merged; runs that are not among them are left out."""
-    laid = [
-        replace(maps[run].views, pose=compose(T, maps[run].views.pose))
+    return walls_of(site_views(fused, component, maps), component.name, cell_m)
+
+
+def site_views(fused: FusedMap, component: Component, maps: Mapping[str, TopoMap]) -> list[Views]:
+    """The views of the runs of a component, posed in its frame; see `site_walls`."""
+    return [
+        moved(maps[run].views, placed_at(fused, component, maps[run], maps[run].views.pose[:, :2]))
         for run in sorted(component.poses)
         if run in maps and len(maps[run].views)
-        for T in [placed_at(fused, component, maps[run], maps[run].views.pose[:, :2])]
     ]
-    return walls_of(laid, component.name, cell_m)
+
+
+def moved(views: Views, T: FloatArray) -> Views:
+    """Views with their poses moved by one transform (3,), or by one each (n, 3)."""
+    return replace(views, pose=compose(T, views.pose))
 
 
 def placed_at(
@@ -127,3 +135,44 @@ def _resampled(
     row = np.floor((c * y[:, None] - s * x + REACH_M) / CELL_M).astype(np.int64)
     within = (column >= 0) & (column < SIDE) & (row >= 0) & (row < SIDE)
     return corner, np.where(within, cells[row % SIDE, column % SIDE], np.uint8(UNKNOWN))
+
+
+def strokes(grid: Grid) -> list[FloatArray]:
+    """The walls of a grid as lines (2, 2) through the middles of cells [m], to be drawn as wide as
+    a cell with round ends: rows of cells along the axis on which they are longer.
+
+    The first point of a line lies a hundredth of a cell before the middle, so that single cells
+    have a length.
+    """
+    wall = ~grid.free & ~grid.unknown
+    wide, high = _run_lengths(wall), _run_lengths(wall.T).T
+    ends = [*_ends(wall & (wide >= high)), *(e[:, ::-1] for e in _ends((wall & (wide < high)).T))]
+    own = (np.concatenate(ends).reshape(-1, 2, 2) + 0.5) * grid.resolution_m
+    return list(apply(np.array(grid.origin), own))
+
+
+def wall_points(grid: Grid | None) -> FloatArray:
+    """(k, 2) points that a picture of the walls of a grid has to hold, in its frame [m]."""
+    return np.concatenate([np.zeros((0, 2)), *([] if grid is None else strokes(grid))])
+
+
+def _ends(cells: BoolArray) -> Iterator[FloatArray]:
+    """The first and the last cell (x, y) of every row of cells, (2, 2)."""
+    row, first, last = _rows(cells)
+    for y, a, b in zip(row.tolist(), first.tolist(), last.tolist(), strict=True):
+        yield np.array([(a - 0.01, y), (b, y)])
+
+
+def _rows(cells: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Row, first and last column of every unbroken row of cells."""
+    edge = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, first = np.nonzero(edge == 1)
+    return row, first, np.nonzero(edge == -1)[1] - 1
+
+
+def _run_lengths(cells: BoolArray) -> IntArray:
+    """(h, w) length of the unbroken row that each cell is in, 0 for others."""
+    _, first, last = _rows(cells)
+    out = np.zeros(cells.shape, np.int64)
+    out[cells] = (last - first + 1).repeat(last - first + 1)
+    return out

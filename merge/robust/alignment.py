@@ -304,7 +304,7 @@ def _with_views(
     one, two = pictured(a.views), pictured(b.views)
     asked = refined(one, two, placements(one, two))
     likely = [T for T, some in asked if worth_judging(some)][: settings.hypotheses]
-    told = [_told_of(c, a, b, two) for c in found]
+    told = [told_of(c, a, b, two) for c in found]
     chosen = {k for k, c in enumerate(found) if c.bits > MATCH.lead_bits}
     fresh = []
     for T in likely:
@@ -327,7 +327,7 @@ def _with_views(
     same = np.concatenate([revisits(one), revisits(two)])
     out = [c for k, c in enumerate(found) if k not in chosen]
     for c, here in cases:
-        pose = _told_of(c, a, b, two)
+        pose = told_of(c, a, b, two)
         elsewhere = [other for there, other in z if not _same_poses(pose, there)]
         if sum(map(len, elsewhere)) < LEAST_NULL:
             elsewhere.append(apart(one, two, c.transform))
@@ -336,7 +336,7 @@ def _with_views(
     return _apart(out, b)
 
 
-def _told_of(c: Candidate, a: Prepared, b: Prepared, two: Picture) -> FloatArray:
+def told_of(c: Candidate, a: Prepared, b: Prepared, two: Picture) -> FloatArray:
     """(n, 3) poses of the views of b in the frame of a: bent as its junctions are, if these led to
     the candidate."""
     if c.by_views:

@@ -3,9 +3,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, compose, inverse
 from topobatch.topology.views import CELL_M
-from topobatch.viz.walls import map_walls, placed_at, site_walls, walls_of
+from topobatch.viz.walls import map_walls, placed_at, site_walls, strokes, walls_of
 
 from ..topology.floors import CELL_M as TRUE_M
 from ..topology.floors import floor, views_at
@@ -96,3 +97,16 @@ def test_points_move_as_the_junctions_near_them_do(merge_of) -> None:
     assert off.argmax() == 4
     assert off[4] > 0.3
     assert off[0] < 0.1
+
+
+def test_strokes_pass_through_every_wall_and_nothing_else() -> None:
+    wall = FLOOR[100:200, 100:260]
+    grid = Grid(~wall, np.zeros(wall.shape, bool), 0.1, (3.0, -2.0, 0.0), "map")
+    covered = np.zeros(wall.shape, bool)
+    lines = strokes(grid)
+    for line in lines:
+        (x0, y0), (x1, y1) = np.floor((line - (3.0, -2.0)) / 0.1).astype(int)
+        assert x0 == x1 or y0 == y1
+        covered[y0 : y1 + 1, x0 : x1 + 1] = True
+    assert np.array_equal(covered, wall)
+    assert len(lines) < wall.sum() / 4

@@ -18,7 +18,8 @@ def map_picture(grid: Grid) -> bytes:
     shades = np.full(grid.free.shape, WALL, np.uint8)
     shades[grid.unknown] = UNKNOWN
     shades[grid.free] = FREE
-    return b"P5\n%d %d\n255\n" % shades.shape[::-1] + shades[::-1].tobytes()
+    width, height = len(shades[0]), len(shades)
+    return b"P5\n%d %d\n255\n" % (width, height) + shades[::-1].tobytes()
 
 
 def map_yaml(grid: Grid, picture: str, remarks: Sequence[str] = ()) -> str:
