@@ -15,6 +15,7 @@ from .workspace import MERGED, Workspace, pairs_named
 
 if TYPE_CHECKING:
     from ..merge.result import MergeResult
+    from ..topology.topomap import TopoMap
     from ..viz.canvas import Canvas, Format
     from ..viz.theme import Theme
 
@@ -92,8 +93,29 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
         return drawings.draw_decision(*decided(place, pair), theme)
     merge = _merge_of(place, what)
     if merge is not None:
-        return drawings.draw_merged(read_result(merge), theme)
-    return drawings.draw_site(*_site(place, what), theme)
+        result = read_result(merge)
+        return drawings.draw_merged(result, theme, maps=_walled(merge, result))
+    result, component = _site(place, what)
+    return drawings.draw_site(result, component, theme, _walled(place, result, component))
+
+
+MOST_WALLED = 100
+"""Maps that are read for their walls: those of more runs are drawn without."""
+
+
+def _walled(
+    place: Workspace, result: MergeResult, component: int | None = None
+) -> dict[str, TopoMap]:
+    """The maps of the runs of a merge, or of one component, that can be read and are as they were
+    merged."""
+    from contextlib import suppress
+
+    runs = [r for c in result.components if component in (None, c.id) for r in c.poses]
+    maps = {}
+    for run in runs if len(runs) <= MOST_WALLED else ():
+        with suppress(DocumentError):  # what is merged is drawn, if without its walls
+            maps[run] = place.read_map(run)
+    return maps
 
 
 def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:

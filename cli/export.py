@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -12,6 +12,7 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed, utc
+from .export_grid import PICTURE, Exported, grid_texts
 from .options import (
     DEFAULT_WORKSPACE,
     ComponentOption,
@@ -39,7 +40,7 @@ MOST_NAMED = 4
 """Components, and runs of each, that a warning lists."""
 
 
-Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "g2o", "tum", "csv"]
+Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum", "csv"]
 
 
 def export(
@@ -49,7 +50,8 @@ def export(
             "--format",
             "-f",
             help="nav2: GeoJSON of the Nav2 route server; lif: VDMA LIF 1.0; rmf: Open-RMF "
-            "navigation graph; tmap2: LCAS topological map; graphml; g2o: pose graph; "
+            "navigation graph; tmap2: LCAS topological map; graphml; grid: map.yaml and picture "
+            "of map_server and AMCL; g2o: pose graph; "
             "tum: trajectories; csv: two tables.",
         ),
     ],
@@ -87,7 +89,8 @@ def export(
         Path | None,
         typer.Option(
             metavar="LOG",
-            help="Where the log of the run is now, for tum; default: where ingest read it.",
+            help="Where the log of the run is now, for tum and grid; default: where ingest read "
+            "it.",
         ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
@@ -96,8 +99,8 @@ def export(
     """Write a map in a format that others load.
 
     Sites share no frame: each becomes a file of its own, called like the site (topobatch list);
-    files of sites that are no more go from exports/. Trajectories (tum) are read from the run's log
-    again.
+    files of sites that are no more go from exports/. Trajectories (tum) and scans (grid) are read
+    from the runs' logs again.
 
     \b
       topobatch export --format nav2
@@ -109,8 +112,12 @@ def export(
     if output not in (None, STDOUT):
         checked_output(output)
     sources = _sources(place, what, component, site, screen)
-    texts: dict[str, str] = {}
+    texts: dict[str, str | bytes] = {}
     for source in sources:
+        if form == "grid":
+            picture = _path(place, output, f"{source.name}.pgm", sources, alone=False)
+            texts |= grid_texts(place, source, log, picture.name, screen)
+            continue
         for ending, text in _texts(place, source, form, tolerance, log, screen).items():
             texts[f"{source.name}{ending}"] = text
     if not texts:
@@ -118,9 +125,10 @@ def export(
     if output == STDOUT:
         _to_stdout(texts, sources)
         return
-    paths = _paths(place, output, texts, sources)
-    for path, text in paths.items():
-        _write(path, text)
+    one = len(texts) == 1
+    paths = {_path(place, output, name, sources, alone=one): text for name, text in texts.items()}
+    _write(paths)
+    for path in paths:
         screen.line(str(path))
     merged = _merge_named(place, what)
     if merged is not None and output is None and site is None and component is None:
@@ -128,20 +136,9 @@ def export(
             path.unlink(missing_ok=True)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Source:
-    """A map to export: a run's, or a component's with its document."""
-
-    name: str
-    topomap: TopoMap
-    maps: dict[str, TopoMap]
-    document: MergedDocument | None = None
-    component: int = 0
-
-
 def _sources(
     place: Workspace, what: str, component: int | None, site: str | None, screen: Screen
-) -> list[_Source]:
+) -> list[Exported]:
     """The maps to export: a run's, or one for each chosen component of a merge."""
     merged = _merge_named(place, what)
     if merged is None and _is_site(place, what):
@@ -152,7 +149,7 @@ def _sources(
             raise UsageError(f"{option} goes with the merged map; {what!r} is a run")
         (run,) = place.chosen_runs([what], False)
         topomap = place.read_map(run)
-        return [_Source(run, topomap, {run: topomap})]
+        return [Exported(run, topomap, {run: topomap})]
     document = merged.read_merged()
     ids = [c.id for c in document.graph.components]
     one = merged.component(document.graph, component, site)
@@ -188,7 +185,7 @@ def _merge_named(place: Workspace, what: str) -> Workspace | None:
 
 def _component(
     place: Workspace, document: MergedDocument, component: int, name: str, screen: Screen
-) -> _Source:
+) -> Exported:
     from ..merge.component_map import component_map, stale_runs
 
     maps = {}
@@ -209,12 +206,12 @@ def _component(
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: component {component}: {error}") from error
     kept = {run: m for run, m in maps.items() if run not in stale}
-    return _Source(name, topomap, kept, document, component)
+    return Exported(name, topomap, kept, document, component)
 
 
 def _texts(
     place: Workspace,
-    source: _Source,
+    source: Exported,
     form: Format,
     tolerance: float,
     log: Path | None,
@@ -227,14 +224,14 @@ def _texts(
     if form == "tum":
         return _trajectories(place, source, log, screen)
     if log is not None:
-        raise UsageError("--log goes with --format tum")
+        raise UsageError("--log goes with --format tum or grid")
     if form == "g2o":
         return {".g2o": _pose_graph(source)}
     whole = with_turning_points(source.topomap)
     return {ending: text_of(whole, tolerance) for ending, text_of in MAP_FORMATS[form].items()}
 
 
-def _pose_graph(source: _Source) -> str:
+def _pose_graph(source: Exported) -> str:
     from ..merge.component_map import component_pose_graph
     from ..topology.map_pose_graph import map_pose_graph
     from ..viz.exports import pose_graph_g2o
@@ -252,7 +249,7 @@ def _pose_graph(source: _Source) -> str:
 
 
 def _trajectories(
-    place: Workspace, source: _Source, log: Path | None, screen: Screen
+    place: Workspace, source: Exported, log: Path | None, screen: Screen
 ) -> dict[str, str]:
     """The odometry of every run, as recorded and corrected, from its log; maps of grids have
     none."""
@@ -286,15 +283,12 @@ def _odometry(place: Workspace, topomap: TopoMap, log: LogPath | None) -> Odomet
     UsageError if another log was named than the one that the map was made from, DataError if that
     one changed.
     """
-    from ..ingest.reading import ReadSettings, read_run
-    from .ingest_worker import READ_OPTIONS, origin
+    from ..ingest.reading import read_run
+    from .ingest_worker import origin, read_again
 
     run, record = topomap.run, place.ingested(topomap.run) or {}
     at = log or place.log_of(run, "name it by --log")
-    told = record.get("read")
-    how: dict[str, Any] = told if isinstance(told, dict) else {}
-    known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
-    found = read_run(at, ReadSettings(**known))
+    found = read_run(at, read_again(record))
     why = _differs(topomap, found)
     if why is None:
         return found.odometry
@@ -331,29 +325,31 @@ def _differs(topomap: TopoMap, found: Run) -> str | None:
     return None
 
 
-def _to_stdout(texts: dict[str, str], sources: list[_Source]) -> None:
+def _to_stdout(texts: Mapping[str, str | bytes], sources: list[Exported]) -> None:
     if len(texts) > 1:
         why = "choose one by --site" if len(sources) > 1 else "write them to files"
         raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
     for text in texts.values():
+        assert isinstance(text, str)
         say_text(text)
 
 
-def _paths(
-    place: Workspace, output: Path | None, texts: dict[str, str], sources: list[_Source]
-) -> dict[Path, str]:
-    """The file of each text. With an --output for several files, each file's own part comes before
-    the suffix: out.csv becomes out.junctions.csv and out.corridors.csv."""
+def _path(
+    place: Workspace, output: Path | None, name: str, sources: list[Exported], *, alone: bool
+) -> Path:
+    """The file of a text by its name; alone: there is no other.
+
+    With an --output for several files, each file's own part comes before the suffix: out.csv
+    becomes out.junctions.csv and out.corridors.csv. Pictures keep theirs.
+    """
     if output is None:
-        return {place.exports / name: text for name, text in texts.items()}
-    if len(texts) == 1:
-        return dict(zip([output], texts.values(), strict=True))
-    out = {}
-    for name, text in texts.items():
-        own = name.removeprefix(sources[0].name) if len(sources) == 1 else f"-{name}"
-        own = own.removesuffix(output.suffix)
-        out[output.with_name(f"{output.stem}{own}{output.suffix}")] = text
-    return out
+        return place.exports / name
+    if alone:
+        return output
+    own = name.removeprefix(sources[0].name) if len(sources) == 1 else f"-{name}"
+    if own.endswith(PICTURE):
+        return output.with_name(f"{output.stem}{own}")
+    return output.with_name(f"{output.stem}{own.removesuffix(output.suffix)}{output.suffix}")
 
 
 def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> list[Path]:
@@ -384,10 +380,12 @@ def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> li
     ]
 
 
-def _write(path: Path, text: str) -> None:
-    from ..topology.files import write_text
+def _write(files: Mapping[Path, str | bytes]) -> None:
+    """Write files, all of them or none."""
+    from ..topology.files import write_together
 
+    data = {path: t.encode() if isinstance(t, str) else t for path, t in files.items()}
     try:
-        write_text(path, text)
+        write_together({path: partial(Path.write_bytes, data=d) for path, d in data.items()})
     except PermissionError as error:
-        raise DataError(f"{path}: {error.strerror}; name another --output") from error
+        raise DataError(f"{error.filename}: {error.strerror}; name another --output") from error

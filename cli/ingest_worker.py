@@ -7,7 +7,7 @@ import json
 import os
 import re
 import time
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -18,6 +18,7 @@ from ..ingest.mapping import map_of_log
 from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, RemotePath
+from ..ingest.scans.slicing import SliceSettings
 from ..topology.document import map_to_document
 from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
@@ -189,13 +190,36 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     return joined_pieces(topomap)
 
 
-READ_OPTIONS = ("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time")
-"""Options about reading a log that are recorded, to read it again in the same way."""
+READ_OPTIONS = (
+    *("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time"),
+    *("scan_topic", "junctions_from", "scan_stamp", "laser_pose"),
+)
+"""Options about reading a log that are recorded, to read it again in the same way; beside them the
+heights of clouds."""
 
 
-def _read_how(settings: ReadSettings) -> dict[str, str]:
-    values = ((name, getattr(settings, name)) for name in READ_OPTIONS)
-    return {name: value for name, value in values if value is not None}
+def _read_how(settings: ReadSettings) -> dict[str, Any]:
+    values = {name: getattr(settings, name) for name in READ_OPTIONS}
+    values["cloud_band"] = settings.slices.band_m
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def read_again(record: Mapping[str, Any]) -> ReadSettings:
+    """The settings by which the log of a run was read, from the record of its ingest, as far as
+    that states them."""
+    told = record.get("read")
+    how: dict[str, Any] = told if isinstance(told, dict) else {}
+    known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
+    pose, band = (_numbers(how.get(name), n) for name, n in (("laser_pose", 3), ("cloud_band", 2)))
+    return ReadSettings(**known, laser_pose=pose, slices=SliceSettings(band))
+
+
+def _numbers(value: object, count: int) -> Any:
+    """A list of so many numbers as a tuple; None for anything else."""
+    if not isinstance(value, list) or len(value) != count:
+        return None
+    numbers = [float(part) for part in value if isinstance(part, int | float)]
+    return tuple(numbers) if len(numbers) == count else None
 
 
 def _all_there(place: Workspace, runs: Sequence[str], views: Sequence[Path]) -> bool:

@@ -36,7 +36,17 @@ from .odometry.reading import because, described, driven, odometry_topic, poses_
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
-from .survey import Faults, Index, LogRead, Progress, checked_damage, damage_of, surveyed, walk
+from .survey import (
+    Faults,
+    Index,
+    LogRead,
+    OnKeyframes,
+    Progress,
+    checked_damage,
+    damage_of,
+    surveyed,
+    walk,
+)
 from .topic_poses import Clock, TopicPoses, choose_clock, clock_without_jumps
 
 __all__ = [
@@ -68,7 +78,11 @@ def read_run(
 
 
 def read_log(
-    path: LogPath, settings: ReadSettings = DEFAULT_READ, *, on_bytes: OnBytes | None = None
+    path: LogPath,
+    settings: ReadSettings = DEFAULT_READ,
+    *,
+    on_bytes: OnBytes | None = None,
+    on_keyframes: OnKeyframes | None = None,
 ) -> Run | GridLog:
     """Read the odometry of one log, and its junction detections or the sensors to find junctions
     in.
@@ -76,7 +90,9 @@ def read_log(
     A saved map, or a log without any other source, gives a grid.
 
     path: an MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder with the parts of one
-    recording. on_bytes is called with the number of further bytes of `log_size(path)` processed.
+    recording. on_bytes is called with the number of further bytes of `log_size(path)` processed,
+    on_keyframes with the scans (`scans.keyframes.Keyframes`) of a run whose junctions were found in
+    scans.
     What remains of a damaged log is used, with warnings in the run. Raises LogError if there is
     nothing to use, UsageError if a topic must be named. O(bytes read); memory follows the poses
     kept.
@@ -93,6 +109,7 @@ def read_log(
     warnings = _damage(recording, findings, settings)
     faults = Faults([findings])
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress, faults)
+    read = replace(read, on_keyframes=on_keyframes)
     try:
         source = junction_source(findings.counts, settings, log)
         found = READERS[source.way](read, source)

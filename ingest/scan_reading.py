@@ -187,7 +187,7 @@ def _detected(
     while True:
         stream, told = scans.stream(overturned)
         try:
-            return _detect(odometry, stream, may_lag), stream, told + found
+            return _detect(odometry, stream, may_lag, scans.read), stream, told + found
         except MirroredError as error:
             if overturned:
                 raise DataError(f"turned over {error}: it fits neither way up") from error
@@ -211,10 +211,12 @@ def _detected(
             found.append(f"{error}: the odometry was taken by the scans' clock")
 
 
-def _detect(odometry: Odometry | None, stream: InterleavedScans, may_lag: bool) -> ScanResult:
+def _detect(
+    odometry: Odometry | None, stream: InterleavedScans, may_lag: bool, read: LogRead
+) -> ScanResult:
     """`detect`, with the faults of the scans added to errors."""
     try:
-        return detect(odometry, stream, may_lag=may_lag)
+        return detect(odometry, stream, may_lag=may_lag, on_keyframes=read.on_keyframes)
     except (MirroredError, LaggingError, OtherClockError):
         raise
     except DataError as error:

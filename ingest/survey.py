@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from ..topology.errors import LogError
 from .logs.intake import Intake
@@ -12,6 +13,8 @@ from .logs.recording import Recording, run_name
 from .read_settings import ReadSettings
 
 OnBytes = Callable[[int], None]
+OnKeyframes = Callable[[Any], object]
+"""Takes `scans.keyframes.Keyframes`, which most runs do without."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +149,8 @@ def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[
 
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """The result of one pass over a log; warnings: damage; progress, faults: of further passes."""
+    """The result of one pass over a log; warnings: damage; progress, faults: of further passes;
+    on_keyframes: takes the scans that a run's track was made from."""
 
     recording: Recording
     intake: Intake
@@ -155,6 +159,7 @@ class LogRead:
     warnings: tuple[str, ...]
     progress: Progress
     faults: Faults
+    on_keyframes: OnKeyframes | None = None
 
     @property
     def log(self) -> str:

@@ -26,9 +26,11 @@ from ..merge.decision_text import (
 )
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.se2 import apply
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
+from ..topology.se2 import apply, turned
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
+from ..topology.views import CELL_M
 from . import palette
 from .drawing import extent, pen_m
 from .map_sheet import (
@@ -42,12 +44,19 @@ from .map_sheet import (
 from .map_summary import bulleted, plain
 from .placements import against, placements
 from .recording import UP, PathParts, Recording, blueprint, markdown, placed, write_recording
+from .seen_together import CORNERS, WIDTHS, Overlay, overlays
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 Drawn = tuple[FloatArray, FloatArray]
 """Where the junctions of a and of b are drawn, in a's frame."""
 
-PLACEMENTS = "placements"
+PLACEMENTS, VIEWS = "placements", "views"
+
+VIEW_MARGIN_M = 1.0
+"""Margin around views that are laid over each other."""
+
+TOLD = {SILENT: "silent", AGREES: "agrees", CONTRADICTS: "contradicts"}
+"""Names of what walls of one view tell of the other."""
 
 LINKS_SHOWN = 5
 """Rows of links on the first page."""
@@ -65,10 +74,11 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
 
     def fill(recording: Recording) -> rrb.Blueprint:
         cells = _pictures(recording, with_turning_points(a), with_turning_points(b), decision)
+        seen = _views(recording, overlays(decision), upright_rad(a.paths))
         recording.static(("decision",), markdown(told(decision)))
         recording.static(("evidence",), markdown(all_told(decision)))
         recording.static(("legend",), markdown(_LEGEND))
-        return _blueprint(cells, headline(decision))
+        return _blueprint(cells, seen, headline(decision))
 
     write_recording(path, f"{a.run} - {b.run}", fill)
 
@@ -92,6 +102,30 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
             _links(recording, here, picture.placement, xy, pen=pen, both=picture.tied)
             _contradictions(recording, here, picture.placement, xy, pen=pen)
         _names(recording, picture.name, cell, margin, (a.run, b.run))
+    return cells
+
+
+def _views(recording: Recording, shown: list[Overlay], turn_rad: float) -> list[Cell]:
+    """The views that speak most for a placement and against it, one laid over the other."""
+    square = turned(CORNERS, -turn_rad)
+    cells = arrange([square] * len(shown), [turn_rad] * len(shown), VIEW_MARGIN_M)
+    if not shown:
+        return cells
+    recording.static((VIEWS,), UP)
+    write_cards(recording, VIEWS, cells, [(overlay.title,) for overlay in shown])
+    for overlay, cell in zip(shown, cells, strict=True):
+        middle = (cell.low + cell.high) / 2
+        for run, kind, xy in overlay.layers(turn_rad):
+            colour = palette.of_rank(run)
+            colour = {SILENT: palette.dimmed(colour), AGREES: colour}.get(kind, palette.REFUSED)
+            dots = rr.Points2D(
+                middle + xy,
+                radii=0.5 * CELL_M * WIDTHS[run],
+                colors=colour,
+                draw_order=palette.Order.WALL,
+            )
+            path = (VIEWS, overlay.name, ("a", "b")[run], TOLD[kind])
+            recording.static(path, dots)
     return cells
 
 
@@ -268,6 +302,10 @@ _LEGEND = "# How to read it\n\n" + bulleted(
         "between them shows how far apart they lie.",
         "**Green** lines are links: a corridor that both runs have, or how two matched junctions "
         "near each other lie. The wider, the more bits. **Red**: what speaks against it.",
+        "**Views**: what lasers saw at one place, the walls of the second run, smaller, laid over "
+        "those of the first: where they speak most for the placement, and most against it. "
+        "**Bright** walls agree, **red** ones stand in what the other saw to be free, **dim** ones "
+        "say nothing.",
         "**Tied**: the same placement with the second run drawn below the first.",
         "Each **bit** doubles the odds that so much agrees because it is one place. The parts add "
         "up to the evidence; it is compared with what is needed.",
@@ -276,10 +314,12 @@ _LEGEND = "# How to read it\n\n" + bulleted(
 )
 
 
-def _blueprint(cells: list[Cell], name: str) -> rrb.Blueprint:
+def _blueprint(cells: list[Cell], seen: list[Cell], name: str) -> rrb.Blueprint:
+    pictures = [sheet_view(PLACEMENTS, "Placements", cells)]
+    pictures += [sheet_view(VIEWS, "Views", seen)] if seen else []
     return blueprint(
         rrb.Horizontal(
-            sheet_view(PLACEMENTS, "Placements", cells),
+            rrb.Tabs(*pictures, active_tab=0),
             rrb.Tabs(
                 rrb.TextDocumentView(origin="/decision", name="Decision"),
                 rrb.TextDocumentView(origin="/evidence", name="Every term"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -19,10 +20,12 @@ from ..merge.result import (
 )
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
-from ..topology.se2 import apply, compose
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
+from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
+from ..topology.views import CELL_M, REACH_M, Views
 from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
 from .drawing import (
@@ -36,8 +39,12 @@ from .drawing import (
 from .palette import Order
 from .parts import Part, lay_out, ranks
 from .placements import against, contradiction_spots, placements
+from .seen_together import CORNERS, WIDTHS, Overlay, overlays
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .theme import Theme
+from .walls import FINE_M, map_walls, moved, site_views, strokes, wall_points, walls_of
+
+NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
 
 MOST_TOLD = 3000
 """Above this many corridors or junctions they are drawn in groups, without tooltips."""
@@ -55,12 +62,14 @@ _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches"
 
 
 def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
-    """Draw one run's map: corridors, junctions coloured by their number of branches, and branches
-    that were never driven."""
+    """Draw one run's map: corridors, junctions coloured by their number of branches, branches that
+    were never driven, and below them walls, where a laser or a saved map showed them."""
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
-    low, high = bounds([apply(turn, extent(whole))])
+    seen = wall_points(map_walls(topomap))
+    low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
+    keys += _walls(canvas, [topomap.views], turn, theme["wall"])
     keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
     ways = topomap.turning_points
     told = (
@@ -70,6 +79,32 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     )
     canvas.finish([topomap.run, told], [keys])
     return canvas
+
+
+LEAST_CELL_PT = 1.0
+"""Least width of a wall's cell: finer ones are not told apart, so that walls take no more space in
+the file than the page has room for."""
+
+
+def _walls(
+    canvas: Canvas,
+    views: Sequence[Views],
+    T: FloatArray,
+    colour: str,
+    label: str = "wall",
+    *,
+    width: float = 1.0,
+) -> list[Key]:
+    """Draw the walls that views show, moved onto the sheet by T; width: of lines, over that of a
+    cell."""
+    cell_m = FINE_M
+    while cell_m * canvas.points_per_m < LEAST_CELL_PT:
+        cell_m *= 2
+    grid = walls_of([moved(v, T) for v in views], "", cell_m)
+    lines = [] if grid is None else strokes(grid)
+    width_pt = width * cell_m * canvas.points_per_m
+    canvas.lines(lines, colour, width_pt, order=Order.WALL)
+    return [Key("wide line", colour, label)] if lines else []
 
 
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
@@ -163,32 +198,45 @@ def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatAr
     return out
 
 
-def draw_site(result: MergeResult, component: int, theme: Theme) -> Canvas:
-    """Draw one component of a merge, with the numbers that its junctions have in the document."""
+def draw_site(
+    result: MergeResult, component: int, theme: Theme, maps: Mapping[str, TopoMap] = NO_MAPS
+) -> Canvas:
+    """Draw one component of a merge, with the numbers that its junctions have in the document.
+    maps: as of `draw_merged`."""
     numbers = np.flatnonzero(result.fused.component == component).tolist()
-    return draw_merged(of_site(result, component), theme, numbers=numbers)
+    return draw_merged(of_site(result, component), theme, numbers=numbers, maps=maps)
 
 
 def draw_merged(
-    result: MergeResult, theme: Theme, *, headed: bool = True, numbers: Sequence[int] = ()
+    result: MergeResult,
+    theme: Theme,
+    *,
+    headed: bool = True,
+    numbers: Sequence[int] = (),
+    maps: Mapping[str, TopoMap] = NO_MAPS,
 ) -> Canvas:
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
     headed: with a title and the counts above; numbers: of the fused vertices, to be shown beside up
-    to MOST_NUMBERED junctions.
+    to MOST_NUMBERED junctions; maps: of runs whose walls are drawn as well.
     """
-    parts = lay_out(result, for_paper=True)
+    views = {c.id: site_views(result.fused, c, maps) for c in result.components}
+    seen = {c: wall_points(walls_of(own, "")) for c, own in views.items() if own}
+    parts = lay_out(result, for_paper=True, walls=seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = _sheet(cells, theme, width, "merged")
     rank = ranks(result)
     _frames(canvas, cells, [_title(canvas, part) for part in parts])
     pen = _pen_pt(canvas, result.fused)
+    walled: list[Key] = []
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers and result.fused.junctions <= MOST_NUMBERED:
             _numbered(canvas, result.fused, part, numbers)
+        own = views[part.component.id]
+        walled = [*walled, *_walls(canvas, own, part.cell.T_sheet_map, theme["wall"])]
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
     corridors_m, ways_m = result.fused.lengths_m
@@ -200,7 +248,8 @@ def draw_merged(
     title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
     if len(parts) == 1 and parts[0].component.site:
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
-    canvas.finish([title, told] if headed else [], _merged_keys(result, parts, rank, theme))
+    marks, runs_told = _merged_keys(result, parts, rank, theme)
+    canvas.finish([title, told] if headed else [], [[*marks, *walled[:1]], runs_told])
     return canvas
 
 
@@ -314,16 +363,16 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     """Draw why two runs were merged or not: the placements of b over a, with lines between matched
     junctions, the links that speak for a placement and what speaks against it."""
     a, b = with_turning_points(a), with_turning_points(b)
-    drawn = placements(a, b, decision)
+    drawn, beside = placements(a, b, decision), overlays(decision)
     heading = [headline(decision), because(decision), missing(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
     if not drawn:
         return _side_by_side(a, b, heading, theme, "pair")
     laid = [(p.title, p.T_a_b) for p in drawn]
-    canvas, cells = _over(a, b, laid, theme, "pair")
+    canvas, cells = _over(a, b, laid, theme, "pair", beside=beside)
     links = contradicted = matched = False
     digits = digits_of(decision)
-    for picture, cell in zip(drawn, cells, strict=True):
+    for picture, cell in zip(drawn, cells, strict=False):
         T_b = compose(cell.T_sheet_map, picture.T_a_b)
         if picture.placement is not None:
             xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
@@ -333,9 +382,38 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
             links |= _links(canvas, agreeing, xy, digits, both=picture.tied)
             contradicted |= _against(canvas, others, xy, digits)
             matched |= _ties(canvas, picture.placement.alignment, xy)
-    keys = _pair_keys(theme, a.run, b.run, matched=matched, links=links, against=contradicted)
+    keys = _pair_keys(
+        *(theme, a.run, b.run),
+        matched=matched,
+        links=links,
+        against=contradicted or bool(beside),
+        walls=bool(len(a.views) and len(b.views)),
+    )
     canvas.finish(heading, [keys])
     return canvas
+
+
+FILLED, TINY_M = 0.85, 1e-3
+"""Share of a cell that views take, below its title; length of the line that is drawn for a dot."""
+
+VIEW_SHARE = 0.6
+"""Least width of a picture of views over that of a placement: of large buildings views are drawn
+larger than their maps."""
+
+
+def _views(canvas: Canvas, overlay: Overlay, cell: Cell, turn_rad: float) -> None:
+    """Draw two views over each other in a cell."""
+    low, high = cell.low, cell.high
+    scale = FILLED * float((high - low).min()) / (2 * REACH_M)
+    dot_pt = CELL_M * scale * canvas.points_per_m
+    for run, kind, xy in overlay.layers(turn_rad):
+        colour = {
+            SILENT: canvas.theme.pale_run(run),
+            AGREES: canvas.theme.run(run),
+            CONTRADICTS: canvas.theme["against"],
+        }[kind]
+        at = (low + high) / 2 + scale * xy
+        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, dot_pt * WIDTHS[run])
 
 
 def _pair_keys(
@@ -346,8 +424,13 @@ def _pair_keys(
     matched: bool = False,
     links: bool = False,
     against: bool = False,
+    walls: bool = False,
 ) -> list[Key]:
     keys = [Key("line", theme.run(0), a), Key("line", theme.run(1), b)]
+    if walls:
+        keys += [
+            Key("wide line", theme.pale_run(k), f"walls of {run}") for k, run in ((0, a), (1, b))
+        ]
     if matched:
         keys.append(Key("ring", theme["ink"], "matched junctions, tied"))
     if links:
@@ -364,16 +447,28 @@ def _over(
     theme: Theme,
     name: str,
     *,
+    beside: Sequence[Overlay] = (),
     width_pt: float = WIDTH_PT,
 ) -> tuple[Canvas, list[Cell]]:
-    """Draw map b over map a once for each (title, T_a_b)."""
-    points = [np.concatenate([extent(a), apply(T, extent(b))]) for _, T in laid]
-    cells = arrange(points, [upright_rad(a.paths)] * len(laid), sheet_margin_m(points))
+    """Draw map b over map a once for each (title, T_a_b), and views beside these."""
+    of_a, of_b = (np.concatenate([extent(m), wall_points(map_walls(m))]) for m in (a, b))
+    points = [np.concatenate([of_a, apply(T, of_b)]) for _, T in laid]
+    turn = upright_rad(a.paths)
+    wide = min(float(np.ptp(p, axis=0).max()) for p in points)
+    square = CORNERS * max(VIEW_SHARE * wide / (2 * REACH_M), 1.0)
+    shown = [*points, *(turned(square, -turn) for _ in beside)]
+    cells = arrange(shown, [turn] * len(shown), sheet_margin_m(points))
     canvas = _sheet(cells, theme, width_pt, name)
-    _frames(canvas, cells, [title for title, _ in laid])
-    for (_, T), cell in zip(laid, cells, strict=True):
+    _frames(canvas, cells, [*(title for title, _ in laid), *(o.title for o in beside)])
+    for overlay, cell in zip(beside, cells[len(laid) :], strict=True):
+        _views(canvas, overlay, cell, turn)
+    for (_, T), cell in zip(laid, cells, strict=False):
         _own_map(canvas, a, cell.T_sheet_map, theme.run(0))
         _own_map(canvas, b, compose(cell.T_sheet_map, T), theme.run(1))
+        # The walls of b are thinner, so that those of a show where both lie.
+        _walls(canvas, [a.views], cell.T_sheet_map, theme.pale_run(0))
+        T_sheet_b = compose(cell.T_sheet_map, T)
+        _walls(canvas, [b.views], T_sheet_b, theme.pale_run(1), width=0.5)
     return canvas, cells
 
 

@@ -10,12 +10,16 @@ import rerun as rr
 
 from ..merge.result import FusedMap, MergeResult
 from ..topology.arrays import IntArray
+from ..topology.columns import take
 from ..topology.driven_branches import driven_branches
+from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
+from ..topology.views import Views
 from ..topology.wording import counted
 from . import palette
 from .drawing import Strand, branch_arrows, pen_m, strands
+from .grid_layer import write_grid
 from .growing import colour_columns, light_up_by_step
 from .map_sheet import write_cards, write_contradictions, write_own_maps, write_words
 from .parts import Part, legend_step_m, rows_of
@@ -24,6 +28,7 @@ from .recording import UP, PathParts, Recording, placed, strips
 from .sheet import Cell
 from .steps import Step, first_steps
 from .story import shared_from
+from .walls import FINE_M, site_views, walls_of
 
 FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
 """Entity roots of the three views of the components, and of the key to the runs' colours."""
@@ -92,6 +97,39 @@ def write_fused_contradictions(
         path = (FUSED, part.name, "contradictions")
         write_contradictions(recording, path, found.get(part.component.id, []), pen)
     return bool(found)
+
+
+MOST_VIEWS = 5000
+"""Views that are laid over each other, a millisecond each; of more every second, third … is, which
+still overlap."""
+
+MOST_CELLS = 1 << 24
+"""Cells of the walls of all components together, 50 MB in the viewer; with more they are larger."""
+
+
+def walls_by_component(result: MergeResult, maps: Mapping[str, TopoMap]) -> dict[int, Grid]:
+    """The walls and the free space that all runs of a component saw, in its frame, by its id; none
+    of components without any."""
+    seen = {c.id: site_views(result.fused, c, maps) for c in result.components}
+    every = -(-sum(len(v) for own in seen.values() for v in own) // MOST_VIEWS)
+    thinned = {c: [take(v, slice(None, None, every)) for v in own] for c, own in seen.items()}
+    grids, cell_m = _grids(thinned, FINE_M), FINE_M
+    while sum(grid.free.size for grid in grids.values()) > MOST_CELLS:
+        cell_m *= 2
+        grids = _grids(thinned, cell_m)
+    return grids
+
+
+def _grids(seen: Mapping[int, Sequence[Views]], cell_m: float) -> dict[int, Grid]:
+    laid = {c: walls_of(own, "", cell_m) for c, own in seen.items()}
+    return {c: grid for c, grid in laid.items() if grid is not None}
+
+
+def write_walls(recording: Recording, grids: Mapping[int, Grid], parts: list[Part]) -> None:
+    """Write the walls of every component below its map."""
+    for part in parts:
+        if part.component.id in grids:
+            write_grid(recording, (FUSED, part.name, "walls"), grids[part.component.id])
 
 
 def write_legend(

@@ -1,4 +1,4 @@
-"""The occupancy grid that a map was made from, below the map.
+"""An occupancy grid below a map: the one that it was made from, or the walls of a site.
 
 Written as an image with a transform: rerun's `GridMap` is not drawn in 2D views.
 """
@@ -19,8 +19,8 @@ MOST_PIXELS = 8192
 """Largest image side that every graphics card takes; larger grids are reduced."""
 
 
-def write_grid(recording: Recording, root: PathParts, grid: Grid) -> None:
-    """Write the grid below the entity `root` as occupied, free and unknown cells."""
+def write_grid(recording: Recording, path: PathParts, grid: Grid) -> None:
+    """Write a grid as occupied, free and unknown cells."""
     shade = np.full(grid.free.shape, 2, np.uint8)
     shade[grid.unknown] = 0
     shade[grid.free] = 1
@@ -35,7 +35,7 @@ def write_grid(recording: Recording, root: PathParts, grid: Grid) -> None:
     picture.convert("RGB").save(png, "PNG")
     x, y, yaw = grid.origin
     recording.static(
-        (*root, "grid"),
+        path,
         rr.Transform3D(
             translation=[x, y, 0.0],
             rotation=rr.RotationAxisAngle([0, 0, 1], radians=yaw),

@@ -78,7 +78,7 @@ def write_map_recording(
         whole = with_turning_points(topomap)
         grown = known if whole is topomap else history(whole)
         if grid is not None:
-            write_grid(recording, MAP, grid)
+            write_grid(recording, (*MAP, "grid"), grid)
         begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
         _corridors(recording, whole, grown, begin)
         _branches(recording, whole, grown, begin)

@@ -16,9 +16,11 @@ from .fused_layers import (
     FUSED,
     LEGEND,
     RUNS,
+    walls_by_component,
     write_fused_contradictions,
     write_fused_layers,
     write_legend,
+    write_walls,
 )
 from .map_sheet import sheet_view
 from .pair_layers import (
@@ -43,6 +45,7 @@ from .verdicts import (
     runs_in_order,
     undecided,
 )
+from .walls import wall_points
 
 RECORDING_ID = "merged"
 
@@ -60,10 +63,12 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     pairs = undecided(result)[:MOST_PLACEMENTS]
 
     def fill(recording: Recording) -> rrb.Blueprint:
-        parts = lay_out(result)
+        walls = walls_by_component(result, by_name)
+        parts = lay_out(result, walls={c: wall_points(grid) for c, grid in walls.items()})
         sheet = [part.cell for part in parts]
         write_fused_layers(recording, result, by_name, parts, colours=colours, steps=steps)
         contradicted = write_fused_contradictions(recording, result, by_name, parts)
+        write_walls(recording, walls, parts)
         views = [
             sheet_view(FUSED, "Map", sheet),
             sheet_view(AGREEMENT, "Agreement", sheet),
@@ -82,6 +87,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
             story=bool(steps),
             undecided=bool(pairs),
             contradictions=contradicted,
+            walls=bool(walls),
             legend=bool(names),
             numbers=len(runs) <= MOST_NUMBERS,
             dots=len(runs) <= MOST_DOTS,

@@ -136,6 +136,12 @@ def readable(colour: Colour) -> Colour:
     return round(red), round(green), round(blue)
 
 
+def dimmed(colour: Colour) -> Colour:
+    """The colour half-way to the background."""
+    red, green, blue = ((x + y) // 2 for x, y in zip(colour, BACKGROUND, strict=True))
+    return red, green, blue
+
+
 def stepped(step: int, saturation: float, value: float) -> Colour:
     """The colour after `step` golden-angle steps in hue; saturation is raised by 0, 0.15 and 0.3 in
     turn."""

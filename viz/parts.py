@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -11,6 +13,8 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
 from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
+
+NO_WALLS: Mapping[int, FloatArray] = MappingProxyType({})
 
 MOST_LEGENDS = 6
 """Up to this many components of several runs have a key beside them."""
@@ -61,10 +65,16 @@ class Part:
         return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
 
 
-def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
+def lay_out(
+    result: MergeResult,
+    *,
+    for_paper: bool = False,
+    walls: Mapping[int, FloatArray] = NO_WALLS,
+) -> list[Part]:
     """All components on one sheet, those of most runs first.
 
-    for_paper: without room for keys, and with margins by the median map.
+    for_paper: without room for keys, and with margins by the median map; walls: points (k, 2) of
+    the walls of a component, by its id, that its cell is to hold as well [m].
     """
     fused = result.fused
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
@@ -72,8 +82,8 @@ def lay_out(result: MergeResult, *, for_paper: bool = False) -> list[Part]:
     vertices, edges = (rows_of(own, [c.id for c in order]) for own in (fused.component, of_edge))
     paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]
     points = [
-        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines])
-        for rows, lines in zip(vertices, paths, strict=True)
+        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines, walls.get(c.id, np.zeros((0, 2)))])
+        for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
     usual_m = _usual_extent(points)

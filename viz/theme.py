@@ -25,6 +25,7 @@ _INKS = {
     "degree 3": ("#1f78d1", palette.DEGREES[3]),
     "degree 4": ("#1f9d55", palette.DEGREES[4]),
     "degree 5": ("#8e44cf", palette.DEGREES[5]),
+    "wall": ("#c9ced6", palette.WALL),
 }
 """Named colours besides those of runs: in the light and in the dark theme."""
 
@@ -56,6 +57,11 @@ class Theme:
 
     def __getitem__(self, ink: str) -> str:
         return self.inks[ink]
+
+    def pale_run(self, rank: int) -> str:
+        """The colour of a run half-way to that of the paper: of its walls, below its map."""
+        of_run, paper = (bytes.fromhex(c[1:]) for c in (self.run(rank), self["paper"]))
+        return _hex((x + y) // 2 for x, y in zip(of_run, paper, strict=True))
 
 
 def _light_run(rank: int) -> str:

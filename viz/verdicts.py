@@ -58,6 +58,7 @@ class MergeLayers:
     story: bool = False
     undecided: bool = False
     contradictions: bool = False
+    walls: bool = False
     legend: bool = False
     numbers: bool = False
     dots: bool = False
@@ -116,6 +117,11 @@ def _legend(result: MergeResult, shown: MergeLayers) -> list[str]:
         )
     if shown.contradictions:
         views.append("**Red** dots: where joined runs contradict each other; point at one.")
+    if shown.walls:
+        views.append(
+            "Under the map: what the lasers of all runs saw, walls **slate**, free space a little "
+            "brighter than what is not known."
+        )
     if not driven_branches(result.fused).all():
         views.append("Short strokes: branches that nobody drove.")
     if shared:

@@ -15,6 +15,7 @@ from ...topology.se2 import apply, compose, inverse
 from .clock_lag import LaggingError, OtherClockError, clock_lag
 from .handedness import MirroredError, Turns
 from .junctions import Driven, junction_passes
+from .keyframes import Keyframes, join
 from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
 from .scan import Anchored, ScanBatch, Scanned, ScanPicture, ScanResult, ScanStatistics
@@ -28,13 +29,18 @@ LEAST_FIT = 0.5
 
 
 def detect(
-    odometry: Odometry | None, scans: Iterable[ScanBatch], *, may_lag: bool = True
+    odometry: Odometry | None,
+    scans: Iterable[ScanBatch],
+    *,
+    may_lag: bool = True,
+    on_keyframes: Callable[[Keyframes], object] | None = None,
 ) -> ScanResult:
     """Correct a run's odometry by its scans and find the junctions it passed.
 
     scans: in the order of time, several lasers interleaved; may_lag: whether they may be stamped by
     another clock than the odometry. The odometry of the result has a row per keyframe. Memory
-    follows the keyframes' poses and a thinned picture, not the scans. Raises MirroredError as soon
+    follows the keyframes' poses and a thinned picture, not the scans, unless the keyframes are kept
+    to be handed to `on_keyframes` with the result. Raises MirroredError as soon
     as the scans turn against the odometry, LaggingError as soon as they turn earlier or later than
     it does, DataError where nothing can be made of them.
     """
@@ -46,8 +52,13 @@ def detect(
             track = _Track(lag=partial(clock_lag, odometry))
     else:
         odometry, poses = None, scan_odometry(counted)
+    if on_keyframes is not None:
+        track.keyframes = []
     seen = list(windows(track.passing(matched(poses))))
-    return _result(odometry, counted, track, seen)
+    result = _result(odometry, counted, track, seen)
+    if on_keyframes is not None and track.keyframes:
+        on_keyframes(join(track.keyframes))
+    return result
 
 
 SECTORS = 36
@@ -101,6 +112,8 @@ class _Track:
     laser: list[IntArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
     walls: list[Anchored] = field(default_factory=list)
+    keyframes: list[Keyframes] | None = None
+    """All of them, if they are wanted."""
     every: int = 1
     searched: int = 0
     bias_rad_per_m: float = 0.0
@@ -118,6 +131,8 @@ class _Track:
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
             self.laser.append(part.keyframes.laser)
+            if self.keyframes is not None:
+                self.keyframes.append(part.keyframes)
             self.spans.append(part.spans)
             self.walls.append(_thinned(_walls(part), self.every))
             while sum(map(len, self.walls)) > MOST_POINTS:

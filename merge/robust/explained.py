@@ -35,6 +35,7 @@ from .growth import given_up
 from .prepare import Prepared, prepare
 from .rematching import linked_junctions, matches_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
+from .shown_views import most_telling
 from .verdict import counted_bits, in_steps, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
@@ -339,11 +340,17 @@ def _copy_told(same_place: float, need_same: float) -> str:
 
 def _views(naming: _Naming, c: Candidate) -> list[Term]:
     seen = np.bincount(c.views.cell, minlength=len(c.views.bits)).tolist()
-    bits = c.views.bits.tolist()
-    return [
-        naming.term("views", part, counted(n, "pair of views", "pairs of views"))
-        for n, part in zip(seen, bits, strict=True)
-    ]
+    bits, shown = c.views.bits.tolist(), most_telling(naming.one, naming.two, c)
+    out = []
+    for k, (n, part) in enumerate(zip(seen, bits, strict=True)):
+        told = counted(n, "pair of views", "pairs of views")
+        most = shown.get(k)
+        if most is None:
+            out.append(naming.term("views", part, told))
+            continue
+        near = naming.term("views", part, told, one=[most.near_a], two=[most.near_b])
+        out.append(replace(near, seen=most.laid.swapped if naming.swapped else most.laid))
+    return out
 
 
 def _chosen_from(c: Candidate) -> str:

@@ -13,6 +13,7 @@ from topobatch.merge.decision import (
     to_document,
 )
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from topobatch.viz.decision_recording import write_decision_recording
 
 from .readback import Readback
@@ -150,3 +151,40 @@ def test_nothing_alike_is_told(tmp_path: Path, make_map, empty_map, empty: bool)
     write_decision_recording(tmp_path / "a.rrd", make_map("a/1"), second, told)
     page = Readback(tmp_path / "a.rrd").value("/decision", "TextDocument:text")[0]
     assert "no similar corridors" in page
+
+
+def seen(kind: int) -> Compared:
+    """Four walls of a and two of b, these of one kind."""
+    xy = np.array([(x, 1.0) for x in (0, 1, 2, 3, 0, 1)], float)
+    of_second = np.arange(6) > 3
+    return Compared(xy, of_second, np.where(of_second, kind, SILENT))
+
+
+def with_views(placed: Placement) -> Placement:
+    terms = (
+        Term("views", 3.0, "1 pair of views", (1,), (1,), seen=seen(AGREES)),
+        Term("views", -2.5, "1 pair of views", (2,), (2,), seen=seen(CONTRADICTS)),
+        Term("views", -0.5, "2 pairs of views"),
+    )
+    return replace(placed, terms=(*placed.terms, *terms))
+
+
+def test_views_that_speak_most_for_and_against_are_laid_over_each_other(
+    tmp_path: Path, make_map
+) -> None:
+    told = decision(Verdict.MERGED, [with_views(placement(30.0))])
+    got = written(tmp_path / "a.rrd", make_map, told)
+    assert got.value("/views/titles", "Points2D:labels") == [
+        "views for it: +3.0 bits",
+        "views against it: -2.5 bits",
+    ]
+    assert len(got.value("/views/for/a/silent", "Points2D:positions")) == 4
+    for name in ("/views/for/b/agrees", "/views/against/b/contradicts"):
+        at = np.array(got.value(name, "Points2D:positions"))
+        assert np.ptp(at[:, 0]) == pytest.approx(1.0, abs=1e-5)
+    assert (
+        "/views/titles"
+        not in written(
+            tmp_path / "b.rrd", make_map, decision(Verdict.MERGED, [placement(30.0)])
+        ).entities
+    )

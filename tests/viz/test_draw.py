@@ -19,7 +19,8 @@ from topobatch.viz.draw import (
 )
 from topobatch.viz.theme import DARK, LIGHT
 
-from .test_decision_recording import EVERY, decision, placement
+from ..topology.floors import floor, views_at
+from .test_decision_recording import EVERY, decision, placement, with_views
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -179,3 +180,25 @@ def test_contradictions_of_a_placement_are_ringed(make_map, merge_of) -> None:
     texts, titles = seen(draw_placements(one, two, replace(pair, best=best), LIGHT))
     assert told in titles
     assert "what speaks against it" in texts
+
+
+def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> None:
+    views = views_at(floor(1), [(20.0, 20.0, 0.2), (26.0, 20.0, 0.0)])
+    shown = replace(make_map("run"), views=replace(views, pose=views.pose - (20.0, 20.0, 0.0)))
+    plain = draw_map(make_map("run"), LIGHT).as_bytes("svg")
+    assert b"wall" not in plain
+    texts, _ = seen(draw_map(shown, LIGHT))
+    assert "wall" in texts
+    drawn = draw_map(shown, LIGHT).as_bytes("svg")
+    assert LIGHT["wall"].encode() in drawn
+    assert 2_000 < len(drawn) - len(plain) < 50_000
+    result, maps = merge_of([["a", "b"]])
+    walled = {m.run: replace(m, views=shown.views) for m in maps[:1]}
+    assert "wall" in seen(draw_site(result, 0, LIGHT, walled))[0]
+    assert "wall" not in seen(draw_site(result, 0, LIGHT))[0]
+
+
+def test_views_are_drawn_beside_the_placement_that_they_speak_for(make_map) -> None:
+    told = decision(Verdict.MERGED, [with_views(placement(30.0))])
+    texts, _ = seen(draw_decision(make_map("a/1"), make_map("b"), told, LIGHT))
+    assert {"views for it: +3.0 bits", "views against it: -2.5 bits"} <= set(texts)

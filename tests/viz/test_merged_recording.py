@@ -10,6 +10,7 @@ from topobatch.topology.topomap import TopoMap
 from topobatch.viz import palette
 from topobatch.viz.merged_recording import write_merged_recording
 
+from ..topology.floors import floor, views_at
 from .readback import Readback
 
 Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
@@ -228,3 +229,16 @@ def test_missing_and_double_maps_are_refused(tmp_path: Path, merge_of: Merge) ->
     with pytest.raises(ValueError, match="same run name"):
         write_merged_recording(tmp_path / "m.rrd", result, [*maps, maps[0]])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_walls_of_a_site_are_one_picture(tmp_path: Path, merge_of: Merge) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    views = views_at(floor(1), [(20.0, 20.0, 0.2), (26.0, 20.0, 0.0)])
+    views = replace(views, pose=views.pose - (20.0, 20.0, 0.0))
+    write_merged_recording(tmp_path / "a.rrd", result, [replace(maps[0], views=views), *maps[1:]])
+    got = Readback(tmp_path / "a.rrd")
+    assert "/map/component_0/walls" in got.entities
+    assert "/map/component_1/walls" not in got.entities
+    (scale,) = got.value("/map/component_0/walls", "Transform3D:scale")
+    assert scale == pytest.approx([0.1] * 3)
+    assert "what the lasers of all runs saw" in got.value("/summary", "TextDocument:text")[0]

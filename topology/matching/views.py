@@ -350,6 +350,43 @@ def _kinds(
     return np.where(inside & there, found, np.uint8(0))
 
 
+SILENT, AGREES, CONTRADICTS = 0, _AGREES, _CONTRADICTS
+"""What a wall cell of one view tells of another view."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """The wall cells of two views laid over each other.
+
+    xy: (k, 2) their middles [m], in the frame of the first view; of_second: (k,) of which of the
+    two; kind: (k,) `SILENT`, `AGREES` or `CONTRADICTS`.
+    """
+
+    xy: FloatArray
+    of_second: NDArray[np.bool_]
+    kind: NDArray[np.uint8]
+
+    @property
+    def swapped(self) -> Compared:
+        """The same, the second view taken for the first; the frame stays."""
+        return Compared(self.xy, ~self.of_second, self.kind)
+
+
+def compared(a: ViewIndex, b: ViewIndex, rows: tuple[int, int], transform: FloatArray) -> Compared:
+    """One view of a and one of b, `rows`, at a registration (3,)."""
+    i, j = rows
+    shift, turn = complex(transform[0], transform[1]), np.exp(1j * transform[2])
+    own, there = a.points[i, a.there[i]], turn * b.points[j, b.there[j]] + shift
+    back = np.conj(turn) * (own - shift)
+    told = [
+        _kinds(kind, np.array([row]), z[None], np.ones((1, len(z)), bool))[0]
+        for kind, row, z in ((b.kind, j, back), (a.kind, i, there))
+    ]
+    points = np.concatenate([own, there])
+    of_second = np.arange(len(points)) >= len(own)
+    return Compared(np.column_stack([points.real, points.imag]), of_second, np.concatenate(told))
+
+
 SIGMA_M = 0.1
 """1 sigma of a wall's distance: half a cell."""
 CORRELATED = 10

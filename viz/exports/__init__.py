@@ -11,6 +11,7 @@ from types import MappingProxyType
 from ...topology.topomap import TopoMap
 from .graphml import graphml
 from .lif import lif_json
+from .map_server import map_picture, map_yaml
 from .nav2 import nav2_geojson
 from .pose_graph import pose_graph_g2o
 from .rmf import rmf_yaml
@@ -25,6 +26,8 @@ __all__ = [
     "MAX_ERROR_M",
     "RouteGraph",
     "corrected_tum",
+    "map_picture",
+    "map_yaml",
     "pose_graph_g2o",
     "recorded_tum",
     "route_graph",
@@ -50,6 +53,6 @@ the map and the largest distance [m] of a path from its straight pieces."""
 
 ENDINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {form: tuple(texts) for form, texts in MAP_FORMATS.items()}
-    | {"g2o": (".g2o",), "tum": (".recorded.tum", ".corrected.tum")}
+    | {"g2o": (".g2o",), "tum": (".recorded.tum", ".corrected.tum"), "grid": (".pgm", ".yaml")}
 )
 """The suffixes of the files of every format."""

@@ -6,8 +6,18 @@ import numpy as np
 import pytest
 
 from topobatch.topology.matching.likelihood import BIT
-from topobatch.topology.matching.views import TURN_RAD, Registered, ViewIndex, ViewNull, register
-from topobatch.topology.se2 import between, wrap
+from topobatch.topology.matching.views import (
+    AGREES,
+    CONTRADICTS,
+    SILENT,
+    TURN_RAD,
+    Registered,
+    ViewIndex,
+    ViewNull,
+    compared,
+    register,
+)
+from topobatch.topology.se2 import apply, between, wrap
 
 from ..floors import floor, views_at
 
@@ -105,3 +115,21 @@ def test_odds_are_measured_against_other_places_of_the_same_run():
 def test_too_few_pairs_tell_nothing_of_a_distribution():
     usual = ViewNull.of(np.zeros(0), np.zeros(0))
     assert ViewNull.of(np.full(5, 9.0), np.full(2, 9.0)) == usual
+
+
+def test_walls_of_two_views_are_told_apart():
+    wall = floor(1)
+    shut = wall.copy()
+    shut[280:284, 290:330] = True  # a wall that only the second view saw
+    one, other = np.array([30.0, 30.0, 0.3]), np.array([30.5, 29.6, -0.4])
+    a, b = ViewIndex.of(views_at(wall, [one])), ViewIndex.of(views_at(shut, [other]))
+    seen = compared(a, b, (0, 0), between(one, other))
+    there = apply(one, seen.xy)
+    known = views_at(wall, [one]).cells[0] == 2
+    assert (~seen.of_second).sum() == known.sum()
+    assert set(seen.kind[~seen.of_second]) <= {SILENT, AGREES}
+    new = np.abs(there - (31.0, 28.2)) < (2.2, 0.5)
+    against = (seen.kind == CONTRADICTS) & seen.of_second
+    assert against.sum() > 10
+    assert new.all(axis=1)[against].all()
+    assert np.array_equal(seen.swapped.of_second, ~seen.of_second)

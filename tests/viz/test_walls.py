@@ -1,0 +1,112 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from topobatch.topology.run import Grid
+from topobatch.topology.se2 import apply, compose, inverse
+from topobatch.topology.views import CELL_M
+from topobatch.viz.walls import map_walls, placed_at, site_walls, strokes, walls_of
+
+from ..topology.floors import CELL_M as TRUE_M
+from ..topology.floors import floor, views_at
+
+FLOOR = floor(1)
+ROUND = np.array([(18.0, 18.0, 0.0), (26.0, 18.0, 0.4), (26.0, 26.0, -1.0), (18.0, 26.0, 2.0)])
+"""Poses of views, not along the axes of the floor."""
+
+
+def centres(cells, grid):
+    row, column = np.nonzero(cells)
+    own = (np.column_stack([column, row]) + 0.5) * grid.resolution_m
+    return apply(np.array(grid.origin), own)
+
+
+def wrong(grid, T_floor_grid=(0.0, 0.0, 0.0)) -> tuple[float, float]:
+    """Share of cells shown as walls that no true wall is near, and of free ones that are walls."""
+    near = int(np.ceil(CELL_M / TRUE_M)) + 1
+
+    def at(cells, around):
+        x, y = np.floor(apply(np.array(T_floor_grid), centres(cells, grid)) / TRUE_M).T.astype(int)
+        padded = np.pad(FLOOR, near)
+        found = [
+            padded[y + near + dy, x + near + dx]
+            for dy in range(-around, around + 1)
+            for dx in range(-around, around + 1)
+        ]
+        return np.array(found)
+
+    wall = ~grid.free & ~grid.unknown
+    assert wall.sum() > 500
+    return 1 - at(wall, near).any(axis=0).mean(), at(grid.free, 0).mean()
+
+
+def test_views_laid_over_each_other_show_the_walls() -> None:
+    grid = walls_of([views_at(FLOOR, ROUND)], "map")
+    assert grid.frame == "map"
+    assert max(wrong(grid)) < 0.01
+    known = ~grid.unknown
+    assert known[[0, -1]].any(axis=1).all()
+    assert known[:, [0, -1]].any(axis=0).all()  # nothing but what is known
+
+
+def test_a_wall_that_most_views_see_through_is_none() -> None:
+    views = views_at(FLOOR, ROUND[[0, 0, 0]])
+    cells = np.array(views.cells)
+    y, x = np.argwhere(cells[0] == 2)[0]
+    cells[:2, y, x] = 1
+    (gone,) = (walls_of([replace(views, cells=c)], "map", CELL_M) for c in [cells])
+    before = walls_of([views], "map", CELL_M)
+    assert (before.free ^ gone.free).sum() == 1
+
+
+def test_maps_without_views_have_no_walls(merge_of) -> None:
+    result, maps = merge_of([["a", "b"]])
+    assert map_walls(maps[0]) is None
+    assert site_walls(result.fused, result.components[0], {m.run: m for m in maps}) is None
+
+
+def test_runs_of_a_site_show_its_walls_in_one_frame(merge_of) -> None:
+    """Each run's views are posed in a frame of its own."""
+    result, maps = merge_of([["a", "b"]])
+    (component,) = result.components
+    T_floor_site = np.array([16.0, 18.0, 0.0])
+    seen = {}
+    for m, pose in zip(maps, (ROUND[:2], ROUND[2:]), strict=True):
+        T_run_floor = inverse(compose(T_floor_site, component.poses[m.run]))
+        views = views_at(FLOOR, pose)
+        seen[m.run] = replace(m, views=replace(views, pose=compose(T_run_floor, pose)))
+    grid = site_walls(result.fused, component, seen)
+    assert grid.frame == component.name
+    assert max(wrong(grid, T_floor_site)) < 0.01
+    one = site_walls(result.fused, component, {"a": seen["a"]})
+    assert (~one.unknown).sum() < (~grid.unknown).sum()
+
+
+def test_points_move_as_the_junctions_near_them_do(merge_of) -> None:
+    result, maps = merge_of([["a", "b"]])
+    (component,) = result.components
+    m = next(m for m in maps if m.run == "b")
+    rigid = placed_at(result.fused, component, m, m.xy)
+    assert rigid == pytest.approx(np.tile(component.poses["b"], (len(m), 1)), abs=1e-6)
+    moved = np.array(result.fused.xy)
+    moved[4] += (0.5, 0.0)  # the end of the stub
+    fused = replace(result.fused, xy=moved)
+    bent = apply(placed_at(fused, component, m, m.xy), m.xy)
+    off = np.hypot(*(bent - result.fused.xy[:5]).T)
+    assert off.argmax() == 4
+    assert off[4] > 0.3
+    assert off[0] < 0.1
+
+
+def test_strokes_pass_through_every_wall_and_nothing_else() -> None:
+    wall = FLOOR[100:200, 100:260]
+    grid = Grid(~wall, np.zeros(wall.shape, bool), 0.1, (3.0, -2.0, 0.0), "map")
+    covered = np.zeros(wall.shape, bool)
+    lines = strokes(grid)
+    for line in lines:
+        (x0, y0), (x1, y1) = np.floor((line - (3.0, -2.0)) / 0.1).astype(int)
+        assert x0 == x1 or y0 == y1
+        covered[y0 : y1 + 1, x0 : x1 + 1] = True
+    assert np.array_equal(covered, wall)
+    assert len(lines) < wall.sum() / 4

@@ -1,0 +1,178 @@
+"""Walls and free space of a map, or of a site: the views of its runs laid over each other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..merge.result import Component, FusedMap
+from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.grids import cell_for, cropped, grid_at
+from ..topology.run import Grid
+from ..topology.se2 import apply, compose, fit_groups
+from ..topology.topomap import TopoMap
+from ..topology.views import CELL_M, FREE, REACH_M, SIDE, UNKNOWN, WALL, Views
+
+NEAR_M = 5.0
+"""Distance of a matched junction from a view at which its weight has fallen to a quarter: corridors
+between junctions are as long."""
+
+FINE_M = CELL_M / 2
+"""Side of a cell: several views of a wall, each in a lattice of its own, show it finer than one
+does."""
+
+RIGID_M, RIGID_WEIGHT = 10.0, 0.2
+"""The pose of the whole run counts as four junctions at this distance, which weigh this much
+together: for shifts a tenth of what junctions near a view weigh, for turns as much."""
+
+WALL_SHARE = 0.5
+"""Share of the views of a cell that show a wall there, from which on it is one."""
+
+
+def map_walls(topomap: TopoMap, cell_m: float = FINE_M) -> Grid | None:
+    """The walls and the free space of a run's map, in its frame; None without views."""
+    return walls_of([topomap.views], topomap.frame, cell_m)
+
+
+def site_walls(
+    fused: FusedMap, component: Component, maps: Mapping[str, TopoMap], cell_m: float = FINE_M
+) -> Grid | None:
+    """The walls and the free space of all runs of a component, in its frame; None if no run has
+    views. maps: as they were merged; runs that are not among them are left out."""
+    return walls_of(site_views(fused, component, maps), component.name, cell_m)
+
+
+def site_views(fused: FusedMap, component: Component, maps: Mapping[str, TopoMap]) -> list[Views]:
+    """The views of the runs of a component, posed in its frame; see `site_walls`."""
+    return [
+        moved(maps[run].views, placed_at(fused, component, maps[run], maps[run].views.pose[:, :2]))
+        for run in sorted(component.poses)
+        if run in maps and len(maps[run].views)
+    ]
+
+
+def moved(views: Views, T: FloatArray) -> Views:
+    """Views with their poses moved by one transform (3,), or by one each (n, 3)."""
+    return replace(views, pose=compose(T, views.pose))
+
+
+def placed_at(
+    fused: FusedMap, component: Component, topomap: TopoMap, xy: FloatArray
+) -> FloatArray:
+    """(k, 3) T_component_run near points (k, 2) of a run's map [m].
+
+    A run's map bends as it is fused with others: each point moves as the junctions near it do, by a
+    rigid fit with weights (moving least squares: Schaefer, McPhail, Warren, 2006). The pose of the
+    whole run counts as well, which two junctions near each other hardly turn.
+    """
+    own, common = _members(fused, component, topomap)
+    k, n = len(xy), len(own) + len(AROUND)
+    around = xy[:, None] + RIGID_M * AROUND
+    here = np.concatenate([np.broadcast_to(topomap.xy[own], (k, len(own), 2)), around], axis=1)
+    T = component.poses[topomap.run]
+    there = np.broadcast_to(fused.xy[common], (k, len(own), 2))
+    there = np.concatenate([there, apply(T, around)], axis=1)
+    away = np.hypot(*(topomap.xy[own][None] - xy[:, None]).transpose(2, 0, 1))
+    weight = np.full((k, n), RIGID_WEIGHT / len(AROUND))
+    weight[:, : len(own)] = (1 + (away / NEAR_M) ** 2) ** -2
+    group = np.arange(k).repeat(n)
+    return fit_groups(there.reshape(-1, 2), here.reshape(-1, 2), group, weight.ravel())
+
+
+AROUND = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+"""Directions of the four points by which the pose of the whole run counts."""
+
+
+def _members(fused: FusedMap, component: Component, topomap: TopoMap) -> tuple[IntArray, IntArray]:
+    """Vertices of a run's map, and the fused vertices that they are part of."""
+    pairs = [
+        (vertex, row)
+        for row in np.flatnonzero(fused.component == component.id).tolist()
+        for vertex in fused.members[row].get(topomap.run, ())
+        if vertex < len(topomap)
+    ]
+    own, common = np.array(pairs, np.int64).reshape(-1, 2).T
+    return own, common
+
+
+def walls_of(views: Sequence[Views], frame: str, cell_m: float = FINE_M) -> Grid | None:
+    """Views, posed in one frame, as one grid: a cell is a wall where `WALL_SHARE` of the views that
+    know it say so. None without views. O(cells of views)."""
+    pose = np.concatenate([np.zeros((0, 3)), *(v.pose for v in views)])
+    if not len(pose):
+        return None
+    low, high = pose[:, :2].min(axis=0) - REACH_M, pose[:, :2].max(axis=0) + REACH_M
+    cell_m = cell_for(high - low, cell_m)
+    first = np.floor(low / cell_m).astype(np.int64)
+    width, height = (np.floor(high / cell_m).astype(np.int64) - first + 1).tolist()
+    looks = np.zeros((WALL + 1, height, width), np.uint16)
+    for each in views:
+        for T, cells in zip(each.pose, each.cells, strict=True):
+            corner, states = _resampled(T, cells, cell_m)
+            x, y = (corner - first).tolist()
+            inside = np.s_[max(y, 0) : y + len(states), max(x, 0) : x + len(states)]
+            part = looks[:, *inside]
+            states = states[max(-y, 0) :, max(-x, 0) :][: part.shape[1], : part.shape[2]]
+            for state in (FREE, WALL):
+                part[state] += states == state
+    occupied = (looks[WALL] > 0) & (looks[WALL] >= WALL_SHARE * (looks[WALL] + looks[FREE]))
+    return cropped(grid_at(first, occupied, looks[FREE] > 0, cell_m, frame))
+
+
+def _resampled(
+    T: FloatArray, cells: NDArray[np.uint8], cell_m: float
+) -> tuple[IntArray, NDArray[np.uint8]]:
+    """(n, n) states of a view posed at T in cells of a lattice along the axes, by the middles of
+    these; and the number of the first (x, y)."""
+    corner = np.floor((T[:2] - REACH_M) / cell_m).astype(np.int64)
+    step = np.arange(2 * int(np.ceil(REACH_M / cell_m)) + 1) + 0.5
+    x, y = (corner[:, None] + step) * cell_m - T[:2, None]
+    c, s = np.cos(T[2]), np.sin(T[2])
+    column = np.floor((c * x + s * y[:, None] + REACH_M) / CELL_M).astype(np.int64)
+    row = np.floor((c * y[:, None] - s * x + REACH_M) / CELL_M).astype(np.int64)
+    within = (column >= 0) & (column < SIDE) & (row >= 0) & (row < SIDE)
+    return corner, np.where(within, cells[row % SIDE, column % SIDE], np.uint8(UNKNOWN))
+
+
+def strokes(grid: Grid) -> list[FloatArray]:
+    """The walls of a grid as lines (2, 2) through the middles of cells [m], to be drawn as wide as
+    a cell with round ends: rows of cells along the axis on which they are longer.
+
+    The first point of a line lies a hundredth of a cell before the middle, so that single cells
+    have a length.
+    """
+    wall = ~grid.free & ~grid.unknown
+    wide, high = _run_lengths(wall), _run_lengths(wall.T).T
+    ends = [*_ends(wall & (wide >= high)), *(e[:, ::-1] for e in _ends((wall & (wide < high)).T))]
+    own = (np.concatenate(ends).reshape(-1, 2, 2) + 0.5) * grid.resolution_m
+    return list(apply(np.array(grid.origin), own))
+
+
+def wall_points(grid: Grid | None) -> FloatArray:
+    """(k, 2) points that a picture of the walls of a grid has to hold, in its frame [m]."""
+    return np.concatenate([np.zeros((0, 2)), *([] if grid is None else strokes(grid))])
+
+
+def _ends(cells: BoolArray) -> Iterator[FloatArray]:
+    """The first and the last cell (x, y) of every row of cells, (2, 2)."""
+    row, first, last = _rows(cells)
+    for y, a, b in zip(row.tolist(), first.tolist(), last.tolist(), strict=True):
+        yield np.array([(a - 0.01, y), (b, y)])
+
+
+def _rows(cells: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """Row, first and last column of every unbroken row of cells."""
+    edge = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
+    row, first = np.nonzero(edge == 1)
+    return row, first, np.nonzero(edge == -1)[1] - 1
+
+
+def _run_lengths(cells: BoolArray) -> IntArray:
+    """(h, w) length of the unbroken row that each cell is in, 0 for others."""
+    _, first, last = _rows(cells)
+    out = np.zeros(cells.shape, np.int64)
+    out[cells] = (last - first + 1).repeat(last - first + 1)
+    return out
