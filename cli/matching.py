@@ -1,22 +1,82 @@
-"""Common parts of commands that match maps: reading maps, and the cache of results."""
+"""Matching maps: where pairs are matched, the maps, what is kept, and shares of the pairs."""
 
 from __future__ import annotations
 
+import os
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import TYPE_CHECKING, Annotated
 
-from ..topology.errors import DataError, DocumentError
+import typer
+
+from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted
 from .output import Screen
+from .workers import start_worker
 from .workspace import Workspace
 
 if TYPE_CHECKING:
+    from concurrent.futures import Executor
+
     from ..merge.kept import Kept
+    from ..merge.merging import MergeSettings
     from ..merge.robust import Means
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
+
+
+WORTH_PROCESSES = 4000
+"""Pairs to match from which on processes are started, each of which reads the maps."""
+
+
+@dataclass(frozen=True, slots=True)
+class MatchOptions:
+    """Where pairs are matched."""
+
+    jobs: Annotated[
+        int,
+        typer.Option(
+            "--jobs", "-j", metavar="N", min=0, help="Processes to match with; 0: one per core."
+        ),
+    ] = 0
+    cluster: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ADDRESS",
+            help="Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
+            "the same path; needs topobatch[cluster].",
+        ),
+    ] = None
+    shard: Annotated[
+        str | None,
+        typer.Option(
+            metavar="I/N",
+            help="With --all: only match the I-th of N shares of the pairs, for the cache; a last "
+            "merge --all collects what all shares found.",
+        ),
+    ] = None
+
+    def check(self) -> None:
+        """UsageError if there can be no such cluster."""
+        from .cluster import require_cluster
+
+        if self.cluster is not None:
+            require_cluster(self.cluster)
+
+    def workers(self, pairs: int) -> Workers | None:
+        """What so many pairs are matched by: None for this process, else processes or a cluster."""
+        from ..merge.workers import Workers
+        from .cluster import cluster
+
+        if self.cluster is not None:
+            return Workers(partial(cluster, self.cluster))
+        count = min(self.jobs or os.cpu_count() or 1, pairs)
+        # An explicit number of processes is used as it is.
+        worth = 0 if self.jobs else WORTH_PROCESSES
+        return Workers(partial(_executor, count), worth) if count > 1 else None
 
 
 def read_maps(
@@ -59,3 +119,54 @@ def matching(
             yield means
         finally:
             kept.flush()
+
+
+@contextmanager
+def _executor(workers: int) -> Iterator[Executor]:
+    """A pool of processes, started as needed."""
+    import multiprocessing
+    from concurrent.futures import ProcessPoolExecutor
+
+    with ProcessPoolExecutor(workers, initializer=start_worker) as pool:
+        try:
+            yield pool
+        except BaseException:  # Ctrl-C: nobody waits for the pairs that are left
+            for process in multiprocessing.active_children():
+                process.terminate()
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def share_of(text: str) -> tuple[int, int]:
+    """(i, n) of "i/n", i from 1 to n."""
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise UsageError(f'--shard is {text!r}; "2/8" is the second of eight shares')
+    return int(found[1]), int(found[2])
+
+
+def match_share(
+    place: Workspace,
+    settings: MergeSettings,
+    share: tuple[int, int],
+    workers: Callable[[int], Workers | None],
+    screen: Screen,
+) -> None:
+    """Match a share of all pairs and keep the results in the cache. Other shares may run at the
+    same time: the workspace is locked only to write."""
+    from ..merge.kept import Kept
+    from ..merge.result import pairs_of
+    from ..merge.robust import era_of, match_shard
+
+    held = partial(place.held, lambda _: None, make=False)
+    kept = Kept(place.kept, era_of(settings.robust), screen.warn, held)
+    maps, broken = read_maps(place, place.chosen_runs([], True), screen)
+    pairs = pairs_of(len(maps)) // share[1]
+    with matching(place, pairs, kept, workers, screen) as means:
+        done = match_shard(maps, settings.robust, share, means)
+    screen.line(
+        f"share {share[0]} of {share[1]}: {counted(done, 'pair')} in {place.kept}; "
+        f"when all shares are done: {place.call('merge', '--all')}"
+    )
+    if broken:
+        raise typer.Exit(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import os
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -16,7 +15,7 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
 from .grouped import grouped
 from .journal import note
-from .matching import matching, read_maps
+from .matching import MatchOptions, match_share, matching, read_maps, share_of
 from .options import (
     DEFAULT_WORKSPACE,
     QuietOption,
@@ -27,12 +26,9 @@ from .options import (
 from .output import Screen
 from .paper_options import PaperOptions
 from .site_names import sites_before, with_sites
-from .workers import start_worker
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-
     from ..merge.merged_schema import MergedGraph
     from ..merge.merging import MergeSettings
     from ..merge.result import MergeResult, PairVerdict
@@ -49,9 +45,6 @@ of long-lived objects; with the default of 700, collection takes a tenth of a me
 finds 2 MB."""
 
 OVERWRITE = "give this merge another --output NAME, or overwrite with --replace"
-
-WORTH_PROCESSES = 4000
-"""Pairs to match from which on processes are started, each of which reads the maps."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,53 +80,6 @@ class MethodOptions:
         return replace(settings, paper=of_paper, robust=robust)
 
 
-@dataclass(frozen=True, slots=True)
-class MatchOptions:
-    """Where pairs are matched."""
-
-    jobs: Annotated[
-        int,
-        typer.Option(
-            "--jobs", "-j", metavar="N", min=0, help="Processes to match with; 0: one per core."
-        ),
-    ] = 0
-    cluster: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ADDRESS",
-            help="Match on a Dask cluster, tcp://host:port, whose workers see the workspace under "
-            "the same path; needs topobatch[cluster].",
-        ),
-    ] = None
-    shard: Annotated[
-        str | None,
-        typer.Option(
-            metavar="I/N",
-            help="With --all: only match the I-th of N shares of the pairs, for the cache; a last "
-            "merge --all collects what all shares found.",
-        ),
-    ] = None
-
-    def check(self) -> None:
-        """UsageError if there can be no such cluster."""
-        from .cluster import require_cluster
-
-        if self.cluster is not None:
-            require_cluster(self.cluster)
-
-    def workers(self, pairs: int) -> Workers | None:
-        """What so many pairs are matched by: None for this process, else processes or a cluster."""
-        from ..merge.workers import Workers
-        from .cluster import cluster
-
-        if self.cluster is not None:
-            return Workers(partial(cluster, self.cluster))
-        count = min(self.jobs or os.cpu_count() or 1, pairs)
-        # An explicit number of processes is used as it is.
-        worth = 0 if self.jobs else WORTH_PROCESSES
-        return Workers(partial(_executor, count), worth) if count > 1 else None
-
-
 @grouped
 def merge(
     runs: Annotated[
@@ -157,7 +103,7 @@ def merge(
         typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
     ] = False,
     paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
-    where: MatchOptions = MatchOptions(),
+    where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -190,8 +136,6 @@ def merge(
                 "--shard fills the cache, from which any merge is made; "
                 "--output goes with the last merge --all"
             )
-        from .shard import match_share, share_of
-
         match_share(place, how.settings(paper), share_of(where.shard), where.workers, screen)
         return
     with place.held(screen.warn, make=False), _seldom_collected():
@@ -387,22 +331,6 @@ def _merged(
     if everything and settings.method == "robust":
         kept.settle()
     return result
-
-
-@contextmanager
-def _executor(workers: int) -> Iterator[Executor]:
-    """A pool of processes, started as needed."""
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    with ProcessPoolExecutor(workers, initializer=start_worker) as pool:
-        try:
-            yield pool
-        except BaseException:  # Ctrl-C: nobody waits for the pairs that are left
-            for process in multiprocessing.active_children():
-                process.terminate()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
 
 
 def _write(

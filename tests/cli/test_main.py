@@ -139,7 +139,7 @@ def test_workers(before, after, code):
 
 MATCHERS = """
 import os, signal
-from topobatch.cli.merge import _executor
+from topobatch.cli.matching import _executor
 with _executor(2) as pool:
     print(pool.submit(abs, -7).result(), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)

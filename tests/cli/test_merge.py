@@ -9,7 +9,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from topobatch.cli.merge import _counts, _executor
+from topobatch.cli.matching import _executor
+from topobatch.cli.merge import _counts
 from topobatch.merge.result import Standing
 
 
