@@ -142,7 +142,9 @@ def component_digest(
         if v.best is not None:
             parts.append(f"{number[v.a]} {number[v.b]} {len(v.best.matched)};".encode())
             parts += [v.best.transform.tobytes(), v.best.matched.tobytes()]
-            parts += [v.best.ties.measurement.tobytes(), v.best.ties.information.tobytes()]
+            ties = v.best.ties
+            of_ties = (ties.source, ties.target, ties.measurement, ties.information)
+            parts += [array.tobytes() for array in of_ties]
     return digested(*parts)
 
 

@@ -236,6 +236,17 @@ def _of_seed(pair: _Pair) -> tuple[list[Placement], Start | None]:
     return [pair.placement(candidate, None)], Start(found, expected, needed, count)
 
 
+def _tied(merge: Merge, told: PairVerdict, best: Alignment) -> Alignment:
+    """The alignment of a pair with its ties by views, which documents do not state."""
+    if told.accepted_by == "components" or not all(
+        len(merge.read(run).views) for run in (told.a, told.b)
+    ):
+        return best
+    pair = _Pair.of(merge, told.a, told.b)
+    found = pair.known(told, best)
+    return best if found is None else alignment_of(found, pair.a, pair.b, None)
+
+
 def _of_components(
     merge: Merge, told: PairVerdict, sides: tuple[tuple[str, ...], tuple[str, ...]]
 ) -> list[Placement]:
@@ -244,7 +255,7 @@ def _of_components(
     row = {run: k for k, run in enumerate(runs)}
     maps = [merge.read(run) for run in runs]
     inside = {
-        (row[a], row[b]): v.best
+        (row[a], row[b]): _tied(merge, v, v.best)
         for (a, b), v in merge.said.items()
         if v.accepted_by in ("pair", "lock", "components")
         and a in row
