@@ -93,11 +93,6 @@ class JunctionFields:
                 raise UsageError(f"--junction-fields {mapping!r} lacks {key}=PATH")
         return cls(**found)
 
-    @property
-    def times_and_frames(self) -> list[FieldPath]:
-        """The paths that may also begin at the message."""
-        return [path for path in (self.stamp, self.frame) if path is not None]
-
     def rows(self, message: Any, frames: Frames) -> list[Row]:
         """One row per junction in a decoded message; raises DamageError, UsageError for units."""
         items = [message]

@@ -28,7 +28,8 @@ def directions(scans: RawScans) -> BoolArray:
     """(SECTORS,) directions of the frame that scans look in: of all beams or, in slices of a cloud,
     which have beams all around, of those with a return."""
     geometry, beams = scans.geometry, scans.ranges_m.shape[1]
-    angles = geometry.angle_min + geometry.angle_increment * np.arange(beams) + geometry.pose[2]
+    with np.errstate(invalid="ignore", over="ignore"):  # a message may hold any numbers
+        angles = geometry.angle_min + geometry.angle_increment * np.arange(beams) + geometry.pose[2]
     if scans.blind:
         angles = angles[np.isfinite(scans.ranges_m).any(axis=0)]
     out = np.zeros(SECTORS, np.bool_)

@@ -295,6 +295,17 @@ def test_a_wall_is_as_straight_in_slices_of_sparse_clouds(apart_deg: float) -> N
     assert ahead == pytest.approx(3.0, abs=0.001)
 
 
+@pytest.mark.parametrize("told", [INF, -INF, NAN, 1e300])
+def test_scans_of_absurd_geometries_look_nowhere_without_a_warning(told: float) -> None:
+    from topobatch.ingest.logs.scan_rows import Geometry, RawScans
+    from topobatch.ingest.scans.field_of_view import directions
+
+    none = np.zeros(1, np.int64)
+    for geometry in (Geometry("l", told, 0.1), Geometry("l", 0.0, told)):
+        seen = directions(RawScans(none, none, np.ones((1, 5), np.float32), geometry))
+        assert seen.sum() <= 1
+
+
 def test_a_band_needs_two_heights() -> None:
     with pytest.raises(UsageError, match="lowest first"):
         SliceSettings((1.0, 0.5))
