@@ -59,11 +59,7 @@ def grid_texts(
         raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
     bare = sorted(run for run, m in source.maps.items() if not len(m.views))
     if len(bare) == len(source.maps):
-        raise DataError(
-            f"{source.name}: no laser, cloud or saved map shows walls, only junction detections; "
-            "--format nav2 exports its graph. If a log has a laser as well, ingest it again with "
-            "--junctions-from scan"
-        )
+        raise DataError(f"{source.name}: {_why_bare(place, source)}")
     if bare:
         screen.warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
     logs = _Logs(place, source, log)
@@ -80,6 +76,19 @@ def grid_texts(
         f"{source.name}{PICTURE}": map_picture(grid),
         f"{source.name}.yaml": map_yaml(grid, picture, [frame, *told]),
     }
+
+
+def _why_bare(place: Workspace, source: Exported) -> str:
+    """Why no run shows walls, and what to do."""
+    lost = sorted(run for run, m in source.maps.items() if m.views_lost)
+    if lost:
+        return f"{place.map_views(lost[0])} is lost or damaged; ingest the log again (--force)"
+    if not source.maps:
+        return "none of its maps can be read; ingest its logs again"
+    return (
+        "no laser, cloud or saved map shows walls, only junction detections; --format nav2 exports "
+        "its graph. If a log has a laser as well, ingest it again with --junctions-from scan"
+    )
 
 
 class _Logs:
