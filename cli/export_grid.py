@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -158,7 +158,7 @@ def _grid(
     """
     from ..ingest.scans.occupancy import Occupancy
     from ..topology.grids import layered, resampled
-    from ..viz.walls import walls_of
+    from ..viz.walls import moved, walls_of
 
     done = 0
 
@@ -184,15 +184,12 @@ def _grid(
         if scans is not None:
             cast.add(scans.keyframes, compose(placed[run](scans.body[:, :2]), scans.body))
             by_scans.append(run)
-    others = seen.keys() - saved.keys() - set(by_scans)
-    views = [seen[run].views for run in sorted(others)]
-    laid = [
-        replace(v, pose=compose(placed[run](v.pose[:, :2]), v.pose))
-        for run, v in zip(sorted(others), views, strict=True)
-    ]
-    moved = [resampled(g, placed[run], cast.cell_m, frame) for run, g in saved.items()]
-    moved.sort(key=lambda g: 0 if g is None else -int((~g.unknown).sum()))
-    found = [cast.grid(frame), *moved, walls_of(laid, frame, cast.cell_m)]
+    others = sorted(seen.keys() - saved.keys() - set(by_scans))
+    views = {run: seen[run].views for run in others}
+    laid = [moved(v, placed[run](v.pose[:, :2])) for run, v in views.items()]
+    pictures = [resampled(g, placed[run], cast.cell_m, frame) for run, g in saved.items()]
+    pictures.sort(key=lambda g: 0 if g is None else -int((~g.unknown).sum()))
+    found = [cast.grid(frame), *pictures, walls_of(laid, frame, cast.cell_m)]
     parts = {"scans": by_scans, "saved maps": saved, "views": others}
     told = [f"{what} of {', '.join(sorted(runs))}" for what, runs in parts.items() if runs]
     return layered([grid for grid in found if grid is not None]), told
@@ -207,6 +204,8 @@ def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Pl
     from ..topology.views import REACH_M
 
     points = [source.topomap.xy, *source.topomap.paths]
+    for run, m in source.maps.items():
+        points.append(apply(placed[run](m.views.pose[:, :2]), m.views.pose[:, :2]))
     for run, grid in saved.items():
         side = grid.resolution_m * np.array(grid.free.shape[::-1])
         own = apply(np.array(grid.origin), side * CORNERS)
