@@ -8,11 +8,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..topology.errors import DataError, TopobatchError, UsageError
-from ..topology.se2 import apply, compose
-from ..topology.views import CELL_M as VIEW_CELL_M
 from ..topology.wording import listed
 from .output import Screen
 from .workspace import Workspace
@@ -53,6 +49,7 @@ def grid_texts(
 
     Raises DataError where no run has scans, views or a saved map.
     """
+    from ..topology.views import CELL_M as VIEW_CELL_M
     from ..viz.exports import map_picture, map_yaml
 
     if log is not None and len(source.maps) != 1:
@@ -156,8 +153,11 @@ def _grid(
     Scans of all runs are laid together; what these do not know is told by saved maps, the largest
     first, and what these do not know by views.
     """
+    import numpy as np
+
     from ..ingest.scans.occupancy import Occupancy
     from ..topology.grids import layered, resampled
+    from ..topology.se2 import compose
     from ..viz.walls import moved, walls_of
 
     done = 0
@@ -195,20 +195,21 @@ def _grid(
     return layered([grid for grid in found if grid is not None]), told
 
 
-CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
-
-
 def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Placed]) -> float:
     """The side of a cell, by what the grid has to hold."""
+    import numpy as np
+
     from ..topology.grids import cell_for
+    from ..topology.se2 import apply
     from ..topology.views import REACH_M
 
     points = [source.topomap.xy, *source.topomap.paths]
     for run, m in source.maps.items():
         points.append(apply(placed[run](m.views.pose[:, :2]), m.views.pose[:, :2]))
+    corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
     for run, grid in saved.items():
         side = grid.resolution_m * np.array(grid.free.shape[::-1])
-        own = apply(np.array(grid.origin), side * CORNERS)
+        own = apply(np.array(grid.origin), side * corners)
         points.append(apply(placed[run](own), own))
     return cell_for(np.ptp(np.concatenate(points), axis=0) + 2 * REACH_M, CELL_M)
 
@@ -216,6 +217,8 @@ def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Pl
 def _placements(source: Exported) -> dict[str, Placed]:
     """For each run the transforms (k, 3) from its map's frame to that of the export at points (k,
     2) of its map."""
+    import numpy as np
+
     from ..merge.document import result_from_document
     from ..viz.walls import placed_at
 
