@@ -41,10 +41,12 @@ def draw(
     Needs no viewer and no display; the same map gives the same bytes. In an SVG, pointing at a
     corridor or a junction tells its number, its length, its sigma.
 
-    A run's map: junctions coloured by their branches, corridors wider the more often they were
-    driven. The merged map: every corridor a ribbon with a strand for each run that drove it. A
-    site: the same, with the numbers of its junctions in merged.json. A pair: one map laid over the
-    other with the matched junctions tied; of an ambiguous pair both placements side by side.
+    Where a laser or a saved map showed walls, they lie below. A run's map: junctions coloured by
+    their branches, corridors wider the more often they were driven. The merged map: every corridor
+    a ribbon with a strand for each run that drove it. A site: the same, with the numbers of its
+    junctions in merged.json. A pair: one map laid over the other with the matched junctions tied;
+    of an ambiguous pair both placements side by side; beside them the views that speak most for a
+    placement, and most against it.
 
     \b
       topobatch draw run1 run1.svg

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..topology.errors import DataError, TopobatchError, UsageError
-from ..topology.se2 import apply, compose
-from ..topology.views import CELL_M as VIEW_CELL_M
 from ..topology.wording import listed
 from .output import Screen
 from .workspace import Workspace
@@ -53,17 +49,14 @@ def grid_texts(
 
     Raises DataError where no run has scans, views or a saved map.
     """
+    from ..topology.views import CELL_M as VIEW_CELL_M
     from ..viz.exports import map_picture, map_yaml
 
     if log is not None and len(source.maps) != 1:
         raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
     bare = sorted(run for run, m in source.maps.items() if not len(m.views))
     if len(bare) == len(source.maps):
-        raise DataError(
-            f"{source.name}: no laser, cloud or saved map shows walls, only junction detections; "
-            "--format nav2 exports its graph. If a log has a laser as well, ingest it again with "
-            "--junctions-from scan"
-        )
+        raise DataError(f"{source.name}: {_why_bare(place, source)}")
     if bare:
         screen.warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
     logs = _Logs(place, source, log)
@@ -80,6 +73,19 @@ def grid_texts(
         f"{source.name}{PICTURE}": map_picture(grid),
         f"{source.name}.yaml": map_yaml(grid, picture, [frame, *told]),
     }
+
+
+def _why_bare(place: Workspace, source: Exported) -> str:
+    """Why no run shows walls, and what to do."""
+    lost = sorted(run for run, m in source.maps.items() if m.views_lost)
+    if lost:
+        return f"{place.map_views(lost[0])} is lost or damaged; ingest the log again (--force)"
+    if not source.maps:
+        return "none of its maps can be read; ingest its logs again"
+    return (
+        "no laser, cloud or saved map shows walls, only junction detections; --format nav2 exports "
+        "its graph. If a log has a laser as well, ingest it again with --junctions-from scan"
+    )
 
 
 class _Logs:
@@ -147,9 +153,12 @@ def _grid(
     Scans of all runs are laid together; what these do not know is told by saved maps, the largest
     first, and what these do not know by views.
     """
+    import numpy as np
+
     from ..ingest.scans.occupancy import Occupancy
     from ..topology.grids import layered, resampled
-    from ..viz.walls import walls_of
+    from ..topology.se2 import compose
+    from ..viz.walls import moved, walls_of
 
     done = 0
 
@@ -175,32 +184,32 @@ def _grid(
         if scans is not None:
             cast.add(scans.keyframes, compose(placed[run](scans.body[:, :2]), scans.body))
             by_scans.append(run)
-    others = seen.keys() - saved.keys() - set(by_scans)
-    views = [seen[run].views for run in sorted(others)]
-    laid = [
-        replace(v, pose=compose(placed[run](v.pose[:, :2]), v.pose))
-        for run, v in zip(sorted(others), views, strict=True)
-    ]
-    moved = [resampled(g, placed[run], cast.cell_m, frame) for run, g in saved.items()]
-    moved.sort(key=lambda g: 0 if g is None else -int((~g.unknown).sum()))
-    found = [cast.grid(frame), *moved, walls_of(laid, frame, cast.cell_m)]
+    others = sorted(seen.keys() - saved.keys() - set(by_scans))
+    views = {run: seen[run].views for run in others}
+    laid = [moved(v, placed[run](v.pose[:, :2])) for run, v in views.items()]
+    pictures = [resampled(g, placed[run], cast.cell_m, frame) for run, g in saved.items()]
+    pictures.sort(key=lambda g: 0 if g is None else -int((~g.unknown).sum()))
+    found = [cast.grid(frame), *pictures, walls_of(laid, frame, cast.cell_m)]
     parts = {"scans": by_scans, "saved maps": saved, "views": others}
     told = [f"{what} of {', '.join(sorted(runs))}" for what, runs in parts.items() if runs]
     return layered([grid for grid in found if grid is not None]), told
 
 
-CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
-
-
 def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Placed]) -> float:
     """The side of a cell, by what the grid has to hold."""
+    import numpy as np
+
     from ..topology.grids import cell_for
+    from ..topology.se2 import apply
     from ..topology.views import REACH_M
 
     points = [source.topomap.xy, *source.topomap.paths]
+    for run, m in source.maps.items():
+        points.append(apply(placed[run](m.views.pose[:, :2]), m.views.pose[:, :2]))
+    corners = np.array([(0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0)])
     for run, grid in saved.items():
         side = grid.resolution_m * np.array(grid.free.shape[::-1])
-        own = apply(np.array(grid.origin), side * CORNERS)
+        own = apply(np.array(grid.origin), side * corners)
         points.append(apply(placed[run](own), own))
     return cell_for(np.ptp(np.concatenate(points), axis=0) + 2 * REACH_M, CELL_M)
 
@@ -208,6 +217,8 @@ def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Pl
 def _placements(source: Exported) -> dict[str, Placed]:
     """For each run the transforms (k, 3) from its map's frame to that of the export at points (k,
     2) of its map."""
+    import numpy as np
+
     from ..merge.document import result_from_document
     from ..viz.walls import placed_at
 

@@ -42,7 +42,7 @@ from .placements import against, contradiction_spots, placements
 from .seen_together import CORNERS, WIDTHS, Overlay, overlays
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .theme import Theme
-from .walls import FINE_M, map_walls, moved, site_views, strokes, wall_points, walls_of
+from .walls import FINE_M, map_walls, moved, site_views, site_walls, strokes, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
 
@@ -222,7 +222,8 @@ def draw_merged(
     to MOST_NUMBERED junctions; maps: of runs whose walls are drawn as well.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
-    seen = {c: wall_points(walls_of(own, "")) for c, own in views.items() if own}
+    walls = {c.id: site_walls(result.fused, c, maps) for c in result.components}
+    seen = {c: wall_points(grid) for c, grid in walls.items() if grid is not None}
     parts = lay_out(result, for_paper=True, walls=seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))

@@ -28,7 +28,7 @@ class Occupancy:
         self.cell_m = cell_m
         self._settings = GridSettings(cell_m=cell_m, wall_hits=1)
         self._first = np.zeros(2, np.int64)
-        self._looks = np.zeros((2, 0, 0), np.uint16)
+        self._looks = np.zeros((2, 0, 0), np.uint32)
 
     def add(self, frames: Keyframes, body: FloatArray) -> None:
         """Cast the beams of a run's keyframes with the robot at `body` (k, 3). O(k cells within
@@ -54,7 +54,7 @@ class Occupancy:
             low = np.minimum(low, self._first)
             beyond = np.maximum(beyond, self._first + size)
         x, y = (self._first - low).tolist()
-        grown: NDArray[np.uint16] = np.zeros((2, *(beyond - low)[::-1].tolist()), np.uint16)
+        grown: NDArray[np.uint32] = np.zeros((2, *(beyond - low)[::-1].tolist()), np.uint32)
         if size.any():
             grown[:, y : y + size[1], x : x + size[0]] = self._looks
         self._first, self._looks = low, grown

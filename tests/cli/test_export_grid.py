@@ -104,6 +104,17 @@ def test_detections_show_no_walls(topobatch, office) -> None:
     assert not (place.exports / "streets-1.yaml").exists()
 
 
+def test_lost_views_are_told(topobatch, office, tmp_path) -> None:
+    place, _ = office
+    views = place.map_views("office-1")
+    aside = views.rename(tmp_path / "aside")
+    try:
+        told = topobatch("export", "office-1", "-f", "grid", *w(place)).error(1)
+        assert "office-1.views is lost or damaged; ingest the log again" in told
+    finally:
+        aside.rename(views)
+
+
 def saved(folder, name, grid) -> Path:
     shades = np.where(grid.unknown, 205, np.where(grid.free, 254, 0)).astype(np.uint8)
     Image.fromarray(shades[::-1]).save(folder / f"{name}.png")
