@@ -21,7 +21,7 @@ from .output import say, say_lines
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
-    from ..merge.changes import Change, Witness
+    from ..merge.change import Change, Witness
 
 
 def changes(
@@ -54,7 +54,7 @@ def changes(
       topobatch changes north
       topobatch changes --all --json
     """
-    from ..merge.changes import change_to_document
+    from ..merge.change import change_to_document
     from ..merge.changes import changes as changes_of
 
     place = Workspace(workspace, merge)

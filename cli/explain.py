@@ -13,7 +13,7 @@ from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
 from .grouped import grouped
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
-from .output import say, say_lines, warn
+from .output import say, say_lines, warn, width
 from .paper_options import PaperOptions
 from .workspace import MERGED, Workspace, pairs_named
 
@@ -119,7 +119,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
         say_lines(json.dumps(to_document(decision)))
     else:
         here = replace(decision, notes=tuple(_here(place, note) for note in decision.notes))
-        for line in lines(here, rows):
+        for line in lines(here, rows, width()):
             say_lines(line)
     recording = place.explain_rrd(*pair)
     _record(
@@ -148,7 +148,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
 
     document = _last_merge(place)
     why_not = _not_merged(document, pair, place.merged_json.name)
-    settings, read = _settings(place, document), cache(place.read_map)
+    settings, read = settings_of(place, document), cache(place.read_map)
     if document is None or why_not:
         own = ""
         if document is not None:
@@ -221,7 +221,7 @@ def _readable(
     return maps, lost
 
 
-def _settings(place: Workspace, document: MergedDocument | None) -> RobustSettings:
+def settings_of(place: Workspace, document: MergedDocument | None) -> RobustSettings:
     """The settings of the selected merge; of one by the paper's method its rate."""
     from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
 

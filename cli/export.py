@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Collection, Mapping
 from functools import partial
@@ -16,12 +17,13 @@ from .export_grid import PICTURE, Exported, grid_texts
 from .options import (
     DEFAULT_WORKSPACE,
     ComponentOption,
+    JsonOption,
     QuietOption,
     SiteOption,
     WorkspaceOption,
     complete_map,
 )
-from .output import Screen, checked_output, say_text
+from .output import Screen, checked_output, say_lines, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -94,6 +96,7 @@ def export(
         ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Write a map in a format that others load.
@@ -108,7 +111,7 @@ def export(
       topobatch export --site north --format nav2 --output north.geojson
       topobatch export run1 --format tum
     """
-    place, screen = Workspace(workspace), Screen(quiet)
+    place, screen = Workspace(workspace), Screen(quiet or as_json)
     if output not in (None, STDOUT):
         checked_output(output)
     sources = _sources(place, what, component, site, screen)
@@ -123,6 +126,8 @@ def export(
     if not texts:
         raise DataError(f"{what}: nobody drove its maps, which are of grids: no trajectories")
     if output == STDOUT:
+        if as_json:
+            raise UsageError("--json tells of files; with --output - the map itself is printed")
         _to_stdout(texts, sources)
         return
     one = len(texts) == 1
@@ -134,6 +139,8 @@ def export(
     if merged is not None and output is None and site is None and component is None:
         for path in _superseded(merged, form, paths):
             path.unlink(missing_ok=True)
+    if as_json:
+        say_lines(json.dumps({"format": form, "files": sorted(map(str, paths))}))
 
 
 def _sources(

@@ -12,9 +12,11 @@ import typer
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
 from .grouped import grouped
-from .options import JsonOption
+from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
 from .output import Screen, complain, say, say_lines, table, warn
 from .read_options import ReadOptions
+from .settings_file import settings_of, told_settings
+from .workspace import Workspace
 
 if TYPE_CHECKING:
     from ..ingest.reading import LogInfo, ReadSettings
@@ -28,15 +30,16 @@ some minutes at most, with a progress bar."""
 @grouped
 def info(
     logs: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="LOG",
             help="MCAP files, ROS 1 bags, ROS 2 bag folders, or folders of logs; here, or "
-            "elsewhere (s3://, gs://, az://, https://).",
+            "elsewhere (s3://, gs://, az://, https://). Without any, the workspace's settings.",
         ),
-    ],
+    ] = None,
     read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
     as_json: JsonOption = False,
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Show what logs hold and what ingest would use.
 
@@ -44,7 +47,8 @@ def info(
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
     hold, as where no junction shows. To find out, and what ingest would warn of, logs of up to 64
     MB on this machine are read whole; of others that have an index only the index is read, and a
-    line says so. Options about reading are those of ingest.
+    line says so. Options about reading are those of ingest, also those that the workspace remembers
+    (topobatch init), which are shown first.
 
     \b
       topobatch info run1.mcap
@@ -53,8 +57,12 @@ def info(
     from ..ingest.reading import inspect_log
     from .run_names import run_names
 
-    settings = read.settings()
-    known, missing = read.logs(logs, warn)
+    settings, place = read.settings(), Workspace(workspace)
+    if (remembered := settings_of(place)) and not as_json:
+        say(f"{place.settings_toml}: {told_settings(remembered)}")
+    if not logs and not remembered:
+        raise UsageError("name a log: topobatch info LOG")
+    known, missing = read.logs(logs or (), warn)
     for _, error in missing:
         complain(str(error))
     failed, told = bool(missing), []

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -15,12 +16,20 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from .grouped import grouped
 from .journal import note
-from .options import DEFAULT_WORKSPACE, QuietOption, VerboseOption, WorkspaceOption
-from .output import Screen
+from .options import (
+    DEFAULT_WORKSPACE,
+    JsonOption,
+    QuietOption,
+    VerboseOption,
+    WorkspaceOption,
+)
+from .output import Screen, say_lines
 from .read_options import ReadOptions
+from .settings_file import by_settings
 from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
+    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.remote.path import LogPath
     from ..topology.errors import LogError
     from .ingest_worker import IngestJob, IngestOutcome
@@ -28,6 +37,33 @@ if TYPE_CHECKING:
 # A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
 WORTH_A_PROCESS_LOGS = 8
+
+
+@dataclass(frozen=True, slots=True)
+class MapOptions:
+    """How a map is made of what was read."""
+
+    robot_radius: Annotated[
+        float,
+        typer.Option(
+            metavar="METRES",
+            help="Radius of the robot that has to fit through the corridors of a saved map or a "
+            "grid.",
+        ),
+    ] = 0.25
+    closure: Annotated[
+        Literal["none", "gated", "full"],
+        typer.Option(
+            help="How to close loops: not at all; at the nearest place within the odometry's "
+            "error; or by everything that is known."
+        ),
+    ] = "full"
+
+    def settings(self) -> MappingSettings:
+        """The settings."""
+        from ..ingest.mapping_settings import MappingSettings
+
+        return MappingSettings(closure=self.closure, robot_radius_m=self.robot_radius)
 
 
 @grouped
@@ -42,21 +78,7 @@ def ingest(
     ],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
-    robot_radius: Annotated[
-        float,
-        typer.Option(
-            metavar="METRES",
-            help="Radius of the robot that has to fit through the corridors of a saved map or a "
-            "grid.",
-        ),
-    ] = 0.25,
-    closure: Annotated[
-        Literal["none", "gated", "full"],
-        typer.Option(
-            help="How to close loops: not at all; at the nearest place within the odometry's "
-            "error; or by everything that is known."
-        ),
-    ] = "full",
+    mapping: MapOptions = MapOptions(),
     name: Annotated[
         str | None,
         typer.Option(
@@ -79,6 +101,7 @@ def ingest(
             help="Refuse damaged logs instead of salvaging what they hold, with a warning.",
         ),
     ] = False,
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -101,19 +124,23 @@ def ingest(
       topobatch ingest run1.mcap run2.bag rosbag2_folder/
       topobatch ingest logs/ --odometry-topic /odom --workspace ws
     """
-    from ..ingest.mapping_settings import MappingSettings
     from .ingest_worker import IngestJob
 
     settings = read.settings(strict=strict)
-    place, screen = Workspace(workspace), Screen(quiet, verbose)
+    place, screen = Workspace(workspace), Screen(quiet or as_json, verbose)
     found, missing = read.logs(logs, screen.warn)
-    mapping = MappingSettings(closure=closure, robot_radius_m=robot_radius)
-    planned = _plan(found, missing, name, IngestJob(Path(), "", place, settings, mapping, force))
+    planned = _plan(
+        found, missing, name, IngestJob(Path(), "", place, settings, mapping.settings(), force)
+    )
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []
         before = _records(planned)
+        stopped = False
         try:
             _run_all(planned, jobs, screen, outcomes)
+        except (KeyboardInterrupt, SystemExit):
+            stopped = True
+            raise
         finally:
             # After a Ctrl-C runs may be finished of which nobody was told.
             told = {outcome.run for outcome in outcomes}
@@ -122,7 +149,15 @@ def ingest(
             new |= {run for run in records if run not in told and records[run] != before.get(run)}
             if new:
                 text = f"{counted(len(new), 'log')}: {listed(sorted(new))}"
-                note(place, "ingest", text, screen.warn)
+                note(place, "ingest", f"{text}{by_settings(place)}", screen.warn)
+            if stopped:
+                done = len(told | new)
+                screen.stopped(
+                    f"{done} of {counted(len(planned), 'log')} finished; run again to go on"
+                )
+    if as_json:
+        fields = ("run", "status", "text", "maps", "warnings")
+        say_lines(json.dumps([{name: getattr(o, name) for name in fields} for o in outcomes]))
     _summarise(outcomes, place, screen)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
@@ -202,13 +237,36 @@ def _run_all(
     for outcome in outcomes:
         _show(outcome, screen)
     announce(jobs, screen)
-    total = sum(job_size(job) for job in jobs)
-    with screen.progress("reading", total, "bytes") as advance:
+    sizes = {job.run: job_size(job) for job in jobs}
+    total = sum(sizes.values())
+    with screen.progress("ingesting", 2 * total) as advance:
+        finished: list[str] = []
+        so_far = 0
+
+        def on_bytes(read: int) -> None:
+            nonlocal so_far
+            so_far = max(so_far, read)
+            # Reading is faster than the rest: the first log tells how long the others take.
+            advance(*_done(so_far, finished, sizes), sure=bool(finished) or len(jobs) == 1)
+
         workers = _workers(asked, len(jobs), total)
-        with closing(outcomes_of(jobs, workers, advance)) as known:
+        with closing(outcomes_of(jobs, workers, on_bytes)) as known:
             for outcome in known:
                 outcomes.append(outcome)
+                finished.append(outcome.run)
+                on_bytes(0)
                 _show(outcome, screen)
+
+
+def _done(read: int, finished: Sequence[str], sizes: Mapping[str, int]) -> tuple[int, str]:
+    """How much of twice the bytes is done, and in words: reading a log is half of the work, making
+    its map the other half. read: bytes of all logs; finished: runs, also those that were not
+    read."""
+    total = sum(sizes.values())
+    mapped = sum(sizes.get(run, 0) for run in finished)
+    read = min(max(read, mapped), total)
+    told = f"{len(finished)}/{len(sizes)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+    return mapped + read, told
 
 
 def _records(planned: list[IngestJob | IngestOutcome]) -> dict[str, tuple[int, int]]:

@@ -25,6 +25,7 @@ from .explain import explain
 from .export import export
 from .info import info
 from .ingest import ingest
+from .init import init
 from .journal import history
 from .listing import list_runs
 from .lock import lock
@@ -58,6 +59,7 @@ app = typer.Typer(
     epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
 )
 COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
+    ("init", init),
     ("ingest", ingest),
     ("merge", merge),
     ("view", view),

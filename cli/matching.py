@@ -112,11 +112,14 @@ def matching(
             workers=workers(pairs),
             maps=replace(place, root=place.root.resolve()),
             kept=kept,
-            on_pair=lambda done, _: advance(done),
+            on_pair=lambda done, _: advance(done, doing="" if done < pairs else "joining"),
             tell=screen.detail,
         )
         try:
             yield means
+        except KeyboardInterrupt:
+            screen.stopped("not merged; what was matched is kept: run again to go on")
+            raise
         finally:
             kept.flush()
 

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import gc
+import json
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
+from .draw import read_result
 from .grouped import grouped
 from .journal import note
 from .matching import MatchOptions, match_share, matching, read_maps, share_of
 from .options import (
     DEFAULT_WORKSPACE,
+    JsonOption,
     QuietOption,
     VerboseOption,
     WorkspaceOption,
     complete_run,
 )
-from .output import Screen
+from .output import Screen, say_lines
 from .paper_options import PaperOptions
+from .settings_file import by_settings
 from .site_names import sites_before, with_sites
 from .workspace import MERGED, Workspace
 
@@ -47,6 +51,17 @@ finds 2 MB."""
 OVERWRITE = "give this merge another --output NAME, or overwrite with --replace"
 
 
+FalseMergeRate = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        min=1e-9,
+        max=0.5,
+        help="Share of batches that may hold any false merge; default 0.001.",
+    ),
+]
+
+
 @dataclass(frozen=True, slots=True)
 class MethodOptions:
     """How runs are merged."""
@@ -58,15 +73,7 @@ class MethodOptions:
             "paper: Huang & Beevers, section by section, for comparison."
         ),
     ] = "robust"
-    false_merge_rate: Annotated[
-        float | None,
-        typer.Option(
-            metavar="SHARE",
-            min=1e-9,
-            max=0.5,
-            help="Share of batches that may hold any false merge; default 0.001.",
-        ),
-    ] = None
+    false_merge_rate: FalseMergeRate = None
 
     def settings(self, paper: PaperOptions) -> MergeSettings:
         """The settings; UsageError if they are invalid."""
@@ -104,6 +111,7 @@ def merge(
     ] = False,
     paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+    as_json: JsonOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
 ) -> None:
@@ -121,7 +129,7 @@ def merge(
       topobatch merge --all
       topobatch merge run1 run2 --output two
     """
-    place, screen = Workspace(workspace), Screen(quiet, verbose)
+    place, screen = Workspace(workspace), Screen(quiet or as_json, verbose)
     if output is not None:
         place = Workspace(workspace, output)
         place.check_merge()
@@ -129,8 +137,8 @@ def merge(
         paper.refuse()
     where.check()
     if where.shard is not None:
-        if not everything or runs or how.method != "robust":
-            raise UsageError("--shard goes with --all and the robust method")
+        if not everything or runs or how.method != "robust" or as_json:
+            raise UsageError("--shard goes with --all and the robust method, and without --json")
         if output is not None:
             raise UsageError(
                 "--shard fills the cache, from which any merge is made; "
@@ -144,8 +152,10 @@ def merge(
         said, broken = _merged_or_recalled(
             place, chosen, everything, (how, paper), dict if replace_last else before, where, screen
         )
-        note(place, "merge", said.note, screen.warn)
+        note(place, "merge", f"{said.note}{by_settings(place)}", screen.warn)
     said.show(screen)
+    if as_json:
+        say_lines(json.dumps(_told(place)))
     if broken:
         raise typer.Exit(1)
 
@@ -176,7 +186,8 @@ def _merged_or_recalled(
         raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
     result = _merged(place, maps, settings, where.workers, everything, screen)
     result, moved = with_sites(place, result, maps, before or sites_before(place))
-    _write(place, result, maps, documents)
+    with screen.progress("writing", 0):
+        _write(place, result, maps, documents)
     told = "; ".join([f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}", *moved])
     said = Said((*_summary(result, place), *(("folded", each) for each in moved)), told)
     if not broken:
@@ -394,6 +405,21 @@ def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
     yield "line", f"{place.merged_json}"
     name = () if place.merge == MERGED else (place.merge,)
     yield "line", f"{place.merged_rrd}  (look at it: {place.call('view', *name)})"
+
+
+def _told(place: Workspace) -> dict[str, Any]:
+    """The merge as JSON values: its files, its sites, the number of pairs by standing."""
+    result = read_result(place)
+    home = {run: component.id for component in result.components for run in component.poses}
+    return {
+        "merged": str(place.merged_json),
+        "recording": str(place.merged_rrd),
+        "sites": [
+            {"site": c.name, "component": c.id, "runs": sorted(c.poses)} for c in result.components
+        ],
+        "pairs": {str(standing): count for standing, count in result.standings().items()},
+        "warnings": [*_warnings(result, home)],
+    }
 
 
 def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:

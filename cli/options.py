@@ -11,6 +11,16 @@ import typer
 from ..topology.errors import TopobatchError
 from .workspace import MERGED, USUAL, Workspace
 
+
+def _with_settings(context: typer.Context, workspace: Path) -> Path:
+    """The workspace, with what it remembers as the defaults of the command's other options."""
+    if not context.resilient_parsing:
+        from .settings_file import use_settings
+
+        use_settings(context, Workspace(workspace))
+    return workspace
+
+
 WorkspaceOption = Annotated[
     Path,
     typer.Option(
@@ -19,6 +29,8 @@ WorkspaceOption = Annotated[
         envvar="TOPOBATCH_WORKSPACE",
         help="Folder of the results.",
         file_okay=False,
+        is_eager=True,
+        callback=_with_settings,
     ),
 ]
 DEFAULT_WORKSPACE = USUAL

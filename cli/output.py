@@ -1,7 +1,7 @@
 """The command's output: lines, tables, errors and progress bars.
 
 Results go to standard output; progress, warnings and errors to standard error. Without a terminal
-there are no bars and no colours.
+there are no bars and no colours, and with NO_COLOR (no-color.org) no colours.
 
 All output passes through `say`, and no other module writes to a stream: names of files, topics and
 types are untrusted, and control characters are escaped.
@@ -10,20 +10,34 @@ types are untrusted, and control characters are escaped.
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
-from typing import Any
+from typing import Any, Protocol
 
 import typer
 
 from ..topology.errors import UsageError
 
-WIDTH = 79
-"""Line width of advice: the smallest usual terminal."""
+WIDTH, NARROWEST, WIDEST = 79, 40, 120
+"""Line width of sentences where no terminal tells its own, and its limits: longer lines are hard to
+read."""
+
+COLOURS = {
+    "merged": "green",
+    "joined through others": "green",
+    "ambiguous": "yellow",
+    "unrelated": "bright_black",
+    "kept out": "red",
+}
+"""Colours of verdicts on a terminal."""
+
+_VERDICT = re.compile(rf"(?<![\w./-])({'|'.join(COLOURS)})(?![\w./-])")
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
@@ -47,9 +61,26 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
+def styled(text: str, **style: Any) -> str:
+    """The text in a colour, which goes where there is no terminal, or with NO_COLOR."""
+    return text if os.environ.get("NO_COLOR") else typer.style(text, **style)
+
+
+def painted(text: str) -> str:
+    """The printable text with its verdicts in colour."""
+    return _VERDICT.sub(lambda found: styled(found[0], fg=COLOURS[found[0]]), text)
+
+
+def width() -> int:
+    """Width of lines: that of the terminal, within limits."""
+    if not sys.stdout.isatty():
+        return WIDTH
+    return min(max(shutil.get_terminal_size((WIDTH + 1, 24)).columns - 1, NARROWEST), WIDEST)
+
+
 def say(text: str = "", *, err: bool = False) -> None:
     """Print one line on standard output or standard error."""
-    typer.echo(plain(text), err=err)
+    typer.echo(painted(plain(text)), err=err)
 
 
 def say_lines(text: str, *, err: bool = False) -> None:
@@ -59,10 +90,10 @@ def say_lines(text: str, *, err: bool = False) -> None:
 
 
 def folded(text: str, indent: str = "      ") -> list[str]:
-    """A long line as several of at most WIDTH letters, indented from the second on."""
+    """A long line as several of at most `width` letters, indented from the second on."""
     return wrap(
         plain(text),
-        WIDTH,
+        width(),
         subsequent_indent=indent,
         drop_whitespace=True,
         break_long_words=False,
@@ -72,12 +103,12 @@ def folded(text: str, indent: str = "      ") -> list[str]:
 
 def complain(message: str) -> None:
     """Print an error."""
-    typer.echo(typer.style("error: ", fg="red", bold=True) + plain(message), err=True)
+    typer.echo(styled("error: ", fg="red", bold=True) + plain(message), err=True)
 
 
 def warn(message: str) -> None:
     """Print a warning."""
-    typer.echo(typer.style("warning: ", fg="yellow") + plain(message), err=True)
+    typer.echo(styled("warning: ", fg="yellow") + plain(message), err=True)
 
 
 def say_text(text: str) -> None:
@@ -143,42 +174,75 @@ class Screen:
         """Print an error, also with --quiet."""
         self._emit(f"error: {message}", err=True)
 
+    def stopped(self, message: str) -> None:
+        """Print what is done when the user stops the command."""
+        if not self.quiet:
+            self._emit(message, err=True)
+
     def _emit(self, text: str, *, err: bool) -> None:
         if self._progress is not None and (err or sys.stdout.isatty()):
-            self._progress.console.print(plain(text), markup=False, highlight=False, soft_wrap=True)
+            from rich.text import Text
+
+            line = Text.from_ansi(painted(plain(text)))
+            self._progress.console.print(line, highlight=False, soft_wrap=True)
         else:
             say(text, err=err)
 
     @contextmanager
-    def progress(self, label: str, total: int, unit: str) -> Iterator[Callable[[int], None]]:
+    def progress(self, label: str, total: int, unit: str = "") -> Iterator[Advance]:
         """Context with a progress bar; the yielded function sets the progress so far.
 
-        `unit` is "bytes" or a plural noun. Nothing is drawn with --quiet or without a terminal.
+        total: 0 where nobody knows; unit: "bytes" or a plural noun, of what is counted. Nothing is
+        drawn with --quiet or without a terminal.
         """
         if self.quiet or not sys.stderr.isatty():
-            yield lambda done: None
+            yield lambda done, told="", doing="", sure=True: None
             return
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            DownloadColumn,
-            MofNCompleteColumn,
-            Progress,
-            ProgressColumn,
-            TextColumn,
-            TimeRemainingColumn,
-        )
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
 
-        amount: ProgressColumn = DownloadColumn() if unit == "bytes" else MofNCompleteColumn()
-        columns = [TextColumn("{task.description}"), BarColumn(), amount]
-        tail = [] if unit == "bytes" else [TextColumn(unit)]
-        progress = Progress(
-            *columns, *tail, TimeRemainingColumn(), console=Console(stderr=True), transient=True
-        )
-        task = progress.add_task(label, total=max(total, 1))
+        bar = [BarColumn()] if total else [SpinnerColumn()]
+        texts = [TextColumn(f"{{task.fields[{name}]}}", markup=False) for name in ("told", "left")]
+        columns = [TextColumn("{task.description}", markup=False), *bar, *texts]
+        progress = Progress(*columns, console=Console(stderr=True), transient=True)
+        task = progress.add_task(label, total=total or None, told="", left="")
+        begun = time.monotonic()
+
+        def advance(done: int, told: str = "", doing: str = "", sure: bool = True) -> None:
+            known = told or (_amount(done, total, unit) if total and unit else "")
+            foretold = total and sure and not doing
+            left = _left(time.monotonic() - begun, done / total) if foretold else ""
+            progress.update(task, completed=done, told=known, left=left, description=doing or label)
+
         with progress:
             self._progress = progress
             try:
-                yield lambda done: progress.update(task, completed=done)
+                yield advance
             finally:
                 self._progress = None
+
+
+class Advance(Protocol):
+    """Sets how much is done; told: in words, instead of counts; doing: what is done now; sure:
+    whether the time left follows from that."""
+
+    def __call__(self, done: int, told: str = "", doing: str = "", sure: bool = True) -> None:
+        """Show it."""
+
+
+def _amount(done: int, total: int, unit: str) -> str:
+    if unit == "bytes":
+        return f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+    return f"{done:,} of {total:,} {unit}"
+
+
+SURE_S, SURE_SHARE = 2.0, 0.03
+"""No time is foretold before so many seconds and such a share of the work: it would jump about."""
+
+
+def _left(spent_s: float, share: float) -> str:
+    """The time left in words, after so many seconds and such a share of the work."""
+    if spent_s < SURE_S or not SURE_SHARE <= share < 1:
+        return ""
+    left_s = spent_s * (1 - share) / share
+    return f"about {left_s / 60:.0f} min" if left_s >= 90 else f"about {max(left_s, 1):.0f} s"

@@ -8,19 +8,29 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
-from .draw import quiet_fonts, read_result
+from .draw import read_result
+from .explain import settings_of
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
 from .output import checked_output, complain, say
 from .version import VERSION
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from ..merge.change import Change
+    from ..merge.decision import Decision
+    from ..merge.result import MergeResult
     from ..topology.topomap import TopoMap
 
 MOST_DRIVES = 3
-"""Drives to record next with a picture: after one of them all others are worth another look."""
+"""Drives to record next: after one of them all others are worth another look."""
 
-STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "matplotlib", "rerun-sdk")
+MOST_EXPLAINED = 120
+"""Pairs with their evidence line by line: a tenth of a second each. Of the others the page says
+the verdict, its reason and the call that explains it."""
+
+STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "bokeh", "rerun-sdk")
 
 
 def report(
@@ -33,10 +43,10 @@ def report(
 ) -> None:
     """Write a page about all runs and their merge, for a browser.
 
-    One HTML file that needs nothing else and no network: how many sites the runs are of, the map,
-    what to record next, undecided pairs with both placements, the verdict of every pair with its
-    reason, how well each run was measured, settings and versions. Light or dark, as the browser
-    asks.
+    One HTML file that needs nothing else and no network: which runs are of which site, a map of
+    each site with layers that can be moved and zoomed, what to record next, what changed, the
+    verdict of every pair with both placements and the evidence, when each run was recorded, how
+    well it was measured. Light or dark, as the browser asks.
 
     \b
       topobatch report
@@ -50,7 +60,6 @@ def report(
         place.require_merge()
     if not place.runs():
         raise place.no_maps()
-    quiet_fonts()
     from ..merge.drives import drives
     from ..topology.files import write_text
     from ..viz.report import Report, report_page
@@ -59,10 +68,21 @@ def report(
     maps, unread = _maps(place)
     result = read_result(place) if place.merged_json.is_file() else None
     new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
-    warnings = [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])]
-    locks = [str(lock) for lock in place.locks()]
-    plan = drives(result, MOST_DRIVES) if result else ()
-    html = report_page(Report(maps, result, warnings, locks, _versions(), plan))
+    same = result is not None and not new and not unread
+    html = report_page(
+        Report(
+            maps,
+            result,
+            [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])],
+            [str(lock) for lock in place.locks()],
+            _versions(),
+            drives(result, MOST_DRIVES) if result else (),
+            _changes(place, maps) if same else (),
+            decisions=_decisions(place, result, maps) if result and same else {},
+            where=place.where,
+            as_merged=same,
+        )
+    )
     try:
         write_text(page, html)
     except PermissionError as error:
@@ -70,6 +90,42 @@ def report(
     say(f"{page}")
     if unread:
         raise typer.Exit(1)
+
+
+def _changes(place: Workspace, maps: Mapping[str, TopoMap]) -> list[Change]:
+    """What changed between the runs of every site."""
+    from ..merge.changes import changes
+
+    document = place.read_merged()
+    return [
+        change
+        for entry in document.graph.components
+        if len(entry.runs) > 1
+        for change in changes(document, entry.id, {run: maps[run] for run in entry.runs})
+    ]
+
+
+def _decisions(
+    place: Workspace, result: MergeResult, maps: Mapping[str, TopoMap]
+) -> dict[tuple[str, str], Decision]:
+    """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
+    the merged ones with the least evidence."""
+    from ..merge.result import Standing
+    from ..merge.robust.explained import Merge, explain
+
+    document = place.read_merged()
+    if document.graph.method == "paper":
+        return {}
+    first = (Standing.AMBIGUOUS, Standing.KEPT_OUT)
+    open_ = [v for v in result.verdicts if v.standing in first]
+    merged = [v for v in result.verdicts if v.standing is Standing.MERGED]
+    open_.sort(key=lambda v: (-v.evidence_bits, v.a, v.b))
+    merged.sort(key=lambda v: (v.evidence_bits, v.a, v.b))
+    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
+    said = {(v.a, v.b): v for v in result.verdicts}
+    settings = settings_of(place, document)
+    merge = Merge(maps.__getitem__, len(poses), said, settings, place.locks(), poses)
+    return {(v.a, v.b): explain(merge, v.a, v.b) for v in [*open_, *merged][:MOST_EXPLAINED]}
 
 
 def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:

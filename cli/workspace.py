@@ -82,9 +82,13 @@ class Workspace:
 
     def call(self, *words: str) -> str:
         """A call of topobatch on this workspace, as a shell takes it."""
+        return shlex.join(("topobatch", *words, *self.where))
+
+    @property
+    def where(self) -> tuple[str, ...]:
+        """The options that name this workspace in a call."""
         usual = Path(os.environ.get("TOPOBATCH_WORKSPACE") or USUAL)
-        where = () if self.root == usual else ("-w", str(self.root))
-        return shlex.join(("topobatch", *words, *where))
+        return () if self.root == usual else ("-w", str(self.root))
 
     @property
     def maps(self) -> Path:
@@ -121,6 +125,11 @@ class Workspace:
     def locks_json(self) -> Path:
         """Decisions by a person about pairs of runs."""
         return self.root / "locks.json"
+
+    @property
+    def settings_toml(self) -> Path:
+        """Options that its commands take by default."""
+        return self.root / "settings.toml"
 
     @property
     def sites_json(self) -> Path:

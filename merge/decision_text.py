@@ -21,7 +21,8 @@ from .result import PairVerdict, Verdict, shown_bits, shown_lead
 from .wording import decimals
 
 WIDTH, HEIGHT = 79, 22
-"""Columns and lines of the smallest usual terminal, minus two lines for the file and the prompt."""
+"""Columns and lines of the smallest usual terminal, minus two lines for the file and the prompt;
+the default of `lines`."""
 
 NOTABLE_BITS = 0.05
 """Smaller evidence against a placement is not listed first."""
@@ -367,75 +368,78 @@ def matched(placement: Placement) -> str:
     return " ".join(f"{u}={v}" for u, v in placement.alignment.matched.tolist())
 
 
-def lines(decision: Decision, links: int | None = None) -> list[str]:
-    """The decision as lines of a terminal, the verdict first. links: most rows of links; by default
-    as many as fit one screen."""
+def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> list[str]:
+    """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
+    rows of links; by default as many as fit one screen."""
     if links is not None:
-        return _lines(decision, links)
-    tried = (_lines(decision, most) for most in range(HEIGHT, -1, -1))
+        return _lines(decision, links, width)
+    tried = (_lines(decision, most, width) for most in range(HEIGHT, -1, -1))
     whole = next((found for found in tried if len(found) <= HEIGHT), None)
-    return _lines(decision, 0, brief=True) if whole is None else whole
+    return _lines(decision, 0, width, brief=True) if whole is None else whole
 
 
-def _lines(decision: Decision, links: int, *, brief: bool = False) -> list[str]:
+def _lines(decision: Decision, links: int, width: int, *, brief: bool = False) -> list[str]:
     """brief: without what the recording shows better, if long names leave too little room."""
     said = decision.said
-    out = [*_folded(headline(decision)), *_folded(because(decision), "  ", most=2 if brief else 3)]
-    out += _folded(lies(decision), "  ")
+    out = [
+        *_folded(headline(decision), width),
+        *_folded(because(decision), width, "  ", most=2 if brief else 3),
+    ]
+    out += _folded(lies(decision), width, "  ")
     if len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {pose(decision.placements[1])}"
-        out += _folded(second, "  ")
-    out += _table(decision, links)[brief:]
+        out += _folded(second, width, "  ")
+    out += _table(decision, links, width)[brief:]
     if decision.placements and not brief:
         pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"
-        out += _folded(pairs, "  ", most=1)
-    out += _folded(missing(decision), "  ", most=4)
+        out += _folded(pairs, width, "  ", most=1)
+    out += _folded(missing(decision), width, "  ", most=4)
     for note in decision.notes:
-        out += _folded(f"Note: {note}", "  ")
+        out += _folded(f"Note: {note}", width, "  ")
     return out
 
 
-def _folded(text: str, indent: str = "", most: int = 3) -> list[str]:
+def _folded(text: str, width: int, indent: str = "", most: int = 3) -> list[str]:
     """A text wrapped to several lines, cut after `most`. Long words, paths for instance, stay
     whole."""
     found = wrap(
         text,
-        WIDTH,
+        width,
         initial_indent=indent,
         subsequent_indent=indent + "  ",
         break_long_words=False,
         break_on_hyphens=False,
     )
     if len(found) > most:
-        found = [*found[: most - 1], found[most - 1][: WIDTH - 2].rstrip() + " …"]
+        found = [*found[: most - 1], found[most - 1][: width - 2].rstrip() + " …"]
     return found
 
 
-def _table(decision: Decision, links: int) -> list[str]:
+def _table(decision: Decision, links: int, width: int) -> list[str]:
     """The table of evidence, its sum and the requirements."""
     digits, count = digits_of(decision), len(decision.placements)
     if not count:
-        return [_row([threshold(decision)], f"bits needed: {needs(decision)}")]
+        return [_row([threshold(decision)], f"bits needed: {needs(decision)}", width)]
     names = (short(decision.said.a, 10), short(decision.said.b, 10))
     head = ["this", "next"][:count] if count > 1 else ["bits"]
-    out = ["", _row(head, "for (+) and against it (-)", names)]
+    out = ["", _row(head, "for (+) and against it (-)", width, names)]
     for row in rows(decision, links):
         cells = ["" if bits is None else f"{bits:+.{digits}f}" for bits in row.bits]
         told = row.told
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
             told, cells = f"{cells[0]:>7}  {told}", [""]
         cells += [""] * (count - len(cells))
-        out.append(_row(cells, told, (row.a, row.b)))
+        out.append(_row(cells, told, width, (row.a, row.b)))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append(_row(sums, sum_told(decision)))
+    out.append(_row(sums, sum_told(decision), width))
     blank = [""] * (count - 1)
-    need = wrap(f"needed: {needs(decision)}", WIDTH - 8 * count - 2, subsequent_indent="  ")
-    out.append(_row([threshold(decision), *blank], need[0]))
-    return [*out, *(_row([""] * count, line) for line in need[1:])]
+    need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
+    out.append(_row([threshold(decision), *blank], need[0], width))
+    return [*out, *(_row([""] * count, line, width) for line in need[1:])]
 
 
-def _row(cells: Sequence[str], told: str, ends: tuple[str, str] = ("", "")) -> str:
+def _row(cells: Sequence[str], told: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
-    room = WIDTH - len(left) - len(right)
+    room = width - len(left) - len(right)
     return f"{left}{told[:room]:<{room}}{right}".rstrip()

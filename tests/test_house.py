@@ -37,7 +37,7 @@ STANDS_ON: dict[str, set[str]] = {
     "merge/robust": {"merge/fusion"},
     "viz/exports": set(),
 }
-VIZ_MAY_USE_OF_MERGE = {"result", "drive", "paper.explain", "decision", "decision_text"}
+VIZ_MAY_USE_OF_MERGE = {"result", "drive", "change", "paper.explain", "decision", "decision_text"}
 HEAVY = (
     "rerun",
     "numpy",

@@ -30,6 +30,11 @@ def quoted_formula(cell: str) -> str:
     return f"'{cell}" if runs else cell
 
 
+def legible(text: str) -> str:
+    """The text with unprintable characters, line breaks among them, replaced."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
+
+
 def listed(names: Sequence[str], most: int = MOST_NAMES) -> str:
     """Names in one line: the first `most` of them and the number of the others."""
     rest = len(names) - most

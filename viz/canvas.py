@@ -25,8 +25,9 @@ from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
 
 from ..topology.arrays import FloatArray
+from ..topology.wording import legible
 from .palette import Order
-from .theme import Theme, as_variables
+from .theme import Theme
 
 Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
 Format = Literal["svg", "png"]
@@ -301,7 +302,7 @@ class Canvas:
         return self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
-        """The SVG with tooltips, numbers rounded to two decimals, and colours as CSS variables."""
+        """The SVG with tooltips and numbers rounded to two decimals."""
         ET.register_namespace("", _SVG)
         ET.register_namespace("xlink", _XLINK)
         root = ET.fromstring(svg)
@@ -311,8 +312,6 @@ class Canvas:
             for name in _NUMBERS:
                 if name in node.attrib:
                     node.set(name, _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split())))
-            if "style" in node.attrib:
-                node.set("style", as_variables(node.attrib["style"]))
             told = self._titles.get(node.get("id", ""))
             if told is not None:
                 title = ET.Element(f"{{{_SVG}}}title")
@@ -327,11 +326,6 @@ _NUMBER = re.compile(r"-?\d+\.\d+")
 
 def _two_decimals(found: re.Match[str]) -> str:
     return f"{float(found[0]) + 0.0:.2f}".rstrip("0").rstrip(".")
-
-
-def legible(text: str) -> str:
-    """The text with unprintable characters, line breaks among them, replaced."""
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def width_of(text: str, size_pt: float) -> float:

@@ -8,15 +8,12 @@ from types import MappingProxyType
 import numpy as np
 
 from ..merge.decision import Decision, Term
-from ..merge.decision_text import because, digits_of, headline, itemised, missing, short
-from ..merge.drive import Drive
+from ..merge.decision_text import because, digits_of, headline, itemised, missing
 from ..merge.result import (
     Alignment,
     FusedMap,
     MergeResult,
-    PairVerdict,
     of_site,
-    shown_bits,
 )
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
@@ -38,7 +35,7 @@ from .drawing import (
 )
 from .palette import Order
 from .parts import Part, lay_out, ranks
-from .placements import against, contradiction_spots, placements
+from .placements import against, placements
 from .seen_together import CORNERS, WIDTHS, Overlay, overlays
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .theme import Theme
@@ -49,7 +46,7 @@ NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
 MOST_TOLD = 3000
 """Above this many corridors or junctions they are drawn in groups, without tooltips."""
 
-NARROW_PT, WIDTH_PT, WIDEST_PT = 420.0, 720.0, 1440.0
+WIDTH_PT, WIDEST_PT = 720.0, 1440.0
 COMPONENT_PT = 110.0
 """A merge's drawing is about this wide for each component across, within WIDTH_PT and WIDEST_PT."""
 
@@ -211,15 +208,14 @@ def draw_merged(
     result: MergeResult,
     theme: Theme,
     *,
-    headed: bool = True,
     numbers: Sequence[int] = (),
     maps: Mapping[str, TopoMap] = NO_MAPS,
 ) -> Canvas:
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
-    headed: with a title and the counts above; numbers: of the fused vertices, to be shown beside up
-    to MOST_NUMBERED junctions; maps: of runs whose walls are drawn as well.
+    numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions; maps: of runs
+    whose walls are drawn as well.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
     walls = {c.id: site_walls(result.fused, c, maps) for c in result.components}
@@ -250,31 +246,7 @@ def draw_merged(
     if len(parts) == 1 and parts[0].component.site:
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     marks, runs_told = _merged_keys(result, parts, rank, theme)
-    canvas.finish([title, told] if headed else [], [[*marks, *walled[:1]], runs_told])
-    return canvas
-
-
-def draw_drive(result: MergeResult, drive: Drive, theme: Theme, *, name: str = "drive") -> Canvas:
-    """Draw a drive to record next over the map of its site, with the numbers of the junctions that
-    it passes; result: of this site alone (`result.of_site`)."""
-    (part,) = lay_out(result, for_paper=True)
-    T, ink = part.cell.T_sheet_map, theme["agrees"]
-    way = apply(T, drive.path)
-    cell = part.cell
-    low, high = bounds([corners_of([cell]), way], margin=SHEET_MARGIN)
-    canvas = Canvas(low, high, theme, WIDTH_PT, name)
-    pen = _pen_pt(canvas, result.fused)
-    _fused(canvas, result.fused, part, ranks(result), pen)
-    canvas.lines([way], ink, 4.0, order=Order.EVIDENCE, told=drive.words[0])
-    xy = apply(T, np.array([stop.xy for stop in drive.stops]))
-    canvas.dots(xy[:1], ink, 9.0, order=Order.TIE, ring=True, told="the drive begins here")
-    beside = xy + 9.0 / canvas.points_per_m
-    numbered = {s.junction: k for k, s in enumerate(drive.stops) if s.junction is not None}
-    for number, k in numbered.items():
-        at = (float(beside[k, 0]), float(beside[k, 1]))
-        canvas.words(at, str(number), size_pt=SMALL_PT)
-    marks, *rest = _merged_keys(result, [part], ranks(result), theme)
-    canvas.finish([], [[Key("wide line", ink, "drive to record"), *marks], *rest])
+    canvas.finish([title, told], [[*marks, *walled[:1]], runs_told])
     return canvas
 
 
@@ -449,7 +421,6 @@ def _over(
     name: str,
     *,
     beside: Sequence[Overlay] = (),
-    width_pt: float = WIDTH_PT,
 ) -> tuple[Canvas, list[Cell]]:
     """Draw map b over map a once for each (title, T_a_b), and views beside these."""
     of_a, of_b = (np.concatenate([extent(m), wall_points(map_walls(m))]) for m in (a, b))
@@ -459,7 +430,7 @@ def _over(
     square = CORNERS * max(VIEW_SHARE * wide / (2 * REACH_M), 1.0)
     shown = [*points, *(turned(square, -turn) for _ in beside)]
     cells = arrange(shown, [turn] * len(shown), sheet_margin_m(points))
-    canvas = _sheet(cells, theme, width_pt, name)
+    canvas = _sheet(cells, theme, WIDTH_PT, name)
     _frames(canvas, cells, [*(title for title, _ in laid), *(o.title for o in beside)])
     for overlay, cell in zip(beside, cells[len(laid) :], strict=True):
         _views(canvas, overlay, cell, turn)
@@ -552,30 +523,3 @@ def _ring(canvas: Canvas, xy: FloatArray, told: str) -> None:
     """Draw a ring in the colour of contradictions."""
     colour, order = canvas.theme["against"], Order.CONTRADICTION
     canvas.dots(xy[None], colour, 9.0, order=order, ring=True, told=told)
-
-
-def draw_placements(
-    a: TopoMap, b: TopoMap, pair: PairVerdict, theme: Theme, *, name: str = "pair"
-) -> Canvas:
-    """Draw b over a by a verdict's best alignment and by the next best one, side by side."""
-    a, b = with_turning_points(a), with_turning_points(b)
-    laid = [
-        (title, alignment)
-        for title, alignment in (("best", pair.best), ("next best", pair.runner_up))
-        if alignment is not None
-    ]
-    if not laid:
-        return _side_by_side(a, b, [f"{short(a.run)} and {short(b.run)}"], theme, name)
-    titled = [(f"{t}: {shown_bits(x.evidence_bits)} bits", x.transform) for t, x in laid]
-    width = WIDTH_PT if len(laid) > 1 else NARROW_PT
-    canvas, cells = _over(a, b, titled, theme, name, width_pt=width)
-    matched = contradicted = False
-    for (_, alignment), cell in zip(laid, cells, strict=True):
-        T_b = compose(cell.T_sheet_map, alignment.transform)
-        xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
-        matched |= _ties(canvas, alignment, xy)
-        for spot in contradiction_spots(alignment, *xy):
-            _ring(canvas, spot.xy, spot.told)
-            contradicted = True
-    canvas.finish([], [_pair_keys(theme, a.run, b.run, matched=matched, against=contradicted)])
-    return canvas

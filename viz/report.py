@@ -1,41 +1,67 @@
-"""A merge as a single self-contained HTML page."""
+"""A merge as a single self-contained HTML page, which answers first and shows the proof below.
+
+The page holds Bokeh's JavaScript, figures as JSON, and one script of ours (`report.js`). A content
+security policy allows these two scripts by their digests and nothing else: no request leaves, and
+no name from a log can become code.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import json
+from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from html import escape
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from bokeh.embed import json_item
+from bokeh.models import ColumnDataSource, DatetimeTickFormatter
+from bokeh.resources import Resources
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from ..merge.change import Change
+from ..merge.decision import Decision
 from ..merge.drive import Drive
-from ..merge.result import MergeResult, PairVerdict, Standing, of_site, shown_bits
+from ..merge.result import Component, MergeResult, Standing, shown_bits
 from ..topology.made_from import junctions_told
 from ..topology.topomap import TopoMap
-from ..topology.wording import counted, listed, utc
-from .canvas import Canvas, legible
-from .draw import draw_drive, draw_map, draw_merged, draw_placements
+from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .map_summary import minutes
-from .report_style import script, style_sheet, text
-from .report_verdicts import page_data, pair_lists, pair_told, verdict_matrix
-from .theme import SWITCHABLE
-from .verdicts import MOST_PLACEMENTS, runs_in_order, undecided
+from .parts import ranks
+from .report_maps import INK, SiteLayers, blank_figure, change_told, site_map
+from .report_pairs import (
+    STANDING_COLOURS,
+    matrix_figure,
+    named_axis,
+    page_data,
+    pair_figure,
+)
+from .sheet import upright_rad
+from .theme import LIGHT
+from .verdicts import runs_in_order
+from .walls import site_walls
 
-MOST_MAPS = 24
-"""Up to this many runs, each run's own map is drawn."""
+MOST_MAPS = 60
+"""Sites that have a map, those of most runs first; a run's own map is there for each."""
 
-LARGE_PT = 900.0
-"""Wider drawings may exceed the width of the text."""
+SHORTEST = 0.01
+"""A run is at least so long in the time line, over the time of all."""
+
+MS_NS = 1_000_000
+"""Nanoseconds of a millisecond, in which browsers count time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Report:
     """The contents of a report.
 
-    maps: of every readable run, by name; result: the last merge or None; warnings: runs that cannot
-    be read or have changed since the merge; locks: decisions by a person, as text; versions: of the
-    program and its libraries; drives: what to record next.
+    maps: of every readable run, by name; as_merged: whether they are those that were merged;
+    result: the last merge or None; warnings: runs that cannot be read or have changed since the
+    merge; locks: decisions by a person, as text; versions: of the program and its libraries;
+    drives: what to record next; changes: in all components; decisions: on the pairs whose evidence
+    is shown line by line; where: options that name the workspace in a call.
     """
 
     maps: Mapping[str, TopoMap]
@@ -44,209 +70,294 @@ class Report:
     locks: Sequence[str] = ()
     versions: Sequence[tuple[str, str]] = ()
     drives: Sequence[Drive] = ()
+    changes: Sequence[Change] = ()
+    decisions: Mapping[tuple[str, str], Decision] = field(default_factory=dict)
+    where: Sequence[str] = ()
+    as_merged: bool = True
 
 
 def report_page(report: Report) -> str:
-    """The HTML page. Names and reasons are escaped."""
+    """The HTML page. Its template escapes whatever it is given."""
     result = report.result
     runs = runs_in_order(result) if result is not None else []
     runs += sorted(set(report.maps) - set(runs))
-    most = max([2, *(len(c.poses) for c in (result.components if result is not None else ()))])
-    parts = [
-        _head(report, runs),
-        _pictures(report),
-        _drives(report),
-        verdict_matrix(result, runs),
-        pair_lists(result),
-        _health(report, runs),
-        _settings(report),
-        _versions(report),
-    ]
-    body = "\n".join(part for part in parts if part)
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-        "style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data:\">"
-        '<link rel="icon" href="data:,">'
-        f"<title>{_title(report, runs)}</title><style>{style_sheet(most)}</style></head>\n"
-        f"<body><main>\n{body}\n</main>\n"
-        f'<script type="application/json" id="data">{page_data(result, runs)}</script>\n'
-        f"<script>{script()}</script></body></html>\n"
+    items: dict[str, Any] = {
+        "runs": page_data(result, runs, report.maps, report.decisions, report.where)
+    }
+    items["pair-a"] = _item("pair-a", pair_figure())
+    items["pair-b"] = _item("pair-b", pair_figure())
+    sites = _sites(report, items)
+    if result is not None and len(runs) > 1:
+        items["matrix"] = _item(
+            "matrix", matrix_figure(result, [run for run in runs if _in(result, run)])
+        )
+    rows = _time_line(report, runs, items)
+    library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
+    script = _file("report.js")
+    page = _TEMPLATES.get_template("report.html").render(
+        title=f"topobatch: {counted(len(runs), 'run')}",
+        answer=answer(report, runs),
+        warnings=_warnings(report),
+        style=_file("report.css"),
+        scripts=[library, script],
+        digests=[_digest(library), _digest(script)],
+        sites=sites,
+        drives=[(k, d, shown_bits(d.bits)) for k, d in enumerate(report.drives, 1)],
+        changes=_changes(report),
+        legend=_legend(result),
+        need=result and result.threshold_bits and shown_bits(result.threshold_bits),
+        runs=runs,
+        time_rows=rows,
+        health=_health(report, runs),
+        settings=_settings(report),
+        locks=report.locks,
+        versions=", ".join(f"{name} {version}" for name, version in report.versions),
+        items={name: _json(item) for name, item in items.items()},
     )
+    return page
 
 
-def _title(report: Report, runs: Sequence[str]) -> str:
-    merged = "" if report.result is not None else ", not merged yet"
-    return f"topobatch: {counted(len(runs), 'run')}{merged}"
+def _in(result: MergeResult, run: str) -> bool:
+    return any(run in c.poses for c in result.components)
 
 
-def _head(report: Report, runs: Sequence[str]) -> str:
+def _file(name: str) -> str:
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
+def _one_line(value: object) -> str:
+    """Any value as text on one line, without unprintable characters."""
+    return legible(" ".join(str(value).split()))
+
+
+_TEMPLATES = Environment(
+    loader=FileSystemLoader(Path(__file__).parent),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+_TEMPLATES.filters["line"] = _one_line
+
+
+def _item(name: str, plot: Any) -> Any:
+    """A figure as JSON values; its parts are named anew, so that the same figure is the same JSON,
+    whatever a process drew before."""
+    numbers: dict[str, str] = {}
+
+    def renumbered(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {
+                key: numbers.setdefault(part, f"{name}-{len(numbers)}")
+                if key in ("id", "root_id") and isinstance(part, str)
+                else renumbered(part)
+                for key, part in value.items()
+            }
+        return [*map(renumbered, value)] if isinstance(value, list) else value
+
+    return renumbered(json_item(plot))
+
+
+def _digest(script: str) -> str:
+    """What a content security policy calls a script by."""
+    return "sha256-" + b64encode(hashlib.sha256(script.encode()).digest()).decode()
+
+
+def _json(value: object) -> str:
+    """JSON without characters that HTML could take as markup."""
+    raw = json.dumps(value, separators=(",", ":"), ensure_ascii=True)
+    return raw.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+
+
+def _number(count: int) -> str:
+    return _NUMBERS[count] if count < len(_NUMBERS) else f"{count:,}"
+
+
+def answer(report: Report, runs: Sequence[str]) -> list[str]:
+    """The sentences that answer: which runs are of which site, which stand alone, what is open, and
+    what would settle most."""
     result = report.result
-    facts = [(len(runs), "run", "runs")]
-    if result is not None:
-        shared = sum(len(m) > 1 for m in result.fused.members[: result.fused.junctions])
-        corridors_m, ways_m = map(round, result.fused.lengths_m)
-        facts += [
-            (len(result.components), "site", "sites"),
-            (result.fused.junctions, "junction", "junctions"),
-            (shared, "seen by several runs", "seen by several runs"),
-            (corridors_m, "m of corridors", "m of corridors"),
-        ]
-        if result.fused.turned:
-            beside = "m to turning points or ends of logs"
-            facts.append((ways_m, beside, beside))
-        for standing, count in result.standings().items():
-            if count or standing in (Standing.MERGED, Standing.AMBIGUOUS):
-                words = (f"pair {standing}", f"pairs {standing}")
-                facts.append((count, *words))
-    boxes = "".join(
-        f"<li><b>{number:,}</b>{text(one if number == 1 else many)}</li>"
-        for number, one, many in facts
-    )
-    warnings = [*report.warnings]
     if result is None:
-        warnings.append("The runs are not merged yet: topobatch merge --all")
-    else:
-        warnings += [str(w) for w in result.info.get("warnings") or ()]
-        left_out = sorted(set(report.maps) - {run for c in result.components for run in c.poses})
-        if left_out:
-            warnings.append(f"Not in the last merge: {listed(left_out)}")
-    told = "".join(f'<p class="warning">{text(w)}</p>' for w in warnings)
-    need = result.threshold_bits if result is not None else None
-    how = f"Merging two runs takes {shown_bits(need)} bits of evidence." if need is not None else ""
-    explained = (
-        f"<p>{text(how)} Each bit doubles the odds that so much agrees because it is one place. "
-        "Where evidence falls short, runs stay apart.</p>"
-        if how
-        else ""
+        return [f"{counted(len(runs), 'run')}, not merged yet: topobatch merge --all."]
+    several, alone = _groups(result)
+    merged, every = sum(len(c.poses) for c in several), sum(len(c.poses) for c in result.components)
+    out = []
+    if several:
+        names = listed([f"{c.name} ({len(c.poses)})" for c in several], 12)
+        all_ = f"All {every}" if merged == every else f"{merged} of {every}"
+        sites = "one site" if len(several) == 1 else f"{_number(len(several))} sites"
+        out.append(f"{all_} runs are of {sites}: {names}.")
+    if alone:
+        who = listed([next(iter(c.poses)) for c in alone], 12)
+        stands = "stands" if len(alone) == 1 else "stand"
+        out.append(f"{_number(len(alone)).capitalize()} {stands} alone: {who}.")
+    if undecided := result.standings()[Standing.AMBIGUOUS]:
+        are = "is" if undecided == 1 else "are"
+        out.append(f"{counted(undecided, 'pair')} of runs {are} undecided.")
+    if report.drives:
+        where, settles = report.drives[0].words
+        shows = "" if report.drives[0].onto else "shows "
+        out.append(f"To record next: {where}; it {shows}{settles}.")
+    if sure := sum(c.sure for c in report.changes):
+        out.append(f"{counted(sure, 'change')} between runs.")
+    return out
+
+
+def _groups(result: MergeResult) -> tuple[list[Component], list[Component]]:
+    """Components of several runs, those of most first, and those of one."""
+    ordered = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    several = [c for c in ordered if len(c.poses) > 1]
+    return several, sorted(ordered[len(several) :], key=lambda c: c.name)
+
+
+def _warnings(report: Report) -> list[str]:
+    out = [*report.warnings]
+    if report.result is not None:
+        out += [str(w) for w in report.result.info.get("warnings") or ()]
+        home = {run for c in report.result.components for run in c.poses}
+        if left := sorted(set(report.maps) - home):
+            out.append(f"Not in the last merge: {listed(left)}")
+    return out
+
+
+def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
+    """The sites that have a map: those of several runs and those where a drive begins; their
+    figures go to `items`."""
+    result = report.result
+    if result is None:
+        return []
+    rank = ranks(result)
+    begins = {d.component for d in report.drives}
+    several, alone = _groups(result)
+    shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
+    out = []
+    for c in shown[:MOST_MAPS]:
+        rows = np.flatnonzero(result.fused.component == c.id)
+        edges = np.flatnonzero(np.isin(result.fused.source, rows))
+        places = int((~result.fused.is_turned[rows]).sum())
+        corridors = edges[edges < result.fused.corridors]
+        length = float(result.fused.length[corridors].sum())
+        maps = report.maps if report.as_merged else {}
+        layers = SiteLayers(
+            {run: maps[run] for run in c.poses if run in maps},
+            site_walls(result.fused, c, maps),
+            [change for change in report.changes if change.component == c.id],
+            [(k, d) for k, d in enumerate(report.drives, 1) if d.component == c.id],
+        )
+        plot = site_map(result, c.id, layers)
+        items[f"site-{c.id}"] = _item(f"site-{c.id}", plot)
+        wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
+        turn = np.degrees(upright_rad([result.fused.paths[e] for e in edges.tolist()]))
+        ways = len(edges) - len(corridors)
+        ink = [LIGHT.run(rank[run]) if len(c.poses) > 1 else INK for run in sorted(c.poses)]
+        out.append(
+            {
+                "id": c.id,
+                "name": c.name,
+                "told": f"{counted(len(c.poses), 'run')}, {counted(places, 'junction')}, "
+                f"{length:,.0f} m of corridors{to_turning_points(ways)}",
+                "runs": list(zip(sorted(c.poses), ink, strict=True)),
+                "shape": round(wide / high, 3),
+                "turn": f"{turn:.0f}",
+                "most": int(rows.max()) if len(rows) else 0,
+            }
+        )
+    return out
+
+
+def _changes(report: Report) -> list[tuple[str, str]]:
+    """The site and the words of every change."""
+    names = {c.id: c.name for c in report.result.components} if report.result else {}
+    return [(names[c.component], change_told(c)) for c in report.changes if c.sure]
+
+
+def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:
+    """Colour, name and number of pairs of each standing that there is."""
+    count = result.standings() if result else {}
+    return [(STANDING_COLOURS[s], str(s), n) for s, n in count.items() if n]
+
+
+def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> int:
+    """Draw when each run was recorded, a row or more for each site; returns the number of rows."""
+    result = report.result
+    home: dict[str, Component] = {}
+    if result is not None:
+        home = {run: c for c in result.components for run in c.poses}
+    spans = {
+        run: (int(m.observation_time_ns.min()), int(m.observation_time_ns.max()))
+        for run, m in report.maps.items()
+        if len(m.observation_time_ns)
+    }
+    if not spans:
+        return 0
+    low, high = min(a for a, _ in spans.values()), max(b for _, b in spans.values())
+    least = max(int(SHORTEST * (high - low)), MS_NS)
+    rank = ranks(result) if result is not None else {}
+    free: list[int] = []
+    bars: dict[str, list[Any]] = {k: [] for k in ("left", "right", "top", "bottom", "ink", "told")}
+    labels: dict[float, str] = {}
+    before: object = None
+    for run in runs:
+        if run not in spans:
+            continue
+        site = home.get(run)
+        group = site.id if site is not None and len(site.poses) > 1 else "alone"
+        if group != before:
+            first, before = len(free), group
+            labels[first + 0.5] = site.name if site is not None and group != "alone" else "alone"
+        begin, end = spans[run]
+        row = next((k for k in range(first, len(free)) if free[k] < begin), len(free))
+        if row == len(free):
+            free.append(0)
+        free[row] = max(end, begin + least) + least // 4
+        bars["left"].append(begin // MS_NS)
+        bars["right"].append(max(end, begin + least) // MS_NS)
+        bars["bottom"].append(row + 0.15)
+        bars["top"].append(row + 0.85)
+        several = site is not None and len(site.poses) > 1
+        bars["ink"].append(LIGHT.run(rank[run]) if several else INK)
+        bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
+    spare = (high + least - low) / 50
+    across = ((low - spare) / MS_NS, (high + least + spare) / MS_NS)
+    plot = blank_figure(across, (len(free), 0), "xpan,tap", x_axis_type="datetime")
+    plot.quad(
+        "left", "right", "top", "bottom",
+        source=ColumnDataSource(bars), fill_color="ink", line_color=None,
+        nonselection_fill_alpha=1.0, selection_fill_color="#c026d3",
+    )  # fmt: skip
+    plot.ygrid[0].update(visible=False)
+    plot.xgrid[0].update(grid_line_color=INK, grid_line_alpha=0.25)
+    plot.xaxis[0].update(
+        major_label_text_color=INK,
+        major_label_text_font_size="10px",
+        axis_line_color=INK,
+        major_tick_line_color=INK,
+        minor_tick_line_color=None,
+        formatter=DatetimeTickFormatter(
+            seconds="%H:%M:%S", minutes="%H:%M", hours="%H:%M", days="%d %b", months="%b %Y"
+        ),
     )
-    return (
-        f"<header><h1>{_title(report, runs)}</h1>"
-        '<button id="theme" type="button">light / dark</button></header>'
-        f'<ul class="facts">{boxes}</ul>{told}{explained}'
-    )
+    named_axis(plot.yaxis[0], labels)
+    items["time"] = _item("time", plot)
+    return len(free)
 
 
-def _figure(canvas: Canvas, about: str) -> str:
-    """A drawing inline; about: its accessible label."""
-    svg = canvas.as_bytes("svg").decode()
-    large = ' class="large"' if canvas.width_pt > LARGE_PT else ""
-    drawn = svg[svg.index("<svg") :].strip()
-    return f'<figure{large} role="img" aria-label="{text(about)}">{drawn}</figure>'
-
-
-def _pictures(report: Report) -> str:
-    if report.result is None:
-        return ""
-    parts = [
-        "<h2>Map</h2><p>Each corridor has a strand for every run that drove it; point at one to "
-        "see whose it is.</p>",
-        _figure(draw_merged(report.result, SWITCHABLE, headed=False), "merged map"),
-    ]
-    open_pairs = [p for p in undecided(report.result) if _can_be_drawn(p, report.maps)]
-    drawn = open_pairs[:MOST_PLACEMENTS]
-    if drawn:
-        some = len(drawn) < len(open_pairs)
-        shown = f"; the {len(drawn)} with the most are shown" if some else ""
-        parts.append(
-            f"<h2>Undecided: both placements</h2><p>{counted(len(open_pairs), 'pair')} of runs "
-            f"may share places, and the evidence does not decide it{shown}.</p>"
-        )
-    for k, pair in enumerate(drawn):
-        canvas = draw_placements(
-            report.maps[pair.a], report.maps[pair.b], pair, SWITCHABLE, name=f"pair{k}"
-        )
-        about = f"{pair.a} + {pair.b}: {shown_bits(pair.evidence_bits)} bits"
-        opened = " open" if k == 0 else ""
-        parts.append(
-            f"<details{opened}><summary>{text(about)}</summary><div>{pair_told(pair)}</div>"
-            f"{_figure(canvas, about)}</details>"
-        )
-    return "\n".join(parts)
-
-
-def _drives(report: Report) -> str:
-    """What to record next: a table, and a picture of each drive."""
-    if report.result is None or not report.drives:
-        return ""
-    rows, pictures = [], []
-    for k, drive in enumerate(report.drives, 1):
-        where, settles = drive.words
-        cells = (k, where, settles, shown_bits(drive.bits), f"{drive.bits_per_m:.3f}")
-        rows.append(f"<tr>{''.join(f'<td>{text(c)}</td>' for c in cells)}</tr>")
-        site = of_site(report.result, drive.component)
-        drawn = draw_drive(site, drive, SWITCHABLE, name=f"drive{k}")
-        opened = " open" if k == 1 else ""
-        pictures.append(
-            f"<details{opened}><summary>{text(f'{k}: {where}')}</summary>"
-            f"<p>{text(drive.way)}</p>{_figure(drawn, where)}</details>"
-        )
-    head = ("", "drive", "would settle", "bits", "bits per metre")
-    header = "".join(f"<th>{text(h)}</th>" for h in head)
-    return (
-        "<h2>What to record next</h2><p>Drives by the evidence that they are expected to bring for "
-        "each metre. Their waypoints: topobatch next --output plan.csv</p>"
-        f'<div class="wide"><table><thead><tr>{header}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>{''.join(pictures)}"
-    )
-
-
-def _can_be_drawn(pair: PairVerdict, maps: Mapping[str, TopoMap]) -> bool:
-    """Whether both maps are there and hold the vertices that the verdict names."""
-    if pair.a not in maps or pair.b not in maps:
-        return False
-    sizes = np.array([len(maps[pair.a]), len(maps[pair.b])])
-    placed = [x for x in (pair.best, pair.runner_up) if x is not None]
-    named = [np.array([(max(a), max(b))]) for x in placed for a, b in x.contradicting if a and b]
-    return all(np.all((n >= 0) & (n < sizes)) for n in (*(x.matched for x in placed), *named))
-
-
-def _health(report: Report, runs: Sequence[str]) -> str:
-    """A table with a row for each run: its contents, its noise and its warnings."""
+def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[str]]]:
+    """For each run the cells of its row, and what is said below it."""
     home: dict[str, str] = {}
     if report.result is not None:
         home = {run: c.name for c in report.result.components for run in c.poses}
-    head = (
-        "run",
-        "site",
-        "first pass (UTC)",
-        "lasts",
-        "passes",
-        "junctions",
-        "corridors",
-        "closures",
-        "refused",
-        "heading noise",
-        "missed",
-        "wrong branches",
-        "jumps",
-    )
-    rows = []
+    out = []
     for run in runs:
         if run in report.maps:
             m = report.maps[run]
-            cells = [run, home.get(run, "—"), *_measured(m)]
             source = junctions_told(m.info)
-            warned = [str(w) for w in m.info.get("warnings") or ()]
-            rows.append(f"<tr>{''.join(f'<td>{text(c)}</td>' for c in cells)}</tr>")
-            told = "<br>".join(text(w) for w in ([source] if source else []) + warned[:8])
-            rows += [f'<tr><td class="told" colspan="{len(head)}">{told}</td></tr>'] if told else []
-    if not rows:
-        return ""
-    header = "".join(f"<th>{text(h)}</th>" for h in head)
-    table = (
-        f'<div class="wide"><table><thead><tr>{header}</tr></thead>'
-        f"<tbody>{''.join(rows)}</tbody></table></div>"
-    )
-    note = (
-        '<p class="dim">A run lasts from its first pass of a junction to its last. Closures: '
-        "visits recognised as the same place; refused: visits that were not taken for it. Heading "
-        "noise: random walk of the odometry's heading, 1 sigma after a metre. Missed: share of "
-        "passes in which a junction went unseen; wrong branches: in which it was seen with one too "
-        "many or too few. Jumps: steps of unknown size in the odometry.</p>"
-    )
-    return f"<h2>Runs</h2>{note}{table}{_own_maps(report, runs)}"
+            told = ([source] if source else []) + [str(w) for w in m.info.get("warnings") or ()][:8]
+            out.append(([run, home.get(run, "—"), *_measured(m)], told))
+    return out
 
 
 def _measured(m: TopoMap) -> list[str]:
@@ -271,43 +382,22 @@ def _measured(m: TopoMap) -> list[str]:
     ]
 
 
-def _own_maps(report: Report, runs: Sequence[str]) -> str:
-    shown = [run for run in runs if run in report.maps]
-    if len(shown) > MOST_MAPS:
-        return '<p class="dim">A run\'s own map: topobatch draw RUN map.svg</p>'
-    return "".join(
-        f"<details><summary>Map of {text(run)}</summary>"
-        f"{_figure(draw_map(report.maps[run], SWITCHABLE, name=f'own{k}'), f'map of {run}')}"
-        "</details>"
-        for k, run in enumerate(shown)
-    )
-
-
-def _settings(report: Report) -> str:
-    parts = []
+def _settings(report: Report) -> list[tuple[str, str]]:
+    """Titles and JSON of the settings of the merge, and of the ingest of runs that share some."""
+    out = []
     if report.result is not None:
         method = report.result.info.get("method", "unknown")
-        parts.append(_folded(f"Merge: method {method}", report.result.info.get("settings") or {}))
+        out.append((f"Merge: method {method}", report.result.info.get("settings") or {}))
     by: dict[str, list[str]] = {}
     for run, m in sorted(report.maps.items()):
         settings = json.dumps(m.info.get("settings") or {}, sort_keys=True)
         by.setdefault(settings, []).append(run)
     for settings, named in sorted(by.items(), key=lambda entry: (-len(entry[1]), entry[1])):
         who = "every run" if len(by) == 1 else listed(named, 6)
-        parts.append(_folded(f"Ingest of {who}", json.loads(settings)))
-    locks = "".join(f"<li>{text(lock)}</li>" for lock in report.locks)
-    told = f"<h3>Locks set by a person</h3><ul>{locks}</ul>" if locks else ""
-    return f"<h2>Settings</h2>{''.join(parts)}{told}"
+        out.append((f"Ingest of {who}", json.loads(settings)))
+    return [(title, _shown(settings)) for title, settings in out]
 
 
-def _folded(title: str, settings: object) -> str:
-    shown = json.dumps(settings, indent=1, sort_keys=True, ensure_ascii=False)
-    lines = "\n".join(escape(legible(line)) for line in shown.split("\n"))
-    return f"<details><summary>{text(title)}</summary><pre>{lines}</pre></details>"
-
-
-def _versions(report: Report) -> str:
-    if not report.versions:
-        return ""
-    told = ", ".join(text(f"{name} {version}") for name, version in report.versions)
-    return f"<h2>Versions</h2><p>{told}</p>"
+def _shown(settings: object) -> str:
+    lines = json.dumps(settings, indent=1, sort_keys=True, ensure_ascii=False).split("\n")
+    return "\n".join(map(legible, lines))

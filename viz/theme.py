@@ -1,8 +1,7 @@
-"""Colours of static drawings: light, dark, or as CSS variables for a page that switches."""
+"""Colours of static drawings, light and dark, and of the report."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
@@ -71,29 +70,8 @@ def _light_run(rank: int) -> str:
     return _hex(palette.stepped(rank - len(_LIGHT_RUNS), 0.65, 0.72))
 
 
-def _stand_in(number: int) -> str:
-    return f"#fd{number:04x}"
-
-
 LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, _light_run)
 DARK = Theme(
     {name: _hex(dark) for name, (_, dark) in _INKS.items()},
     lambda rank: _hex(palette.of_rank(rank)),
 )
-SWITCHABLE = Theme(
-    {name: _stand_in(k) for k, name in enumerate(_INKS)},
-    lambda rank: _stand_in(len(_INKS) + rank),
-)
-"""Placeholder colours that `as_variables` replaces by CSS variables, so that the page sets the
-theme."""
-
-
-def as_variables(style: str) -> str:
-    """The style with its placeholder colours replaced by CSS variables --c0, --c1, …"""
-    return re.sub("#fd([0-9a-f]{4})", lambda found: f"var(--c{int(found[1], 16)})", style)
-
-
-def css_variables(theme: Theme, runs: int) -> str:
-    """The CSS variables' values in a theme, for up to `runs` runs in one component."""
-    values = [*theme.inks.values(), *map(theme.run, range(runs))]
-    return ";".join(f"--c{k}:{value}" for k, value in enumerate(values))

@@ -285,3 +285,13 @@ def test_merged_documents_that_contradict_themselves(  # noqa: PLR0917 - fixture
         assert told in shown.err
     finally:
         filled.merged_json.write_text(kept)
+
+
+def test_the_files_as_json(topobatch, filled) -> None:
+    run = run_of(filled)
+    done = topobatch("export", run, "-f", "csv", "--json", "-w", filled.root)
+    endings = ("corridors.csv", "junctions.csv")
+    files = [str(filled.exports / f"{run}.{ending}") for ending in endings]
+    assert json.loads(done.out) == {"format": "csv", "files": files}
+    error = topobatch("export", run, "-f", "nav2", "--json", "-o", "-", "-w", filled.root).error(2)
+    assert "--output -" in error

@@ -195,13 +195,35 @@ def test_what_an_interrupted_ingest_has_made_is_in_the_history(
 
     monkeypatch.setattr(ingest, "_show", interrupted)
     call = ("ingest", *files, "-j", jobs, "-w", tmp_path / "ws")
-    assert topobatch(*call).code == 130
+    stopped = topobatch(*call)
+    assert stopped.code == 130
+    assert " of 3 logs finished; run again to go on" in stopped.err
     done = topobatch(*call)
     assert done.code == 0, done
     told = json.loads(topobatch("history", "--json", "-w", tmp_path / "ws").out)
     assert len(told) == 2
     named = ", ".join(entry["text"].partition(": ")[2] for entry in told)
     assert sorted(named.split(", ")) == ["a", "b", "c"]
+
+
+def test_reading_is_half_of_the_work():
+    from topobatch.cli.ingest import _done
+
+    sizes = {"a": 2_000_000, "b": 6_000_000}
+    assert _done(1_000_000, [], sizes) == (1_000_000, "0/2 logs, 1 of 8 MB")
+    assert _done(3_000_000, ["a"], sizes) == (5_000_000, "1/2 logs, 3 of 8 MB")
+    assert _done(0, ["a"], sizes) == (4_000_000, "1/2 logs, 2 of 8 MB")  # it was unchanged
+    assert _done(8_000_000, ["a", "b"], sizes) == (16_000_000, "2/2 logs, 8 of 8 MB")
+
+
+def test_outcomes_as_json(topobatch, logs, tmp_path):
+    done = topobatch("ingest", logs["mcap"], tmp_path / "gone.mcap", "--json", "-w", tmp_path)
+    assert done.code == 1
+    one, other = sorted(json.loads(done.out), key=lambda outcome: outcome["status"])
+    assert (one["status"], one["maps"], one["warnings"]) == ("done", 1, [])
+    assert other["status"] == "failed"
+    assert "gone.mcap" in other["text"]
+    assert "gone.mcap" in done.err
 
 
 def test_missing_file(topobatch, tmp_path):

@@ -267,6 +267,31 @@ def test_a_lock_that_nothing_honours_is_told(topobatch, workspace):
     assert "0 merged" in done.out
 
 
+def test_a_merge_as_json_is_the_same_whether_or_not_it_was_there(topobatch, workspace):
+    calls = [topobatch("merge", "--all", "--json", "-w", workspace) for _ in range(2)]
+    assert [done.code for done in calls] == [0, 0]
+    one, two = (json.loads(done.out) for done in calls)
+    assert one == two
+    assert one["merged"] == str(workspace / "merged.json")
+    assert sum(one["pairs"].values()) == 1
+    runs = [run for site in one["sites"] for run in site["runs"]]
+    assert sorted(runs) == sorted(p.stem for p in (workspace / "maps").glob("*.json"))
+    done = topobatch("merge", "--all", "--shard", "1/2", "--json", "-w", workspace)
+    assert "--json" in done.error(2)
+
+
+def test_an_interrupted_merge_says_how_to_go_on(topobatch, workspace, monkeypatch):
+    from topobatch.merge import merging
+
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(merging, "merge_maps", interrupted)
+    done = topobatch("merge", "--all", "-w", workspace)
+    assert done.code == 130
+    assert "what was matched is kept: run again to go on" in done.err
+
+
 def test_processes_stop_at_an_interrupt():
     """What is queued is dropped, not worked off first."""
     futures = []

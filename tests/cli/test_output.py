@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from topobatch.cli.output import LONGEST_CELL, Screen, plain, table
+from topobatch.cli.output import LONGEST_CELL, Screen, _left, folded, painted, plain, table
 
 
 @pytest.mark.parametrize(
@@ -63,3 +63,48 @@ def test_results_go_to_the_standard_output_beside_a_bar(monkeypatch, capsys):
     out, err = capsys.readouterr()
     assert out == "run1: done\n"
     assert "run1: odd" in err
+
+
+def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch):
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    green = "\x1b[32mmerged\x1b[0m"
+    assert painted("a + b: merged: 7 bits, in merged.json") == (
+        f"a + b: {green}: 7 bits, in merged.json"
+    )
+    assert painted("remerged, ws/merged, nothing") == "remerged, ws/merged, nothing"
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert painted("a + b: merged") == "a + b: merged"
+
+
+def test_no_colour_leaves_the_terminal(topobatch, logs, tmp_path):
+    done = topobatch("ingest", logs["mcap"], "-w", tmp_path)
+    assert "\x1b" not in done.out + done.err
+
+
+def test_sentences_are_as_wide_as_the_terminal(monkeypatch):
+    text = "word " * 60
+    assert max(map(len, folded(text))) <= 79
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    for columns, most in ((60, 59), (500, 120), (10, 40)):
+        monkeypatch.setenv("COLUMNS", str(columns))
+        assert most - 5 < max(map(len, folded(text))) <= most
+
+
+def test_a_bar_tells_how_much_is_done_and_how_long_it_takes(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    now = iter(range(0, 10_000, 30))
+    monkeypatch.setattr("topobatch.cli.output.time.monotonic", lambda: next(now))
+    monkeypatch.setenv("COLUMNS", "120")
+    with Screen(quiet=False).progress("ingesting", 100) as advance:
+        advance(20, "3/30 logs, 41 of 380 MB")
+    err = capsys.readouterr().err
+    assert "3/30 logs, 41 of 380 MB" in err
+    assert "about 2 min" in err
+
+
+def test_the_time_left_is_told_once_it_can_be_known():
+    assert _left(1.0, 0.5) == ""
+    assert _left(10.0, 0.01) == ""
+    assert _left(10.0, 0.5) == "about 10 s"
+    assert _left(60.0, 0.25) == "about 3 min"
+    assert _left(60.0, 1.0) == ""

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
-from topobatch.merge.changes import CHANGES, ChangeKind, change_to_document, changes
+from topobatch.merge.change import ChangeKind, change_to_document
+from topobatch.merge.changes import CHANGES, changes
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps

@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from topobatch.viz.canvas import SMALL_PT, Canvas, Key, fitting, folded, round_length, width_of
-from topobatch.viz.theme import DARK, LIGHT, SWITCHABLE, css_variables
+from topobatch.viz.theme import DARK, LIGHT
 
 SVG = "{http://www.w3.org/2000/svg}"
 HOSTILE = '<script>alert("1")</script> & $x_1$ --> _private \u202e\x1b[2J'
@@ -55,15 +55,6 @@ def test_a_picture_of_dots_has_its_size() -> None:
     with Image.open(BytesIO(canvas().as_bytes("png"))) as image:
         assert image.width == 1500
         assert image.info["Software"] == "topobatch"
-
-
-def test_a_page_chooses_the_colours() -> None:
-    svg = canvas(SWITCHABLE).as_bytes("svg").decode()
-    assert "#fd0" not in svg
-    assert "var(--c16)" in svg  # the first run
-    for theme in (LIGHT, DARK):
-        assert f"--c0:{theme['paper']}" in css_variables(theme, 1)
-        assert f"--c16:{theme.run(0)}" in css_variables(theme, 1)
 
 
 @pytest.mark.parametrize("theme", [LIGHT, DARK])

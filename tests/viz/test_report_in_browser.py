@@ -1,0 +1,278 @@
+"""The report in a real Chromium, driven by Playwright. Debian has it as chromium-headless-shell."""
+
+import shutil
+from dataclasses import replace
+
+import pytest
+from PIL import Image
+
+from topobatch.merge.result import Standing
+from topobatch.viz.report import Report, report_page
+
+from .test_report import HOSTILE, change, decision, drive, named
+
+NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
+BROWSER = next(filter(None, map(shutil.which, NAMES)), None)
+pytestmark = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
+
+PHONE = {
+    "viewport": {"width": 390, "height": 844},
+    "has_touch": True,
+    "is_mobile": True,
+    "device_scale_factor": 2,
+}
+DESK = {"viewport": {"width": 1280, "height": 900}}
+DRAWN = "html[data-drawn=all]"
+MAP = ".site .map"
+WIDTH = """place => { const plot = plots.get(place);
+    return plot.then(p => p.x_range.end - p.x_range.start) }"""
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=BROWSER, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def opened(chromium, tmp_path):
+    """opened(html, **how): the page, drawn; what went wrong on it, and what it asked for, is empty
+    when the test ends."""
+    faults: list[str] = []
+    contexts = []
+
+    def open_(html: str, **how):
+        file = tmp_path / "report.html"
+        file.write_text(html, encoding="utf-8")
+        context = chromium.new_context(**DESK | how)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("pageerror", lambda error: faults.append(f"{error}"))
+        page.on("dialog", lambda dialog: faults.append(dialog.message))
+        page.on("console", lambda m: faults.append(m.text) if m.type in ("error", "warning") else 0)
+        page.on(
+            "request",
+            lambda r: 0 if r.url.startswith(("data:", file.as_uri())) else faults.append(r.url),
+        )
+        page.goto(file.as_uri())
+        page.wait_for_selector(DRAWN, state="attached")
+        return page
+
+    yield open_
+    for context in contexts:
+        context.close()
+    assert faults == []
+
+
+@pytest.fixture
+def html(merge_of):
+    """A page with something of everything."""
+    result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
+    pair = next(v for v in result.verdicts if v.standing is Standing.AMBIGUOUS)
+    return report_page(
+        Report(
+            {m.run: m for m in maps},
+            named(result),
+            drives=[drive()],
+            changes=[change()],
+            decisions={("b", "c"): decision(pair)},
+        )
+    )
+
+
+def picture(page, selector: str, tmp_path):
+    """The number of colours in a picture of a part of the page, and its commonest colour."""
+    path = tmp_path / "shot.png"
+    page.locator(selector).first.screenshot(path=path)
+    with Image.open(path) as image:
+        found = image.convert("RGB").getcolors(1 << 24)
+    return len(found), max(found)[1]
+
+
+def shows(page, selector: str, words: str) -> None:
+    """Wait until a part of the page shows these words."""
+    from playwright.sync_api import expect
+
+    expect(page.locator(selector).first).to_contain_text(words)
+
+
+def at(page, selector: str, x: float, y: float) -> tuple[float, float]:
+    """The place on the screen of a point of a figure, by its data."""
+    place = page.locator(selector).first
+    place.scroll_into_view_if_needed()
+    box = place.bounding_box()
+    share = place.evaluate(
+        """async (place, [x, y]) => {
+        const p = await plots.get(place), view = Bokeh.index.get_by_id(p.id);
+        return [view.frame.x_scale.compute(x), view.frame.y_scale.compute(y)] }""",
+        [x, y],
+    )
+    return box["x"] + share[0], box["y"] + share[1]
+
+
+def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp_path) -> None:
+    page = opened(html)
+    colours, _ = picture(page, MAP, tmp_path)
+    assert colours > 20
+    told = page.locator(".site .told").first
+    # Junction 2 of the square.
+    place = page.evaluate(
+        """async () => { const p = await plots.get(document.querySelector('.site .map'));
+        const s = p.renderers.map(r => r.data_source).filter(s => s.data.number);
+        const at = s.flatMap(d => d.data.number.map((n, k) => [n, d.data.x[k], d.data.y[k]]));
+        return at.find(row => row[0] === 2).slice(1) }"""
+    )
+    page.mouse.click(*at(page, MAP, *place))
+    shows(page, ".site .told", "Junction 2:")
+    page.locator(".site .find").first.fill("4")
+    page.keyboard.press("Enter")
+    shows(page, ".site .told", "end 4:")
+    page.locator(".site [data-zoom='0']").first.click()
+    wide = page.locator(MAP).first.evaluate(WIDTH)
+    page.locator(".site [data-zoom='0.67']").first.click()
+    assert page.locator(MAP).first.evaluate(WIDTH) < 0.7 * wide
+    page.locator(".site [data-zoom='0']").first.click()
+    box = page.locator(MAP).first.bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    page.mouse.wheel(0, -240)  # the page scrolls, the map stays
+    assert page.locator(MAP).first.evaluate(WIDTH) == pytest.approx(wide)
+    page.keyboard.down("Control")
+    page.mouse.wheel(0, -240)
+    page.keyboard.up("Control")
+    assert page.locator(MAP).first.evaluate(WIDTH) < wide
+    before, _ = picture(page, MAP, tmp_path)
+    for layer in page.locator(".site").first.locator(".layers input").all():
+        layer.uncheck()
+    assert told.text_content()
+    assert picture(page, MAP, tmp_path)[0] < before
+
+
+def test_a_map_is_moved_by_the_keyboard(opened, html) -> None:
+    page = opened(html)
+    place = page.locator(MAP).first
+    place.focus()
+    wide = place.evaluate(WIDTH)
+    left = "place => plots.get(place).then(p => p.x_range.start)"
+    page.keyboard.press("+")
+    assert place.evaluate(WIDTH) == pytest.approx(0.67 * wide)
+    begin = place.evaluate(left)
+    page.keyboard.press("ArrowRight")
+    assert place.evaluate(left) > begin
+    page.keyboard.press("0")
+    assert place.evaluate(WIDTH) == pytest.approx(wide)
+
+
+def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
+    page = opened(html)
+    page.mouse.click(*at(page, "#matrix", 1.5, 0.5))
+    shows(page, "#pair-title", "a + b")
+    shows(page, "#pair-title", "a + b: merged, 40.0 bits")
+    shows(page, "#pair-told", "topobatch explain a b")
+    page.locator("#run-a").select_option("1")
+    page.locator("#run-b").select_option("2")
+    shows(page, "#pair-title", "b + c")
+    assert page.locator("#pair figure:visible").count() == 2
+    shows(page, "#evidence", "corridor: 10.00 m, 10.10 m")
+    commands = [field.input_value() for field in page.locator("#pair .copy input").all()]
+    assert commands[0].startswith("topobatch lock b c --same --at ")
+    assert commands[1] == "topobatch lock b c --same"  # all its pairs are those of the best, too
+    assert commands[2] == "topobatch lock b c --never"
+    page.locator("#pair .copy button").first.click()
+    shows(page, "#pair .copy button", "copied")
+    colours, _ = picture(page, "#pair .map", tmp_path)
+    assert colours > 20
+    page.locator("#run-b").select_option("")
+    shows(page, "#pair-title", "b")
+    assert page.locator("#pair figure:visible").count() == 1
+    page.locator("#undecided").click()
+    shows(page, "#pair-title", "b + c")
+
+
+def test_a_run_of_the_time_line_tells_its_name(opened, html) -> None:
+    page = opened(html)
+    first = page.evaluate(
+        """async () => { const p = await plots.get(document.querySelector('.line'));
+        const d = p.renderers[0].data_source.data;
+        return [(d.left[0] + d.right[0]) / 2, (d.top[0] + d.bottom[0]) / 2] }"""
+    )
+    page.mouse.click(*at(page, ".line", *first))
+    shows(page, "#when", "a: 1970")
+
+
+@pytest.mark.parametrize("how", [DESK, PHONE])
+def test_nothing_is_wider_than_the_screen(opened, html, how) -> None:
+    page = opened(html, **how)
+    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+    for place in page.locator(".map:visible, #matrix, .line").all():
+        box = place.bounding_box()
+        assert box["width"] > 250
+        assert box["height"] > 90
+        assert place.evaluate("p => p.querySelector('.bk-Figure') !== null")
+
+
+def test_two_fingers_zoom(opened, html) -> None:
+    page = opened(html, **PHONE)
+    place = page.locator(MAP).first
+    place.scroll_into_view_if_needed()
+    box, wide = place.bounding_box(), place.evaluate(WIDTH)
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    touch = page.context.new_cdp_session(page)
+    for kind, away in (
+        ("touchStart", 20),
+        *(("touchMove", a) for a in (30, 45, 60)),
+        ("touchEnd", 0),
+    ):
+        points = [{"x": x + s * away, "y": y, "id": k} for k, s in enumerate((-1, 1))]
+        touch.send(
+            "Input.dispatchTouchEvent", {"type": kind, "touchPoints": points if away else []}
+        )
+    page.wait_for_timeout(200)
+    assert place.evaluate(WIDTH) < 0.9 * wide
+
+
+def test_it_is_dark_where_that_is_wanted_and_light_on_paper(opened, html, tmp_path) -> None:
+    page = opened(html, color_scheme="dark")
+    for part in ("header", MAP, "#pair .map", ".line"):
+        assert max(picture(page, part, tmp_path)[1]) < 40, part
+    page.emulate_media(media="print")
+    assert min(picture(page, "header", tmp_path)[1]) > 240
+    assert page.locator(".tools:visible").count() == 0
+    assert len(page.pdf()) > 20_000
+
+
+def test_no_name_becomes_code(opened, merge_of) -> None:
+    result, maps = merge_of([[f"a{HOSTILE}", "b"], ["c"]], [("b", "c")])
+    info = {"warnings": [HOSTILE], "settings": {HOSTILE: HOSTILE}}
+    maps[0] = replace(maps[0], info=info)
+    sites = tuple(replace(c, site=f"{HOSTILE} {c.id}") for c in result.components)
+    pairs = [replace(v, reason=HOSTILE, advice=HOSTILE) for v in result.verdicts]
+    result = replace(result, components=sites, verdicts=tuple(pairs))
+    html = report_page(
+        Report(
+            {m.run: m for m in maps},
+            result,
+            drives=[replace(drive(), site=HOSTILE)],
+            locks=[HOSTILE],
+            where=("-w", HOSTILE),
+        )
+    )
+    page = opened(html)
+    for i, j in ((0, 1), (0, 2), (1, 2)):
+        page.locator("#run-a").select_option(str(i))
+        page.locator("#run-b").select_option(str(j))
+    page.locator(".site .find").first.fill("0")
+    page.keyboard.press("Enter")
+    shows(page, ".site .told", "Junction 0")
+    shows(page, ".site .told", HOSTILE)
+    assert page.locator("img").count() == 0
+
+
+def test_a_page_before_the_first_merge_shows_runs(opened, make_map) -> None:
+    page = opened(report_page(Report({"a": make_map("a")}, None)))
+    shows(page, "#pair-title", "a")
+    assert page.locator("#pair figure:visible").count() == 1
+    assert page.locator(".site").count() == 0

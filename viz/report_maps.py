@@ -1,0 +1,537 @@
+"""The maps of a report: one for each site, with layers, drawn by Bokeh in the reader's browser.
+
+Colours are seen on white and on dark paper alike. A renderer's name is the layer that it belongs
+to; the column `told` of its source is what a click on it says.
+"""
+
+from __future__ import annotations
+
+import io
+from base64 import b64encode
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, Range1d, WheelZoomTool
+from bokeh.models.annotations.legends import ScaleBar
+from bokeh.plotting import figure
+from PIL import Image
+
+from ..merge.change import Change
+from ..merge.drive import Drive
+from ..merge.result import FusedMap, MergeResult, fused_of
+from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.driven_branches import driven_branches
+from ..topology.polyline import simplify
+from ..topology.run import Grid
+from ..topology.se2 import apply, compose, inverse
+from ..topology.topomap import TopoMap
+from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
+from ..topology.turning_vertices import with_turning_points
+from ..topology.wording import counted, legible, listed
+from .drawing import bounds, strands
+from .history import history, questions
+from .parts import ranks, rows_of
+from .sheet import upright_rad
+from .theme import LIGHT
+from .walls import wall_points
+
+INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"
+"""Text and junctions, corridors, and what was clicked: a contrast of 4 or more, 2.5, and 4 on white
+and on the dark page."""
+
+GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#d97f00"
+
+PICTURE_PX = 700.0
+"""A map's width on a page of usual width."""
+
+PEN_PX, PEN_SHARE = 2.4, 0.12
+"""Width of a run's line where the map fills its picture; over the median corridor at most, as in
+drawings."""
+
+MARKERS = {TURNING_POINT: "triangle", TRACK_END: "square", FRONTIER: "diamond"}
+TURNED = {
+    TURNING_POINT: "the robot turned round",
+    TRACK_END: "a log begins or ends",
+    FRONTIER: "unknown beyond",
+}
+
+SCALE_BAR = 0.04
+"""Room for the scale bar below a map, over its extent."""
+
+STRAIGHT_M = 0.05
+"""Corridors are drawn with as few points as stay within it of the whole line [m]."""
+
+MOST_RUNS = 8
+"""Runs that a click names; of the others it gives the number."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SiteLayers:
+    """What a site's map shows besides the fused map. maps: of its runs; walls: in its frame;
+    changes: of its runs; drives: that begin in it, with their ranks."""
+
+    maps: Mapping[str, TopoMap] = field(default_factory=dict)
+    walls: Grid | None = None
+    changes: Sequence[Change] = ()
+    drives: Sequence[tuple[int, Drive]] = ()
+
+
+def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
+    """A figure of one component of a merge, turned upright."""
+    fused = result.fused
+    (vertices,) = rows_of(fused.component, [component])
+    (edges,) = rows_of(fused.component[fused.source], [component])
+    (own,) = (c for c in result.components if c.id == component)
+    T = np.array([0.0, 0.0, upright_rad([fused.paths[e] for e in edges.tolist()])])
+    extents = [fused.xy[vertices], *(fused.paths[e] for e in edges.tolist())]
+    extents += [drive.path for _, drive in layers.drives]
+    extents.append(wall_points(layers.walls))
+    plot = map_figure([apply(T, points.reshape(-1, 2)) for points in extents])
+    plot.update(tags=[usual_m(fused.length[edges])])
+    site = _Site(plot, fused, T, vertices, edges)
+    if layers.walls is not None:
+        site.walls(layers.walls)
+    site.corridors(alone=len(own.poses) == 1)
+    site.runs(ranks(result), len(own.poses))
+    site.closures(layers.maps)
+    site.unexplored()
+    site.changes(layers.changes)
+    site.drives(own.name, layers.drives)
+    site.junctions()
+    site.frame()
+    return plot
+
+
+def blank_figure(x: Sequence[float], y: Sequence[float], tools: str, **more: Any) -> Any:
+    """A figure without frame and toolbar, as large as its place on the page, through which the page
+    is seen. x, y: begin and end of its axes;
+    more: of Bokeh's figures."""
+    across, up = (Range1d(start=round(float(a), 2), end=round(float(b), 2)) for a, b in (x, y))
+    return figure(
+        x_range=across,
+        y_range=up,
+        tools=tools,
+        toolbar_location=None,
+        sizing_mode="stretch_both",
+        min_border=0,
+        background_fill_color=None,
+        border_fill_color=None,
+        outline_line_color=None,
+        **more,
+    )
+
+
+def map_figure(points: Sequence[FloatArray]) -> Any:
+    """An empty figure that holds all points, (k, 2) each [m]; the page keeps both axes to one
+    scale."""
+    low, high = bounds(points)
+    low[1] -= SCALE_BAR * float((high - low).max())
+    plot = blank_figure((low[0], high[0]), (low[1], high[1]), "pan,tap")
+    wheel = WheelZoomTool(modifiers="ctrl")
+    plot.add_tools(wheel)
+    plot.toolbar.update(active_scroll=wheel)
+    for part in (*plot.axis, *plot.grid):
+        part.update(visible=False)
+    bar = ScaleBar(
+        range=plot.x_range,
+        unit="m",
+        location="bottom_left",
+        background_fill_color=None,
+        border_line_color=None,
+        bar_line_color=INK,
+        label_text_color=INK,
+        label_location="above",
+        margin=4,
+        padding=2,
+        bar_length=0.15,
+    )
+    plot.add_layout(bar)
+    return plot
+
+
+def usual_m(lengths: FloatArray) -> float:
+    """The median length of corridors [m], by which the page tells how large a map is drawn."""
+    return round(float(np.median(lengths)), 2) if len(lengths) else 1.0
+
+
+def columns(xy: FloatArray) -> tuple[list[float], list[float]]:
+    """x and y of points (n, 2) to the centimetre."""
+    x, y = np.round(np.reshape(xy, (-1, 2)).T + 0.0, 2).tolist()
+    return x, y
+
+
+def path_columns(paths: Iterable[FloatArray]) -> tuple[list[list[float]], list[list[float]]]:
+    """x and y of each polyline."""
+    both = [columns(simplify(path, STRAIGHT_M)) for path in paths]
+    return [x for x, _ in both], [y for _, y in both]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Site:
+    """The figure of a component. T: the pose in the figure of its frame; vertices, edges: its
+    rows."""
+
+    plot: Any
+    fused: FusedMap
+    T: FloatArray
+    vertices: IntArray
+    edges: IntArray
+
+    def walls(self, grid: Grid) -> None:
+        """Walls dark, free space light."""
+        low, size, (free, unknown) = _upright(grid, self.T)
+        pixels = np.zeros((*free.shape, 4), np.uint8)
+        pixels[free] = (128, 138, 154, 28)
+        pixels[~free & ~unknown] = (112, 122, 138, 150)
+        out = io.BytesIO()
+        Image.fromarray(pixels[::-1]).quantize(4).save(out, "PNG", optimize=True)
+        url = "data:image/png;base64," + b64encode(out.getvalue()).decode()
+        place = {"x": [low[0]], "y": [low[1]], "w": [size[0]], "h": [size[1]]}
+        self.plot.image_url(
+            url="url",
+            source=ColumnDataSource({"url": [url], **place}),
+            **{name: name for name in place},
+            anchor="bottom_left",
+            name="walls",
+        )
+
+    def corridors(self, *, alone: bool) -> None:
+        """Every corridor as one line, to be clicked; faint under the lines of several runs."""
+        f, rows = self.fused, self.edges.tolist()
+        x, y = path_columns(apply(self.T, f.paths[e]) for e in rows)
+        self._lines(
+            x,
+            y,
+            [self._corridor_told(e) for e in rows],
+            FAINT,
+            "",
+            width=3.0,
+            alpha=0.9 if alone else 0.45,
+        )
+
+    def _corridor_told(self, e: int) -> str:
+        f = self.fused
+        ends = (int(f.source[e]), int(f.target[e]))
+        turned = next((f.kind[v] for v in ends if f.kind[v] in TURNED), None)
+        what = f"Corridor {ends[0]} to {ends[1]}"
+        if turned is not None:
+            what = f"Way from junction {min(ends)} to where {TURNED[turned]}"
+        runs = sorted({run for run, _ in f.edge_members[e]})
+        return (
+            f"{what}: {f.length[e]:.2f} ± {f.length_sigma[e]:.2f} m, driven "
+            f"{counted(int(f.traversals[e]), 'time')} by {listed(runs, MOST_RUNS)}"
+        )
+
+    def runs(self, rank: Mapping[str, int], count: int) -> None:
+        """A line beside the others for each run that drove a corridor."""
+        if count < 2:
+            return
+        f = self.fused
+        extent = self.plot.x_range.end - self.plot.x_range.start
+        pen = min(PEN_PX * extent / PICTURE_PX, PEN_SHARE * usual_m(f.length[self.edges]))
+        found = strands(f, self.edges, pen)
+        x, y = path_columns(apply(self.T, strand.path) for strand in found)
+        columns = {"xs": x, "ys": y, "ink": [LIGHT.run(rank[s.run]) for s in found]}
+        self.plot.multi_line(
+            "xs",
+            "ys",
+            source=ColumnDataSource(columns),
+            line_color="ink",
+            line_width=PEN_PX * 0.8,
+            name="runs",
+        )
+
+    def closures(self, maps: Mapping[str, TopoMap]) -> None:
+        """Junctions that a run recognised when it came again, and passes that it did not take for
+        one place."""
+        fused = fused_of(self.fused.members)
+        again: Counter[int] = Counter()
+        apart: list[tuple[FloatArray, str]] = []
+        for run, m in sorted(maps.items()):
+            for asked in questions(m, history(m).visit):
+                if None in asked.rows:
+                    continue
+                at = [int(m.observation_vertex[k]) for k in asked.rows if k is not None]
+                here = [fused[run, v] for v in at if (run, v) in fused]
+                if len(here) < 2:
+                    continue
+                if asked.closure.accepted:
+                    again[here[1]] += 1
+                elif here[0] != here[1]:
+                    apart.append((self.fused.xy[here], f"{run}: {asked.told}"))
+        if apart:
+            x, y = path_columns(apply(self.T, ends) for ends, _ in apart)
+            told = [words for _, words in apart]
+            self._lines(x, y, told, BAD, "closures refused", width=1.5, dash="dashed")
+        rows = sorted(again)
+        told = [
+            f"Junction {v} was recognised {counted(n, 'time')}" for v, n in sorted(again.items())
+        ]
+        self._dots(self.fused.xy[rows], told, GOOD, "closures", size=14.0, filled=False)
+
+    def unexplored(self) -> None:
+        """Branches that nobody drove."""
+        f, branches = self.fused, self.fused.branches
+        free = ~driven_branches(f) & np.isin(branches.owner, self.vertices)
+        if not free.any():
+            return
+        x, y = columns(apply(self.T, f.xy[branches.owner[free]]))
+        heading = np.round(branches.values[free] + self.T[2], 3).tolist()
+        self.plot.ray(
+            "x",
+            "y",
+            source=ColumnDataSource({"x": x, "y": y, "angle": heading}),
+            angle="angle",
+            length=14,
+            length_units="screen",
+            line_color=PLANNED,
+            line_width=2,
+            name="branches never driven",
+        )
+
+    def changes(self, found: Sequence[Change]) -> None:
+        """What is gone, new, or there at times."""
+        shown = [c for c in found if c.sure]
+        if not shown:
+            return
+        paths = [self._changed(c) for c in shown]
+        x, y = path_columns(apply(self.T, p) for p in paths)
+        told = [change_told(c) for c in shown]
+        self._lines(x, y, told, BAD, "changes", width=9.0, alpha=0.4)
+        self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", size=16.0, filled=False)
+
+    def _changed(self, change: Change) -> FloatArray:
+        """The corridor that a change is about, or its junction alone."""
+        f, ends = self.fused, sorted(change.junctions)
+        if change.thing == "corridor":
+            same = [e for e in self.edges.tolist() if sorted((f.source[e], f.target[e])) == ends]
+            if same:
+                off = [abs(float(f.length[e]) - (change.length or 0.0)) for e in same]
+                path: FloatArray = f.paths[same[int(np.argmin(off))]]
+                return path
+        return np.array([change.xy, change.xy])
+
+    def drives(self, home: str, found: Sequence[tuple[int, Drive]]) -> None:
+        """What to record next: the way, and a ring where it begins."""
+        if not found:
+            return
+        x, y = path_columns(apply(self.T, drive.path) for _, drive in found)
+        told = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
+        self._lines(x, y, told, PLANNED, "drives to record", width=6.0, alpha=0.6)
+        begins = np.array([drive.stops[0].xy for _, drive in found])
+        together: dict[int | None, list[int]] = {}
+        for row, (_, drive) in enumerate(found):
+            together.setdefault(drive.stops[0].junction, []).append(row)
+        names = [
+            f"drive{'s' if len(rows) > 1 else ''} {', '.join(str(found[r][0]) for r in rows)}"
+            for rows in together.values()
+        ]
+        first = begins[[rows[0] for rows in together.values()]]
+        self._dots(begins, told, PLANNED, "drives to record", size=18.0, filled=False)
+        self._words(first, names, "drives to record", PLANNED, offset=(10, 22), bold=True)
+        beyond = [
+            (s.xy, str(s.junction))
+            for _, drive in found
+            for s in drive.stops
+            if s.junction is not None and s.site != home
+        ]
+        if beyond:
+            labels = [label for _, label in beyond]
+            self._words(
+                np.array([xy for xy, _ in beyond]), labels, NUMBERS, PLANNED, offset=(6, -12)
+            )
+
+    def junctions(self) -> None:
+        """Junctions, larger where several runs saw them, and their numbers; where a log ends or a
+        robot turned round."""
+        f = self.fused
+        turned = np.array([f.kind[v] in TURNED for v in self.vertices.tolist()], bool)
+        for kind, marker in MARKERS.items():
+            rows = [v for v in self.vertices[turned].tolist() if f.kind[v] == kind]
+            runs = [listed(sorted(f.members[v]), MOST_RUNS) for v in rows]
+            told = [f"Here {TURNED[kind]} ({who})" for who in runs]
+            self._dots(f.xy[rows], told, LIGHT["degree 1"], "", size=6.0, marker=marker)
+        rows = self.vertices[~turned].tolist()
+        for shared, size in ((False, 7.0), (True, 10.0)):
+            some = [v for v in rows if (len(f.members[v]) > 1) == shared]
+            told = [self._junction_told(v) for v in some]
+            self._dots(f.xy[some], told, INK, "", size=size, number=some)
+        self._words(f.xy[rows], list(map(str, rows)), NUMBERS, INK, offset=(6, 8))
+
+    def _junction_told(self, v: int) -> str:
+        f = self.fused
+        runs = sorted(f.members[v])
+        sigma = f.position_sigma
+        sure = "" if sigma is None or np.isnan(sigma[v]) else f", ± {sigma[v]:.2f} m"
+        x, y = f.xy[v]
+        kind = f.kind[v].replace("_", " ")
+        own = [f"{run} ({', '.join(map(str, f.members[v][run]))})" for run in runs]
+        return (
+            f"{kind[0].upper()}{kind[1:]} {v}: "
+            f"{counted(len(f.branches[v]), 'branch', 'branches')}, "
+            f"{counted(len(f.observations[v]), 'pass', 'passes')} by {listed(own, MOST_RUNS)}; at "
+            f"({x:.2f}, {y:.2f}) m{sure}"
+        )
+
+    def frame(self) -> None:
+        """The axes of the site's frame at its origin."""
+        reach = 0.05 * (self.plot.x_range.end - self.plot.x_range.start)
+        tips = np.array([(reach, 0.0), (0.0, reach)])
+        x, y = path_columns(apply(self.T, np.stack([np.zeros(2), tip])) for tip in tips)
+        source = ColumnDataSource({"xs": x, "ys": y, "ink": [BAD, GOOD]})
+        self.plot.multi_line("xs", "ys", source=source, line_color="ink", line_width=4, name="axes")
+        self._words(1.3 * tips, ["x", "y"], "axes", INK, offset=(0, 0), align="center")
+
+    def _lines(
+        self,
+        x: list[list[float]],
+        y: list[list[float]],
+        told: Sequence[str],
+        ink: str,
+        layer: str,
+        *,
+        width: float,
+        alpha: float = 1.0,
+        dash: str = "solid",
+    ) -> None:
+        source = ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, told))})
+        self.plot.multi_line(
+            "xs",
+            "ys",
+            source=source,
+            line_color=ink,
+            line_width=width,
+            line_alpha=alpha,
+            line_dash=dash,
+            line_cap="round",
+            line_join="round",
+            name=layer or None,
+            visible=layer not in HIDDEN,
+            nonselection_line_alpha=alpha,
+            selection_line_color=CHOSEN,
+        )
+
+    def _dots(
+        self,
+        xy: FloatArray,
+        told: Sequence[str],
+        ink: str,
+        layer: str,
+        *,
+        size: float,
+        filled: bool = True,
+        marker: str = "circle",
+        number: Sequence[int] = (),
+    ) -> None:
+        if not len(told):
+            return
+        x, y = columns(apply(self.T, xy))
+        given = {"x": x, "y": y, "told": list(map(legible, told))}
+        given |= {"number": list(number)} if len(number) else {}
+        self.plot.scatter(
+            "x",
+            "y",
+            source=ColumnDataSource(given),
+            size=size,
+            marker=marker,
+            fill_color=ink if filled else None,
+            line_color=ink,
+            line_width=0 if filled else 2.5,
+            name=layer or None,
+            visible=layer not in HIDDEN,
+            nonselection_fill_alpha=1.0,
+            nonselection_line_alpha=1.0,
+            selection_fill_color=CHOSEN,
+            selection_line_color=CHOSEN,
+        )
+
+    def _words(
+        self,
+        xy: FloatArray,
+        words: list[str],
+        layer: str,
+        ink: str,
+        *,
+        offset: tuple[int, int],
+        align: str = "left",
+        bold: bool = False,
+    ) -> None:
+        x, y = columns(apply(self.T, xy)) if len(xy) else ([], [])
+        self.plot.text(
+            "x",
+            "y",
+            "text",
+            source=ColumnDataSource({"x": x, "y": y, "text": list(map(legible, words))}),
+            x_offset=offset[0],
+            y_offset=-offset[1],
+            text_color=ink,
+            text_align=align,
+            text_baseline="middle",
+            text_font_size="11px",
+            text_font_style="bold" if bold else "normal",
+            name=layer,
+        )
+
+
+NUMBERS = "junction numbers"
+"""The page shows this layer where the map is large enough."""
+
+
+def _corners(grid: Grid) -> FloatArray:
+    """(4, 2) the corners of a grid in its frame [m]."""
+    high, wide = (n * grid.resolution_m for n in grid.free.shape)
+    return apply(np.array(grid.origin), np.array([(0, 0), (wide, 0), (0, high), (wide, high)]))
+
+
+def _upright(grid: Grid, T: FloatArray) -> tuple[list[float], list[float], list[BoolArray]]:
+    """A grid along the axes of the figure in which its frame has the pose T: low corner, width and
+    height [m], and which cells are free and unknown, by the nearest of the grid's."""
+    pose, cell = compose(T, np.array(grid.origin)), grid.resolution_m
+    high, wide = grid.free.shape
+    corners = apply(T, _corners(grid))
+    low = corners.min(axis=0)
+    count = np.ceil((corners.max(axis=0) - low) / cell).astype(np.int64)
+    x, y = (low[k] + cell * (np.arange(count[k]) + 0.5) for k in (0, 1))
+    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    column, row = np.floor(apply(inverse(pose), points) / cell).astype(np.int64).T
+    within = (column >= 0) & (column < wide) & (row >= 0) & (row < high)
+    at = np.where(within, row * wide + column, 0)
+    shape = (int(count[1]), int(count[0]))
+    free = (grid.free.ravel()[at] & within).reshape(shape)
+    unknown = (grid.unknown.ravel()[at] | ~within).reshape(shape)
+    return low.tolist(), (cell * count).tolist(), [free, unknown]
+
+
+HIDDEN = ("closures", "closures refused")
+"""Layers that are switched on by hand."""
+
+
+def change_told(change: Change) -> str:
+    """A change with its witnesses, on one line."""
+    verb = {"gone": "Gone", "new": "New", "differs": "There at times"}[str(change.kind)]
+    ends = change.junctions
+    what = f"junction {ends[0]}"
+    if change.thing == "corridor":
+        what = f"corridor of {change.length:.1f} m between junctions {ends[0]} and {ends[1]}"
+    there, missing = ([w.run for w in ws] for ws in (change.there, change.missing))
+    return (
+        f"{verb}: {what}. Passed by {listed(there, MOST_RUNS)}; not there for "
+        f"{listed(missing, MOST_RUNS)}. {change.bits:.1f} bits, {change.needed:.1f} needed"
+    )
+
+
+def own_map(topomap: TopoMap) -> dict[str, Any]:
+    """A run's own map as JSON values: vertices, polylines, and the turn that draws it upright."""
+    m = with_turning_points(topomap)
+    x, y = columns(m.xy)
+    paths = [columns(simplify(path, STRAIGHT_M)) for path in m.paths]
+    return {
+        "x": x,
+        "y": y,
+        "paths": paths,
+        "turn": round(upright_rad(m.paths), 4),
+        "usual": usual_m(m.length),
+    }

@@ -1,0 +1,249 @@
+"""The verdicts of a merge in a report: the matrix of all pairs, and what a click on one opens."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
+
+from ..merge.decision import Decision, Placement
+from ..merge.decision_text import because, digits_of, itemised, missing, needs, rows
+from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
+from ..topology.topomap import TopoMap
+from ..topology.wording import legible
+from .report_maps import BAD, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
+from .theme import LIGHT
+from .verdicts import CLASS, strongest, verdict_matrix
+
+STANDING_COLOURS = {
+    Standing.MERGED: "#37b26c",
+    Standing.JOINED: "#37b26c66",
+    Standing.AMBIGUOUS: "#f0a020",
+    Standing.KEPT_OUT: "#d43a3a",
+    Standing.UNRELATED: "#8a929c2e",
+}
+"""The colour of each standing of a pair, on white and on dark paper."""
+
+SAME_RUN = "#8a929c99"
+
+MOST_NAMES = 40
+"""Up to this many runs the matrix has their names; of more those of their sites."""
+
+LONGEST = 18
+"""Longer names are shortened in the middle."""
+
+MOST_LINKS = 12
+"""Links of a placement that are listed one by one."""
+
+
+def matrix_figure(result: MergeResult, runs: Sequence[str]) -> Any:
+    """The standing of every pair as a coloured square, the runs of a site framed; row 0 on top."""
+    n = len(runs)
+    plot: Any = blank_figure((0, n), (n, 0), "")
+    plot.update(outline_line_color=INK)
+    colours = [SAME_RUN, *(STANDING_COLOURS[s] for s in CLASS)]
+    mapper = LinearColorMapper(palette=colours, low=-0.5, high=len(colours) - 0.5)
+    cells = verdict_matrix(result, runs)
+    plot.image(image=[cells], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
+    spans = _spans(result, runs)
+    framed = [(begin, end) for _, begin, end in spans if end - begin > 1]
+    ends = {"left": [b for b, _ in framed], "right": [e for _, e in framed]}
+    corners = ColumnDataSource(ends | {"top": ends["left"], "bottom": ends["right"]})
+    plot.quad(
+        "left", "right", "top", "bottom", source=corners, fill_color=None, line_color=INK,
+        line_width=2,
+    )  # fmt: skip
+    spot = ColumnDataSource({"x": [], "y": []}, name="spot")
+    plot.rect(
+        "x",
+        "y",
+        1,
+        1,
+        source=spot,
+        fill_color=None,
+        line_color="#c026d3",
+        line_width=3,
+        name="spot",
+    )
+    names = {k + 0.5: run for k, run in enumerate(runs)}
+    if n > MOST_NAMES:
+        names = {(b + e) / 2: site for site, b, e in spans if e - b >= n / MOST_NAMES}
+    for part in (*plot.xaxis, *plot.grid):
+        part.update(visible=False)
+    named_axis(plot.yaxis[0], names)
+    return plot
+
+
+def named_axis(axis: Any, names: Mapping[float, str]) -> None:
+    """Write names beside an axis, by their place along it."""
+    axis.update(
+        ticker=FixedTicker(ticks=sorted(names)),
+        major_label_overrides={at: shortened(name) for at, name in names.items()},
+        major_label_text_color=INK,
+        major_label_text_font_size="10px",
+        major_label_standoff=2,
+        major_tick_line_color=None,
+        axis_line_color=None,
+    )
+
+
+def shortened(name: str) -> str:
+    """A name that fits an axis."""
+    name = legible(name)
+    half = LONGEST // 2
+    return name if len(name) <= LONGEST else f"{name[:half]}…{name[len(name) - half + 1 :]}"
+
+
+def _spans(result: MergeResult, runs: Sequence[str]) -> list[tuple[str, int, int]]:
+    """The name of every site, its first row, and the row after its last."""
+    row = {run: k for k, run in enumerate(runs)}
+    out = []
+    for c in result.components:
+        at = [row[run] for run in c.poses]
+        out.append((c.name, min(at), max(at) + 1))
+    return sorted(out, key=lambda span: span[1])
+
+
+def pair_figure() -> Any:
+    """A figure for one map laid over another, which the page fills. The sources of its renderers
+    are named after what they hold."""
+    plot = map_figure([np.array([(0.0, 0.0), (1.0, 1.0)])])
+    one, two = LIGHT.run(0), LIGHT.run(1)
+    for name, ink, width, alpha in (
+        ("links", GOOD, 9.0, 0.45),
+        ("a", one, 3.0, 0.9),
+        ("b", two, 3.0, 0.9),
+        ("ties", INK, 1.5, 1.0),
+        ("crossing", BAD, 5.0, 0.8),
+    ):
+        source = ColumnDataSource({"xs": [], "ys": []}, name=name)
+        plot.multi_line(
+            "xs", "ys", source=source, line_color=ink, line_width=width, line_alpha=alpha
+        )
+    for name, ink, size in (("a dots", one, 6), ("b dots", two, 6), ("against", BAD, 16)):
+        source = ColumnDataSource({"x": [], "y": []}, name=name)
+        fill = None if name == "against" else ink
+        plot.scatter(
+            "x", "y", source=source, size=size, fill_color=fill, line_color=ink,
+            line_width=2.5 if fill is None else 0,
+        )  # fmt: skip
+    for name, ink, align, x, y in (
+        ("a numbers", one, "right", -5, -7),
+        ("b numbers", two, "left", 5, 8),
+    ):
+        source = ColumnDataSource({"x": [], "y": [], "text": []}, name=name)
+        plot.text(
+            "x", "y", "text", source=source, text_color=ink, text_font_size="11px",
+            text_align=align, text_baseline="middle", x_offset=x, y_offset=y, name=NUMBERS,
+        )  # fmt: skip
+    return plot
+
+
+def page_data(
+    result: MergeResult | None,
+    runs: Sequence[str],
+    maps: Mapping[str, TopoMap],
+    decisions: Mapping[tuple[str, str], Decision],
+    where: Sequence[str],
+) -> dict[str, Any]:
+    """What the page knows of runs and pairs, as JSON values.
+
+    decisions: on the pairs whose evidence is shown line by line; where: options that name the
+    workspace in a call.
+    """
+    row = {run: k for k, run in enumerate(runs)}
+    home = {run: c.id for c in (result.components if result else ()) for run in c.poses}
+    reasons: dict[str, int] = {}
+    pairs = []
+    for p in strongest(result.verdicts if result else ()):
+        i, j = sorted((row[p.a], row[p.b]))
+        said = reasons.setdefault(legible(p.reason), len(reasons))
+        entry: dict[str, Any] = {"i": i, "j": j, "s": CLASS[p.standing] - 1, "r": said}
+        entry["bits"] = shown_bits(p.evidence_bits)
+        pairs.append(entry | _opened(p, decisions.get((p.a, p.b)), maps))
+    return {
+        "runs": [
+            {"name": legible(run), "shell": shlex.quote(run)}
+            | ({"map": own_map(maps[run])} if run in maps else {})
+            | ({"site": home[run]} if run in home else {})
+            for run in runs
+        ],
+        "standings": [str(s) for s in CLASS],
+        "colours": [STANDING_COLOURS[s] for s in CLASS],
+        "inks": [LIGHT.run(0), LIGHT.run(1)],
+        "reasons": list(reasons),
+        "pairs": pairs,
+        "counted": result is not None and result.unlisted is not None,
+        "where": shlex.join(where),
+    }
+
+
+def _opened(
+    pair: PairVerdict, decision: Decision | None, maps: Mapping[str, TopoMap]
+) -> dict[str, Any]:
+    """Advice, locks and placements of a pair, with the evidence line by line where there is a
+    decision."""
+    out: dict[str, Any] = {}
+    if pair.advice:
+        out["advice"] = legible(pair.advice)
+    if pair.locked:
+        out["locked"] = pair.locked
+    if decision is not None:
+        lines = [because(decision), missing(decision) or "", f"Needed: {needs(decision)}"]
+        lines += [f"Note: {note}" for note in decision.notes]
+        out["told"] = [legible(line) for line in lines if line]
+        out["rows"] = [
+            [row.level, legible(row.told), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
+            for row in rows(decision, MOST_LINKS)
+        ]
+        placed = [_placed(p.alignment, maps, pair, p, decision) for p in decision.placements]
+    else:
+        placed = [_placed(a, maps, pair) for a in (pair.best, pair.runner_up) if a is not None]
+    if shown := [p for p in placed if p is not None]:
+        out["placed"] = shown
+    return out
+
+
+def _bits(bits: float | None, decision: Decision) -> str:
+    return "" if bits is None else f"{bits:+.{digits_of(decision)}f}"
+
+
+def _placed(
+    alignment: Alignment,
+    maps: Mapping[str, TopoMap],
+    pair: PairVerdict,
+    placement: Placement | None = None,
+    decision: Decision | None = None,
+) -> dict[str, Any] | None:
+    """A placement to be drawn; None if the maps do not have the junctions that it names."""
+    if not _is_of(alignment, maps, pair):
+        return None
+    x, y, turn = alignment.transform.tolist()
+    out: dict[str, Any] = {
+        "t": [round(x, 3), round(y, 3), round(turn, 5)],
+        "bits": shown_bits(alignment.evidence_bits),
+        "ties": alignment.matched.tolist(),
+        "against": [legible(told) for told in alignment.contradictions],
+        "spots": [[list(a), list(b)] for a, b in alignment.contradicting],
+    }
+    if placement is not None and decision is not None:
+        links = itemised(placement, "corridor", digits_of(decision))
+        out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
+    return out
+
+
+def _is_of(alignment: Alignment, maps: Mapping[str, TopoMap], pair: PairVerdict) -> bool:
+    """Whether both maps are there and have the junctions that an alignment names."""
+    if not {pair.a, pair.b} <= maps.keys():
+        return False
+
+    def known(run: str, junctions: Iterable[int]) -> bool:
+        m = maps[run]
+        return all(0 <= k < len(m) + len(m.turning_points) for k in junctions)
+
+    a = [*alignment.matched[:, 0].tolist(), *(k for ks, _ in alignment.contradicting for k in ks)]
+    b = [*alignment.matched[:, 1].tolist(), *(k for _, ks in alignment.contradicting for k in ks)]
+    return known(pair.a, a) and known(pair.b, b)
