@@ -55,3 +55,10 @@ def test_batches_are_checked_at_birth(change: dict[str, object], message: str) -
     ScanBatch(**good)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=message):
         ScanBatch(**(good | change))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("angles", [np.zeros(0), np.zeros(1), np.zeros(3)])
+def test_hardly_any_beams(angles: np.ndarray) -> None:
+    columns, _, step = raster(angles, FINEST)
+    assert len(columns) <= 1
+    assert step > 0

@@ -515,3 +515,15 @@ def test_scans_of_several_lasers_come_in_the_order_of_time(
     assert len(times) == 50 == both.messages
     assert sum(len(b) for b in batches if b.T_body_laser[0] < 0) == 10
     assert len(both.warnings) == 1, "the back one's angle_max"
+
+
+def test_any_number_of_frames_makes_few_warnings(sensors: ModuleType, tmp_path: Path) -> None:
+    payloads = [
+        sensors.scan([1, 2, 3, 4, 5], sensors.START_NS + k, f"frame{k:03}" * 40) for k in range(99)
+    ]
+    found, batches = one(sensors, tmp_path, *payloads, mounting=Mounting())
+    assert batches == []
+    told = found.tally.warnings("/scan")
+    assert len(told) <= 21
+    assert max(map(len, told)) < 300
+    assert sum(found.tally.left_out.values()) == 99
