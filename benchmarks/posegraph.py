@@ -25,7 +25,7 @@ import numpy as np
 from topobatch.topology.posegraph.graph import edge_errors, squared
 from topobatch.topology.posegraph.marginals import Marginals
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "topology" / "posegraph"))
+sys.path.insert(0, str(Path(__file__).parent))
 from chordal import solve
 from public_graphs import read_g2o
 

@@ -15,7 +15,6 @@ from ..topology.frozen import freeze
 from ..topology.se2 import compose
 from .chance import Chance, quantised
 from .motion import Drive
-from .raycast import NOTHING, cast_at_circles, cast_at_segments
 from .traffic import STEPS_ASIDE_M, Doors, People, hang_doors, walk_about
 from .walls import Segments, doorways, walls_of
 from .world import World
@@ -34,6 +33,9 @@ PERSON_M = 0.2
 
 GRID_BITS = 8
 """Ranges are multiples of 2^-8 m (4 mm), a lidar's typical resolution: logs compress better."""
+
+NOTHING = -1
+"""Segment of a beam that hits none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,3 +236,56 @@ def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray
     near = np.hypot(*np.moveaxis(xy - drive.at(time_s)[:, None, :2], -1, 0)) < STEPS_ASIDE_M
     xy[near] = 1e9
     return xy
+
+
+def cast_at_segments(
+    origin: FloatArray,
+    direction: FloatArray,
+    segments: Segments,
+    present: BoolArray | None = None,
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """The first hit of each beam on a set of segments. O(r s), vectorised.
+
+    origin, direction: (r, 2), directions of unit length; present: (r, s) which segments exist for
+    which beam. Returns range (r,) [m], inf without a hit; segment (r,), else NOTHING; at (r,)
+    distance from the segment's start [m].
+    """
+    if len(segments) == 0:
+        rays = len(origin)
+        return np.full(rays, np.inf), np.full(rays, NOTHING, np.int64), np.zeros(rays)
+    # o + t d = a + u e, solved for all beams against all segments by Cramer's rule.
+    ex, ey = (segments.b - segments.a).T
+    ax, ay = segments.a[:, 0] - origin[:, :1], segments.a[:, 1] - origin[:, 1:]
+    dx, dy = direction[:, :1], direction[:, 1:]
+    cross = dx * ey - dy * ex
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = (ax * ey - ay * ex) / cross
+        share = (ax * dy - ay * dx) / cross
+    met = (way > 0) & (share >= 0) & (share <= 1)
+    if present is not None:
+        met &= present
+    way = np.where(met, way, np.inf)
+    rows = np.arange(len(origin))
+    first = way.argmin(axis=1)
+    nearest = way[rows, first]
+    hit = np.isfinite(nearest)
+    at = np.where(hit, share[rows, first], 0.0) * segments.length[first]
+    return nearest, np.where(hit, first, NOTHING).astype(np.int64), at
+
+
+def cast_at_circles(
+    origin: FloatArray, direction: FloatArray, centre: FloatArray, radius_m: float
+) -> FloatArray:
+    """(r,) range of each beam to the nearest circle, inf without a hit.
+
+    origin, direction: (r, 2); centre: (r, p, 2), the circles' positions for each beam.
+    """
+    if centre.shape[1] == 0:
+        return np.full(len(origin), np.inf)
+    to = centre - origin[:, None]
+    along = np.einsum("rpk,rk->rp", to, direction)
+    apart2 = np.einsum("rpk,rpk->rp", to, to) - along**2
+    half2 = radius_m**2 - apart2
+    met = (half2 > 0) & (along > 0)
+    way = np.where(met, along - np.sqrt(np.where(met, half2, 0.0)), np.inf)
+    return np.asarray(np.where(way > 0, way, np.inf).min(axis=1))

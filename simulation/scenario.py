@@ -20,10 +20,10 @@ from ..topology.run import Detections, Run
 from ..topology.se2 import compose, inverse, wrap
 from .chance import Chance
 from .detector import sightings
-from .drift import DRIFTS, Drift, MeasuredTrack, measured
+from .drift import DRIFTS, Drift, measured
 from .faults import FAULTS, Faults
 from .laser import LASERS, LaserSettings, Scans, scans
-from .motion import Drive, MotionSettings, drive
+from .motion import MotionSettings, drive
 from .regions import chain_of_regions
 from .truth import RunTruth, Truth
 from .walk import Leg, WalkSettings, explore
@@ -263,11 +263,14 @@ def simulate_run(
         vertex=seen.vertex,
         messages=seen.messages,
         fault=seen.fault,
-        **_drives(driven, stamps),
+        drive_edge=driven.leg_edge,
+        drive_start_ns=stamps(driven.last_at(driven.leg_from_m)),
+        drive_end_ns=stamps(driven.first_at(driven.leg_to_m)),
         path_ns=odometry.time_ns[every],
         path=wrapped[every],
         closed_edges=tuple(sorted(closed)),
-        **_events(track, odometry),
+        break_ns=tuple(odometry.time_ns[track.breaks].tolist()),
+        jump_ns=tuple(odometry.time_ns[track.jumps].tolist()),
         doors=_shut(seen_by_laser, stamps),
         settings={"seed": seed, **_told(s, drift, faults, laser)},
     )
@@ -300,26 +303,6 @@ def _shut(scans: Scans | None, stamps: Any) -> tuple[tuple[int, int, int, int], 
     """Corridor, vertex, from and to [ns] of every interval in which a door was shut."""
     if scans is None:
         return ()
-    doors = scans.doors
-    columns = (
-        doors.edge[doors.door],
-        doors.vertex[doors.door],
-        stamps(doors.from_s),
-        stamps(doors.to_s),
-    )
+    doors, which = scans.doors, scans.doors.door
+    columns = (doors.edge[which], doors.vertex[which], stamps(doors.from_s), stamps(doors.to_s))
     return tuple(zip(*(column.tolist() for column in columns), strict=True))
-
-
-def _drives(driven: Drive, stamps: Any) -> dict[str, Any]:
-    return {
-        "drive_edge": driven.leg_edge,
-        "drive_start_ns": stamps(driven.last_at(driven.leg_from_m)),
-        "drive_end_ns": stamps(driven.first_at(driven.leg_to_m)),
-    }
-
-
-def _events(track: MeasuredTrack, odometry: Odometry) -> dict[str, Any]:
-    return {
-        "break_ns": tuple(odometry.time_ns[track.breaks].tolist()),
-        "jump_ns": tuple(odometry.time_ns[track.jumps].tolist()),
-    }

@@ -222,23 +222,19 @@ def _world_to_document(world: World) -> dict[str, Any]:
     }
 
 
+_PASSES = ("start_ns", "end_ns", "vertex", "messages")
+_DRIVES = ("edge", "start_ns", "end_ns")
+_EVENTS = ("closed_edges", "break_ns", "jump_ns")
+
+
 def _run_to_document(run: RunTruth) -> dict[str, Any]:
     path = zip(run.path_ns.tolist(), _rounded(run.path, 3), strict=True)
+    passes = {name: getattr(run, name).tolist() for name in _PASSES}
     return {
         "world": run.world,
         "T_world_odom": _rounded(run.T_world_odom, 6),
-        "passes": {
-            "start_ns": run.start_ns.tolist(),
-            "end_ns": run.end_ns.tolist(),
-            "vertex": run.vertex.tolist(),
-            "messages": run.messages.tolist(),
-            "fault": list(run.fault),
-        },
-        "drives": {
-            "edge": run.drive_edge.tolist(),
-            "start_ns": run.drive_start_ns.tolist(),
-            "end_ns": run.drive_end_ns.tolist(),
-        },
+        "passes": {**passes, "fault": list(run.fault)},
+        "drives": {name: getattr(run, f"drive_{name}").tolist() for name in _DRIVES},
         "closed_edges": list(run.closed_edges),
         "break_ns": list(run.break_ns),
         "jump_ns": list(run.jump_ns),
@@ -274,25 +270,19 @@ def _world_from_document(name: str, doc: Any) -> World:
 
 def _run_from_document(name: str, doc: Any) -> RunTruth:
     passes, drives, path = doc["passes"], doc["drives"], doc["path"]
+    parts: dict[str, Any] = {key: np.array(passes[key], np.int64) for key in _PASSES}
+    parts |= {f"drive_{key}": np.array(drives[key], np.int64) for key in _DRIVES}
+    parts |= {key: tuple(doc[key]) for key in _EVENTS}
     return RunTruth(
         name=name,
         world=doc["world"],
         T_world_odom=np.array(doc["T_world_odom"], np.float64),
-        start_ns=np.array(passes["start_ns"], np.int64),
-        end_ns=np.array(passes["end_ns"], np.int64),
-        vertex=np.array(passes["vertex"], np.int64),
-        messages=np.array(passes["messages"], np.int64),
         fault=tuple(passes["fault"]),
-        drive_edge=np.array(drives["edge"], np.int64),
-        drive_start_ns=np.array(drives["start_ns"], np.int64),
-        drive_end_ns=np.array(drives["end_ns"], np.int64),
         path_ns=np.array([row[0] for row in path], np.int64),
         path=np.array([row[1:] for row in path], np.float64).reshape(-1, 3),
-        closed_edges=tuple(doc["closed_edges"]),
-        break_ns=tuple(doc["break_ns"]),
-        jump_ns=tuple(doc["jump_ns"]),
         doors=tuple(tuple(row) for row in doc.get("doors", ())),
         settings=doc["settings"],
+        **parts,
     )
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.connected import connected
-from ..topology.frozen import frozen_array
+from ..topology.frozen import freeze, frozen_rows
 from ..topology.polyline import way_of
 from ..topology.ragged import Ragged
 from ..topology.se2 import wrap
@@ -47,10 +47,10 @@ class World:
 
     def __post_init__(self) -> None:
         n, m = len(self.xy), len(self.source)
-        paths = tuple(frozen_array(p, np.float64, (None, 2), "path") for p in self.paths)
-        source = frozen_array(self.source, np.int64, (m,), "source")
-        target = frozen_array(self.target, np.int64, (m,), "target")
-        xy = frozen_array(self.xy, np.float64, (n, 2), "xy")
+        freeze(self, np.float64, xy=(n, 2))
+        freeze(self, np.int64, source=(m,), target=(m,))
+        xy, source, target = self.xy, self.source, self.target
+        paths = frozen_rows(self.paths, np.float64, 2, "path")
         if len(paths) != m or np.any(source == target):
             raise ValueError("one path per edge is needed, and no edge may join a vertex to itself")
         for u, v, path in zip(source.tolist(), target.tolist(), paths, strict=True):
@@ -61,20 +61,17 @@ class World:
         vertex = np.concatenate([source, target])
         order = np.lexsort((np.array(heading), vertex))
         offsets = np.searchsorted(vertex[order], np.arange(n + 1))
-        values = {
-            "xy": xy,
-            "source": source,
-            "target": target,
+        derived = {
             "paths": paths,
-            "length": frozen_array(length, np.float64, (m,), "length"),
+            "length": length,
             "branches": Ragged(offsets, np.array(heading)[order]),
-            "branch_edge": frozen_array(order % m, np.int64, (2 * m,), "branch_edge"),
-            "branch_other": frozen_array(
-                np.concatenate([target, source])[order], np.int64, (2 * m,), "branch_other"
-            ),
+            "branch_edge": order % m,
+            "branch_other": np.concatenate([target, source])[order],
         }
-        for name, value in values.items():
+        for name, value in derived.items():
             object.__setattr__(self, name, value)
+        freeze(self, np.float64, length=(m,))
+        freeze(self, np.int64, branch_edge=(2 * m,), branch_other=(2 * m,))
 
     def __len__(self) -> int:
         """Number of vertices."""

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import importlib.util
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from topobatch.cli.main import main
+from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.simulation.writing import write_run
 from topobatch.topology.document import write_map
@@ -33,6 +36,22 @@ class Shown:
         return line
 
 
+def command(*arguments: object) -> None:
+    """The command, which must succeed, outside of any test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["topobatch", *map(str, arguments), "-q"])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert not ended.value.code
+
+
+def simulated_maps(folder: Path, *scenarios: ScenarioSettings) -> None:
+    """Write the maps of simulated runs into a workspace."""
+    for settings in scenarios:
+        for name, run in simulate_scenario(settings).runs.items():
+            write_map(folder / "maps" / f"{name}.json", build_map(run))
+
+
 @pytest.fixture
 def topobatch(monkeypatch, capfd) -> Callable[..., Shown]:
     monkeypatch.delenv("TOPOBATCH_WORKSPACE", raising=False)
@@ -50,27 +69,78 @@ def topobatch(monkeypatch, capfd) -> Callable[..., Shown]:
 
 
 @pytest.fixture(scope="session")
-def logs(tmp_path_factory) -> dict[str, Path]:
+def logs(once) -> dict[str, Path]:
     """One small run in four containers, and another run that overlaps with it."""
     settings = ScenarioSettings(
         runs=2, junctions_per_run=10, overlap=0.6, drift="low", odometry_hz=10, seed=5
     )
-    simulated = simulate_scenario(settings).simulated
-    folder = tmp_path_factory.mktemp("logs")
-    out = {
-        kind: write_run(folder / kind, simulated[0], kind)
-        for kind in ("mcap", "bag", "db3", "ros2-mcap")
-    }
-    out["other"] = write_run(folder / "other", simulated[1])
-    return out
+    kinds = ("mcap", "bag", "db3", "ros2-mcap")
+
+    def write(folder: Path) -> None:
+        simulated = simulate_scenario(settings).simulated
+        for kind in kinds:
+            write_run(folder / kind, simulated[0], kind)
+        write_run(folder / "other", simulated[1])
+
+    folder = once("logs", write)
+    return {kind: next((folder / kind).iterdir()) for kind in (*kinds, "other")}
 
 
 @pytest.fixture(scope="session")
-def reset_logs(tmp_path_factory) -> dict[str, Path]:
+def ingested(logs, once) -> Path:
+    """A workspace of run1 and run2, which overlap, not merged yet."""
+    both = logs["mcap"], logs["other"]
+    return once("ingested", lambda folder: command("ingest", *both, "-j", 1, "-w", folder))
+
+
+def _merged(maps: Path, folder: Path) -> None:
+    shutil.copytree(maps, folder, dirs_exist_ok=True)
+    command("merge", "--all", "-j", 1, "-w", folder)
+
+
+@pytest.fixture(scope="session")
+def merged_once(ingested, once) -> Path:
+    return once("merged", partial(_merged, ingested))
+
+
+@pytest.fixture
+def workspace(ingested, tmp_path) -> Path:
+    """A copy of the ingested workspace."""
+    return shutil.copytree(ingested, tmp_path / "ws")
+
+
+@pytest.fixture
+def merged(merged_once, tmp_path) -> Path:
+    """A copy of it, merged."""
+    return shutil.copytree(merged_once, tmp_path / "ws")
+
+
+@pytest.fixture(scope="session")
+def two_buildings(fleet_maps, once) -> Path:
+    """A workspace with the maps of five runs of one building and of two of another."""
+    return once("two-buildings", lambda folder: fleet_maps(folder / "maps", 12, keep=7))
+
+
+@pytest.fixture(scope="session")
+def buildings_once(two_buildings, once) -> Path:
+    return once("buildings", partial(_merged, two_buildings))
+
+
+@pytest.fixture
+def buildings(buildings_once, tmp_path) -> Path:
+    """A copy of it, merged."""
+    return shutil.copytree(buildings_once, tmp_path / "ws")
+
+
+@pytest.fixture(scope="session")
+def reset_logs(once) -> dict[str, Path]:
     """Logs of three runs whose odometry was reset half way: of "joins" and "parts" the halves share
     places, or too few; "whole" is the second without the reset."""
-    folder = tmp_path_factory.mktemp("reset")
-    out = {}
+    folder = once("reset-logs", _write_reset_logs)
+    return {path.name: next(path.iterdir()) for path in folder.iterdir()}
+
+
+def _write_reset_logs(folder: Path) -> None:
     for name, seed, reset in (("joins", 1, True), ("parts", 3, True), ("whole", 3, False)):
         settings = ScenarioSettings(
             runs=1, junctions_per_run=14, drift="low", odometry_hz=10, seed=seed
@@ -82,8 +152,7 @@ def reset_logs(tmp_path_factory) -> dict[str, Path]:
             pose[half:] = compose(inverse(pose[half]), pose[half:])
             run = replace(simulated.run, odometry=replace(odometry, pose=pose))
             simulated = replace(simulated, run=run)
-        out[name] = write_run(folder / name, simulated)
-    return out
+        write_run(folder / name, simulated)
 
 
 @pytest.fixture(scope="session")

@@ -7,6 +7,10 @@ import shutil
 
 import pytest
 
+from topobatch.simulation import ScenarioSettings
+
+from .conftest import simulated_maps
+
 SAID = (
     "verdict",
     "accepted",
@@ -19,21 +23,12 @@ SAID = (
 """Entries that a merge and `explain` both state."""
 
 
-@pytest.fixture(scope="module")
-def sites(tmp_path_factory):
+@pytest.fixture(scope="session")
+def sites(once):
     """A workspace with the maps of four runs in a maze and two among rows, not merged."""
-    from topobatch.ingest.mapping import build_map
-    from topobatch.simulation import ScenarioSettings, simulate_scenario
-    from topobatch.topology.document import write_map
-
-    workspace = tmp_path_factory.mktemp("sites")
-    for world, runs, overlap, seed in (("maze", 4, 0.25, 3), ("rows", 2, 0.5, 5)):
-        settings = ScenarioSettings(
-            world=world, prefix=world, runs=runs, junctions_per_run=30, overlap=overlap, seed=seed
-        )
-        for name, run in simulate_scenario(settings).runs.items():
-            write_map(workspace / "maps" / f"{name}.json", build_map(run))
-    return workspace
+    maze = ScenarioSettings("maze", 4, 0.25, 30, prefix="maze", seed=3)
+    rows = ScenarioSettings("rows", 2, 0.5, 30, prefix="rows", seed=5)
+    return once("explained", lambda folder: simulated_maps(folder, maze, rows))
 
 
 @pytest.fixture

@@ -14,25 +14,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from topobatch.cli.workspace import Workspace
 from topobatch.topology.files import read_json, write_json
 
 
 @pytest.fixture(scope="module")
-def filled(logs, tmp_path_factory):
-    """A workspace of two runs that share too little to be merged by so short drives, or enough."""
-    from topobatch.cli.ingest_worker import IngestJob, ingest_one
-    from topobatch.cli.workspace import Workspace
-    from topobatch.ingest.mapping_settings import MappingSettings
-    from topobatch.ingest.reading import ReadSettings
-    from topobatch.merge.document import write_merged
-    from topobatch.merge.merging import merge_maps
-
-    place = Workspace(tmp_path_factory.mktemp("export") / "ws")
-    for log in (logs["mcap"], logs["other"]):
-        job = IngestJob(log, log.stem, place, ReadSettings(), MappingSettings(), False)
-        assert ingest_one(job, lambda more: None).status == "done"
-    write_merged(place.merged_json, merge_maps([place.read_map(run) for run in place.runs()]))
-    return place
+def filled(merged_once, tmp_path_factory) -> Workspace:
+    return Workspace(shutil.copytree(merged_once, tmp_path_factory.mktemp("export") / "ws"))
 
 
 def run_of(place) -> str:
@@ -184,23 +172,6 @@ def test_a_log_that_the_map_was_not_made_from_is_refused(topobatch, filled, logs
         record.write_text(kept)
 
 
-def test_a_log_of_other_times_is_not_the_maps(logs):
-    from topobatch.cli.export import _differs
-    from topobatch.ingest.mapping import build_map
-    from topobatch.ingest.reading import read_run
-
-    run = read_run(logs["mcap"])
-    topomap = build_map(run)
-    assert _differs(topomap, run) is None
-    day = 86_400 * 10**9
-    later = replace(topomap, observation_time_ns=topomap.observation_time_ns + day)
-    assert "where the map begins 2023-11-16" in _differs(later, run)
-    told = dict(topomap.info["source"])
-    fewer = told | {"junctions": told["junctions"] | {"messages": 3}}
-    assert "where the map has 3" in _differs(replace(topomap, info={"source": fewer}), run)
-    assert _differs(replace(topomap, info={"source": "x"}), run) is None
-
-
 def test_maps_of_grids_have_no_trajectories_and_cost_others_none(topobatch, filled, tmp_path):
     root, run = tmp_path / "ws", run_of(filled)
     shutil.copytree(filled.root, root)
@@ -295,3 +266,20 @@ def test_the_files_as_json(topobatch, filled) -> None:
     assert json.loads(done.out) == {"format": "csv", "files": files}
     error = topobatch("export", run, "-f", "nav2", "--json", "-o", "-", "-w", filled.root).error(2)
     assert "--output -" in error
+
+
+def test_a_log_of_other_times_is_not_the_maps(logs):
+    from topobatch.cli.export import _differs
+    from topobatch.ingest.mapping import build_map
+    from topobatch.ingest.reading import read_run
+
+    run = read_run(logs["mcap"])
+    topomap = build_map(run)
+    assert _differs(topomap, run) is None
+    day = 86_400 * 10**9
+    later = replace(topomap, observation_time_ns=topomap.observation_time_ns + day)
+    assert "where the map begins 2023-11-16" in _differs(later, run)
+    told = dict(topomap.info["source"])
+    fewer = told | {"junctions": told["junctions"] | {"messages": 3}}
+    assert "where the map has 3" in _differs(replace(topomap, info={"source": fewer}), run)
+    assert _differs(replace(topomap, info={"source": "x"}), run) is None

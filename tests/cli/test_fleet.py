@@ -28,13 +28,15 @@ from ..viz.readback import Readback
 
 
 @pytest.fixture(scope="session")
-def fleet(tmp_path_factory, fleet_maps):
+def fleet(once, fleet_maps):
     """A workspace with the maps of 18 runs in three buildings, and what merging them gives."""
-    root = tmp_path_factory.mktemp("fleet")
-    fleet_maps(root / "maps", 18)
-    place = Workspace(root)
-    write(root / "expected", place, merge_maps([place.read_map(run) for run in place.runs()]))
-    return root
+
+    def make(root):
+        fleet_maps(root / "maps", 18)
+        place = Workspace(root)
+        write(root / "expected", place, merge_maps([place.read_map(run) for run in place.runs()]))
+
+    return once("fleet", make)
 
 
 def write(path, place, result):
@@ -109,7 +111,7 @@ def test_a_merge_that_is_killed_again_and_again(workspace, fleet):
     """Whenever it dies, the documents are whole, and what it found in between is of use."""
     rng = np.random.default_rng(7)
     command = [sys.executable, "-m", "topobatch.cli", "merge", "--all", "-j", "1", "-q"]
-    for _ in range(6):
+    for _ in range(3):
         process = subprocess.Popen([*command, "-w", str(workspace)])
         try:
             process.wait(rng.uniform(0.3, 1.8))

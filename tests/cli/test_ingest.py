@@ -6,10 +6,7 @@ import json
 import os
 import shutil
 import sqlite3
-import subprocess
 import sys
-import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -296,19 +293,6 @@ def test_logs_of_one_name_are_told_apart_and_cost_no_other(topobatch, logs, tmp_
     assert "2 unchanged" in topobatch(*call).out
     for log in ("robot2/run.mcap", "robot1/run.mcap"):
         assert "1 unchanged" in topobatch("ingest", tmp_path / "logs" / log, *call[2:]).out
-
-
-def test_logs_that_no_name_tells_apart_cost_each_other_only(topobatch, logs, tmp_path, monkeypatch):
-    from topobatch.cli import run_names
-
-    logs_here = [shutil.copy(logs["mcap"], tmp_path / f"{name}.mcap") for name in "abc"]
-    same = dict(zip(logs_here, ("x", "x", "c"), strict=True))
-    monkeypatch.setattr(run_names, "run_names", lambda logs, *_, **__: same)
-    done = topobatch("ingest", tmp_path, "-w", tmp_path / "ws")
-    assert done.code == 2
-    assert "a.mcap would become run 'x' as well; give it another by --name" in done.err
-    maps = [p.name for p in sorted((tmp_path / "ws" / "maps").glob("*.json"))]
-    assert maps == ["c.json", "x.json"]
 
 
 def test_a_run_of_another_log_is_not_overwritten(topobatch, logs, tmp_path):
@@ -611,22 +595,6 @@ def test_what_is_broken_in_a_folder_costs_no_other_log(topobatch, logs, tmp_path
     assert f"{len(broken) + 1} of {len(broken) + 3} logs failed" in last
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="paths are short there")
-def test_folders_deeper_than_the_stack(topobatch, logs, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    for _ in range(1500):
-        os.mkdir("d")
-        os.chdir("d")
-    shutil.copy(logs["mcap"], "deep.mcap")
-    os.chdir(tmp_path)
-    shutil.copy(logs["mcap"], tmp_path / "good.mcap")
-    assert topobatch("ingest", tmp_path, "-w", tmp_path / "ws").code == 0
-    assert {p.stem for p in (tmp_path / "ws" / "maps").glob("*.json")} == {"deep", "good"}
-    # What removes folders is not as patient.
-    os.rename(tmp_path / "d", tmp_path / "left")
-    subprocess.run(["rm", "-rf", str(tmp_path / "left")], check=True)
-
-
 class Deadly:
     """In place of a path: whoever unpickles it is killed, if told so only the first time."""
 
@@ -661,29 +629,6 @@ def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
     assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
-def test_a_process_that_dies_at_once_does_not_while_others_are_started(logs, tmp_path, monkeypatch):
-    """It would break the pool, which then may wait for those for ever."""
-    start = ProcessPoolExecutor._spawn_process
-
-    def slowly(pool):
-        if pool._processes:
-            time.sleep(1)
-        start(pool)
-
-    monkeypatch.setattr(ProcessPoolExecutor, "_spawn_process", slowly)
-    place = Workspace(tmp_path / "ws")
-    deadly = Deadly(logs["mcap"], tmp_path / "mark")
-    jobs = [
-        IngestJob(log, run, place, ReadSettings(), MappingSettings(), force=False)
-        for run, log in (("mcap", deadly), ("other", logs["other"]))
-    ]
-    assert {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)} == {
-        "mcap": "done",
-        "other": "done",
-    }
-
-
 def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
     junk = tmp_path / "junk.mcap"
     junk.write_bytes(b"junk")
@@ -703,3 +648,16 @@ def test_an_ingest_that_fails_takes_nothing_away(topobatch, logs, tmp_path):
     assert len(list((place / "maps").glob("*.json"))) == 1
     assert topobatch("ingest", junk, "-w", place).code == 1
     assert len(list((place / "maps").glob("*.json"))) == 1
+
+
+def test_logs_that_no_name_tells_apart_cost_each_other_only(topobatch, logs, tmp_path, monkeypatch):
+    from topobatch.cli import run_names
+
+    logs_here = [shutil.copy(logs["mcap"], tmp_path / f"{name}.mcap") for name in "abc"]
+    same = dict(zip(logs_here, ("x", "x", "c"), strict=True))
+    monkeypatch.setattr(run_names, "run_names", lambda logs, *_, **__: same)
+    done = topobatch("ingest", tmp_path, "-w", tmp_path / "ws")
+    assert done.code == 2
+    assert "a.mcap would become run 'x' as well; give it another by --name" in done.err
+    maps = [p.name for p in sorted((tmp_path / "ws" / "maps").glob("*.json"))]
+    assert maps == ["c.json", "x.json"]

@@ -10,25 +10,19 @@ import sys
 
 import pytest
 
-from topobatch.ingest.mapping import build_map
-from topobatch.merge.result import PairVerdict, Verdict
-from topobatch.merge.robust.entries import ELSEWHERE, MAPS_ALONE, doubt
+from topobatch.merge.robust.entries import MAPS_ALONE
 from topobatch.merge.robust.verdict import MAYBE_COPY
-from topobatch.simulation import ScenarioSettings, simulate_scenario
-from topobatch.topology.document import write_map
+from topobatch.simulation import ScenarioSettings
+
+from .conftest import simulated_maps
 
 
-@pytest.fixture(scope="module")
-def sites(tmp_path_factory):
+@pytest.fixture(scope="session")
+def sites(once):
     """Two runs in a maze, which merge, and two among equal rows, which may be copies."""
-    workspace = tmp_path_factory.mktemp("sites")
-    for world, overlap, seed in (("maze", 0.6, 5), ("rows", 0.5, 5)):
-        settings = ScenarioSettings(
-            world=world, prefix=world, runs=2, junctions_per_run=30, overlap=overlap, seed=seed
-        )
-        for name, run in simulate_scenario(settings).runs.items():
-            write_map(workspace / "maps" / f"{name}.json", build_map(run))
-    return workspace
+    maze = ScenarioSettings("maze", 2, 0.6, 30, prefix="maze", seed=5)
+    rows = ScenarioSettings("rows", 2, 0.5, 30, prefix="rows", seed=5)
+    return once("locked", lambda folder: simulated_maps(folder, maze, rows))
 
 
 @pytest.fixture
@@ -95,14 +89,12 @@ def test_a_map_that_cannot_be_read_is_said(topobatch, workspace):
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals of Unix")
-@pytest.mark.parametrize(
-    ("answer", "option", "kept"), [("n", (), 0), ("y", (), 1), ("", ("-y",), 1)]
-)
-def test_on_a_terminal_it_is_asked_back(workspace, answer, option, kept):
+@pytest.mark.parametrize(("answer", "kept"), [("n", 0), ("y", 1)])
+def test_on_a_terminal_it_is_asked_back(workspace, answer, kept):
     import pty
 
     ours, theirs = pty.openpty()
-    call = ["lock", "rows1", "rows2", "--same", *option, "-w", str(workspace)]
+    call = ["lock", "rows1", "rows2", "--same", "-w", str(workspace)]
     process = subprocess.Popen(
         [sys.executable, "-m", "topobatch.cli", *call],
         stdin=theirs,
@@ -116,17 +108,6 @@ def test_on_a_terminal_it_is_asked_back(workspace, answer, option, kept):
     shown = os.read(ours, 10_000).decode()
     os.close(ours)
     assert MAYBE_COPY in " ".join(shown.split())
-    assert ("lock them as the same? [y/N]" in shown) == (not option)
+    assert "lock them as the same? [y/N]" in shown
     assert process.returncode == (not kept)
     assert len(locks(workspace)) == kept
-
-
-def pair(reason: str, **more: object) -> PairVerdict:
-    return PairVerdict("a", "b", Verdict.AMBIGUOUS, False, 1.0, reason, **more)  # type: ignore[arg-type]
-
-
-def test_too_little_evidence_is_no_doubt():
-    assert doubt(pair("3 junctions agree; chance offers as much too often")) == ""
-    assert doubt(pair(f"locked apart by a person; {MAPS_ALONE} nothing", locked="never")) == ""
-    assert doubt(pair(f"locked as the same; {MAPS_ALONE} merged, {ELSEWHERE}")) == ELSEWHERE
-    assert doubt(pair(f"8 junctions agree; {MAYBE_COPY}")) == MAYBE_COPY

@@ -60,12 +60,6 @@ def test_wrong_calls_exit_with_2(arguments, tmp_path):
     assert "--help`" in error
 
 
-def test_merge_of_an_empty_workspace(tmp_path):
-    error = one_line_error(run("merge", "--all", "-w", tmp_path / "none"), 1)
-    assert "topobatch ingest" in error
-    assert str(tmp_path) in error
-
-
 def test_view_without_a_recording(tmp_path):
     assert "topobatch ingest" in one_line_error(run("view", "-w", tmp_path), 1)
     assert "topobatch ingest" in one_line_error(run("view", "r1", "-w", tmp_path), 1)

@@ -107,8 +107,13 @@ OF_A_RUN = (
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", ["rum1", "run1.mcap", "topobatch-workspace/maps/run1"])
-@pytest.mark.parametrize("call", OF_A_RUN)
+@pytest.mark.parametrize(
+    ("call", "name"),
+    [
+        *((call, "rum1") for call in OF_A_RUN),
+        *((OF_A_RUN[0], name) for name in ("run1.mcap", "topobatch-workspace/maps/run1")),
+    ],
+)
 def test_a_run_that_is_not_there(topobatch, merged_site, monkeypatch, call, name):
     monkeypatch.chdir(merged_site)
     error = topobatch(*call.format(name).split()).error(2)

@@ -10,20 +10,11 @@ from pathlib import Path
 import pytest
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory, fleet_maps):
-    """Maps of two buildings."""
-    root = tmp_path_factory.mktemp("next")
-    (root / "maps").mkdir()
-    fleet_maps(root / "maps", 12, keep=7)
-    return root
-
-
 @pytest.fixture
-def place(made, tmp_path, topobatch):
+def place(two_buildings, tmp_path, topobatch):
     """Merged at a rate of false merges so low that a site or more is open."""
     root = tmp_path / "ws"
-    shutil.copytree(made, root)
+    shutil.copytree(two_buildings, root)
     call = ("merge", "--all", "--false-merge-rate", 1e-9, "-q", "-w", root)
     assert topobatch(*call).code == 0
     return root
@@ -73,12 +64,13 @@ def test_the_report_shows_it(place, topobatch) -> None:
     assert "drive to record" in page
 
 
-def test_the_calls_that_cannot_be(place, topobatch, made) -> None:
+def test_the_calls_that_cannot_be(place, topobatch) -> None:
     for call, said in (
         (("next", "nowhere"), "there is no site 'nowhere'"),
         (("next", "-o", "plan.txt"), "ends in .csv or .geojson"),
         (("next", "--merge", "two"), "is not there"),
     ):
         assert said in topobatch(*call, "-w", place).error(2)
-    assert "make it with" in topobatch("next", "-w", made).error(1)
+    (place / "merged.json").unlink()
+    assert "make it with" in topobatch("next", "-w", place).error(1)
     assert not Path("plan.txt").exists()

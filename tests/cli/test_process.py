@@ -21,7 +21,7 @@ def shell(line: str, *arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
 
 
-@pytest.mark.parametrize("closed", ["2>&-", "<&- 2>&-", "<&- >&- 2>&-"])
+@pytest.mark.parametrize("closed", ["2>&-", "<&- >&- 2>&-"])
 def test_closed_streams_are_no_error(logs, tmp_path, closed):
     """As daemons are started. What is written there is lost, and goes into no file."""
     call = ("ingest", logs["mcap"], tmp_path / "none.bag", "-w", tmp_path / "ws")
@@ -35,7 +35,7 @@ def test_closed_streams_are_no_error(logs, tmp_path, closed):
     assert shell(f'"$@" {closed}', "nonsense").returncode == 2
 
 
-@pytest.mark.parametrize("kib", [60_000, 450_000, 1_000_000])
+@pytest.mark.parametrize("kib", [60_000, 1_000_000])
 def test_too_little_memory_is_said_in_one_sentence(logs, tmp_path, kib):
     call = ("ingest", logs["mcap"], "-w", tmp_path / "ws")
     done = shell(f'ulimit -v {kib}; "$@"', *call)
@@ -57,8 +57,7 @@ def test_what_means_a_lack_of_memory():
     assert lack_of_memory(ImportError("No module named 'x'")) is None
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-@pytest.mark.parametrize("group", [True, False], ids=["to all", "to the first"])
+@pytest.mark.parametrize(("number", "group"), [(signal.SIGTERM, False), (signal.SIGHUP, True)])
 def test_signals_end_it_quietly(logs, tmp_path, number, group):
     """Also while it has worker processes, of which Python's resource tracker would tell."""
     call = ["ingest", logs["mcap"], logs["other"], "-j", "2", "-w", str(tmp_path / "ws")]

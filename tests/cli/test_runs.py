@@ -21,19 +21,8 @@ from topobatch.topology.views import FREE, SIDE, WALL, Views
 
 
 @pytest.fixture
-def merged(topobatch, building_maps, tmp_path):
-    shutil.copytree(building_maps, tmp_path / "ws" / "maps")
-    done = topobatch("merge", "--all", "-j", 1, "-q", "-w", tmp_path / "ws")
-    assert done.code == 0, done
-    return tmp_path / "ws"
-
-
-@pytest.fixture(scope="session")
-def building_maps(tmp_path_factory, fleet_maps):
-    """A folder with the maps of five runs of one building and of two of another."""
-    folder = tmp_path_factory.mktemp("maps")
-    fleet_maps(folder, 12, keep=7)
-    return folder
+def merged(buildings):
+    return buildings
 
 
 def document(workspace):
@@ -110,7 +99,7 @@ def test_a_copied_workspace_is_not_stale(topobatch, merged):
     assert all(why == ["map changed since the merge"] for why in stale())
 
 
-def test_a_discarded_run_leaves_nothing(topobatch, merged, building_maps, tmp_path):
+def test_a_discarded_run_leaves_nothing(topobatch, merged, two_buildings, tmp_path):
     gone = accepted_pair(merged)[0]
     other = next(p.stem for p in (merged / "maps").glob("*.json") if p.stem != gone)
     topobatch("lock", gone, other, "--never", "-w", merged)
@@ -124,7 +113,7 @@ def test_a_discarded_run_leaves_nothing(topobatch, merged, building_maps, tmp_pa
     done = topobatch("discard", gone, "-w", merged)
     assert done.code == 0, done
     never = tmp_path / "never"
-    shutil.copytree(building_maps, never / "maps")
+    shutil.copytree(two_buildings, never)
     (never / "maps" / f"{gone}.json").unlink()
     topobatch("merge", "--all", "-j", 1, "-q", "-w", never)
     assert nameless(merged) == nameless(never)  # sites keep their names
@@ -353,6 +342,7 @@ def test_info_of_several_logs(topobatch, logs, tmp_path):
 
 
 def test_verbose(topobatch, merged, logs, tmp_path):
+    topobatch("merge", "--all", "-w", merged)
     done = topobatch("merge", "--all", "-v", "-w", merged)
     assert "nothing is new" in done.err
     (merged / "cache" / "merged" / "merged.json").unlink()
@@ -364,10 +354,10 @@ def test_verbose(topobatch, merged, logs, tmp_path):
     assert "known already" not in topobatch("merge", "--all", "-w", merged).err
 
 
-def test_views_go_with_their_run(topobatch, building_maps, tmp_path):
+def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):
     """They are read, renamed and removed with its map, and a merge without them says so."""
     place = tmp_path / "ws"
-    shutil.copytree(building_maps, place / "maps")
+    shutil.copytree(two_buildings, place)
     path = min((place / "maps").glob("*.json"))
     cells = np.zeros((4, SIDE, SIDE), np.uint8)
     cells[:, 30, 20:60], cells[:, 31:50, 20:60] = WALL, FREE

@@ -8,21 +8,9 @@ import shutil
 import pytest
 
 
-@pytest.fixture(scope="module")
-def made(tmp_path_factory, fleet_maps):
-    """Maps of two buildings, of five and of two runs."""
-    root = tmp_path_factory.mktemp("sites")
-    (root / "maps").mkdir()
-    fleet_maps(root / "maps", 12, keep=7)
-    return root
-
-
 @pytest.fixture
-def place(made, tmp_path, topobatch):
-    root = tmp_path / "ws"
-    shutil.copytree(made, root)
-    assert topobatch("merge", "--all", "-q", "-w", root).code == 0
-    return root
+def place(buildings):
+    return buildings
 
 
 def sites(root):
@@ -69,19 +57,19 @@ def test_a_given_name_is_kept_whatever_happens(place, topobatch) -> None:
     assert [entry["site"] for entry in kept] == ["annex"]
 
 
-def test_a_new_run_changes_no_name(place, topobatch, made, tmp_path) -> None:
+def test_a_new_run_changes_no_name(place, topobatch, two_buildings) -> None:
     before = sites(place)
     name, runs = largest(place)
     assert topobatch("discard", runs[0], "-w", place).code == 0
     assert sites(place)[name] == runs[1:]
-    shutil.copy(made / "maps" / f"{runs[0]}.json", place / "maps")
+    shutil.copy(two_buildings / "maps" / f"{runs[0]}.json", place / "maps")
     assert topobatch("merge", "--all", "-w", place).code == 0
     assert sites(place) == before
 
 
-def test_a_name_before_any_merge(made, topobatch, tmp_path) -> None:
+def test_a_name_before_any_merge(two_buildings, topobatch, tmp_path) -> None:
     root = tmp_path / "ws"
-    shutil.copytree(made, root)
+    shutil.copytree(two_buildings, root)
     run = sorted(p.stem for p in (root / "maps").glob("*.json"))[0]
     shown = topobatch("site", run, "north", "-w", root)
     assert shown.out == f"site north: {run}\nnext: topobatch merge --all -w {root}\n"

@@ -13,9 +13,10 @@ from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
 from topobatch.topology.document import write_map
-from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, wrap
+from topobatch.topology.se2 import apply
 from topobatch.topology.topomap import TopoMap
+
+from ..maps import straight_map
 
 T = np.array([12.0, -7.0, 0.6])
 LENGTHS = (7.0, 11.0, 5.0, 8.5, 13.0, 6.2, 9.7, 4.4)
@@ -26,31 +27,8 @@ def comb(run: str, pose: np.ndarray, *, stretch: float = 1.0) -> TopoMap:
     x = np.concatenate([[0.0], np.cumsum(LENGTHS)]) * stretch
     stem = np.column_stack([x, np.zeros(len(x))])
     tips = stem[1:-1] + np.column_stack([np.zeros(7), [3.1, -5.2, 7.3, -4.4, 2.6, 8.8, -6.1]])
-    xy = np.vstack([stem, tips])
     ends = [(i, i + 1) for i in range(8)] + [(i + 1, 9 + i) for i in range(7)]
-    rows: list[list[float]] = [[] for _ in xy]
-    for u, v in ends:
-        d = xy[v] - xy[u]
-        rows[u].append(float(np.arctan2(d[1], d[0])))
-        rows[v].append(float(np.arctan2(-d[1], -d[0])))
-    headings = [np.sort(wrap(np.array(r) + pose[2])) for r in rows]
-    moved = apply(pose, xy)
-
-    def branch(u: int, v: int) -> int:
-        d = moved[v] - moved[u]
-        return int(np.abs(wrap(headings[u] - np.arctan2(d[1], d[0]))).argmin())
-
-    return TopoMap(
-        run=run, frame="odom", xy=moved, branches=Ragged.from_rows(headings),
-        kind=tuple("junction" if len(h) > 1 else "dead_end" for h in headings),
-        source=np.array([u for u, _ in ends]), target=np.array([v for _, v in ends]),
-        source_branch=np.array([branch(u, v) for u, v in ends]),
-        target_branch=np.array([branch(v, u) for u, v in ends]),
-        length=np.array([np.hypot(*(xy[v] - xy[u])) for u, v in ends]),
-        length_sigma=np.full(len(ends), 0.05), traversals=np.ones(len(ends), np.int64),
-        paths=tuple(moved[[u, v]] for u, v in ends),
-        observation_vertex=np.arange(len(xy)), observation_time_ns=np.arange(len(xy)) * 10**9,
-    )  # fmt: skip
+    return straight_map(run, [*stem, *tips], ends, T=pose)
 
 
 @pytest.fixture

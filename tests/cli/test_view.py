@@ -41,9 +41,8 @@ def test_what_the_viewer_cannot_read_is_said(topobatch, place, tmp_path) -> None
     assert "ingest it again" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
 
 
-def test_what_explain_found_is_opened(topobatch, logs, tmp_path, monkeypatch) -> None:
-    ws = tmp_path / "ws"
-    topobatch("ingest", logs["mcap"], logs["other"], "-w", ws, "-q")
+def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None:
+    ws = workspace
     missing = topobatch("view", "run2:run1", "-w", ws).error(1)
     assert missing.endswith(f"is not there; topobatch explain run1 run2 -w {ws} makes it")
     said = topobatch("explain", "run1", "run2", "-w", ws)

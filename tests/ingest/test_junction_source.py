@@ -17,7 +17,7 @@ from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.mounting import joined, mounting
 from topobatch.ingest.read_settings import ReadSettings
-from topobatch.ingest.reading import inspect_log, log_size, read_log, read_run
+from topobatch.ingest.reading import inspect_log, read_log, read_run
 from topobatch.simulation import (
     LaserSettings,
     MotionSettings,
@@ -83,14 +83,6 @@ def test_particles_and_cost_maps_show_no_junctions() -> None:
         chosen(ODOM, ("/local_costmap/costmap", MAP[1]))
 
 
-def test_of_several_lasers_all_are_named() -> None:
-    source = junction_source(
-        counts(ODOM, ("/back", SCAN[1]), ("/front", SCAN[1])), ReadSettings(), "log"
-    )
-    assert source.choice.topic == "/front", "it has more messages"
-    assert [choice.topic for choice in source.beside] == ["/back"]
-
-
 # --- whole logs --------------------------------------------------------------------------------
 
 
@@ -129,15 +121,6 @@ def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
     uses = {topic.topic: (topic.use, topic.why) for topic in inspect_log(both).topics}
     assert uses["/junctions"][0] == "junctions"
     assert uses["/scan"] == ("scans", "not used; --junctions-from scan finds junctions in it")
-
-
-def test_progress_counts_both_walks_through_a_log_with_scans(both: Path) -> None:
-    size, told = log_size(both), list[int]()
-    read_run(both, ReadSettings(junctions_from="scan"), on_bytes=told.append)
-    assert sum(told) == size
-    # Scans are read as they are matched: the second half comes bit by bit, too.
-    assert max(told) < 0.6 * size
-    assert sum(each > 0 for each in np.cumsum(told) > 0.5 * size) > 1
 
 
 def test_scans_become_a_map(both: Path) -> None:
@@ -395,35 +378,3 @@ def test_scans_without_odometry(both: Path, sensors: ModuleType, tmp_path: Path)
     assert any("no odometry" in warning for warning in run.warnings)
     way = read_run(both).odometry.step_m.sum()
     assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.1)
-
-
-def test_two_lasers_are_read_together(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
-    """The beams of one laser dealt out to two: one to the left and one to the right; where they
-    are stands in the log once more, and otherwise."""
-
-    def halves(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
-        if topic == "/tf_static":
-            mounts = [
-                sensors.mount(name, (0.15, 0.0, 0.2, 0.0, 0.0, 0.0, 1.0))
-                for name in ("laser", "other")
-            ]
-            mounts.append(sensors.mount("other", (0.0, 0.5, 0.0, 0.0, 0.0, 0.0, 1.0), "laser"))
-            return [(topic, kind, log_ns + k, mount) for k, mount in enumerate(mounts)]
-        if topic != "/scan":
-            return [] if topic == "/junctions" else [(topic, kind, log_ns, raw)]
-        scan = sensors.ROS2.deserialize_cdr(raw, kind)
-        half = len(scan.ranges) // 2
-        out = []
-        for name, part in (("laser", slice(0, half)), ("other", slice(half, None))):
-            one = sensors.ROS2.deserialize_cdr(raw, kind)
-            one.header.frame_id, one.ranges = name, scan.ranges[part]
-            one.angle_min = scan.angle_min + scan.angle_increment * (part.start or 0)
-            one.angle_max = one.angle_min + scan.angle_increment * (len(one.ranges) - 1)
-            out.append((f"/{name}", kind, log_ns, sensors.packed(one, kind)))
-        return out
-
-    run = read_run(rewritten(both, tmp_path / "two.mcap", sensors, halves))
-    assert sorted(run.source["junctions"]["lasers"]) == ["/laser", "/other"]
-    assert any("laser → other by 0.50 m and 0.0°" in told for told in run.warnings)
-    assert run.scanned is not None
-    assert len(run.scanned.passes) > 0

@@ -98,15 +98,11 @@ def better(
 @pytest.mark.parametrize(
     "sectors",
     [
-        [("/left/scan", "l", LEFT, 0), ("/right/scan", "r", RIGHT, 0)],
         [("/a", "l", RIGHT, 0), ("/b", "r", LEFT, 10**6)],
-        [("/a", "l", LEFT, 10**6), ("/b", "r", RIGHT, 0)],
         [("/a", "laser", LEFT, 0), ("/b", "laser", RIGHT, 0)],
-        [("/a", "l", slice(0, 90), 0), ("/b", "r", slice(30, 120), 0)],
-        [("/scan", "l", LEFT, 0), ("/scan", "r", RIGHT, 0)],
         [("/scan", "laser", LEFT, 10**6), ("/scan", "laser", RIGHT, 0)],
     ],
-    ids=["equal", "right first", "left late", "one frame", "overlapping", "one topic", "one laser"],
+    ids=["right first", "one frame", "one laser"],
 )
 def test_two_lasers_are_no_worse_than_the_better_one(
     read: Callable[..., tuple[Path, Run]], better: dict[str, float], sectors: Sectors
@@ -136,30 +132,6 @@ def test_a_filtered_copy_is_left_out_and_named(
         "",
         "not used: /scan sees all of its directions in the same frame",
     )
-
-
-def test_of_lasers_that_the_log_does_not_place_the_widest_is_used(
-    read: Callable[..., tuple[Path, Run]],
-) -> None:
-    _, run = read([("/a", "nowhere", slice(0, 40), 0), ("/b", "elsewhere", slice(0, 120), 0)])
-    assert run.source["junctions"]["topic"] == "/b", "its frame is known"
-    unplaced = [("/a", "nowhere", slice(0, 40), 0), ("/b", "nowhere", slice(0, 120), 0)]
-    _, run = read(unplaced)
-    assert run.source["junctions"]["topic"] == "/b"
-    assert run.source["left_out"]["/a"].startswith("/b sees all of its directions")
-
-
-def test_scans_alone_follow_the_laser_with_the_widest_view(
-    read: Callable[..., tuple[Path, Run]],
-) -> None:
-    _, whole = read([("/scan", "laser", slice(0, 120), 0)], "/odom")
-    narrow_first = [("/a", "a", slice(0, 30), 0), ("/b", "b", slice(0, 120), 10**6)]
-    _, run = read(narrow_first, "/odom")
-    assert not run.source["junctions"]["odometry"]
-    way = whole.odometry.step_m.sum()
-    assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.01)
-    assert run.source["junctions"]["topic"] == "/b"
-    assert run.source["left_out"]["/a"].startswith("without odometry")
 
 
 def _cloud(sensors: ModuleType, raw: bytes, kind: str, beams: slice, frame: str) -> bytes:

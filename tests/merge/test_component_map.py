@@ -54,18 +54,6 @@ def test_a_corridor_past_an_unseen_junction_gives_each_part_its_share(draw) -> N
     assert (second / S).tolist() == [[26, 20], [103, 109], [212, 200]]
 
 
-def test_a_fused_corridor_that_is_drawn_the_other_way_has_its_times_turned(draw) -> None:
-    a = timed(draw("a", {"A": (0, 0), "B": (3, 0)}, [("A", "B")]), [(10 * S, 13 * S)])
-    (times,) = member_times(
-        {"a": a}, [[("a", 0)]], fused_of={("a", 0): 1, ("a", 1): 0},
-        source=np.array([0]), target=np.array([1]), length=np.array([3.1]),
-    )  # fmt: skip
-    assert (times / S).tolist() == [[13, 10]]
-    bare = replace(a, traversal_ns=None)
-    kept = {"fused_of": {}, "source": np.array([0]), "target": np.array([1])}
-    assert member_times({"a": bare}, [[("a", 0)]], length=np.array([3.0]), **kept) is None
-
-
 @pytest.fixture(scope="module")
 def merged(maze_pair):
     """Two maps of a maze whose corridors were driven at 1 m/s, and their merge."""

@@ -15,11 +15,6 @@ from topobatch.merge.locks import (
 from topobatch.topology.errors import DocumentError, UsageError
 
 
-def test_runs_are_ordered_and_their_vertices_with_them():
-    assert Lock("z", "a", "same", (7, 3)) == Lock("a", "z", "same", (3, 7))
-    assert Lock("z", "a", "never") == Lock("a", "z", "never")
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -59,12 +54,6 @@ def test_documents_come_back_as_they_were():
 
 def _document(*locks, schema="topobatch.locks/1"):
     return {"schema": schema, "locks": [dict(zip("ab", k, strict=True)) | v for k, v in locks]}
-
-
-def test_keys_that_nobody_knows_are_passed_over():
-    doc = locks_to_document([Lock("a", "b", "never")])
-    doc["locks"][0] |= {"../x": 1, "noted": "by hand"}
-    assert locks_from_document(doc) == (Lock("a", "b", "never"),)
 
 
 @pytest.mark.parametrize(

@@ -130,10 +130,6 @@ def test_maps_in_pieces_are_not_merged_as_if_they_had_one_frame(halves):
         merge_maps([in_pieces(*halves), halves[1]])
 
 
-def test_a_map_in_one_piece_stays_as_it_is(halves):
-    assert joined_pieces(halves[0]) == (halves[0],)
-
-
 def test_joined_pieces_know_when_their_corridors_were_driven(halves, other_maze, see):
     """Each corridor of each piece once, at 1 m/s."""
     elsewhere = see(other_maze, list(range(len(other_maze.xy))), 5, "elsewhere")

@@ -35,15 +35,6 @@ def test_a_new_site_is_called_after_its_folder() -> None:
     assert named([["a", "b"], ["c", "d"], ["e"]], known=known)[0] == ["north", "south", "e"]
 
 
-def test_the_folder_is_the_deepest_that_all_share() -> None:
-    known = {
-        "a": Origin(("x", "north", "monday")),
-        "b": Origin(("x", "north", "tuesday")),
-        "c": Origin(("x", "south")),
-    }
-    assert named([["a", "b"], ["c"]], known=known)[0] == ["north", "c"]
-
-
 def test_names_of_runs_that_begin_alike_name_a_site_where_the_folder_tells_nothing() -> None:
     groups = [["north-01", "north-02"], ["south-01", "south-02"], ["x"]]
     assert named(groups)[0] == ["north", "south", "x"]
@@ -108,21 +99,6 @@ def test_of_a_site_that_comes_apart_the_larger_part_keeps_the_name() -> None:
     assert told == ["north came apart: a (a); north (b, c)"]
     names, _ = named([["b"], ["a"]], SiteHistory(before=before(north=["a", "b"])))
     assert names == ["b", "north"]  # the oldest run decides between equals
-
-
-def test_a_given_name_is_back_when_a_union_comes_apart() -> None:
-    history = SiteHistory(
-        {"north": ("a", "b"), "south": ("c",)}, before(north=["a", "b", "c", "d"])
-    )
-    names, told = named([["a", "b", "d"], ["c"]], history)
-    assert names == ["north", "south"]
-    assert told == ["north came apart: north (a, b, d); south (c)"]
-
-
-def test_a_run_alone_has_no_name_to_keep() -> None:
-    """Its own is that of a run, and would be nobody's choice for many."""
-    history = SiteHistory(before={"a": "a", "b": "b"})
-    assert named([["a", "b"]], history) == (["logs"], [])
 
 
 @pytest.mark.parametrize("run", ["x:y", ".hidden", "a/b", "é" * 150])

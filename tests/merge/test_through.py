@@ -25,8 +25,3 @@ def test_the_shortest_chain_joins_two_runs():
     assert found["b", "d"] == ("a",)
     assert not any("g" in key for key in found)
     assert not joined & set(found)
-
-
-def test_without_accepted_pairs_nothing_is_joined():
-    assert joined_through([]) == {}
-    assert joined_through([pair("a", "b", True), pair("a", "c", False)]) == {}

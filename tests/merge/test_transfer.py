@@ -66,12 +66,6 @@ def test_a_bent_map_is_carried_along_its_bend() -> None:
     assert np.all(off < 3 * found.sigma_m)
 
 
-def test_sigma_grows_with_the_way_from_anything_matched() -> None:
-    far = np.array([(45.0, 10.0), (60.0, 10.0), (100.0, 10.0), (300.0, 10.0)])
-    found = transfer(far, matched(apply(T, GRID)))
-    assert np.all(np.diff(found.sigma_m) > 0)
-
-
 def test_noisy_junctions_make_the_sigma_that_they_deserve() -> None:
     """Coordinates of places on maps that walk at random apart, within 1 and 2 sigmas; the noise of
     the maps suggests half of the bending that there is."""
@@ -89,16 +83,6 @@ def test_noisy_junctions_make_the_sigma_that_they_deserve() -> None:
     share = np.concatenate(within)
     assert 0.58 < np.mean(share < 1) < 0.80
     assert 0.90 < np.mean(share < 1.96) < 0.99
-
-
-def test_the_order_of_the_junctions_does_not_matter() -> None:
-    order = np.random.default_rng(2).permutation(len(GRID))
-    one, other = (
-        transfer(PLACES, matched(apply(T, GRID))),
-        transfer(PLACES, matched(apply(T, GRID)[order], GRID[order])),
-    )
-    assert np.allclose(one.xy, other.xy, atol=1e-9)
-    assert np.allclose(one.sigma_m, other.sigma_m)
 
 
 def test_nothing_in_common_is_refused() -> None:

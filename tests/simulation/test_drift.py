@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from topobatch.simulation import (
-    DRIFTS,
-    FAULTS,
     Drift,
-    RunSettings,
     SimulatedRun,
     make_world,
     simulate_run,
 )
 from topobatch.topology.errors import UsageError
-from topobatch.topology.se2 import apply, between, compose, fit_rigid, wrap
+from topobatch.topology.se2 import between, compose, wrap
 
 from .driven import PERFECT, drifted
 
@@ -64,29 +59,6 @@ def test_a_reset_starts_again_from_zero_and_breaks_the_track() -> None:
     np.testing.assert_array_equal(odometry.pose[odometry.breaks], 0.0)
     assert odometry.time_ns[odometry.breaks].tolist() == list(broken.truth.break_ns)
     assert odometry.step_m.sum() == pytest.approx(drifted().run.odometry.step_m.sum(), rel=1e-3)
-
-
-def test_sideways_slip_moves_the_robot_in_turns_only() -> None:
-    plain, slipped = (
-        simulate_run(make_world("organic", 30, 3), settings=replace(PERFECT, drift=Drift(**d)))
-        for d in ({}, {"sideways_slip_m_per_rad": 0.3})
-    )
-    off = np.diff(slipped.run.odometry.pose[:, :2] - plain.run.odometry.pose[:, :2], axis=0)
-    moved = np.hypot(*off.T)
-    assert moved[np.abs(plain.run.odometry.turn_rad[1:]) < 1e-4].max(initial=0.0) < 1e-4
-    assert moved.sum() > 1.0
-
-
-def test_drift_levels_differ() -> None:
-    def error(level: str) -> float:
-        settings = RunSettings(drift=DRIFTS[level], faults=FAULTS["none"])
-        simulated = simulate_run(make_world("maze", 60, 9), settings=settings, seed=3)
-        raw = simulated.run.odometry.at(simulated.truth.path_ns)[:, :2]
-        true = simulated.truth.path[:, :2]
-        off = true - apply(fit_rigid(true, raw), raw)
-        return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
-
-    assert error("none") < 0.01 < error("low") < error("mid") < error("high")
 
 
 def test_the_frame_jumps_where_the_truth_says_and_as_far() -> None:

@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from topobatch.simulation import (
     LASERS,
@@ -23,11 +21,10 @@ from topobatch.simulation import (
     truth,
 )
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.laser import scans
+from topobatch.simulation.laser import cast_at_segments, scans
 from topobatch.simulation.motion import Drive
-from topobatch.simulation.raycast import NOTHING, cast_at_circles, cast_at_segments
 from topobatch.simulation.traffic import walk_about
-from topobatch.simulation.walls import Segments, doorways, free_space, walls_of
+from topobatch.simulation.walls import doorways, free_space, walls_of
 from topobatch.topology.errors import UsageError
 
 BARE = replace(LASERS["none"], noise_m=0.0)
@@ -89,43 +86,6 @@ def test_the_robot_drives_on_during_a_sweep() -> None:
     assert gap.mean() == pytest.approx(0.05, abs=0.005)
 
 
-@settings(max_examples=60)
-@given(st.integers(0, 10_000))
-def test_beams_meet_what_a_search_along_them_meets(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    a, b = rng.uniform(-5, 5, (2, 6, 2))
-    angle = rng.uniform(-np.pi, np.pi, 8)
-    direction = np.column_stack([np.cos(angle), np.sin(angle)])
-    origin = rng.uniform(-5, 5, (8, 2))
-    present = rng.random((8, 6)) < 0.7
-    way, which, at = cast_at_segments(origin, direction, Segments(a, b), present)
-    for ray in range(8):
-        best = np.inf
-        for s in range(6):
-            if not present[ray, s]:
-                continue
-            t, u = np.linalg.solve(
-                np.column_stack([direction[ray], a[s] - b[s]]), a[s] - origin[ray]
-            )
-            if t > 0 and 0 <= u <= 1 and t < best:
-                best = t
-                assert which[ray] == s or way[ray] <= t
-        assert way[ray] == pytest.approx(best)
-        assert (which[ray] == NOTHING) == np.isinf(best)
-        if np.isfinite(best):
-            s = which[ray]
-            met = origin[ray] + best * direction[ray]
-            assert at[ray] == pytest.approx(np.hypot(*(met - a[s])), abs=1e-6)
-
-
-def test_beams_meet_circles() -> None:
-    origin, direction = np.zeros((3, 2)), np.array([[1.0, 0], [0, 1.0], [-1.0, 0]])
-    centre = np.tile(np.array([[3.0, 0.1], [5.0, 0.0]]), (3, 1, 1))
-    way = cast_at_circles(origin, direction, centre, 0.2)
-    assert way.tolist() == [pytest.approx(3 - np.sqrt(0.04 - 0.01)), np.inf, np.inf]
-    assert cast_at_circles(origin, direction, centre[:, :0], 0.2).tolist() == [np.inf] * 3
-
-
 @pytest.mark.parametrize("kind", ["maze", "office", "organic", "city", "rows"])
 def test_walls_stand_around_the_free_space_and_nowhere_within(kind: str) -> None:
     world = make_world(kind, 30, 2)
@@ -142,24 +102,6 @@ def test_walls_stand_around_the_free_space_and_nowhere_within(kind: str) -> None
     for xy in world.xy:
         way, _, _ = cast_at_segments(np.tile(xy, (50, 1)), direction, walls)
         assert np.isfinite(way).all()
-
-
-def test_what_is_behind_glass_is_not_seen() -> None:
-    run = RunSettings(
-        motion=MotionSettings(1.3, 1.5),
-        laser=replace(BARE, door_share=0.5, people_per_100_m=20.0, beams=60, rate_hz=2.0),
-        tells_junctions=False,
-    )
-    glazed = replace(run, laser=replace(run.laser, glass_share=0.5))
-    world = make_world("maze", 20, 3)
-    opaque, seen = (
-        simulate_run(world, settings=settings, seed=1).scans for settings in (run, glazed)
-    )
-    assert opaque is not None
-    assert seen is not None
-    back = np.isfinite(seen.ranges_m)
-    assert 0.3 < back.mean() < 0.95, "some beams are lost, not all"
-    np.testing.assert_array_equal(seen.ranges_m[back], opaque.ranges_m[back])
 
 
 def test_doors_shut_off_corridors_but_not_the_robots_way() -> None:

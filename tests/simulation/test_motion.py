@@ -30,12 +30,3 @@ def test_turning_back_is_driven_but_no_corridor() -> None:
     np.testing.assert_array_equal(back.truth.drive_edge, straight.truth.drive_edge)
     off = compose(back.truth.T_world_odom, back.run.odometry.at(back.truth.path_ns))
     assert np.max(np.hypot(*(off - back.truth.path)[:, :2].T)) < 0.01
-
-
-def test_passes_do_not_overlap_and_drives_join_passes() -> None:
-    simulated = simulate_run(make_world("organic", 40, 4), settings=PERFECT, seed=2)
-    truth = simulated.truth
-    assert np.all(truth.start_ns < truth.end_ns)
-    assert np.all(truth.start_ns[1:] >= truth.end_ns[:-1])
-    assert np.all(truth.drive_start_ns < truth.drive_end_ns)
-    assert np.all(truth.drive_start_ns[1:] >= truth.drive_end_ns[:-1])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +24,10 @@ from topobatch.simulation import (
 )
 from topobatch.simulation.truth import truth_from_document
 from topobatch.topology.errors import DocumentError
-from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, inverse
 from topobatch.topology.topomap import TopoMap
+
+from ..maps import straight_map
 
 
 def test_truth_survives_its_document(scenario: Scenario, tmp_path: Path) -> None:
@@ -77,24 +79,8 @@ def test_transforms_are_those_of_the_first_poses(scenario: Scenario) -> None:
 
 def _map_of(name: str, xy: np.ndarray, nodes: list[int], times_ns: np.ndarray) -> TopoMap:
     """A map without corridors: just its vertices and who was seen where."""
-    none = np.zeros(0, np.int64)
-    return TopoMap(
-        run=name,
-        frame="odom",
-        xy=xy,
-        branches=Ragged.from_rows([[0.0]] * len(xy)),
-        kind=("junction",) * len(xy),
-        source=none,
-        target=none,
-        source_branch=none,
-        target_branch=none,
-        length=none.astype(float),
-        length_sigma=none.astype(float),
-        traversals=none,
-        paths=(),
-        observation_vertex=np.array(nodes),
-        observation_time_ns=times_ns,
-    )
+    alone = straight_map(name, xy, [], [(v, 0.0) for v in range(len(xy))])
+    return replace(alone, observation_vertex=np.array(nodes), observation_time_ns=times_ns)
 
 
 def _perfect_map(truth: Truth, name: str, pose: np.ndarray) -> TopoMap:

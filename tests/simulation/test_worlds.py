@@ -2,16 +2,42 @@
 
 from __future__ import annotations
 
+import hashlib
+
 import numpy as np
 import pytest
 
 from topobatch.simulation import Faults, WalkSettings, make_world
 from topobatch.simulation.chance import Chance
 from topobatch.simulation.walk import explore
-from topobatch.simulation.world import polyline_heading
 from topobatch.topology.se2 import wrap
 
 from .driven import KINDS
+
+WORLDS = {
+    ("maze", 40, 3): "84a167cd3fd76cd7",
+    ("maze", 120, 7): "f9569030c5a96b26",
+    ("office", 40, 3): "784717c0e3f8d2c9",
+    ("office", 120, 7): "876afffc2a97a426",
+    ("organic", 40, 3): "3d0390f0019595bd",
+    ("organic", 120, 7): "0415f472126ba25d",
+    ("city", 40, 3): "5d8ec485cbdedc48",
+    ("city", 120, 7): "ac0893ad3d1044ff",
+    ("rows", 40, 3): "78b2d219cb188994",
+    ("rows", 120, 7): "ef2cfacda3b33650",
+    ("tiles", 40, 3): "dbd81b85a935d405",
+    ("tiles", 120, 7): "9e66a275b03d5d30",
+}
+"""Digests of worlds by kind, junctions and seed: records of benchmarks hang on them."""
+
+
+@pytest.mark.parametrize(("kind", "junctions", "seed"), WORLDS)
+def test_the_same_seed_gives_the_same_world_on_any_machine(kind, junctions, seed) -> None:
+    world = make_world(kind, junctions, seed, aspect=1.0 if junctions == 40 else 2.0)
+    digest = hashlib.sha256()
+    for part in (world.xy, world.source, world.target, np.concatenate(world.paths)):
+        digest.update((np.round(np.asarray(part, float), 6) + 0.0).tobytes())
+    assert digest.hexdigest()[:16] == WORLDS[kind, junctions, seed]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -25,21 +51,6 @@ def test_worlds_are_connected_and_of_the_size_asked(kind: str, junctions: int) -
     np.testing.assert_array_equal(world.branches.counts > 0, True)
 
 
-@pytest.mark.parametrize("kind", ["maze", "office"])
-def test_mazes_and_offices_turn_at_right_angles(kind: str) -> None:
-    headings = make_world(kind, 80, seed=1).branches.values
-    assert np.max(np.abs(wrap(4 * headings))) < 1e-6
-
-
-def test_streets_leave_a_junction_apart_and_bend_without_one() -> None:
-    world = make_world("organic", 150, seed=2)
-    rows = [np.sort(world.branches[v]) for v in range(len(world))]
-    gaps = [np.min(np.diff(np.append(r, r[0] + 2 * np.pi))) for r in rows if len(r) > 1]
-    assert min(gaps) > np.radians(35)
-    assert np.count_nonzero(world.branches.counts == 2) < 4
-    assert any(len(path) > 2 for path in world.paths)
-
-
 def test_city_blocks_are_square_at_every_crossing_and_not_as_a_whole() -> None:
     world = make_world("city", 120, seed=2)
     rows = [world.branches[v] for v in range(len(world))]
@@ -51,13 +62,6 @@ def test_city_blocks_are_square_at_every_crossing_and_not_as_a_whole() -> None:
     assert whole < 0.8
 
 
-def test_wings_of_an_office_repeat_one_plan() -> None:
-    world = make_world("office", 200, seed=5)
-    degree = world.branches.counts
-    assert np.count_nonzero(degree == 1) > 40
-    assert np.std(world.length[np.abs(world.length - 4.2) < 0.5]) < 0.15
-
-
 def test_worlds_of_tiles_repeat_each_other() -> None:
     worlds = [make_world("tiles", 100, seed) for seed in (1, 2)]
     assert worlds[0].xy.shape != worlds[1].xy.shape
@@ -66,12 +70,3 @@ def test_worlds_of_tiles_repeat_each_other() -> None:
     for world in worlds:
         np.testing.assert_array_equal(world.xy % 5.0, 0.0)
         assert np.mean(world.branches.counts >= 3) > 0.5
-
-
-def test_rows_are_equal() -> None:
-    world = make_world("rows", 80, seed=3)
-    along = np.isclose(np.abs(np.sin([polyline_heading(p) for p in world.paths])), 1.0)
-    assert np.count_nonzero(along) > 20
-    np.testing.assert_allclose(world.length[along] / 30.0, np.rint(world.length[along] / 30.0))
-    step = world.length[~along] / 3.0
-    assert np.abs(step - np.rint(step)).max() < 0.15

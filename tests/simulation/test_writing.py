@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from topobatch.ingest.reading import read_run
 from topobatch.simulation import (
     FORMATS,
     LaserSettings,
@@ -114,23 +113,6 @@ def test_rosbags_reads_what_was_simulated(
 
 
 @pytest.mark.parametrize("container", FORMATS)
-def test_our_reader_reads_what_was_simulated(
-    simulated: SimulatedRun, container: str, tmp_path: Path
-) -> None:
-    run = read_run(write_run(tmp_path, simulated, container))
-    want = simulated.run
-    assert (run.name, run.warnings) == (want.name, ())
-    np.testing.assert_array_equal(run.odometry.time_ns, want.odometry.time_ns)
-    np.testing.assert_allclose(run.odometry.pose, want.odometry.pose, atol=1e-6)
-    np.testing.assert_array_equal(run.odometry.breaks, want.odometry.breaks)
-    np.testing.assert_array_equal(run.detections.time_ns, want.detections.time_ns)
-    np.testing.assert_allclose(run.detections.centre, want.detections.centre, atol=1e-9)
-    np.testing.assert_allclose(
-        wrap(run.detections.branches.values - want.detections.branches.values), 0, atol=1e-6
-    )
-
-
-@pytest.mark.parametrize("container", FORMATS)
 def test_a_full_disk_is_told_with_the_log(
     simulated: SimulatedRun, container: str, tmp_path: Path
 ) -> None:
@@ -167,8 +149,10 @@ def test_formats_are_dealt_out_and_files_repeat(scenario: Scenario, tmp_path: Pa
     assert set(read_truth(tmp_path / "a" / "truth.json").runs) == {"run1", "run2"}
 
 
-@pytest.mark.parametrize("before", sorted(FORMATS))
-@pytest.mark.parametrize("after", sorted(FORMATS))
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [("bag", "mcap"), ("mcap", "db3"), ("db3", "ros2-mcap"), ("ros2-mcap", "bag")],
+)
 def test_logs_in_other_formats_go_where_runs_are_to_be_alone(
     scenario: Scenario, tmp_path: Path, before: str, after: str
 ) -> None:

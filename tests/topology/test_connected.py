@@ -17,9 +17,3 @@ def test_components_are_numbered_by_their_first_nodes() -> None:
         _, first = np.unique(found, return_index=True)
         assert (np.diff(first) > 0).all()
         assert found.max() + 1 == len(first) >= count - links
-
-
-def test_nodes_without_links_stand_alone() -> None:
-    none = np.zeros(0, np.int64)
-    assert connected(none, none, 3).tolist() == [0, 1, 2]
-    assert connected(np.array([2, 0]), np.array([1, 0]), 3).tolist() == [0, 1, 1]

@@ -20,7 +20,7 @@ from topobatch.topology.document import map_from_document, map_to_document, read
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.map_schema import MapDocument, validated
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.topomap import Closure, RunNoise, TopoMap
+from topobatch.topology.topomap import Closure, TopoMap
 
 
 def small_map(run: str = "run1") -> TopoMap:
@@ -113,13 +113,6 @@ def test_networkx_loads_it_with_parallel_edges_and_loops():
 
 def test_the_published_schema_accepts_it():
     jsonschema.validate(map_to_document(small_map()), MapDocument.model_json_schema(by_alias=True))
-
-
-def test_negative_zero_is_written_as_zero():
-    doc = map_to_document(small_map())
-    doc["nodes"][0]["x"] = -0.0
-    text = json.dumps(map_to_document(map_from_document(doc)))
-    assert "-0.0" not in text
 
 
 @pytest.mark.parametrize(
@@ -232,12 +225,3 @@ def test_what_is_kept_unread_can_be_written_again():
     doc["graph"]["mine"] = {"deep": [float("inf")]}
     with pytest.raises(DocumentError, match=r"a\.json: graph: .*mine holds a number"):
         map_from_document(doc, "a.json")
-
-
-def test_what_all_passes_of_a_centre_share_is_told() -> None:
-    plain = small_map()
-    assert map_to_document(plain)["graph"]["noise"]["shared_centre_m"] == 0.0
-    told = replace(plain, fitted_noise=RunNoise(shared_centre_m=0.125))
-    again = map_from_document(map_to_document(told))
-    assert again.fitted_noise == told.fitted_noise
-    assert again.noise == plain.noise

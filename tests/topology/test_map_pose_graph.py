@@ -52,22 +52,6 @@ def test_corridors_are_known_better_along_than_across_and_the_more_often_driven(
     assert np.all(np.linalg.eigvalsh(once - often) > -1e-9)
 
 
-@pytest.mark.parametrize("along", [1e-6, 3e-3, 1.0])
-def test_single_passes_differ_as_far_as_a_smoothed_track_follows_them(along: float) -> None:
-    noise = RunNoise(along, 1e-6, 1e-6, 0.0, 0.02, 0.05)
-    often = replace(elbow(100), fitted_noise=noise, traversals=np.ones(3, np.int64))
-    once = replace(
-        often, observation_vertex=np.arange(3), observation_time_ns=np.arange(3, dtype=np.int64)
-    )
-    told = [np.linalg.inv(map_pose_graph(m).information[0])[0, 0] for m in (often, once)]
-    # 200 passes, each observed to 2 cm, of a track that walks by half of the corridor's variance.
-    walk = along**2 * 8.0 / 2 + LEAST_STEP_M**2
-    link = np.eye(200) * 2 - np.eye(200, k=1) - np.eye(200, k=-1)
-    smoothed = np.linalg.inv(np.eye(200) / 0.02**2 + link / walk)[100, 100]
-    # Of a hundred passes at both ends, the one that drove here differs by nearly all of its own.
-    assert told[0] - told[1] == pytest.approx(2 * 0.99 * smoothed, rel=0.01)
-
-
 def test_a_heading_that_walks_at_random_turns_a_corridor_by_a_third() -> None:
     walk, turns = 0.01**2, 0.02**2
     noise = RunNoise(1e-6, walk**0.5, turns**0.5, 0.0, 0.0, 0.05)

@@ -7,35 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.topology import mapbuilding
 from topobatch.topology.mapbuilding import build_topomap
-from topobatch.topology.passes import NO_BRANCH, Passes
 from topobatch.topology.polyline import way_of
-from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import turned
 from topobatch.topology.topomap import RunNoise
 from topobatch.topology.vertex_errors import VertexErrors
 from topobatch.topology.visits import PassesAtPlaces, Visits
 
-from .tracks import EAST, NORTH, SOUTH, WEST, track
+from .tracks import EAST, NORTH, SOUTH, WEST, passes_at, track
 
 
 def seen(odometry, rows, branches):
-    """Passes at the given rows with the given branches; entry and exit are not used here."""
-    p, table = len(rows), Ragged.from_rows(branches)
-    when, unknown = odometry.time_ns[rows], np.full(p, NO_BRANCH)
-    return Passes(
-        when,
-        when,
-        when,
-        odometry.pose[rows, :2],
-        table,
-        Ragged(table.offsets, np.ones(len(table.values))),
-        unknown,
-        unknown,
-        np.ones(p, int),
-        np.ones(p),
-    )
+    """Passes at the given rows with the given branches."""
+    return passes_at(odometry.time_ns[rows], odometry.pose[rows, :2], branches)
 
 
 def build(odometry, passes, vertex, errors=None, fair=None, *, askew_rad=0.0):
@@ -176,105 +159,6 @@ def test_a_corridor_is_as_long_as_from_centre_to_centre():
     assert m.length[0] == pytest.approx(8.0, abs=0.01)
     assert m.length_sigma[0] == pytest.approx(0.1, rel=0.02)
     np.testing.assert_allclose(m.paths[0], centres, atol=1e-9)
-
-
-def legs(*length):
-    """Drives through one corridor."""
-    end = np.array([1.0, 1.0])
-    k = len(length)
-    zero, one = np.zeros(k, int), np.ones(k, int)
-    path = [np.array([[0.0, 0.0], end])] * k
-    return mapbuilding._Legs(
-        zero, one, zero, zero, np.array(length), path, np.zeros(k, bool), np.zeros((k, 2), int)
-    )
-
-
-def test_detours_are_chosen_where_the_next_drive_is_shorter():
-    xy = np.array([[0.0, 0.0], [4.0, 0.0]])
-    for length, share in (((5.0, 5.0), 0.0), ((4.0, 5.0), 1.0), ((5.0, 6.0), np.sqrt(0.4))):
-        found, farthest_m = mapbuilding._chosen_detour(legs(*length), [[0, 1]], xy)
-        assert found == pytest.approx(share, abs=1e-9)
-        assert farthest_m == pytest.approx(4 * (length[1] - length[0]))
-    assert mapbuilding._chosen_detour(legs(5.0), [[0]], xy) == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("bend", [0.0, 3.0])
-def test_so_much_of_a_single_drive_is_a_detour_as_drives_of_one_corridor_show(bend):
-    rng = np.random.default_rng(3)
-    beyond = rng.exponential(1.0, 6000)
-    pairs = [np.array([k, k + 1]) for k in range(0, 3000, 2)]
-    several = [np.arange(k, k + 5) for k in range(3000, 6000, 5)]
-    xy = np.array([[0.0, 0.0], [4.0, 0.0]])
-    found, _ = mapbuilding._chosen_detour(legs(*(4.0 + bend + beyond)), pairs + several, xy)
-    true = np.sqrt(np.mean(beyond**2) / np.mean((bend + beyond) ** 2))
-    assert found == pytest.approx(true, rel=0.06)
-
-
-def corridor(path, times=1, **chosen):
-    """One corridor along a path (k, 2): as edges, its path, and where its ends lie."""
-    one, none = np.zeros(1, int), np.zeros((times, 2), int)
-    chosen = {"wander": 0.0, "detour": 0.0, "farthest_m": np.inf} | chosen
-    length = way_of(path)[-1:]
-    edges = mapbuilding._Edges(one, one + 1, one, one, length, one + times, (none,), one, **chosen)
-    return edges, [path], path[[0, -1]]
-
-
-SURE = VertexErrors(np.zeros((2, 3, 1)))
-
-
-@pytest.mark.parametrize(("wander", "detour"), [(0.01, 0.0), (0.0, 1.0), (0.01, 1.0)])
-@pytest.mark.parametrize("beyond", [0.01, 0.5])
-@pytest.mark.parametrize("times", [1, 4])
-def test_no_drive_wanders_farther_than_it_is_longer_than_the_line(wander, detour, beyond, times):
-    aside = np.sqrt((4 + beyond / 2) ** 2 - 16)
-    path = np.array([[0.0, 0.0], [4.0, aside], [8.0, 0.0]])
-    noise = RunNoise(scale=0.0)
-    chosen = corridor(path, times, wander=wander, detour=detour)
-    (sigma,) = mapbuilding._length_sigma(*chosen, noise, SURE)
-    (alone,) = mapbuilding._length_sigma(*corridor(path, times), noise, SURE)
-    assert alone < sigma <= np.hypot(beyond / np.sqrt(times), alone) + 1e-9
-
-
-def test_no_robot_goes_much_farther_round_than_any_did():
-    """It drove straight corridors again, and was off the line by centimetres each time."""
-    bend = np.array([[0.0, 0.0], [4.0, 6.0], [8.0, 0.0]])
-    noise = RunNoise(0.0, 0.0, 0.0, scale=0.0)
-    detour, farthest_m = mapbuilding._chosen_detour(
-        legs(4.01, 4.03), [[0, 1]], np.array([[0.0, 0.0], [4.0, 0.0]])
-    )
-    given = corridor(bend, detour=detour, farthest_m=farthest_m)
-    assert mapbuilding._length_sigma(*given, noise, SURE)[0] == pytest.approx(0.08, abs=0.01)
-
-
-@pytest.mark.parametrize("aside", [0.0, 1.0, 6.0])
-def test_the_scale_is_one_error_of_the_whole_length(aside):
-    path = np.array([[0.0, 0.0], [4.0, aside], [8.0, 0.0]])
-    ends, scale = np.zeros((2, 3, 2)), 0.02
-    ends[1, 0] = 8 * scale * np.array([1.0, -1.0])
-    noise = RunNoise(0.0, 0.0, 0.0, scale=scale)
-    (sigma,) = mapbuilding._length_sigma(*corridor(path), noise, VertexErrors(ends))
-    assert sigma == pytest.approx(scale * way_of(path)[-1], rel=1e-3)
-
-
-def test_an_odometry_that_turns_wrongly_makes_winding_ways_longer_or_shorter():
-    """Drawn anew, each time bent onto the ends in proportion to the way."""
-    rng = np.random.default_rng(5)
-    angle = np.linspace(0.0, 1.5 * np.pi, 301)
-    path = 3.0 * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
-    noise = RunNoise(0.02, 0.01, 0.02, scale=0.0)
-    step, turn = np.diff(path, axis=0), angle[1]
-    long = np.hypot(*step.T)
-    variance = noise.heading_rad_per_sqrt_m**2 * long + noise.heading_rad_per_sqrt_rad**2 * turn
-    off = []
-    for _ in range(600):
-        wrong = np.cumsum(np.sqrt(variance) * rng.standard_normal(len(step)))
-        walked = noise.along_m_per_sqrt_m * np.sqrt(long) * rng.standard_normal(len(step))
-        measured = turned(step * (1 + walked / long)[:, None], wrong)
-        drawn = np.vstack([np.zeros(2), np.cumsum(measured, axis=0)])
-        drawn += np.linspace(0, 1, len(path))[:, None] * (path[-1] - drawn[-1])
-        off.append(way_of(drawn)[-1] - way_of(path)[-1])
-    (sigma,) = mapbuilding._length_sigma(*corridor(path), noise, SURE)
-    assert sigma == pytest.approx(np.sqrt(np.mean(np.square(off))), rel=0.1)
 
 
 def test_the_path_is_the_drive_that_the_length_is_of():

@@ -33,8 +33,3 @@ def test_ragged_take(lists, data):
 def test_ragged_refuses_nonsense(offsets, values):
     with pytest.raises(ValueError, match=r"offsets|finite"):
         Ragged(np.array(offsets), np.array(values))
-
-
-def test_ragged_row_out_of_range():
-    with pytest.raises(IndexError):
-        Ragged.from_rows([[1.0]])[-1]

@@ -10,17 +10,16 @@ import pytest
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.mapbuilding import MapBuildingSettings, build_topomap
-from topobatch.topology.passes import NO_BRANCH, Passes
+from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.polyline import way_of
-from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import RunNoise, TopoMap
-from topobatch.topology.turning_back import TurnedBack, farthest, turning_points
+from topobatch.topology.turning_back import TurnedBack, turning_points
 from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points, without_turning_points
 from topobatch.topology.vertex_errors import VertexErrors
 from topobatch.topology.visits import PassesAtPlaces, Visits
 
-from .tracks import EAST, NORTH, SOUTH, WEST, track
+from .tracks import EAST, NORTH, SOUTH, WEST, passes_at, track
 
 LEAST_M = 1.0
 SETTINGS = MapBuildingSettings()
@@ -46,21 +45,8 @@ def driven_and_turned(
     odometry, rows = track(*corners)
     rows, of = rows[at], np.array(vertex)
     when, n = odometry.time_ns[rows], len(set(vertex))
-    table = Ragged.from_rows([branches[v] for v in vertex])
-    unknown = np.full(len(rows), NO_BRANCH)
     centre = odometry.pose[rows, :2]
-    passes = Passes(
-        when,
-        when,
-        when,
-        centre,
-        table,
-        Ragged(table.offsets, np.ones(len(table.values))),
-        unknown,
-        unknown,
-        np.ones(len(rows), int),
-        np.ones(len(rows)),
-    )
+    passes = passes_at(when, centre, [branches[v] for v in vertex])
     pose = np.column_stack([centre, np.zeros(len(rows))])
     seen, piece = np.ones(len(rows), bool), np.zeros(len(rows), int)
     visits = Visits(when, of, seen, pose, centre, piece)
@@ -134,14 +120,6 @@ def test_a_way_round_corners_ends_where_it_is_the_longest_way_back():
     assert way_of(t.paths[0])[-1] == pytest.approx(t.length[0], abs=0.2)
 
 
-def test_wandering_in_a_room_makes_no_way_longer():
-    ring = [(0, 4), (1, 4), (1, 5), (0, 5), (0, 4)]
-    corners = [(0, 0), *ring, *ring[1:], (0, 0), (10, 0)]
-    n = len(corners)
-    t = driven(corners, [0, n - 2, n - 1], [0, 0, 1], CORRIDOR).turning_points
-    assert t.length[0] == pytest.approx(6.0, abs=0.5)
-
-
 def test_a_log_that_begins_and_ends_between_junctions():
     corners = [(-5, 0), (0, 0), (10, 0), (10, 6)]
     t = driven(corners, [1, 2], [0, 1], CORRIDOR).turning_points
@@ -150,13 +128,6 @@ def test_a_log_that_begins_and_ends_between_junctions():
     assert t.traversals.tolist() == [1, 1]
     (at, begin), (leave, end) = t.traversal_ns[0][0].tolist(), t.traversal_ns[1][0].tolist()
     assert begin < at < leave < end
-
-
-def test_a_log_that_turned_round_before_it_ended():
-    corners = [(0, 0), (10, 0), (10, 6), (10, 3)]
-    t = driven(corners, [0, 1], [0, 1], CORRIDOR).turning_points
-    assert t.kind == (TURNING_POINT,)
-    np.testing.assert_allclose(t.xy, [[10, 6]], atol=0.05)
 
 
 def test_a_way_by_no_branch_along_a_known_one_is_known():
@@ -194,24 +165,3 @@ def test_vertices_of_turning_points_and_back():
     back = without_turning_points(whole)
     assert map_to_document(back) == map_to_document(m)
     assert without_turning_points(back) is back
-
-
-def test_of_a_track_what_is_far_is_so_along_the_way():
-    way = np.linspace(0, 1, 200)
-    u = np.concatenate(
-        [
-            np.column_stack([0 * way, 6 * way]),
-            np.column_stack([2 * way, 6 + 0 * way]),
-            np.column_stack([2 + 0 * way, 6 - 6 * way]),
-        ]
-    )
-    np.testing.assert_allclose(u[farthest(u, 0.5)], u[-1], atol=0.1)
-    assert farthest(u[:1], 0.5) == 0
-
-
-def test_a_run_without_visits_has_none():
-    odometry, _ = track((0, 0), (8, 0))
-    none = np.zeros(0, np.int64)
-    flat = np.zeros((0, 3))
-    visits = Visits(none, none, np.zeros(0, bool), flat, flat[:, :2], none)
-    assert len(turning_points(with_room(), odometry, visits, LEAST_M, SETTINGS).points) == 0

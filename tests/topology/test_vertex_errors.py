@@ -21,8 +21,3 @@ def test_an_error_common_to_all_is_none() -> None:
     xy = np.array([[0.0, 0.0], [3.0, 4.0], [3.0, 4.0]])
     sigma = VertexErrors(shift).distance_sigma(xy, np.array([0, 1]), np.array([1, 2]))
     np.testing.assert_allclose(sigma, 0.0, atol=1e-12)
-
-
-def test_shapes_are_checked() -> None:
-    with pytest.raises(ValueError, match="sample"):
-        VertexErrors(np.zeros((2, 2, 4)))

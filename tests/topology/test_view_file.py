@@ -9,10 +9,11 @@ import pytest
 from topobatch.topology.document import map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.files import write_json
-from topobatch.topology.ragged import Ragged
 from topobatch.topology.topomap import TopoMap
 from topobatch.topology.view_file import from_bytes, record_of, to_bytes, views_path
 from topobatch.topology.views import SIDE, Views
+
+from ..maps import straight_map
 
 
 def some_views(count: int = 3, seed: int = 0) -> Views:
@@ -28,23 +29,7 @@ def some_views(count: int = 3, seed: int = 0) -> Views:
 
 def two_junctions() -> TopoMap:
     """Two junctions and the corridor between them."""
-    return TopoMap(
-        run="run1",
-        frame="odom",
-        xy=np.array([[0.0, 0.0], [8.0, 0.0]]),
-        branches=Ragged.from_rows([[0.0], [-np.pi]]),
-        kind=("dead_end", "dead_end"),
-        source=np.array([0]),
-        target=np.array([1]),
-        source_branch=np.array([0]),
-        target_branch=np.array([0]),
-        length=np.array([8.0]),
-        length_sigma=np.array([0.1]),
-        paths=(np.array([[0.0, 0.0], [8.0, 0.0]]),),
-        traversals=np.array([1]),
-        observation_vertex=np.array([0, 1]),
-        observation_time_ns=np.array([1, 2]),
-    )
+    return straight_map("run1", [(0.0, 0.0), (8.0, 0.0)], [(0, 1)])
 
 
 def with_some_views() -> TopoMap:

@@ -22,9 +22,3 @@ def test_means_differ_as_the_covariances_of_a_walk_say(seed: int) -> None:
         for walk in (0, 1):
             c = walked[:, walk]
             np.testing.assert_allclose(found[k, walk], share @ np.minimum.outer(c, c) @ share)
-
-
-def test_groups_without_messages_tell_nothing() -> None:
-    means = WalkMeans.of(np.array([[1.0], [2.0]]), np.array([0, 2]), 3)
-    np.testing.assert_array_equal(np.isnan(means.middle[:, 0]), [False, True, False])
-    assert means.between(np.array([0]), np.array([2]))[0, 0] == 1.0

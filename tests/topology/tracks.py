@@ -7,6 +7,8 @@ import itertools
 import numpy as np
 
 from topobatch.topology.odometry import Odometry
+from topobatch.topology.passes import NO_BRANCH, Passes
+from topobatch.topology.ragged import Ragged
 
 STEP_M = 0.1
 STEP_NS = 100_000_000
@@ -27,3 +29,20 @@ def track(*corners):
 
 
 EAST, NORTH, WEST, SOUTH = 0.0, np.pi / 2, -np.pi, -np.pi / 2
+
+
+def passes_at(time_ns, centre, branches=None, **given):
+    """Passes at these times, by rows of branches that all messages saw; entry and exit unknown."""
+    when, n = np.asarray(time_ns), len(time_ns)
+    rows = Ragged.from_rows([np.zeros(0)] * n) if branches is None else branches
+    rows = rows if isinstance(rows, Ragged) else Ragged.from_rows(rows)
+    columns = {
+        **dict.fromkeys(("time_ns", "start_ns", "end_ns"), when),
+        **dict.fromkeys(("entry", "exit"), np.full(n, NO_BRANCH)),
+        "centre": np.asarray(centre),
+        "branches": rows,
+        "support": Ragged(rows.offsets, np.ones(len(rows.values))),
+        "messages": np.ones(n, int),
+        "confidence": np.ones(n),
+    }
+    return Passes(**{**columns, **given})

@@ -10,7 +10,6 @@ from topobatch.merge.decision import (
     Requirement,
     Start,
     Term,
-    to_document,
 )
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
@@ -77,33 +76,6 @@ def test_a_placement_that_a_person_chose_may_have_less_evidence(tmp_path: Path, 
     assert "evidence, 6.0 bits behind the other placement" in page
 
 
-def test_what_falls_short_by_little_is_seen_to_do_so(tmp_path: Path, make_map) -> None:
-    told = decision(Verdict.AMBIGUOUS, [placement(12.51)])
-    near = replace(told, requirement=replace(NEED, threshold_bits=12.53))
-    page = written(tmp_path / "a.rrd", make_map, near).value("/decision", "TextDocument:text")[0]
-    assert "| **12.51** | **evidence** |" in page
-    assert "| 12.53 | needed:" in page
-
-
-def test_every_term_reads_as_in_the_document(tmp_path: Path, make_map) -> None:
-    told = decision(Verdict.MERGED, [placement(30.0055)])
-    document = to_document(told)["placements"][0]
-    assert sum(term["bits"] for term in document["terms"]) == pytest.approx(30.01)
-    got = written(tmp_path / "a.rrd", make_map, told)
-    lines = got.value("/evidence", "TextDocument:text")[0].splitlines()
-    shown = [line for line in lines if line.startswith(("| +", "| -"))][1:]
-    assert [line.split()[1] for line in shown] == [f"{t['bits']:+.2f}" for t in document["terms"]]
-    (link,) = got.value("/placements/placement/links/a", "bits")
-    assert link == document["terms"][0]["bits"]
-
-
-def test_tied_maps_are_drawn_apart(tmp_path: Path, make_map) -> None:
-    got = written(tmp_path / "a.rrd", make_map, decision(Verdict.MERGED, [placement(30.0)]))
-    strips = got.value("/placements/tied/links/a", "LineStrips2D:strips")
-    below = got.value("/placements/tied/links/b", "LineStrips2D:strips")
-    assert np.min(np.array(strips)[..., 1]) > np.max(np.array(below)[..., 1])
-
-
 def test_an_ambiguous_pair_is_drawn_both_ways(tmp_path: Path, make_map) -> None:
     told = decision(Verdict.AMBIGUOUS, [placement(9.9), placement(8.0)], why="it repeats itself")
     got = written(tmp_path / "a.rrd", make_map, told)
@@ -122,15 +94,6 @@ def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) ->
     got = written(tmp_path / "a.rrd", make_map, told)
     assert "rejected" in got.value("/placements/titles", "Points2D:labels")[0]
     assert "4 needed" in got.value("/decision", "TextDocument:text")[0]
-
-
-def test_ways_to_turning_points_are_drawn(tmp_path: Path, make_map, turned) -> None:
-    told = decision(Verdict.UNRELATED, [])
-    write_decision_recording(tmp_path / "a.rrd", turned(make_map("a")), make_map("b"), told)
-    strips = Readback(tmp_path / "a.rrd").value(
-        "/placements/maps/a/corridors", "LineStrips2D:strips"
-    )
-    assert len(strips) == 5
 
 
 def test_runs_that_others_join_are_drawn_as_these_place_them(tmp_path: Path, make_map) -> None:

@@ -3,10 +3,9 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
-import pytest
 
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.explain_recording import DROPPED, OTHER, pair_classes, write_explain_recording
+from topobatch.viz.explain_recording import write_explain_recording
 
 from .readback import Readback
 
@@ -102,27 +101,3 @@ def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMa
     told = Readback(tmp_path / "c.rrd").value("/summary", "TextDocument:text")[0]
     assert "**1** compatible pair, each rotation counted, **0** hypotheses" in told
     assert "none of them fits along its corridors" in told
-
-
-def test_the_table_is_in_the_order_of_branches(tmp_path: Path, make_map: Make) -> None:
-    write_explain_recording(tmp_path / "a.rrd", make_map("a"), make_map("b"), findings())
-    labels = Readback(tmp_path / "a.rrd").value("/table/vertices", "Points2D:labels")
-    assert labels == ["4", "1", "3", "0", "2"] * 2
-
-
-def test_a_pair_of_vertices_shows_its_best_cluster() -> None:
-    found = findings()
-    found.hypotheses.vertex_b[4] = 0  # the second cluster claims the pair (0, 0) as well
-    cells = pair_classes((5, 5), found)
-    assert cells[0, 0] == 1
-    assert cells[3, 3] == 1
-    assert cells[4, 2] == DROPPED
-    assert cells[0, 4] == DROPPED
-    assert np.count_nonzero(cells) == 6
-
-
-@pytest.mark.parametrize("cluster", [-1, OTHER + 3])
-def test_other_clusters_share_a_class(cluster: int) -> None:
-    found = findings()
-    found.clusters.of[2] = cluster
-    assert pair_classes((5, 5), found)[0, 4] == OTHER

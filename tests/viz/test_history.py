@@ -18,11 +18,6 @@ def test_corridors_count_from_their_first_drive(make_map) -> None:
     assert known.visit.tolist() == [1, 1, 1, 1, 2, 1, 2, 2]
 
 
-def test_corridors_of_a_map_without_times_count_from_both_their_ends(make_map) -> None:
-    known = history(replace(make_map("a"), traversal_ns=None))
-    assert (known.corridor_ns // S).tolist() == [11, 12, 15, 15, 13]
-
-
 def test_a_junction_driven_by_unseen_counts_with_its_corridors(make_map) -> None:
     topomap = make_map("a")
     seen = topomap.observation_vertex != 1
@@ -34,14 +29,6 @@ def test_a_junction_driven_by_unseen_counts_with_its_corridors(make_map) -> None
     known = history(missed)  # from 0 to 2 by two corridors, past 1
     assert (known.corridor_ns[:2] // S).tolist() == [11, 12]
     assert known.vertex_ns[1] // S == 11
-
-
-def test_every_part_is_known_at_the_end(make_map, empty_map, one_vertex) -> None:
-    for topomap in (make_map("a"), empty_map, one_vertex):
-        known = history(topomap)
-        last = topomap.observation_time_ns.max(initial=0)
-        assert np.all(known.vertex_ns <= last)
-        assert np.all(known.corridor_ns <= last)
 
 
 def test_closures_are_told_by_junctions(make_map) -> None:
@@ -99,26 +86,6 @@ def test_gaps_jumps_and_breaks_are_seen(straight, empty_map) -> None:
     ]
     assert [begin for begin, _ in found][1:3] == pytest.approx([99.9, 120.0])
     assert found[4][0] - found[3][0] == pytest.approx(3.0, rel=0.01)  # long enough to be seen
-
-
-def test_a_silence_is_a_gap_beside_the_usual_step_and_in_itself(straight, empty_map) -> None:
-    def with_hole(rows: int, hz: int) -> list[str]:
-        keep = np.r_[0:1000, 1000 + rows : 6000]
-        times = straight.time_ns[keep] * 10 // hz
-        hurt = Odometry(times, straight.pose[keep], np.zeros(0, np.int64))
-        return [state for _, state in states(hurt, empty_map, "odometry")]
-
-    assert with_hole(20, 100) == ["steady"]  # 0.2 s, of many short steps
-    assert GAP in with_hole(60, 100)
-    assert with_hole(3, 1) == ["steady"]  # 4 s, of few long steps
-    assert GAP in with_hole(6, 1)
-
-
-def test_creeping_is_no_standing(straight, empty_map) -> None:
-    slow = replace(straight, pose=straight.pose * [0.05, 1.0, 1.0])
-    assert states(slow, empty_map, "motion") == [(0.0, "driving")]
-    still = replace(straight, pose=straight.pose * [0.01, 1.0, 1.0])
-    assert states(still, empty_map, "motion")[0] == (0.0, STANDING)
 
 
 def test_standing_is_seen(straight, empty_map) -> None:

@@ -1,9 +1,5 @@
 import errno
-import subprocess
-import sys
-import time
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +13,6 @@ from topobatch.topology.topomap import TopoMap
 from topobatch.viz import palette
 from topobatch.viz.history import history
 from topobatch.viz.map_recording import write_map_recording
-from topobatch.viz.recording import Recording
 
 from .readback import Readback
 
@@ -73,21 +68,6 @@ def test_detections_lie_where_the_corrected_odometry_puts_them(
     assert at[inner] == pytest.approx(wanted[inner], abs=0.15)
     rows = got.rows("/map/detection", "LineStrips2D:strips")
     assert [len(row) for row in rows] == [3] * len(detections)
-
-
-def test_detections_are_drawn_from_the_point_that_the_map_was_corrected_to(
-    tmp_path: Path, make_map: Make, drive: Drive
-) -> None:
-    topomap = make_map("run1", (2.0, 1.0, 0.5))
-    odometry = drive(topomap)
-    detections = seen_on(odometry)
-    lever = {name: {"applied": by} for name, by in (("lever_x_m", 0.5), ("lever_y_m", -0.2))}
-    known = replace(topomap, info={**topomap.info, "calibration": lever})
-    drawn = []
-    for shown, seen in ((topomap, detections), (known, detections.moved((0.5, -0.2)))):
-        got = written_with(tmp_path / "a.rrd", shown, odometry, seen)
-        drawn.append(np.array(got.value("/map/detections", "Points2D:positions")))
-    assert drawn[1] == pytest.approx(drawn[0], abs=1e-5)
 
 
 def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: Drive) -> None:
@@ -195,46 +175,6 @@ def test_the_same_map_gives_the_same_recording(
     assert Readback(tmp_path / "a.rrd").content() == Readback(tmp_path / "b.rrd").content()
 
 
-def test_rerun_finds_no_difference_however_long_it_took_to_write(
-    tmp_path: Path, make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def differ(one: str, other: str) -> bool:
-        command = [sys.executable, "-m", "rerun", "rrd", "compare", "--unordered", one, other]
-        return (
-            subprocess.run(command, capture_output=True, check=False, cwd=tmp_path).returncode != 0
-        )
-
-    topomap = make_map("run1")
-    odometry = drive(topomap)
-    write_map_recording(tmp_path / "fast.rrd", topomap, odometry=odometry)
-    write_map_recording(tmp_path / "without.rrd", topomap)
-    over_time = Recording.over_time
-
-    def slowly(self: Recording, *arguments: Any) -> None:
-        time.sleep(0.3)  # more than rerun waits before it closes a chunk by itself
-        over_time(self, *arguments)
-
-    monkeypatch.setattr(Recording, "over_time", slowly)
-    write_map_recording(tmp_path / "slow.rrd", topomap, odometry=odometry)
-    assert not differ("fast.rrd", "slow.rrd")
-    assert differ("fast.rrd", "without.rrd")
-
-
-@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="counts threads by /proc")
-def test_no_thread_stays_behind_a_recording(tmp_path: Path, make_map: Make) -> None:
-    def threads() -> int:
-        return len(list(Path("/proc/self/task").iterdir()))
-
-    def write() -> None:
-        write_map_recording(tmp_path / "a.rrd", make_map("run1"))
-
-    write()  # starts what rerun keeps for all of them
-    before = threads()
-    for _ in range(5):
-        write()
-    assert threads() <= before
-
-
 def test_nothing_is_left_when_writing_fails(
     tmp_path: Path, make_map: Make, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -254,17 +194,3 @@ def test_nothing_is_left_when_writing_fails(
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
     assert path.read_bytes() == b"the old one"
     assert not rr.strict_mode()
-
-
-def test_importing_the_package_does_not_import_rerun() -> None:
-    code = "import sys, topobatch.viz; sys.exit('rerun' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-def test_numbers_of_the_source_stand_with_their_names(tmp_path: Path, make_map: Make) -> None:
-    topomap = make_map("scanned")
-    source = {"junctions": {"from": "scan", "topic": "/scan", "messages": 720, "matched": 694}}
-    told = replace(topomap, info=dict(topomap.info) | {"source": source})
-    write_map_recording(tmp_path / "map.rrd", told)
-    (page,) = Readback(tmp_path / "map.rrd").value("/summary", "TextDocument:text")
-    assert "junctions: scan, /scan, 720 messages, matched 694" in page

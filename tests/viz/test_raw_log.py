@@ -91,12 +91,6 @@ def test_speeds_and_echoes_are_drawn_as_the_log_has_them(
     assert {"Map", "Summary", "/odom [m/s, rad/s]", "/scan, ahead is up", "Topics"} <= set(shown)
 
 
-def test_what_is_not_drawn_is_a_table(tmp_path: Path, recording: Path, topomap) -> None:
-    log = small_log(tmp_path, "ros2-mcap")
-    write_raw_log(tmp_path / "raw.rrd", tmp_path / "views.rrd", log, recording, topomap)
-    assert "/junctions" in names_of_views(tmp_path / "views.rrd")
-
-
 def test_of_a_split_log_all_files_are_shown(tmp_path: Path, recording: Path, topomap) -> None:
     whole = Counter[str]()
     folder = tmp_path / "split"

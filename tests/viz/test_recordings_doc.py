@@ -14,14 +14,16 @@ ROOT = Path(__file__).parents[2]
 DOC = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="module")
-def workspace(tmp_path_factory) -> Path:
+@pytest.fixture(scope="session")
+def workspace(once) -> Path:
     """The sample logs, ingested and merged."""
-    place = tmp_path_factory.mktemp("doc")
-    code = "from topobatch.cli.main import main; main()"
-    for call in (["ingest", ROOT / "sample_logs", "-j", "1"], ["merge", "--all"]):
-        subprocess.run([sys.executable, "-c", code, *call, "--quiet"], cwd=place, check=True)
-    return place
+
+    def make(place: Path) -> None:
+        code = "from topobatch.cli.main import main; main()"
+        for call in (["ingest", ROOT / "sample_logs", "-j", "1"], ["merge", "--all"]):
+            subprocess.run([sys.executable, "-c", code, *call, "--quiet"], cwd=place, check=True)
+
+    return once("sample-workspace", make)
 
 
 def test_its_queries_answer_as_shown(workspace, monkeypatch, capsys) -> None:

@@ -61,27 +61,6 @@ def test_a_break_parts_the_raw_track(make_map: Make, drive: Drive) -> None:
     assert longest < 5.0
 
 
-def test_each_stretch_is_placed_by_itself(make_map: Make, drive: Drive) -> None:
-    topomap = make_map("r")
-    odometry = drive(topomap)
-    pose = odometry.pose.copy()
-    pose[70:] = compose([100.0, 3.0, 2.0], pose[70:])
-    track = track_of(topomap, Odometry(odometry.time_ns, pose, np.array([70])))
-    assert track.drift_m == pytest.approx(np.zeros(8), abs=1e-9)
-    rows = np.searchsorted(odometry.time_ns, track.time_ns)
-    assert track.raw[:, :2] == pytest.approx(odometry.pose[rows, :2], abs=1e-9)
-
-
-def test_a_long_log_is_thinned(make_map: Make) -> None:
-    topomap = make_map("r")
-    n = 200_000
-    time_ns = np.linspace(10e9, 17e9, n).astype(np.int64)
-    angle = np.linspace(0, 200, n)
-    pose = np.column_stack([20 * np.cos(angle), 20 * np.sin(angle), angle])
-    track = track_of(topomap, Odometry(time_ns, pose, np.zeros(0, np.int64)))
-    assert 10_000 < len(track.time_ns) < 25_000
-
-
 def test_there_is_no_track_without_observations_or_odometry(
     empty_map: TopoMap, make_map: Make, drive: Drive
 ) -> None:

@@ -137,10 +137,3 @@ def test_many_walls_are_drawn_by_larger_cells(
     assert coarse is not None
     assert (fine.cell_m, coarse.cell_m) == (0.1, 0.2)
     assert 0 < len(coarse.walls) < len(fine.walls)
-
-
-def test_points_must_hang_on_a_time() -> None:
-    with pytest.raises(ValueError, match="hang on"):
-        Anchored(np.array([5]), np.array([0, 1]), np.zeros((2, 2), np.float32))
-    with pytest.raises(ValueError, match="xy"):
-        Anchored(np.array([5]), np.array([0]), np.zeros((2, 2), np.float32))

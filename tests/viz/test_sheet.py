@@ -30,11 +30,6 @@ def test_a_map_without_a_common_direction_lies_along_its_extent() -> None:
     assert np.ptp(turned[:, 0]) > 2 * np.ptp(turned[:, 1])
 
 
-@pytest.mark.parametrize("lines", [[], [np.ones((2, 2))]])
-def test_what_has_no_extent_is_not_turned(lines: list[np.ndarray]) -> None:
-    assert upright_rad(lines) == 0.0
-
-
 sizes = st.lists(st.tuples(st.floats(0, 80), st.floats(0, 80)), max_size=30)
 
 
@@ -63,15 +58,3 @@ def test_groups_stay_in_one_row(boxes: list[tuple[float, bool]]) -> None:
     for i in range(1, len(cells)):
         if groups[i] == groups[i - 1]:
             assert cells[i].high[1] == cells[i - 1].high[1]
-
-
-def test_a_map_of_no_vertex_gets_a_cell() -> None:
-    (cell,) = arrange([np.zeros((0, 2))], [0.0], margin_m=1.0)
-    assert np.all(cell.high - cell.low > 2.0)
-
-
-def test_a_legend_widens_its_cell_alone() -> None:
-    points = [np.array([(0.0, 0.0), (10.0, 10.0)])] * 2
-    plain, wide = arrange(points, [0.0, 0.0], 1.0, [0.0, 5.0])
-    assert np.ptp([plain.low[0], plain.high[0]]) == pytest.approx(12)
-    assert np.ptp([wide.low[0], wide.high[0]]) == pytest.approx(17)

@@ -3,7 +3,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.merge.result import Alignment, Component, MergeResult, PairVerdict, Verdict
+from topobatch.merge.result import Alignment, MergeResult, PairVerdict, Verdict
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz.steps import first_steps, joining_steps
 
@@ -37,17 +37,6 @@ def test_the_strongest_pair_joins_first(merge_of: Merge) -> None:
     assert first_steps(joining_steps(result)) == {"c": 1, "d": 1, "a": 2, "b": 2}
 
 
-def test_components_are_told_in_one_order(merge_of: Merge) -> None:
-    result, _ = merge_of([["a", "d"], ["b", "c", "x"], ["e"]])
-    bits = {("a", "d"): 5.0, ("b", "c"): 9.0, ("b", "x"): 3.0}
-    steps = joining_steps(with_evidence(result, bits))
-    assert [(step.component, step.joins, step.into) for step in steps] == [
-        (1, ("b",), ("c",)),
-        (0, ("a",), ("d",)),
-        (1, ("x",), ("b", "c")),
-    ]
-
-
 def test_locks_come_first_and_what_groups_say_together_last(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b", "c", "d", "e"]])
     bits = {("a", "b"): 10.0, ("c", "d"): 5.0, ("a", "c"): 90.0, ("a", "e"): 70.0}
@@ -65,8 +54,3 @@ def test_locks_come_first_and_what_groups_say_together_last(merge_of: Merge) -> 
         (("e",), ("c", "d")),
         (("a", "b"), ("c", "d", "e")),
     ]
-
-
-def test_runs_alone_take_no_step() -> None:
-    lonely = (Component(0, {"a": np.zeros(3)}),)
-    assert joining_steps(MergeResult(lonely, None, ())) == []

@@ -8,7 +8,7 @@ from topobatch.merge.result import FusedMap, MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz import verdicts
 from topobatch.viz.history import history, questions
-from topobatch.viz.map_summary import MapLayers, bulleted, map_summary, plain
+from topobatch.viz.map_summary import MapLayers, bulleted, map_summary
 from topobatch.viz.steps import joining_steps
 from topobatch.viz.verdicts import (
     CLASS,
@@ -47,32 +47,12 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
     assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
 
 
-def test_the_next_best_is_as_far_behind_as_the_two_numbers_say(merge_of: Merge) -> None:
-    result, _ = merge_of([["a"], ["b"]], ambiguous=[("a", "b")])
-    (pair,) = result.verdicts
-    best, second = (
-        replace(x, evidence_bits=bits) for x, bits in ((pair.best, 6.75), (pair.runner_up, 6.24))
-    )
-    near = replace(pair, best=best, runner_up=second, evidence_bits=6.75, margin_bits=0.51)
-    told = pairs_told(replace(result, verdicts=(near,)))
-    assert "best: 6.8 bits, " in told
-    assert "runner-up: 6.2 bits, 0.6 behind, " in told
-
-
 def test_pairs_beyond_those_that_are_told_are_counted(merge_of: Merge, monkeypatch) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
     monkeypatch.setattr(verdicts, "MOST_PAIRS", 2)
     assert "more, in `merged.json`" not in pairs_told(result)  # 2 of them are unrelated
     monkeypatch.setattr(verdicts, "MOST_PAIRS", 1)
     assert "… and 1 more, in `merged.json`" in pairs_told(result)
-
-
-def test_one_is_not_several(merge_of: Merge) -> None:
-    result, _ = merge_of([["a"], ["b"]], [("a", "b")])
-    (pair,) = result.verdicts
-    best = replace(pair.best, matched=pair.best.matched[:1], corridors=1)
-    told = pairs_told(replace(result, verdicts=(replace(pair, best=best),)))
-    assert "40.0 bits, 1 junction and 1 corridor matched" in told
 
 
 def test_summaries_count(merge_of: Merge) -> None:
@@ -93,15 +73,6 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
         result, MergeLayers()
     )
     assert "Joined through others (2)" in pairs_told(result)
-
-
-def test_the_threshold_is_told_with_the_matrix(merge_of: Merge) -> None:
-    result, _ = merge_of([["a", "b"]])
-    assert "Merging needs" not in merge_summary(result, MergeLayers())
-    needing = tuple(replace(v, threshold_bits=12.55) for v in result.verdicts)
-    assert "Merging needs 12.6 bits." in merge_summary(
-        replace(result, verdicts=needing), MergeLayers()
-    )
 
 
 def test_a_merge_of_nothing_is_told(no_fused: FusedMap) -> None:
@@ -153,27 +124,6 @@ def test_an_empty_map_is_told(empty_map: TopoMap) -> None:
     assert "The map is empty" in map_summary(empty_map, [], MapLayers())
 
 
-def test_text_stays_on_its_line() -> None:
-    assert plain("a\n\n# b  |c") == "a \\# b \\|c"
-
-
 def test_long_lists_are_cut() -> None:
     told = bulleted((str(i) for i in range(50)), most=3)
     assert told.splitlines()[-1] == "- … and 47 more, in the JSON document"
-
-
-def test_nothing_is_spoken_of_that_is_not_there(merge_of: Merge, one_vertex: TopoMap) -> None:
-    alone = merge_summary(merge_of([["a"]])[0], MergeLayers())
-    for word in ("Agreement", "Undecided", "Story", "Legend", "Verdicts", "Red", "dot"):
-        assert word not in alone, word
-    shown = MergeLayers(story=True, undecided=True, contradictions=True, legend=True, numbers=True)
-    told = merge_summary(merge_of([["a", "b"], ["c"]], [("a", "c")])[0], shown)
-    for word in ("Agreement", "Undecided", "Story", "Legend", "**Red** dots", "above the diagonal"):
-        assert word in told, word
-    for word in ("kept out", "joined through", "A dot"):
-        assert word not in told, word
-    one = map_summary(one_vertex, [], MapLayers())
-    for word in ("Drift", "Health", "grey** tracks", "detections", "rings", "Red", "more often"):
-        assert word not in one, word
-    assert "bends **grey**" in one
-    assert "three **blue**" not in one

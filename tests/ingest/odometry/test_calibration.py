@@ -89,14 +89,13 @@ def off(track: Odometry, truth: Odometry) -> float:
     return float(np.sqrt(np.mean(np.sum((apply(T, xy) - truth.pose[:, :2]) ** 2, axis=1))))
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("bias", "scale", "lag"),
     [(0.056, 0.0, 0.0), (-0.03, 0.03, 0.0), (0.02, -0.015, 0.2), (0.0, 0.04, -0.15)],
 )
-def test_known_errors_are_found(seed: int, bias: float, scale: float, lag: float) -> None:
-    truth, detections = drive(seed)
-    recorded = spoil(truth, seed, bias, scale, lag)
+def test_known_errors_are_found(bias: float, scale: float, lag: float) -> None:
+    truth, detections = drive(0)
+    recorded = spoil(truth, 0, bias, scale, lag)
     found = calibrate(recorded, detections)
     error = np.array(found.estimate) - (bias, scale, lag)
     assert np.all(np.abs(error) < 4 * np.array(found.sigma)), (found, error)
@@ -107,40 +106,18 @@ def test_known_errors_are_found(seed: int, bias: float, scale: float, lag: float
     assert off(apply_calibration(recorded, found), truth) < 0.25 * off(recorded, truth) + 0.3
 
 
-@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("bend", [0.0, 0.5])
-def test_where_there_is_no_error_none_is_taken_out(seed: int, bend: float) -> None:
-    truth, detections = drive(seed, legs=40, bend=bend)
-    recorded = spoil(truth, seed)
+def test_where_there_is_no_error_none_is_taken_out(bend: float) -> None:
+    truth, detections = drive(0, legs=40, bend=bend)
+    recorded = spoil(truth, 0)
     found = calibrate(recorded, detections)
     assert off(apply_calibration(recorded, found), truth) < off(recorded, truth) + 0.15
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_a_bias_shows_without_right_angles_too(seed: int) -> None:
-    truth, detections = drive(seed, bend=0.5)
-    found = calibrate(spoil(truth, seed, bias=0.05), detections)
+def test_a_bias_shows_without_right_angles_too() -> None:
+    truth, detections = drive(0, bend=0.5)
+    found = calibrate(spoil(truth, 0, bias=0.05), detections)
     assert abs(found.bias_rad_per_m - 0.05) < 0.005
-
-
-def test_thinned_evidence_tells_the_same_less_surely() -> None:
-    truth, detections = drive(5)
-    recorded = spoil(truth, 5, bias=0.05)
-    whole = calibrate(recorded, detections)
-    few = CalibrationSettings(evidence=EvidenceSettings(most_passes=25))
-    thinned = calibrate(recorded, detections, few)
-    assert thinned.bias_rad_per_m == pytest.approx(0.05, abs=0.005)
-    assert thinned.sigma[0] > whole.sigma[0]
-
-
-def test_taking_out_what_was_put_in_restores_the_track() -> None:
-    truth, _ = drive(1, legs=10)
-    errors = Calibration(applied=(0.05, 0.0, 0.1))
-    back = Calibration(applied=(-0.05, 0.0, -0.1))
-    again = apply_calibration(apply_calibration(truth, errors), back)
-    np.testing.assert_array_equal(again.time_ns, truth.time_ns)
-    np.testing.assert_allclose(again.pose[:, :2], truth.pose[:, :2], atol=1e-6)
-    assert apply_calibration(truth, Calibration()) is truth
 
 
 def test_result_does_not_depend_on_the_frame() -> None:
@@ -155,16 +132,6 @@ def test_result_does_not_depend_on_the_frame() -> None:
     np.testing.assert_allclose(here.applied, there.applied, atol=1e-4)
 
 
-def test_a_break_is_no_motion() -> None:
-    truth, detections = drive(3)
-    recorded = spoil(truth, 3, bias=0.05)
-    half = len(recorded) // 2
-    pose = recorded.pose.copy()
-    pose[half:] = np.column_stack([pose[half:, 0] + 40, pose[half:, 1], wrap(pose[half:, 2] + 2.0)])
-    broken = replace(recorded, pose=pose, breaks=np.array([half]))
-    assert abs(calibrate(broken, detections).bias_rad_per_m - 0.05) < 0.005
-
-
 def test_poor_data_change_nothing() -> None:
     truth, detections = drive(4, legs=6)
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
@@ -176,7 +143,7 @@ def test_poor_data_change_nothing() -> None:
     assert calibrate(truth, detections, CalibrationSettings(rounds=0)) == Calibration()
 
 
-@pytest.mark.parametrize("world", ["maze", "organic", "office"])
+@pytest.mark.parametrize("world", ["maze", "organic"])
 def test_sparse_odometry_is_not_mistaken_for_a_wrong_scale_of_turns(world: str) -> None:
     scenario = simulate_scenario(
         ScenarioSettings(world, 1, junctions_per_run=60, drift="low", faults="mild", seed=4)
@@ -197,3 +164,13 @@ def test_a_real_robot_is_straightened() -> None:
     found = calibrate(run.odometry, run.detections)
     assert found.bias_rad_per_m == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
     assert off(apply_calibration(run.odometry, found), true) < 0.4 * off(run.odometry, true)
+
+
+def test_thinned_evidence_tells_the_same_less_surely() -> None:
+    truth, detections = drive(5)
+    recorded = spoil(truth, 5, bias=0.05)
+    whole = calibrate(recorded, detections)
+    few = CalibrationSettings(evidence=EvidenceSettings(most_passes=25))
+    thinned = calibrate(recorded, detections, few)
+    assert thinned.bias_rad_per_m == pytest.approx(0.05, abs=0.005)
+    assert thinned.sigma[0] > whole.sigma[0]

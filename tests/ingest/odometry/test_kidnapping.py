@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from topobatch.ingest.reading import read_run
 
@@ -46,15 +45,3 @@ def test_one_wrong_sighting_is_no_journey(logs, tmp_path):
     messages[wrong] = replace(messages[wrong], poses=(logs.yaw_pose(-3.0, 2.0, 0.0),))
     run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
     assert len(run.odometry.breaks) == 0
-
-
-def test_standing_is_found_as_without_the_shortcut(logs, tmp_path):
-    path = logs.mcap(tmp_path / "a.mcap", carried_run(logs, 0.05))
-    quick = read_run(path)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "topobatch.ingest.odometry.kidnapping._may_stand", lambda i, *_: np.ones(len(i), bool)
-        )
-        thorough = read_run(path)
-    assert len(quick.odometry.breaks) > 0
-    assert quick.odometry.breaks.tolist() == thorough.odometry.breaks.tolist()

@@ -43,46 +43,6 @@ def scaled(odometry: Odometry, factor: float) -> Odometry:
     return replace(odometry, pose=odometry.pose * [factor, factor, 1.0])
 
 
-def test_the_scale_is_as_uncertain_as_passes_show_lengths_to_be_wrong() -> None:
-    run, noise = simulated("maze", "low", "none", 5)
-
-    def stated(factor: float, detections: Detections = run.detections, along: float = 0.0) -> float:
-        """1 sigma for an odometry whose lengths are too long by a factor, and walk along."""
-        track = scaled(run.odometry, factor)
-        told = drifting(noise, 1.0)
-        told = replace(told, along_m_per_sqrt_m=told.along_m_per_sqrt_m + along)
-        return refine_scale(track, detections, fuse_passes(track, detections), told, USUAL)
-
-    assert 0.03 < stated(1.05) < 0.07
-    assert 0.03 < stated(0.95) < 0.07
-    errors = [stated(1 + error) for error in (0.005, 0.01, 0.02, 0.03)]
-    assert errors == sorted(errors)
-    assert stated(1.0) < USUAL.scale
-    # Where passes show hardly anything it is what the headings let expect.
-    few = np.arange(30)
-    first = Detections(
-        run.detections.time_ns[few], run.detections.centre[few], run.detections.branches.take(few)
-    )
-    assert stated(1.0, first) < 2 * USUAL.scale
-    assert stated(1.05, along=10.0) == pytest.approx(USUAL.scale, rel=0.2)
-
-
-def test_what_is_left_of_a_corrected_scale_is_known_as_passes_show_it() -> None:
-    """What was taken off counts as an error that is known, not as one that is left."""
-    run, noise = simulated("maze", "low", "none", 5)
-
-    def left(recorded: float, taken_off: float) -> float:
-        track = scaled(run.odometry, recorded).shortened(taken_off)
-        passes = fuse_passes(track, run.detections)
-        told = drifting(noise, 3.0)
-        return refine_scale(track, run.detections, passes, told, USUAL, too_long=taken_off)
-
-    for factor in (1.05, 1.19, 0.85):
-        assert left(factor, 1 - 1 / factor) < 0.015
-    # Taken off for nothing it is as wrong as an odometry that measures so.
-    assert 0.03 < left(1.0, 0.05) < 0.07
-
-
 def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
     run, noise = simulated("maze", "low", "none", 5)
 
@@ -123,7 +83,7 @@ def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
         assert abs(errors.length_scale.applied) < 0.002
 
 
-@pytest.mark.parametrize("too_far_m", [-0.1, -0.05, 0.02, 0.05])
+@pytest.mark.parametrize("too_far_m", [-0.1, 0.05])
 def test_a_detector_off_by_centimetres_is_not_taken_for_wrong_lengths(too_far_m: float) -> None:
     run, noise = simulated("maze", "low", "none", 5)
     seen, track = run.detections, run.odometry
@@ -137,7 +97,7 @@ def test_a_detector_off_by_centimetres_is_not_taken_for_wrong_lengths(too_far_m:
     assert abs(errors.length_scale.applied) < 0.008
 
 
-@pytest.mark.parametrize("lever", [(0.3, 0.0), (-0.1, 0.05), (0.0, -0.2)])
+@pytest.mark.parametrize("lever", [(-0.1, 0.05), (0.0, -0.2)])
 def test_passes_on_turns_show_that_the_detector_sits_elsewhere(lever: tuple[float, float]) -> None:
     run, noise = simulated("organic", "mid", "mild", 4)
     off = run.detections.moved(lever)

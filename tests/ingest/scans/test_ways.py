@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from topobatch.ingest.scans.open_space import open_space
 from topobatch.ingest.scans.ways import Drivable, driven
@@ -22,13 +21,6 @@ def corridor(*obstacles: tuple[int, int, int, int]) -> Drivable:
 
 ALONG = np.column_stack([np.arange(20, 281), np.full(261, 30)]) * CELL
 REACH = np.full(len(ALONG), 1.5)
-
-
-def test_a_free_way_is_straight() -> None:
-    way = driven(ALONG, corridor(), REACH)
-    assert way is not None
-    assert way.length_m == pytest.approx(13.0, abs=0.01)
-    np.testing.assert_allclose(way.path, ALONG[[0, -1]])
 
 
 def test_an_obstacle_is_driven_round() -> None:

@@ -10,11 +10,10 @@ import pytest
 
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
-from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.polyline import way_of
 from topobatch.topology.posegraph.graph import Priors
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
+from topobatch.topology.se2 import apply, fit_rigid
 
 MOVED = (3.0, -7.0, 2.1)
 
@@ -142,48 +141,6 @@ def test_branches_are_averaged_on_the_circle_and_unexplored_ones_kept(town):
     assert degree == {"p": 2, "q": 3, "r": 3, "s": 3, "v": 1}
 
 
-def test_paths_run_from_fused_vertex_to_fused_vertex(town):
-    west, east, match = town
-    _, fused = fuse([west, east], [match])
-    for path, u, v in zip(fused.paths, fused.source, fused.target, strict=True):
-        assert path[0] == pytest.approx(fused.xy[u], abs=1e-6)
-        assert path[-1] == pytest.approx(fused.xy[v], abs=1e-6)
-
-
-def test_moving_a_map_moves_nothing_but_its_pose(town):
-    west, east, match = town
-    _, before = fuse([west, east], [match])
-    T = np.array([-20.0, 5.0, -2.9])
-    moved = _moved(west, T)
-    again = replace(
-        match.best, transform=compose(match.best.transform, inverse(T)), matched=match.best.matched
-    )
-    (component,), after = fuse([moved, east], [replace(match, best=again)])
-    assert after.xy == pytest.approx(before.xy, abs=1e-6)
-    assert ends(after) == ends(before)
-    assert component.poses["west"] == pytest.approx(compose(np.array(MOVED), inverse(T)), abs=1e-6)
-
-
-def _moved(m, T):
-    rows, order = [], []
-    for v in range(len(m)):
-        turned = (m.branches[v] + T[2] + np.pi) % (2 * np.pi) - np.pi
-        order.append(np.argsort(np.argsort(turned)))
-        rows.append(np.sort(turned))
-    return replace(
-        m,
-        xy=apply(T, m.xy),
-        branches=Ragged.from_rows(rows),
-        source_branch=np.array(
-            [order[v][i] for v, i in zip(m.source, m.source_branch, strict=True)]
-        ),
-        target_branch=np.array(
-            [order[v][i] for v, i in zip(m.target, m.target_branch, strict=True)]
-        ),
-        paths=tuple(apply(T, p) for p in m.paths),
-    )
-
-
 def test_a_run_that_matched_nothing_is_a_component_of_its_own_unchanged(draw, town):
     west, east, match = town
     island = part(draw, "island", ("p", "q", "r"), (500.0, 2.0, 1.0))
@@ -296,15 +253,6 @@ def test_a_part_that_nobody_drove_alone_becomes_a_corridor(draw):
     assert fused.length[new] == pytest.approx(7.0, abs=0.3)
 
 
-def test_a_corridor_over_a_bridge_past_an_unconnected_junction_stays_whole(draw):
-    # m has no branches along the corridor: the two do not meet.
-    a = draw("a", {"p": (0, 0), "m": (6, 0.3), "n": (6, 8)}, [("m", "n"), ("p", "n")], [("p", 0.0)])
-    b = draw("b", {"p": (0, 0), "q": (13, 0)}, [("p", "q")], [("p", np.arctan2(8, 6))])
-    _, fused = fuse([a, b], [verdict(a, b, [(0, 0)])])
-    assert ("b", 0) in [m for row in fused.edge_members for m in row if len(row) == 1]
-    assert len(fused.source) == 3
-
-
 def with_edge(m, ends, length, path):
     """The map with one more corridor, ends (vertex, branch, vertex, branch)."""
     u, i, v, j = ends
@@ -352,15 +300,6 @@ def test_parallel_corridors_and_loops_stay_apart(draw):
     other = replace(maps[1], length=maps[1].length * [1, 1.5, 1])
     _, fused = fuse([maps[0], other], [verdict(maps[0], other, [(0, 0), (1, 1)])])
     assert sorted(fused.length.round(6).tolist()) == [8.0, 16.0, 20.0, 24.0]
-
-
-def test_a_corridor_of_unknown_branch_joins_the_one_that_fits(town):
-    west, east, match = town
-    lost = west.source_branch.copy()
-    lost[0] = NO_BRANCH
-    _, fused = fuse([replace(west, source_branch=lost), east], [match])
-    assert len(fused.source) == len(STREETS)
-    assert NO_BRANCH not in fused.source_branch.tolist()
 
 
 def test_a_false_match_among_right_ones_gives_way(draw):
@@ -422,34 +361,3 @@ def test_corridors_of_other_lengths_keep_vertices_apart_that_lie_on_each_other(
     b = draw("b", {**down, **cross}, drives, [("s", np.pi), ("h", 0.0)], lengths=longer)
     _, fused = fuse([a, b], [verdict(a, b, [(0, 0), (1, 1), (2, 2)])])
     assert ({"a": (3,), "b": (3,)} in [dict(m) for m in fused.members]) is together
-
-
-def test_a_phantom_in_one_run_splits_the_other_runs_corridor_by_their_branches(draw):
-    # The path of b cuts the corner, so only the branches at both ends tell that it passed m.
-    up = np.pi / 2
-    shape = {"p": (0, 0), "m": (6, 0), "q": (6, 6), "n": (-5, 0)}
-    a = draw("a", shape, [("p", "m"), ("m", "q"), ("n", "p")], [("p", up), ("q", up), ("q", np.pi)])
-    b = draw(
-        "b",
-        {k: shape[k] for k in "pqn"},
-        [("n", "p")],
-        [("p", 0.0), ("p", up), ("q", up), ("q", np.pi), ("q", -up)],
-    )
-    at = [int(np.abs(b.branches[v] - h).argmin()) for v, h in ((0, 0.0), (1, -up))]
-    b = with_edge(b, (0, at[0], 1, at[1]), 12.2, [(0, 0), (3, 3), (6, 6)])
-    _, fused = fuse([a, b], [verdict(a, b, [(0, 0), (2, 1), (3, 2)])])
-    assert len(fused.source) == 3
-    assert sorted(len(m) for m in fused.edge_members) == [2, 2, 2]
-    assert fused.length.max() < 6.1
-
-
-def test_one_common_branch_makes_corridors_one_if_the_other_end_was_seen_otherwise(draw):
-    # b saw the branch at q 40 degrees off; the branch at p and the length say it is one corridor.
-    shape = {"p": (0, 0), "q": (8, 0)}
-    others = [("p", 2.0), ("p", -2.0), ("q", 1.0), ("q", -1.0)]
-    a = draw("a", shape, [("p", "q")], others)
-    b = draw("b", shape, [("p", "q")], others)
-    rows = [b.branches[0], np.sort([-1.0, 1.0, np.pi - 0.7])]
-    b = replace(b, branches=Ragged.from_rows(rows), target_branch=np.array([2]))
-    _, fused = fuse([a, b], [verdict(a, b, [(0, 0), (1, 1)])])
-    assert fused.edge_members == ((("a", 0), ("b", 0)),)

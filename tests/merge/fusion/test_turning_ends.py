@@ -13,7 +13,6 @@ from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.turning_ends import with_turning_ends
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
-from topobatch.merge.pieces import joined_pieces
 from topobatch.merge.result import Alignment, MergeResult, PairVerdict, Verdict
 from topobatch.topology.columns import take
 from topobatch.topology.document import map_to_document
@@ -109,12 +108,6 @@ def test_an_end_by_no_branch_is_kept_unless_it_lies_beside_a_known_way(draw):
     assert fused.turned == 0
 
 
-def test_maps_without_turning_points_are_left_alone(draw):
-    a = way(draw, "a")
-    components, fused = fuse([a], [])
-    assert with_turning_ends(fused, components, [a]) is fused
-
-
 @pytest.fixture(name="two")
 def _two(draw):
     a, b = turned(way(draw, "a", MOVED), {0: 3.0, 1: 4.0}, MOVED), turned(way(draw, "b"), {1: 3.5})
@@ -193,15 +186,4 @@ def _anywhere(m):
         paths=tuple(np.stack([m.xy[v], tip]) for v, tip in zip(vertex.tolist(), tips, strict=True)),
         traversal_ns=tuple(np.zeros((0, 2), np.int64) for _ in free),
         time_ns=tuple(np.array([[7]]) for _ in free),
-    )
-
-
-def test_pieces_of_a_run_keep_theirs(maze_pair):
-    a, _, _ = maze_pair(3)
-    a = replace(a, turning_points=_anywhere(a), info={"pieces": 2})
-    (m,) = joined_pieces(a)
-    assert (len(m), len(m.turning_points)) == (len(a), len(a.turning_points))
-    assert m.pieces == 1
-    assert sorted(zip(*m.turning_points.xy.round(3).T.tolist(), strict=True)) == sorted(
-        zip(*a.turning_points.xy.round(3).T.tolist(), strict=True)
     )

@@ -5,13 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.fusion import joint_graph, uncertainty
+from topobatch.merge.fusion import joint_graph
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.joint_graph import JOINT, SOLVER, pass_counts, settle
 from topobatch.merge.fusion.uncertainty import spread
 from topobatch.merge.fusion.vertex_partition import Pool
-from topobatch.merge.result import Alignment, PairVerdict, Spread, Verdict
-from topobatch.topology.posegraph.graph import SharedErrors
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.posegraph.solve import solve
 from topobatch.topology.se2 import apply, between, fit_rigid, inverse, wrap
 from topobatch.topology.topomap import RunNoise
@@ -84,82 +83,12 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
     assert found.sigmas([("c", "a")])[0] == pytest.approx((metres, radians))
 
 
-@pytest.mark.parametrize("rounding", [-3e-15, 0.0, 3e-15])
-def test_maps_of_the_same_places_are_not_apart_however_their_covariance_is_rounded(rounding):
-    own = np.diag([0.01, 0.01, 1e-5])
-    two, middle = np.array([own, own]), np.array([[3.0, 4.0], [3.0, 4.0]])
-    found = Spread(("a", "b"), middle, two, np.array([1]), (1 + rounding) * own[None])
-    assert found.sigmas([("a", "b")]) == [(0.0, 0.0)]
-    assert not found.relative([("a", "b")]).any()
-
-
-def test_maps_that_do_not_bend_err_by_what_the_rest_of_them_saw_otherwise(draw):
-    # The turn of the shared junctions less that of all, about R = Σ|x - x̄|²: σ² (1/R_shared - 1/R).
-    maps = [along(draw, "a", 0, 8), along(draw, "b", 5, 13)]
-    pool = Pool.of(maps)
-    label = np.concatenate([np.arange(9), np.arange(5, 14)])
-    start = {"a": np.zeros(3), "b": np.array([30.0, 1.5, 0.0])}
-    joint = settle(pool, label, start)
-    within = (pool.run[joint.graph.source] == pool.run[joint.graph.target])[:, None, None]
-    one_place = np.diag([1.0, 1.0, 0.0]) * joint.graph.information
-    stiff = replace(
-        joint.graph,
-        information=np.where(within, 1e9 * np.eye(3), one_place),
-        shared=SharedErrors.none(len(within)),
-    )
-    solution = replace(joint.solution, shared=np.zeros(0))
-    found = spread(pool, label, stiff, solution, np.array([0 * 2 + 1]))
-    ((_, radians),) = found.sigmas([("a", "b")])
-    about = [
-        1 / np.square(part - part.mean(axis=0)).sum()
-        for part in (maps[0].xy[5:], maps[0].xy, maps[1].xy)
-    ]
-    sigma = maps[0].measured.centre_m / np.sqrt(pass_counts(pool)[0])
-    assert radians == pytest.approx(sigma * np.sqrt(2 * about[0] - about[1] - about[2]), rel=0.01)
-
-
-def test_only_what_is_asked_for_is_held_and_it_is_the_same(chain, monkeypatch):
-    maps, links = chain
-    asked = [("a", "c")]
-    (whole,), _ = fuse(maps, links, asked=asked)
-    assert len(whole.spread.cross) == 3
-    (less,), _ = fuse(maps, links, asked=())
-    assert len(less.spread.cross) == 2
-    assert less.spread.sigmas(["ab", "bc"]) == whole.spread.sigmas(["ab", "bc"])
-    with pytest.raises(KeyError, match="'a', 'c'"):
-        less.spread.sigmas(["ac"])
-    monkeypatch.setattr(uncertainty, "CHUNK", 2)  # columns of a pair's runs apart
-    (parts,), _ = fuse(maps, links, asked=asked)
-    np.testing.assert_allclose(parts.spread.cross, whole.spread.cross, rtol=1e-9, atol=1e-15)
-    np.testing.assert_allclose(parts.spread.own, whole.spread.own, rtol=1e-9)
-
-
 def test_placements_grow_vaguer_along_a_chain(chain):
     maps, links = chain
     (component,), _ = fuse(maps, links, asked=[("a", "c")])
     *near, far = component.spread.sigmas(["ab", "bc", "ac"])
     assert far[0] > max(m for m, _ in near)
     assert far[1] > max(r for _, r in near)
-
-
-def test_every_component_of_several_runs_is_asked_how_sure(chain):
-    maps, links = chain
-    (first, second), _ = fuse(maps, links[:1], asked=())
-    assert 0 < first.spread.sigmas(["ab"])[0][0] < 1
-    assert second.spread is None
-    assert all(c.spread is None for c in fuse(maps, links)[0])
-
-
-def test_a_run_of_one_junction_has_its_own_heading(draw):
-    a, c = along(draw, "a", 0, 8), along(draw, "c", 4, 12)
-    b = draw("b", {"x": (0.0, 0.0)}, [], [("x", -0.24), ("x", np.pi / 2), ("x", 3.38)])
-    links = [verdict(a, c, [(k + 4, k) for k in range(5)])]
-    one = Alignment(np.array([*a.xy[3], 0.0]), 20.0, np.array([[3, 0]]), 0.0)
-    links.append(PairVerdict("a", "b", Verdict.MERGED, True, 20.0, "by hand", best=one))
-    (component,), _ = fuse([a, b, c], links, asked=[("b", "c")])
-    ((metres, radians),) = component.spread.sigmas(["bc"])
-    assert 0 < metres < 5
-    assert 0 < radians < 0.2
 
 
 def test_fused_vertices_say_how_sure_they_are(chain):
@@ -240,6 +169,13 @@ def test_what_a_map_is_not_sure_of_stays_unsure_until_another_run_measures_it(dr
         assert np.delete(fused.length_sigma, here).max() < 0.05
 
 
+def test_a_run_alone_is_as_sure_as_its_map(chain):
+    (a, *_), _ = chain
+    sigma = np.linspace(0.1, 0.2, len(a))
+    _, fused = fuse([replace(a, position_sigma=sigma)], [], asked=())
+    np.testing.assert_allclose(fused.position_sigma, sigma)
+
+
 def test_the_scales_of_the_runs_stretch_all_of_a_way(draw, monkeypatch):
     stretched = RunNoise(1e-6, 1e-6, 1e-6, scale=0.1, centre_m=1e-3)
     maps = [winding(draw, name, stretched) for name in "ab"]
@@ -251,10 +187,3 @@ def test_the_scales_of_the_runs_stretch_all_of_a_way(draw, monkeypatch):
         share = fused.length_sigma / fused.length
         np.testing.assert_allclose(share, 0.1 / np.sqrt(2), rtol=0.25)
         assert np.ptp(share) < 0.15 * share.mean()
-
-
-def test_a_run_alone_is_as_sure_as_its_map(chain):
-    (a, *_), _ = chain
-    sigma = np.linspace(0.1, 0.2, len(a))
-    _, fused = fuse([replace(a, position_sigma=sigma)], [], asked=())
-    np.testing.assert_allclose(fused.position_sigma, sigma)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.merge.paper.clustering import ClusterSettings, cluster, transform_distances
+from topobatch.merge.paper.clustering import ClusterSettings, cluster
 from topobatch.merge.paper.hypotheses import Hypotheses
 from topobatch.merge.paper.registration import fit_groups
 from topobatch.topology.matching.correspondence import Nodes
@@ -32,22 +32,6 @@ def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
     )
 
 
-def test_distance_is_the_mean_squared_displacement_of_matched_points_and_their_surroundings():
-    rng = np.random.default_rng(3)
-    xy = rng.uniform(0, 40, (20, 2))
-    groups = [[(v, v) for v in rng.choice(20, n, replace=False).tolist()] for n in (1, 2, 4, 7)]
-    h = hypotheses(groups, rng.uniform(-3, 3, (4, 3)))
-    lever = 5.0
-    got = transform_distances(h, np.arange(4), xy, lever)
-    ring = lever * np.stack([np.cos(t := np.arange(8) * np.pi / 4), np.sin(t)], axis=1)
-    for i in range(4):
-        for j in range(4):
-            points = np.concatenate([xy[[v for v, _ in groups[k]]] for k in (i, j)])
-            around = (points[:, None] + ring).reshape(-1, 2)
-            moved = apply(h.transform[i], around) - apply(h.transform[j], around)
-            assert got[i, j] == pytest.approx((moved**2).sum(axis=1).mean())
-
-
 XY = np.column_stack([np.arange(12.0) * 3, np.zeros(12)])
 
 
@@ -61,15 +45,6 @@ def test_clusters_are_ordered_by_vertices_then_error_then_largest_hypothesis():
     assert c.largest.tolist() == [3, 2, 1]  # equal vertices and errors: the larger hypothesis
 
 
-def test_error_ranks_clusters_of_equal_size():
-    xy_a = XY.copy()
-    xy_a[2] += [0.0, 0.4]
-    h = hypotheses([[(0, 0), (1, 1), (2, 2)], [(3, 6), (4, 7), (5, 8)]], [[0, 0, 0], [-9, 0, 0]])
-    c = cluster(h, (xy_a, XY))
-    assert c.of.tolist() == [1, 0]
-    assert c.squared_error[0] < 1e-12 < c.squared_error[1]
-
-
 def test_linkage_is_complete_no_chain_stretches_a_cluster():
     groups = [[(k, k)] for k in range(5)]
     chain = [[0.4 * k, 0, 0] for k in range(5)]
@@ -81,14 +56,6 @@ def test_linkage_is_complete_no_chain_stretches_a_cluster():
         spans = [np.ptp(h.transform[c.of == k, 0]) for k in range(len(c))]
         assert max(spans) <= 0.5
         assert len(c) == 3
-
-
-def test_threshold_is_three_times_the_largest_mean_squared_error():
-    groups = [[(0, 0), (1, 1)], [(2, 2), (3, 3)], [(4, 4)]]
-    h = hypotheses(groups, [[0, 0, 0], [0.5, 0, 0], [1.1, 0, 0]], errors=[0.09, 0.01, 0.0])
-    c = cluster(h, (XY, XY))
-    assert c.threshold == pytest.approx(0.27)
-    assert c.of[0] == c.of[1] != c.of[2]
 
 
 def test_rotations_of_a_rectilinear_world_never_share_a_cluster():
@@ -108,12 +75,6 @@ def test_iterative_clustering_readmits_a_small_hypothesis_by_its_metric_error():
     assert again.vertices.tolist() == [7]
 
 
-def test_nothing_to_cluster():
-    h = hypotheses([], np.zeros((0, 3)))
-    assert len(h) == 0
-    assert len(cluster(h, (XY, XY))) == 0
-
-
 @pytest.mark.parametrize("free", [True, False])
 def test_reweighted_registration_shrugs_off_one_wrong_pair(free):
     rng = np.random.default_rng(4)
@@ -129,13 +90,3 @@ def test_reweighted_registration_shrugs_off_one_wrong_pair(free):
     }
     assert fits["reweighted"] == pytest.approx(T, abs=0.02)
     assert np.hypot(*(fits["equal"] - T)[:2]) > 0.5
-
-
-def test_reweighting_is_a_setting_of_hypotheses_and_clusters():
-    xy_a = XY.copy()
-    xy_a[2] += [0.0, 1.5]
-    h = hypotheses([[(k, k) for k in range(6)]], [[0, 0, 0]], errors=[0.4], rectilinear=True)
-    plain = cluster(h, (xy_a, XY)).transform[0]
-    reweighted = cluster(h, (xy_a, XY), settings=ClusterSettings(weights="reweighted"))
-    assert plain == pytest.approx([0.0, 0.25, 0.0])
-    assert reweighted.transform[0] == pytest.approx([0.0, 0.0, 0.0], abs=0.01)

@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from scipy.stats import binom
 
 from topobatch.merge.paper.method import PaperSettings, judge, prepare_map
 from topobatch.merge.paper.significance import (
@@ -17,9 +14,8 @@ from topobatch.merge.paper.significance import (
     self_similarity,
     single_bits,
 )
-from topobatch.topology.columns import take
 from topobatch.topology.matching.association import grow
-from topobatch.topology.matching.correspondence import TURNED, GrowthSettings
+from topobatch.topology.matching.correspondence import GrowthSettings
 from topobatch.topology.matching.structure import prepare
 
 NONE = SelfSimilarity(links=0, tested=0, agreed=0, largest=0, ends=0.25)
@@ -64,45 +60,6 @@ def test_a_match_no_larger_than_what_a_map_shares_with_itself_is_no_evidence(dra
     assert match_bits(growth, a, b, (alike, alike)).max() < 2
     maze, _, _ = maze_pair(0)
     assert self_similarity(prepare(maze), GrowthSettings()).largest <= 4
-
-
-def test_a_map_as_it_is_is_no_part_of_its_self_similarity(draw):
-    corners = {"p": (0, 0), "q": (5, 0), "r": (5, 7), "s": (14, 7)}
-    lone = prepare(draw("a", corners, [("p", "q"), ("q", "r"), ("r", "s")], [("r", np.pi)]))
-    for world in ("auto", "general"):
-        seen = self_similarity(lone, GrowthSettings(world))
-        assert [seen.links, seen.tested, seen.agreed, seen.largest] == [0, 0, 0, 0]
-
-
-def test_lengths_along_an_axis_are_those_between_its_lines(draw):
-    a = ladder(draw, 6)
-    corners = {"p": (0, 0), "q": (5, 0), "r": (5, 7), "s": (14, 7), "t": (14, 18)}
-    way = [("p", "q"), ("q", "r"), ("r", "s"), ("s", "t")]
-    for m, lengths in ((a, [1, 5]), (draw("a", corners, way), [2, 2])):
-        s = prepare(m)
-        growth = grow(s, s)
-        largest = np.bincount(growth.link_component).argmax()
-        assert sorted(independent_lengths(growth, s)[:, largest].tolist()) == lengths
-
-
-def test_equal_branches_tell_where_degrees_may_differ(maze_pair):
-    a, b, _ = maze_pair(2)
-    settings = GrowthSettings(degree="inexact")
-    sa, sb = prepare(a), prepare(b)
-    growth = grow(sa, sb, settings)
-    seen = self_similarity(sa, settings)
-    assert 0.1 < seen.equal < 0.5
-    assert self_similarity(sa, GrowthSettings()).equal == 1
-    half = replace(seen, ends=0.5, equal=0.5)
-    bits, untold = (match_bits(growth, sa, sb, (x, x)) for x in (half, replace(half, equal=1.0)))
-    largest = np.bincount(growth.component).argmax()
-    rows = np.flatnonzero(growth.component == largest)
-    n = take(growth.nodes, rows)
-    equal = np.count_nonzero(sa.mask[n.vertex_a] == TURNED[sb.mask[n.vertex_b], n.correspondence])
-    expected = -binom.logsf(equal - 3, len(rows) - 2, 0.5) / np.log(2)
-    assert bits[largest] - untold[largest] == pytest.approx(expected)
-    assert expected > 3
-    assert np.all(bits >= untold)
 
 
 @pytest.mark.parametrize("degree", ["exact", "inexact"])

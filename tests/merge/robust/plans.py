@@ -1,7 +1,5 @@
 """Small maps drawn by hand, and one map laid over another."""
 
-from itertools import pairwise
-
 import numpy as np
 
 from topobatch.merge.robust.atlas import Atlas, Lanes
@@ -52,16 +50,3 @@ def crossing_and_forks(drawn, apart_m=1.2):
     whole = drawn("a", [(0, 0), *ENDS], [*AROUND, (0, 3), (0, 4)])
     x, y = apart_m / 2 * np.cos(np.pi / 9), apart_m / 2 * np.sin(np.pi / 9)
     return whole, drawn("b", [(-x, -y), *ENDS, (x, y)], [*AROUND, (0, 5), (5, 3), (5, 4)])
-
-
-def rows_of_a_field(rows, aisle_ends):
-    """Equal rows 30 m long, joined at both ends, and an aisle across those before `aisle_ends`."""
-    points, edges, number = [], [], {}
-    for row in rows:
-        xs = [0.0, 12.0, 30.0] if row < aisle_ends else [0.0, 30.0]
-        for x in xs:
-            number[x, row] = len(points)
-            points.append((x, 3.0 * row))
-        edges += [(number[x, row], number[y, row]) for x, y in pairwise(xs)]
-        edges += [(number[x, row - 1], number[x, row]) for x in xs if (x, row - 1) in number]
-    return points, edges

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.robust.across import COPY_TOGETHER, LARGER_TOGETHER, Across, _ByRun
+from topobatch.merge.robust.across import COPY_TOGETHER, LARGER_TOGETHER, Across
 from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.repetition import size_sigmas
 
 from .plans import EDGES, POINTS, SETTINGS
 
@@ -40,14 +39,6 @@ def by_size(own):
     for i, j in ((0, 1), (2, 3)):
         components.join(i, j, own.joins[i, j].transform)
     return components
-
-
-def test_one_pair_tells_what_it_tells_alone(sizes):
-    own, found = sizes
-    for pair in ((0, 1), (0, 2)):
-        alone = size_sigmas(own.prepared[pair[0]], own.prepared[pair[1]], found[pair].corridors)
-        told = own._sigmas(Components(4, ()), pair, {pair: own.joins[pair]})
-        assert told == pytest.approx(alone)
 
 
 def test_more_runs_tell_more_than_two(sizes):
@@ -102,22 +93,3 @@ def test_pairs_that_would_be_merged_answer_whether_they_are_copies(sizes):
     assert heard == [[(0, 2), (1, 2), (1, 3)]] * 2
     assert replace(own, answers=answers(-9.0)).refusal(components, (0, 2)) is None
     assert len(heard) == 2  # nobody was asked where no pair looks like a copy by itself
-
-
-def test_pairs_across_two_components_are_found_by_their_runs(sizes):
-    """The same as all that are looked through, whatever they were known in the order of."""
-    own, _ = sizes
-    rng = np.random.default_rng(3)
-    pairs = [(i, j) for j in range(12) for i in range(j) if rng.random() < 0.5]
-    some = own.joins[0, 1]
-    components = Components(12, ())
-    for i, j in ((0, 5), (5, 7), (2, 3), (3, 11), (1, 4)):
-        components.join(i, j, some.transform)
-    head = components.head
-    for order in (pairs, pairs[::-1]):
-        known = _ByRun(dict.fromkeys(order, some))
-        for i, j in pairs:
-            if head[i] != head[j]:
-                ends = {head[i], head[j]}
-                across = [(x, y) for x, y in pairs if {head[x], head[y]} == ends]
-                assert known.between(components, (i, j)) == sorted(across)

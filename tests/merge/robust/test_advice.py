@@ -1,7 +1,5 @@
 """What would settle an ambiguous pair."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from topobatch.merge.robust.advice import advice
@@ -26,17 +24,6 @@ def test_the_corridor_that_one_run_left_out_is_named(drawn):
         "record with b's robot the corridor that a drove from its junction 0 to 9 (9.0 m)" in told
     )
     assert "it leaves junction 0 of b" in told
-
-
-def test_the_corridor_that_refutes_the_next_best_placement_comes_first(drawn):
-    a = prepare(drawn("a", [*POINTS, (18, 0), (0, -9)], [*EDGES, (2, 8), (0, 9)]))
-    b = prepare(drawn("b", POINTS, EDGES, stubs=[(2, 0.0), (0, -np.pi / 2)]))
-    view = assess(a, b, match(a, b, SETTINGS), threshold_for(PairCount(1, 1), COPIES, SETTINGS))
-    (best, bits), *_ = view.ranked
-    # As the best one, but for junction 2 of b.
-    other = replace(best, a=np.where(best.b == 2, 5, best.a))
-    told = advice(a, b, replace(view, ranked=((best, bits), (other, bits - 1))))
-    assert "the corridor that a drove from its junction 2 to 8" in told
 
 
 def test_where_both_drove_everything_they_are_to_go_farther(drawn):

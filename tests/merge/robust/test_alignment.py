@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from topobatch.merge.codec import to_bytes
-from topobatch.merge.robust.alignment import _apart, match, match_all, same_placement
+from topobatch.merge.robust.alignment import match, match_all, same_placement
 from topobatch.merge.robust.links import candidate_links
 from topobatch.merge.robust.prepare import prepare
 from topobatch.topology.se2 import inverse
 
-from .plans import EDGES, POINTS, SETTINGS, rows_of_a_field
+from .plans import EDGES, POINTS, SETTINGS
 from .rooms import views_of, walls_of
 
 
@@ -44,19 +44,6 @@ def test_what_a_match_is_made_of_adds_up(halves):
         assert {frozenset(map(int, row)) for row in rows} == ends
 
 
-def test_of_versions_of_one_placement_the_best_stays_and_the_best_is_first(halves):
-    a, b = (prepare(m) for m in halves)
-    best = match(a, b, SETTINGS)[0]
-
-    def other(turn, bits):
-        return replace(best, bits=best.bits - bits, transform=np.add(best.transform, [0, 0, turn]))
-
-    version, elsewhere = other(0.05, 5.0), other(1.5, 2.0)
-    assert _apart([version, elsewhere, best], b) == (best, elsewhere)
-    assert _apart([best, version], b) == (best,)
-    assert _apart([], b) == ()
-
-
 def test_evidence_pays_for_the_links_it_was_chosen_from_and_for_contradictions(drawn):
     more = [*POINTS, (8.5, -6)]
     split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
@@ -66,26 +53,6 @@ def test_evidence_pays_for_the_links_it_was_chosen_from_and_for_contradictions(d
     assert found.tested_bits == pytest.approx(np.log2(len(candidate_links(a, b)) + 1))
     assert found.conflicts.extra_b.tolist() == [8]
     assert found.bits < found.support.bits - found.tested_bits - 3
-
-
-def test_where_copies_abound_those_of_fewer_corridors_are_rivals(drawn):
-    """One row off more corridors lie over each other than where the aisle ends as it does."""
-    (here, ours), (there, theirs) = (rows_of_a_field(r, 6) for r in (range(9), range(4, 14)))
-    a, b = prepare(drawn("a", here, ours)), prepare(drawn("b", there, theirs))
-    found = match(a, b, SETTINGS, rivals=True)
-    right = [not (np.array(here)[c.a] - np.array(there)[c.b]).any() for c in found]
-    (at,) = np.flatnonzero(right)
-    assert found[at].rival
-    assert (len(found[at]), len(found[at].conflicts)) == (12, 0)
-    assert 0 < sum(not c.rival for c in found) <= SETTINGS.hypotheses
-
-
-def test_a_placement_is_no_rival_if_a_version_of_it_is_none(drawn):
-    a, b = (prepare(drawn(name, POINTS, EDGES)) for name in "ab")
-    best = match(a, b, SETTINGS)[0]
-    more = replace(best, bits=best.bits + 1, rival=True)
-    assert _apart([more, best], b) == (best,)
-    assert _apart([more], b) == (more,)
 
 
 def test_views_judge_what_junctions_propose(halves):

@@ -124,15 +124,6 @@ def test_maps_that_nothing_links_say_nothing_of_each_other(reached):
     assert all(turned([k], count) == asked([k], count) for k in range(10))
 
 
-def test_what_half_a_turn_says_twice_is_no_copy_unless_once_is_beyond_chance(reached):
-    tested = Repetition(8).tested_bits
-    enough = 2 * (MATCH.lead_bits + tested) - tested
-    own = [(Repetition(8, bits, back=True),) for bits in (enough - 0.1, enough + 0.1)]
-    asked = reached(own)
-    most = np.quantile([0, 8], SETTINGS.copied_share)
-    assert [asked([k], PairCount(1, 1)).copied for k in range(2)] == [most, 8.0]
-
-
 def test_a_copy_that_nothing_ends_may_go_on(reached):
     enough, lead = needed_bits(1, SETTINGS), MATCH.lead_bits
     copies = [

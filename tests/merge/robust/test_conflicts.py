@@ -2,25 +2,11 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from topobatch.merge.robust.prepare import prepare
 
 from .plans import EDGES, POINTS, against, laid
-
-
-def test_that_a_junction_in_doubt_goes_unseen_says_little(drawn):
-    more = [*POINTS, (8.5, -6)]
-    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
-    a = prepare(drawn("a", POINTS, EDGES))
-    b = drawn("b", more, split, stubs=[(8, -1.57)])
-    shown = np.where(np.arange(len(more)) == 8, 0.25, 1.0)
-    (sure,), (doubted,) = (
-        against(laid(a, prepare(m))).extra_b_bits for m in (b, replace(b, confidence=shown))
-    )
-    assert doubted == pytest.approx(-np.log2(0.25 * 2**-sure + 0.75))
-    assert doubted < 0.5 < sure
 
 
 @pytest.mark.parametrize("stubs", [[], [(8, -1.57)]], ids=["bend", "fork"])
@@ -34,13 +20,6 @@ def test_bends_contradict_only_maps_whose_detector_shows_them(drawn, stubs):
         assert len(against(laid(one, two))) == 1
     for one, two in ((scans, b), (b, scans)):
         assert len(against(laid(one, two))) == len(stubs)
-
-
-def test_what_both_saw_agrees_and_nothing_contradicts(drawn):
-    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    grown = laid(a, b)
-    assert grown.a.tolist() == grown.b.tolist() == list(range(len(POINTS)))
-    assert len(against(grown)) == 0
 
 
 def test_a_junction_in_the_others_corridor_contradicts(drawn):

@@ -1,21 +1,15 @@
 """Verdicts on maps of simulated worlds, whose truth is known."""
 
-import pickle
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from topobatch.merge.document import merged_to_document
 from topobatch.merge.locks import Lock
-from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Verdict
-from topobatch.merge.robust import Means, RobustSettings, decide, match, prepare
+from topobatch.merge.robust import RobustSettings, decide
 from topobatch.merge.robust.across import LARGER_TOGETHER
 from topobatch.merge.robust.mirror import mirrored
-from topobatch.merge.workers import Workers
 from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance
 from topobatch.simulation.regions import scattered_regions
@@ -52,30 +46,11 @@ def test_maps_of_different_buildings_stay_apart(halves, other_maze, see):
 
 
 @pytest.mark.parametrize("kind", ["maze", "organic"])
-@pytest.mark.parametrize("seed", range(3))
-def test_faults_and_drift_do_not_mislead(kind, seed, see, right_matches):
-    world = make_world(kind, 100, 40 + seed)
-    across = world.xy[:, 0]
-    a = see(
-        world,
-        np.flatnonzero(across < np.quantile(across, 0.7)).tolist(),
-        seed,
-        "a",
-        missed=0.04,
-        branch_fault=0.08,
-        bend_m=0.5,
-        centre_m=0.08,
-    )
-    b = see(
-        world,
-        np.flatnonzero(across > np.quantile(across, 0.3)).tolist(),
-        seed + 9,
-        "b",
-        missed=0.04,
-        branch_fault=0.08,
-        bend_m=0.5,
-        centre_m=0.08,
-    )
+def test_faults_and_drift_do_not_mislead(kind, see, right_matches):
+    world, across = (w := make_world(kind, 100, 40)), w.xy[:, 0]
+    faults = {"missed": 0.04, "branch_fault": 0.08, "bend_m": 0.5, "centre_m": 0.08}
+    a = see(world, np.flatnonzero(across < np.quantile(across, 0.7)).tolist(), 0, "a", **faults)
+    b = see(world, np.flatnonzero(across > np.quantile(across, 0.3)).tolist(), 9, "b", **faults)
     v = only([a, b])
     assert v.accepted
     assert right_matches(v.best.matched, a, b) > 0.97
@@ -90,37 +65,6 @@ def test_the_frame_of_a_map_does_not_matter(halves, moved):
     back = compose(after.best.transform, T)
     assert np.allclose(back[:2], before.best.transform[:2], atol=1e-6)
     assert abs(wrap(back[2] - before.best.transform[2])) < 1e-9
-
-
-def test_the_order_of_the_maps_does_not_matter(halves, other_maze, see):
-    maps = [*halves, see(other_maze, list(range(50)), 6, "other")]
-    documents = [merged_to_document(merge_maps(order)) for order in (maps, maps[::-1])]
-    assert documents[0] == documents[1]
-
-
-def test_an_executor_changes_nothing_but_the_time(halves, other_maze, see):
-    maps = sorted([*halves, see(other_maze, list(range(40)), 6, "other")], key=lambda m: m.run)
-    heard = []
-    with ThreadPoolExecutor(2) as executor:
-        means = Means(
-            Workers(lambda: nullcontext(executor)),
-            on_pair=lambda done, of: heard.append((done, of)),
-        )
-        there = decide(maps, means=means)
-    here = decide(maps)
-    assert [(v.a, v.b, v.verdict, v.evidence_bits) for v in here] == [
-        (v.a, v.b, v.verdict, v.evidence_bits) for v in there
-    ]
-    assert heard == [(1, 3), (2, 3), (3, 3)]
-
-
-def test_prepared_maps_and_candidates_travel(halves):
-    a, b = (prepare(m) for m in halves)
-    a2, b2 = pickle.loads(pickle.dumps((a, b)))
-    here = match(a, b, RobustSettings())
-    there = pickle.loads(pickle.dumps(match(a2, b2, RobustSettings())))
-    assert [c.bits for c in here] == [c.bits for c in there]
-    assert np.array_equal(here[0].a, there[0].a)
 
 
 def test_a_stricter_rate_asks_for_more_evidence(halves):
@@ -140,14 +84,6 @@ def test_maps_with_nothing_in_them(halves, drawn):
     assert {v.verdict for v in verdicts} == {Verdict.UNRELATED}
     assert decide([]) == ()
     assert decide([lone]) == ()
-
-
-def test_never_keeps_two_runs_apart(halves):
-    v = only(halves, locks=[Lock("left", "right", "never")])
-    assert v.verdict is Verdict.UNRELATED
-    assert not v.accepted
-    assert v.locked == "never"
-    assert "locked apart" in v.reason
 
 
 def test_never_holds_through_other_runs(maze, see):
@@ -261,29 +197,6 @@ def test_wings_built_alike_are_not_taken_for_each_other(see):
     assert doubtful
     assert all(v.best is not None and v.advice for v in doubtful)
     assert any("another copy" in v.reason or "another placement" in v.reason for v in doubtful)
-
-
-def test_best_runner_up_and_margin_speak_of_the_same_bits(see):
-    """In a building that repeats itself the second question caps the bits of all placements."""
-    world = make_world("office", 200, 8)
-    told = [only([see(world, list(range(150)), k, "ab"[k]) for k in (0, 1)])]
-    assert told[0].accepted
-    for seed in range(3):
-        maps = [see(world, r, seed + k, "ab"[k]) for k, r in enumerate(_apart(world, 34, seed))]
-        told += [only(maps), only(maps, locks=[Lock("a", "b", "same")])]
-    need = np.log2(1 / RobustSettings().false_merge_rate)
-    assert all(v.evidence_bits >= need for v in told if v.accepted and not v.locked)
-    rivals = [v for v in told if v.runner_up is not None]
-    assert rivals
-    for v in told:
-        assert v.best is None or v.evidence_bits == v.best.evidence_bits
-        assert (v.runner_up is None) == (v.margin_bits is None)
-    for v in rivals:
-        assert v.margin_bits == pytest.approx(v.evidence_bits - v.runner_up.evidence_bits)
-        assert v.margin_bits >= 0 or v.locked
-    for v in told:
-        assert ("no other alignment comes near" in v.reason) == (v.runner_up is None)
-        assert ("another alignment has" in v.reason) == (round(v.margin_bits or 0, 1) < 0)
 
 
 def test_a_few_junctions_with_much_evidence_are_doubtful_not_unrelated(drawn):

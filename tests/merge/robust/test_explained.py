@@ -144,24 +144,6 @@ def test_what_a_person_locked_is_explained(side_by_side):
     assert list(at) in decision.placements[0].alignment.matched.tolist()
 
 
-def test_locks_among_runs_of_like_buildings_change_no_number_of_other_pairs(see):
-    """Whom the second question is asked of counts also the pairs that a person locked."""
-    office = make_world("office", 200, 8)
-    parts = [list(range(150)), list(range(150)), list(range(20, 170)), list(range(40, 190))]
-    maps = [see(office, part, k, "abcd"[k]) for k, part in enumerate(parts)]
-    plain = documented(maps)
-    locks = [Lock("a", "b", "same"), Lock("a", "c", "never")]
-    locked = documented(maps, locks=locks)
-    asked = [pair for pair, said in plain.said.items() if "same_place_bits" in said.extra]
-    assert {("a", "b"), ("a", "c")} < set(asked)
-    assert locked.said["a", "b"].accepted_by == "lock"
-    assert locked.said["a", "c"].locked == "never"
-    for pair in asked:
-        assert explained(locked, *pair).requirement == explained(plain, *pair).requirement
-        assert locked.said[pair].evidence_bits == plain.said[pair].evidence_bits
-        assert plain.said[pair].extra.items() <= locked.said[pair].extra.items()
-
-
 def test_what_speaks_for_a_copy_is_told_as_such():
     assert _copy_told(5.94, 8.6) == "is it a copy? 5.9 bits say no, 8.6 needed"
     assert _copy_told(-4.02, 2.5) == "is it a copy? 4.0 bits say yes, 2.5 for no needed"

@@ -11,7 +11,6 @@ from topobatch.merge.robust import prepare
 from topobatch.merge.robust.index import Corridors
 from topobatch.merge.robust.links import _components, candidate_links
 from topobatch.merge.robust.screening import ScreeningSettings, likely_pairs
-from topobatch.merge.robust.tasks import TaskSettings
 from topobatch.simulation import make_world
 
 
@@ -49,25 +48,6 @@ def test_it_is_the_first_step_of_matching_for_all_maps_at_once(buildings):
         late = index.chances([a], 12.0, np.array([i]))[0]
         assert (late[: i + 1] == -np.inf).all()
         np.testing.assert_array_equal(late[i + 1 :], index.chances([a], 12.0)[0, i + 1 :])
-
-
-def test_maps_that_are_asked_together_say_what_they_say_alone(buildings):
-    ready = [prepare(m) for m in buildings]
-    index = Corridors.of(ready[9:])
-    after = np.arange(9) - 4
-    every = index.chances(ready[:9], 6.0, after)
-    alone = [index.chances([a], 6.0, after[k : k + 1])[0] for k, a in enumerate(ready[:9])]
-    np.testing.assert_array_equal(every, alone)
-    assert np.isfinite(every).any()
-
-
-def test_blocks_make_no_difference(buildings, monkeypatch):
-    ready = [prepare(m) for m in buildings]
-    whole = likely_pairs(ready, 12.0)
-    monkeypatch.setattr("topobatch.merge.robust.screening.TASKS", TaskSettings(at_hand=4))
-    np.testing.assert_array_equal(likely_pairs(ready, 12.0), whole)
-    assert (whole[:, 0] < whole[:, 1]).all()
-    assert 0 < len(whole) < pairs_of(len(ready))
 
 
 def test_maps_without_corridors_have_no_chance(buildings, see, maze):

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from topobatch.merge.robust import RobustSettings, match, prepare, rematching
+from topobatch.merge.robust import RobustSettings, match, prepare
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.rematching import Rematcher
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import Threshold, assess_all, counted_bits
+from topobatch.merge.robust.verdict import Threshold, counted_bits
 
 SETTINGS = RobustSettings()
 EXACT = {"centre_m": 0.02, "branch_rad": 0.02, "bend_m": 0.0, "missed": 0.0, "branch_fault": -1.0}
@@ -87,39 +85,3 @@ def test_components_are_joined_as_locks_name_their_junctions_or_not_at_all(three
     parts, others = rematched(three, found, 15.0, dishonoured={(1, 2): (u, w)})
     assert not parts.together(0, 2)
     assert others == {}
-
-
-def test_corridors_are_those_of_the_components(three, found):
-    _, reunions = rematched(three, found, 15.0)
-    for reunion in reunions.values():
-        assert reunion.alignment.corridors == len(reunion.view.best.corridors) > 0
-        assert f" {reunion.alignment.corridors} corridors agree" in reunion.reason
-
-
-def test_only_pairs_that_are_not_joined_count(three, found):
-    asked = []
-    _, reunions = rematched(three, found, 15.0, asked=asked)
-    assert asked == [((0, 1, 2), 2)]  # of three pairs one is joined
-    assert {said.view.need_bits for said in reunions.values()} == {15.0}
-
-
-def test_what_was_said_in_one_round_is_not_asked_in_the_next(three, found, monkeypatch):
-    maps = [*three, *(replace(m, run=f"z{m.run}") for m in three)]
-    level = Threshold(15.0, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
-    parts, first = Components(6, ()), found[0, 1][0]
-    for i in (0, 3):
-        parts.join(i, i + 1, first.transform)
-    open_ = [(0, 2), (1, 2), (3, 5), (4, 5)]
-    rematcher = Rematcher(
-        maps, [prepare(m) for m in maps], parts, open_, lambda runs, pairs: level, SETTINGS
-    )
-    asked = []
-
-    def assessed(cases):
-        asked.append(len(cases))
-        return assess_all(cases)
-
-    monkeypatch.setattr(rematching, "assess_all", assessed)
-    reunions = rematcher.run({(0, 1): as_alignment(first), (3, 4): as_alignment(first)})
-    assert set(reunions) == set(open_)
-    assert sum(asked) == 2

@@ -18,9 +18,7 @@ from topobatch.merge.robust.verdict import (
     PairCount,
     _missing,
     assess,
-    assess_all,
     counted_bits,
-    falls_short,
     in_steps,
     misfits,
     needed_bits,
@@ -31,24 +29,6 @@ from topobatch.simulation import make_world
 from topobatch.simulation.world import straight, world_of_links
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
-
-
-def test_what_is_no_larger_than_copies_may_be_one(drawn):
-    a = prepare(drawn("a", POINTS, EDGES))
-    (told, *_) = match(a, prepare(drawn("b", POINTS, EDGES)), SETTINGS)
-    count = PairCount(1, 1)
-    weights = [
-        threshold_for(count, COPIES, SETTINGS, copied=n).may_be_copy(told) for n in (0, 4, 6, 8, 9)
-    ]
-    assert weights == pytest.approx([0.0, 0.0, 2 / 3, 1.0, 1.0])
-
-
-def test_copies_are_asked_by_the_pairs_that_chance_does_not_explain():
-    found = threshold_for(PairCount(6, 2), COPIES, SETTINGS)
-    assert found.need_bits == needed_bits(6, SETTINGS)
-    assert found.need_copy_bits == needed_bits(2, SETTINGS) - SETTINGS.copy_margin_bits > 0
-    lax = replace(SETTINGS, false_merge_rate=0.5)
-    assert threshold_for(PairCount(6, 2), COPIES, lax).need_copy_bits == 0.0
 
 
 def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
@@ -87,31 +67,6 @@ def test_a_contradiction_takes_back_a_junction(drawn):
         against = replace(told.conflicts, elsewhere=np.zeros((many, 2), np.int64))
         why.append(_missing(replace(told, conflicts=against), unasked, None, threshold))
     assert why == ["", "5 junctions at least must agree, one more for every contradiction"]
-
-
-def test_what_tells_much_less_than_it_could_is_asked_whether_it_is_a_copy(drawn):
-    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    told, most = match(a, b, SETTINGS)[0], MATCH.junction_bits * len(POINTS)
-    shares = [falls_short(replace(told, bits=most * part)) for part in (0.1, 0.25, 0.375, 0.5, 1.0)]
-    assert shares == pytest.approx([1.0, 1.0, 0.5, 0.0, 0.0])
-    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
-    (asked,) = assess(a, b, [replace(told, bits=0.3 * most)], threshold).answers
-    assert asked.repetition == pytest.approx(0.8)
-    assert asked.need_same == pytest.approx(0.8 * threshold.need_copy_bits)
-    (less,) = assess(a, b, [replace(told, bits=0.6 * most)], threshold).answers
-    assert less.repetition == uniformity(a, b) < 0.5
-
-
-def test_pairs_are_asked_how_copies_differ_in_their_own_buildings(drawn):
-    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    found, count = match(a, b, SETTINGS), PairCount(1, 1)
-    thresholds = [
-        threshold_for(count, replace(COPIES, change_rate=rate), SETTINGS, copied=copied)
-        for rate, copied in ((0.05, np.inf), (0.4, np.inf), (0.2, 0.0), (0.05, np.inf))
-    ]
-    told = [view.same_bits for view in assess_all([(a, b, found, t) for t in thresholds])]
-    assert told == [assess(a, b, found, t).same_bits for t in thresholds]
-    assert told[0] == told[3] < told[1]
 
 
 def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
@@ -153,18 +108,6 @@ def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
     assert [view.verdict for view in views] == [Verdict.MERGED, Verdict.AMBIGUOUS]
     assert views[1].answers[0].carried > views[1].need_bits  # beyond chance, and yet
     assert views[1].why == MAYBE_COPY
-
-
-def test_a_building_of_few_sizes_is_uniform(drawn):
-    grid = [(5.0 * x, 5.0 * y) for x in range(6) for y in range(6)]
-    edges = [(i, i + 6) for i in range(30)] + [(i, i + 1) for i in range(36) if i % 6 != 5]
-    steps = np.cumsum([0.0, 3.0, 4.3, 7.1, 11.7, 5.9])
-    uneven = [(x, 1.3 * y) for x in steps for y in steps]
-    regular, varied = prepare(drawn("grid", grid, edges)), prepare(drawn("plain", uneven, edges))
-    assert uniformity(regular, regular) == 1.0
-    assert uniformity(varied, varied) == 0.0
-    few = prepare(drawn("few", POINTS, EDGES))
-    assert uniformity(few, varied) == 0.0
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.matching.likelihood import LIKELIHOOD
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import compose, turned_axes
+from topobatch.topology.se2 import turned_axes
 
 from .walks import NOISE, grid_world, record, scene_of, wander
 
@@ -49,35 +49,6 @@ def test_likeness_is_worth_its_rarity_among_null_pairs():
     beyond = calibrated_odds(np.array([top + 1e-9, top + 7.0]), null_pairs)
     assert beyond[0] == pytest.approx(np.log(2001), abs=0.01)
     assert beyond[1] - beyond[0] == pytest.approx(7.0)
-
-
-def test_to_be_among_the_most_alike_is_worth_little_where_most_are_nearly_so():
-    rows_of_crops = np.sort(np.random.default_rng(2).normal(14.0, 1.0, 2000))
-    alike = rows_of_crops[[-20, -200, 1000]]
-    odds = calibrated_odds(alike, rows_of_crops, slack=3.0)
-    assert np.all(odds <= calibrated_odds(alike, rows_of_crops))
-    assert np.all(odds < 1.5)
-
-
-def test_without_null_pairs_likeness_is_taken_as_it_is():
-    alike = np.linspace(-10.0, 40.0, 101)
-    np.testing.assert_array_equal(calibrated_odds(alike, np.zeros(0)), alike)
-
-
-def test_what_dead_reckoning_excludes_is_judged_in_the_axes_of_the_map():
-    rng = np.random.default_rng(3)
-    world = grid_world(5, 5, rng)
-    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
-    reckoning = dead_reckoning(odometry, passes, NOISE)
-    each = np.arange(len(reckoning))
-    estimate = optimise(reckoning, each)
-    turned = optimise(reckoning, each, compose(np.array([2.0, 1.0, 0.7]), estimate.pose))
-    found, again = (
-        candidates(scene_of(reckoning, x), each, x, exact=False) for x in (estimate, turned)
-    )
-    assert len(found) > 20
-    assert list(zip(found.a, found.b, strict=True)) == list(zip(again.a, again.b, strict=True))
-    np.testing.assert_allclose(again.position, found.position, atol=1e-3)
 
 
 def test_what_position_excludes_is_no_candidate():

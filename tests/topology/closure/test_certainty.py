@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.topology.closure.certainty import place_errors, seen_alike
+from topobatch.topology.closure.certainty import place_errors
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.topomap import RunNoise
@@ -54,10 +54,3 @@ def test_what_all_passes_share_no_number_of_them_takes_off() -> None:
     xy = np.stack([passes.centre[place == k].mean(axis=0) for k in range(8)])
     sigma = errors.distance_sigma(xy, np.array([0, 0]), np.array([1, 4]))
     np.testing.assert_allclose(sigma, np.hypot(0.1, [0.1, 0.2]), rtol=0.15)
-
-
-def test_what_passes_differ_by_they_do_not_see_alike() -> None:
-    open_m = np.array([0.0, 0.05, 0.08, 0.1, 0.2])
-    alike = seen_alike(open_m, RunNoise(centre_m=0.08))
-    half = np.sqrt(0.5) * open_m
-    np.testing.assert_allclose(alike, [*half[:3], half[3], np.sqrt(0.2**2 - 0.08**2)])

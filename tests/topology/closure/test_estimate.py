@@ -8,34 +8,12 @@ import numpy as np
 import pytest
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning, relative_covariance
-from topobatch.topology.closure.estimate import _information, optimise
+from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.manhattan import grid_headings
 from topobatch.topology.posegraph.graph import PoseGraph, edge_errors, squared
 from topobatch.topology.se2 import wrap
 
 from .walks import NOISE, grid_world, record, wander
-
-
-def test_information_is_the_inverse_where_doubles_can_tell():
-    spread = np.random.default_rng(0).normal(size=(20, 3, 3))
-    cov = spread @ spread.transpose(0, 2, 1) + 1e-3 * np.eye(3)
-    np.testing.assert_allclose(_information(cov) @ cov, np.tile(np.eye(3), (20, 1, 1)), atol=1e-8)
-
-
-def test_information_of_a_leap_is_symmetric_and_positive():
-    away = np.array([3.0, -9e5, 1.0])
-    cov = np.stack([1e4 * np.outer(away, away), np.eye(3)]) + np.diag([1e-6, 1e-6, 1e-8])
-    information = _information(cov)
-    np.testing.assert_array_equal(information[0], information[0].T)
-    assert np.linalg.eigvalsh(information[0])[0] >= 0
-    assert not np.allclose(np.linalg.inv(cov[0]), np.linalg.inv(cov[0]).T, rtol=1e-6, atol=1e-9)
-
-
-def test_a_leap_that_leaves_no_inverse_has_an_information():
-    leap = np.full((3, 3), 2.0**50)  # the lesser variances are lost in the largest
-    with pytest.raises(np.linalg.LinAlgError):
-        np.linalg.inv(leap)
-    assert (np.linalg.eigvalsh(_information(leap[None])[0]) >= -1e-15).all()
 
 
 def test_layout_begins_with_the_headings_of_the_grid():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import astuple, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,15 +10,13 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.topology.closure.answers import APART, TORN, UNSURE, Identification
+from topobatch.topology.closure.answers import Identification
 from topobatch.topology.closure.candidates import Candidates, candidates
 from topobatch.topology.closure.dead_reckoning import SystematicErrors, dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.incremental import (
     RoundSettings,
     _certain,
-    _doubted,
-    _fitting_scale,
     closure_without_grid,
     full_closure,
     weakest_cut,
@@ -27,10 +25,7 @@ from topobatch.topology.closure.joint_compatibility import RIVALS, STEP_OFF
 from topobatch.topology.closure.manhattan import RectilinearSettings
 from topobatch.topology.closure.places import NOWHERE, tabulate
 from topobatch.topology.matching.likelihood import LIKELIHOOD
-from topobatch.topology.odometry import Odometry
-from topobatch.topology.passes import NO_BRANCH
-from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, compose, fit_rigid, wrap
+from topobatch.topology.se2 import apply, fit_rigid
 
 from .walks import NOISE, aisles, grid_world, no_ground, partition, record, scene_of, wander
 
@@ -45,7 +40,7 @@ def test_a_perfect_walk_is_closed_completely():
     np.testing.assert_allclose(closed.estimate.xy, xy, atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_drifting_walks_are_closed_without_a_false_identification(seed):
     rng = np.random.default_rng(seed)
     world = grid_world(5, 5, rng)
@@ -61,43 +56,6 @@ def test_drifting_walks_are_closed_without_a_false_identification(seed):
     raw = np.hypot(*(passes.centre[-1] - world[0][truth[-1]]))
     assert np.hypot(*(closed.estimate.pose[-1, :2] - closed.estimate.xy[closed.place[-1]])) < 0.3
     assert raw > 0.3
-
-
-def test_the_result_does_not_depend_on_the_frame_of_the_odometry():
-    rng = np.random.default_rng(7)
-    world = grid_world(4, 4, rng)
-    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
-    T = np.array([12.0, -30.0, 2.2])
-    turned = [np.sort(wrap(row + T[2])) for row in (passes.branches[i] for i in range(len(passes)))]
-    shift = [int(np.argsort(wrap(passes.branches[i] + T[2]))[0]) for i in range(len(passes))]
-    count = passes.branches.counts
-
-    def renumbered(index):
-        moved = (index - np.array(shift)) % count
-        return np.where(index == NO_BRANCH, NO_BRANCH, moved)
-
-    moved = replace(
-        passes,
-        centre=apply(T, passes.centre),
-        branches=Ragged.from_rows(turned),
-        entry=renumbered(passes.entry),
-        exit=renumbered(passes.exit),
-    )
-    there = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
-    a = full_closure(dead_reckoning(odometry, passes, NOISE))
-    b = full_closure(dead_reckoning(there, moved, NOISE))
-    assert a.place.tolist() == b.place.tolist()
-    # The estimate is solved until steps are small against its errors of centimetres, no further.
-    np.testing.assert_allclose(apply(T, a.estimate.xy), b.estimate.xy, atol=1e-3)
-
-
-def test_twice_the_same_gives_the_same():
-    rng = np.random.default_rng(8)
-    world = grid_world(4, 4, rng)
-    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng)
-    a, b = (full_closure(dead_reckoning(odometry, passes, NOISE)) for _ in range(2))
-    assert a.estimate.xy.tobytes() == b.estimate.xy.tobytes()
-    assert [astuple(q) for q in a.asked] == [astuple(q) for q in b.asked]
 
 
 def test_a_wrong_noise_costs_recall_at_most():
@@ -164,21 +122,6 @@ def revisions(closed):
     return made, refused, closed.revised
 
 
-def test_what_was_put_off_keeps_the_round_and_the_reason():
-    rng = np.random.default_rng(17)
-    world = grid_world(7, 7)
-    loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
-    odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
-    closed = full_closure(dead_reckoning(odometry, passes, loud))
-    made, refused, revised = revisions(closed)
-    assert revised
-    joined = {(q.first, q.second): q.round for q in made}
-    later = [q for q in revised if (q.first, q.second) in joined]
-    assert later
-    assert all(q.round < joined[q.first, q.second] for q in later)
-    assert max(q.round for q in refused) >= max(q.round for q in made)
-
-
 def test_what_is_taken_back_is_kept_with_both_rounds(monkeypatch):
     """With hardly any strain allowed, passes are torn away from places that are right."""
     rng = np.random.default_rng(10)
@@ -209,7 +152,7 @@ def test_a_place_is_split_where_it_hangs_together_least():
 
 @pytest.mark.parametrize(
     ("heading_noise", "seed", "found_again"),
-    [(0.001, 0, 100), (0.003, 1, 20), (0.005, 0, 0), (0.008, 2, 0)],
+    [(0.001, 0, 100), (0.008, 2, 0)],
 )
 def test_equal_rows_side_by_side_are_not_taken_for_each_other(heading_noise, seed, found_again):
     rng = np.random.default_rng(40 + seed)
@@ -224,10 +167,9 @@ def test_equal_rows_side_by_side_are_not_taken_for_each_other(heading_noise, see
     assert len(truth) - len(homes) >= found_again
 
 
-@pytest.mark.parametrize("faults", ["none", "mild", "harsh"])
-def test_equal_rows_close_without_a_wrong_identification(faults):
+def test_equal_rows_close_without_a_wrong_identification():
     settings = ScenarioSettings(
-        world="rows", runs=1, junctions_per_run=60, drift="mid", faults=faults, seed=602
+        world="rows", runs=1, junctions_per_run=60, drift="mid", faults="harsh", seed=602
     )
     scenario = simulate_scenario(settings)
     ((name, run),) = scenario.runs.items()
@@ -240,12 +182,11 @@ def test_equal_rows_close_without_a_wrong_identification(faults):
     assert len(homes) <= 1.1 * len(np.unique(true[real]))
 
 
-@pytest.mark.parametrize(("seed", "steps"), [(13, 80), (17, 40)])
-def test_doubts_are_kept_with_what_became_of_them(seed, steps):
-    rng = np.random.default_rng(seed)
+def test_doubts_are_kept_with_what_became_of_them():
+    rng = np.random.default_rng(17)
     world = grid_world(7, 7)  # regular: much looks alike
     loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
-    odometry, passes, _ = record(world, wander(world[1], steps, rng), rng, noise=loud)
+    odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
     closed = closure_without_grid(dead_reckoning(odometry, passes, loud))
     doubts = [q for q in closed.asked if not q.accepted]
     assert doubts
@@ -359,23 +300,3 @@ def test_the_end_of_a_stretch_is_no_more_certain_than_the_stretch(driven, accept
     places = SimpleNamespace(first=np.arange(6), next_place=next_place)
     certain = _certain(places, found, least=9.0)
     assert [(q.first, q.second) for q in certain] == accepted
-
-
-def test_noise_is_raised_where_errors_as_large_are_no_chance():
-    fine, loud = (SimpleNamespace(reduced_chi2=m, freedom=100) for m in (1.2, 4.0))
-    assert _fitting_scale(1.5, fine) == 1.5
-    assert _fitting_scale(1.5, loud) == 3.0
-    # Of few residuals such a sum is chance.
-    assert _fitting_scale(1.5, SimpleNamespace(reduced_chi2=4.0, freedom=2)) == 1.5
-
-
-def test_what_is_no_candidate_any_more_lies_too_far_apart():
-    """And keeps the first such reason and round."""
-    unsure = Identification(0, 5, accepted=False, bits=1.0, reason=UNSURE, round=1)
-    before = {(0, k): replace(unsure, second=k, reason=r) for k, r in ((5, UNSURE), (6, TORN))}
-    nothing = SimpleNamespace(**dict.fromkeys(("total", "position", "branches"), np.zeros(0)))
-    places = SimpleNamespace(entry=[0, 1])
-    once = _doubted(before, places, nothing, RoundSettings(), 2)
-    twice = _doubted(once, places, nothing, RoundSettings(), 3)
-    assert [(q.reason, q.round) for q in once.values()] == [(APART, 2), (TORN, 1)]
-    assert [astuple(q) for q in twice.values()] == [astuple(q) for q in once.values()]

@@ -14,9 +14,8 @@ from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.evidence import EvidenceSettings, background
 from topobatch.topology.closure.joint_compatibility import agreeing
 from topobatch.topology.odometry import Odometry
-from topobatch.topology.passes import NO_BRANCH, Passes
-from topobatch.topology.ragged import Ragged
 
+from ..tracks import passes_at
 from .walks import NOISE, T0, no_ground
 
 
@@ -34,15 +33,9 @@ def _ends_of_a_long_way(offsets, street=(0, 7, 13, 22)):
     time_ns = T0 + np.arange(len(pose)) * 100_000_000
     odometry = Odometry(time_ns, pose, np.zeros(0, int))
     when = time_ns[np.minimum(np.arange(len(centre)) * 60, len(pose) - 1)]
-    none = Ragged.from_rows([np.zeros(0)] * len(centre))
-    count = len(centre)
-    passes = Passes(
-        time_ns=when, start_ns=when, end_ns=when, centre=centre, branches=none, support=none,
-        entry=np.full(count, NO_BRANCH), exit=np.full(count, NO_BRANCH),
-        messages=np.full(count, 9), confidence=np.ones(count),
-    )  # fmt: skip
+    passes = passes_at(when, centre)
     reckoning = dead_reckoning(odometry, passes, replace(NOISE, heading_rad_per_sqrt_m=0.012))
-    return reckoning, optimise(reckoning, np.arange(count))
+    return reckoning, optimise(reckoning, np.arange(len(centre)))
 
 
 def _asked(a, b, position, alike):
@@ -88,14 +81,3 @@ def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
     assert accepted == expected
     assert ("exclude" in agreed.reason) is (expected == [])
     assert len(agreed.odds) == len(accepted)
-
-
-def test_what_agrees_is_as_sure_as_is_asked_or_not_believed():
-    reckoning, estimate = _ends_of_a_long_way([[2.0, 1.5]] * 4)
-    found = _asked(np.arange(4), 8 + np.arange(4), np.full(4, -2.0), np.full(4, 4.0))
-    common = background(reckoning, reckoning.noise)
-    accepted = [
-        len(agreeing(estimate, found, common, EvidenceSettings(), least_odds=least).rows)
-        for least in (9.0, 1000.0)
-    ]
-    assert accepted == [4, 0]

@@ -49,13 +49,3 @@ def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
     lattice = lattice_of(places, at, core_m=2.0, typical_m=3.0)
     asked = 3.0 * np.stack([np.cos([0.0, 0.7, 1.4, 0.35]), np.sin([0.0, 0.7, 1.4, 0.35])], axis=1)
     assert lattice.is_step(asked).tolist() == [True, True, True, False]
-
-
-def test_a_map_of_one_place_has_no_lattice():
-    odometry, passes, truth = record(aisles(2), [(0, 0)])
-    reckoning = dead_reckoning(odometry, passes, NOISE)
-    place = partition(truth)
-    places = tabulate(reckoning, place, np.zeros(1), 0.35)
-    lattice = lattice_of(places, np.zeros((1, 2)), core_m=2.0, typical_m=3.0)
-    assert len(lattice.steps) == 0
-    assert lattice.density(np.ones((2, 2)), np.tile(np.eye(2), (2, 1, 1))).tolist() == [0, 0]

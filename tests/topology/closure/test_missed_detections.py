@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -61,13 +60,3 @@ def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
     # Once is not enough for a place with a side branch.
     places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2], 0.35)
     assert not phantoms(reckoning, places, np.zeros(len(places), int)).any()
-
-
-def test_only_what_was_driven_by_unseen_is_a_phantom():
-    """However often the detector invents junctions, and however straight the way leads on."""
-    reckoning = SimpleNamespace(noise=SimpleNamespace(miss_rate=0.02, phantom_rate=0.5))
-    straight = np.array([[0.0, np.pi], [0.0, np.pi]])
-    places = SimpleNamespace(
-        visits=np.ones(2), heading=straight, driven=np.zeros((2, 2)), entry=[0, 1]
-    )
-    assert phantoms(reckoning, places, np.array([0, 1])).tolist() == [False, True]

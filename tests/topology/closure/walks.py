@@ -18,6 +18,8 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import compose, wrap
 from topobatch.topology.topomap import RunNoise
 
+from ..tracks import passes_at
+
 T0 = 10**18
 STEP_M = 0.1
 NOISE = RunNoise(
@@ -137,19 +139,8 @@ def record(world, route, rng=None, *, noise=NOISE, bias=0.0, unseen=(), breaks_b
             else:
                 ends.append(NO_BRANCH)
     when = time_ns[[at[k] for k in rows]]
-    rows_of_branches = Ragged.from_rows(branches)
-    passes = Passes(
-        time_ns=when,
-        start_ns=when,
-        end_ns=when,
-        centre=np.array(centre),
-        branches=rows_of_branches,
-        support=Ragged(rows_of_branches.offsets, np.ones(len(rows_of_branches.values))),
-        entry=np.array(entry),
-        exit=np.array(exit_),
-        messages=np.full(len(rows), 9),
-        confidence=np.ones(len(rows)),
-    )
+    found = {"entry": np.array(entry), "exit": np.array(exit_), "messages": np.full(len(rows), 9)}
+    passes = passes_at(when, centre, branches, **found)
     return odometry, passes, [route[k] for k in rows]
 
 
@@ -185,15 +176,10 @@ def noisy_square(laps: int, noise: RunNoise, seed: int) -> tuple[Odometry, Passe
     odometry = Odometry(row * 10**8, pose, np.zeros(0, np.int64))
     at = row[::EVERY]
     p = len(at)
-    rows = [off[k] + np.array([0.0, np.pi / 2, np.pi]) for k in at]
-    branches = Ragged.from_rows(rows)
+    branches = Ragged.from_rows([off[k] + np.array([0.0, np.pi / 2, np.pi]) for k in at])
     read = Ragged(branches.offsets, branches.values + rng.normal(0, noise.branch_rad, 3 * p))
-    unknown, when = np.full(p, NO_BRANCH), odometry.time_ns[at]
     centre = xy[at] + rng.normal(0, noise.centre_m, (p, 2))
-    full = Ragged(read.offsets, np.ones(3 * p))
-    passes = Passes(
-        when, when, when, centre, read, full, unknown, unknown, np.ones(p, int), np.ones(p)
-    )
+    passes = passes_at(odometry.time_ns[at], centre, read)
     return odometry, passes, np.arange(p) % 8
 
 

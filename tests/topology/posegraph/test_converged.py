@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -20,8 +19,6 @@ from topobatch.topology.posegraph.graph import (
 )
 from topobatch.topology.posegraph.solve import Solution, solve
 from topobatch.topology.se2 import between, compose
-
-from . import chordal
 
 
 def piece(rng: np.random.Generator, poses: int, loops: int, marks: int, noise: float) -> PoseGraph:
@@ -121,10 +118,10 @@ class Problem:
         return np.array(gradient), np.array(curvature)
 
 
-@given(graphs(), st.sampled_from([solve, chordal.solve]))
-@settings(max_examples=40, derandomize=True)
-def test_what_is_called_converged_is_a_minimum(graph: PoseGraph, solved: Any) -> None:
-    solution = solved(graph)
+@given(graphs())
+@settings(max_examples=10, derandomize=True)
+def test_what_is_called_converged_is_a_minimum(graph: PoseGraph) -> None:
+    solution = solve(graph)
     problem = Problem(graph, solution)
     cost = problem.cost(problem.found)
     assert solution.cost == pytest.approx(cost, rel=1e-6, abs=1e-9)
@@ -171,21 +168,3 @@ def test_a_free_frame_stays_where_it_begins() -> None:
     assert here.converged
     np.testing.assert_allclose(here.pose, there.pose, rtol=0, atol=1e-9)
     np.testing.assert_allclose(here.pose[0], one.pose[0], rtol=0, atol=0)
-
-
-def test_a_pose_that_sees_one_landmark_does_not_turn_about_it() -> None:
-    """Nothing says from where it sees it: it keeps its heading, however the sums are rounded."""
-    pose = np.array([[0.0, 0, 0.1], [4.0, 1, 0.7], [2.0, 2, 0.0]])
-    tells = np.diag([100.0, 100.0, 0.0])
-    graph = PoseGraph(
-        pose,
-        np.array([0, 1]),
-        np.array([2, 2]),
-        np.array([[2.5, 1.5, 0.0], [1.0, 2.0, 0.0]]),
-        np.stack([tells, tells]),
-    )
-    solution = solve(graph)
-    assert solution.converged
-    assert solution.cost < 1e-12
-    moved = solve(replace(graph, measurement=graph.measurement * (1 + 1e-14)))
-    np.testing.assert_allclose(moved.pose, solution.pose, rtol=0, atol=1e-9)

@@ -2,18 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from topobatch.topology.posegraph.graph import PoseGraph
 from topobatch.topology.posegraph.marginals import Marginals
 from topobatch.topology.posegraph.samples import (
-    MOST_DRAWN,
     SampledMarginals,
-    of_unit_variance,
-    square_root,
-    white,
 )
 from topobatch.topology.posegraph.solve import solve
 
@@ -40,22 +34,6 @@ def test_covariances_are_the_exact_ones_to_what_a_sample_tells() -> None:
     assert np.array_equal(found, SampledMarginals.of(graph, solution, count).relative(a, b))
 
 
-def test_samples_do_not_hang_on_rounding() -> None:
-    """Edges that know x as well as y have no axes of their own: rounding would choose them."""
-    graph = ring(12)
-    last = 1e-12 * np.array([[0, 1, 0], [1, 0, 0], [0, 0, 0]])
-    rounded = replace(graph, information=graph.information + last)
-    one, other = (SampledMarginals.of(g, solve(graph)).error for g in (graph, rounded))
-    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
-
-
-def test_the_root_of_singular_information_is_symmetric() -> None:
-    tells = np.array([[3.0, 4.0, 0.0]])
-    information = tells[:, :, None] * tells[:, None, :]
-    root = square_root(information)
-    np.testing.assert_allclose(root, information / 5, atol=1e-12)
-
-
 def test_errors_of_the_edges_alone_may_be_stated() -> None:
     graph = ring(12)
     solution, sigma = solve(graph), np.tile([1 / 20, 1 / 20, 1 / 30], (12, 1))
@@ -64,19 +42,3 @@ def test_errors_of_the_edges_alone_may_be_stated() -> None:
     half = usual.by_edges(0.5 * sigma)
     np.testing.assert_allclose(half.relative(a, b), 0.25 * usual.relative(a, b), atol=1e-12)
     np.testing.assert_allclose(half.edge_residual, 0.5 * usual.edge_residual, atol=1e-9)
-
-
-def test_white_noise_is_the_same_however_much_was_drawn_before() -> None:
-    for size in (30, 3000, 8, MOST_DRAWN + 1):
-        rng = np.random.default_rng(5)
-        first, second = white(5, [(size // 2, 2), (3,)])
-        assert np.array_equal(first, rng.standard_normal((size // 2, 2)))
-        assert np.array_equal(second, rng.standard_normal(3))
-
-
-def test_noise_of_unit_variance_has_it_in_every_row() -> None:
-    (drawn,) = white(5, [(7, 2, 64)])
-    scaled = of_unit_variance(drawn)
-    assert np.ptp(np.mean(drawn**2, axis=-1)) > 0.1
-    np.testing.assert_allclose(np.mean(scaled**2, axis=-1), 1.0, rtol=1e-12)
-    np.testing.assert_allclose(scaled / drawn, (scaled / drawn)[..., :1].repeat(64, axis=-1))
