@@ -1,0 +1,72 @@
+"""What views say of maps of different buildings.
+
+    python benchmarks/views.py WORKSPACE [WORKSPACE ...]
+
+Each workspace holds the maps of one building, with their views. Maps of different workspaces are
+matched by views alone; of every pair the placement with the most evidence against chance counts.
+Evidence of b bits should be reached by no more than a share of 2^-b. Offices and rows of one
+generator are copies of each other: they are to be given as one building.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+
+from topobatch.merge.robust.view_evidence import MOST, judged, laid, refined, repeats, revisits
+from topobatch.merge.robust.view_search import Picture, pictured, placements
+from topobatch.topology.document import read_map
+from topobatch.topology.se2 import compose
+from topobatch.topology.view_file import with_views
+
+BITS = (0, 1, 2, 3, 4, 6, 8, 10)
+
+
+def pictures(workspace: Path) -> list[Picture]:
+    """The views of all maps of a workspace."""
+    paths = sorted((workspace / "maps").glob("*.json"))
+    maps = [with_views(read_map(path), path) for path in paths]
+    return [pictured(m.views) for m in maps if len(m.views)]
+
+
+def most(a: Picture, b: Picture) -> float:
+    """The most evidence against chance of all placements that views propose [bits]."""
+    some = [T for T, _ in refined(a, b, placements(a, b))]
+    found = [laid(a, b, compose(T, b.pose), MOST) for T in some]
+    same = np.concatenate([revisits(a), revisits(b)])
+    said = [
+        judged(
+            here, [other for other in found if other is not here], (repeats(a), repeats(b)), same
+        )
+        for here in found
+    ]
+    return max((told.total for told in said), default=-np.inf)
+
+
+def across(buildings: list[list[Picture]]) -> Iterator[float]:
+    """Of every pair of maps of two buildings."""
+    for one, two in combinations(buildings, 2):
+        for a in one:
+            for b in two:
+                yield most(a, b)
+
+
+def main() -> None:
+    """Print the shares of pairs."""
+    command = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    command.add_argument("workspaces", type=Path, nargs="+")
+    buildings = [pictures(workspace) for workspace in command.parse_args().workspaces]
+    found = np.array(list(across(buildings)))
+    print(f"{len(found)} pairs; the most is {found.max(initial=-np.inf):.1f} bits")
+    for bits in BITS:
+        print(f"above {bits:2} bits  {np.mean(found > bits):.4f}   at most {0.5**bits:.4f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,58 @@
+"""Registered views as measurements between the junctions of two maps."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from topobatch.merge.fusion.fuse import fuse_component
+from topobatch.merge.result import Alignment, PairVerdict, Verdict
+from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE, judged, laid, repeats
+from topobatch.merge.robust.view_search import pictured
+from topobatch.merge.robust.view_ties import view_ties
+from topobatch.topology.se2 import apply, compose, inverse, wrap
+
+from ...maps import straight_map
+from .rooms import line, views_of, walls_of
+
+T_B_WORLD = np.array([5.0, -3.0, 2.0])
+
+
+def seen_by_both():
+    """Two maps of one room, and what their views say at the true placement."""
+    walls, places = walls_of(1), line((5, 20), (35, 20))
+    a = straight_map("a", [(5, 20), (35, 20)], [(0, 1)])
+    b = straight_map("b", [(6, 20), (34, 20)], [(0, 1)], T=T_B_WORLD)
+    a = replace(a, views=views_of(walls, places))
+    b = replace(b, views=views_of(walls, places, T_B_WORLD))
+    one, two = pictured(a.views), pictured(b.views)
+    here = laid(one, two, compose(inverse(T_B_WORLD), b.views.pose), 24)
+    return a, b, judged(here, [], (repeats(one), repeats(two)), np.zeros(0))
+
+
+def test_ties_say_where_junctions_lie() -> None:
+    a, b, views = seen_by_both()
+    ties = view_ties(prepare(a), prepare(b), views)
+    assert len(ties.source) >= 8
+    true = apply(inverse(T_B_WORLD), b.xy[ties.target]) - a.xy[ties.source]
+    off = ties.measurement[:, :2] - true
+    assert np.hypot(*off.T).max() < 0.5
+    assert np.abs(wrap(ties.measurement[:, 2] + T_B_WORLD[2])).max() < 0.03
+    np.linalg.cholesky(ties.information)  # positive definite
+
+
+def test_views_that_say_nothing_tie_nothing() -> None:
+    a, b, _ = seen_by_both()
+    assert len(view_ties(prepare(a), prepare(b), NO_VIEW_EVIDENCE).source) == 0
+
+
+def test_maps_with_one_wrong_match_are_laid_out_by_their_views() -> None:
+    a, b, views = seen_by_both()
+    wrong = np.array([[0, 1]])  # the far ends: half a turn off by themselves
+    T_a_b = inverse(T_B_WORLD)
+    ties = view_ties(prepare(a), prepare(b), views)
+    best = Alignment(T_a_b, 20.0, wrong, 0.1, ties=ties)
+    pair = PairVerdict("a", "b", Verdict.MERGED, True, 20.0, "", best=best)
+    pose = fuse_component([a, b], [pair]).poses["b"]
+    apart = apply(pose, b.xy) - apply(T_a_b, b.xy)
+    assert np.hypot(*apart.T).max() < 1.0
