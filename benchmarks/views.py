@@ -21,15 +21,13 @@ from topobatch.merge.robust.view_evidence import MOST, judged, laid, refined, re
 from topobatch.merge.robust.view_search import Picture, pictured, placements
 from topobatch.topology.document import read_map
 from topobatch.topology.se2 import compose
-from topobatch.topology.view_file import with_views
 
 BITS = (0, 1, 2, 3, 4, 6, 8, 10)
 
 
 def pictures(workspace: Path) -> list[Picture]:
     """The views of all maps of a workspace."""
-    paths = sorted((workspace / "maps").glob("*.json"))
-    maps = [with_views(read_map(path), path) for path in paths]
+    maps = map(read_map, sorted((workspace / "maps").glob("*.json")))
     return [pictured(m.views) for m in maps if len(m.views)]
 
 

@@ -90,7 +90,7 @@ def test_importing_it_loads_nothing() -> None:
 
 
 def test_ingest_takes_what_the_command_takes() -> None:
-    of_the_command = {"logs", "workspace", "jobs", "force", "quiet", "verbose"}
+    of_the_command = {"logs", "workspace", "jobs", "force", "quiet", "verbose", "as_json"}
     offered = set(inspect.signature(library.ingest).parameters) - {"log"}
     assert offered == set(inspect.signature(command.ingest).parameters) - of_the_command
 

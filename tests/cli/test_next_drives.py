@@ -61,7 +61,7 @@ def test_the_report_shows_it(place, topobatch) -> None:
     page = (place / "report.html").read_text()
     assert "<h2>What to record next</h2>" in page
     assert told[0]["where"] in page
-    assert "drive to record" in page
+    assert "drives to record" in page
 
 
 def test_the_calls_that_cannot_be(place, topobatch) -> None:
