@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
-from ...topology.wording import utc
+from ...topology.wording import legible, utc
 
 Bytes = NDArray[np.uint8]
 Key = TypeVar("Key")
@@ -63,12 +63,7 @@ def normal_topic(name: str) -> str:
 
 def text(raw: bytes) -> str:
     """Bytes of a name as text on one line; invalid characters are replaced, never an error."""
-    return printable(raw[:NAME_BYTES].decode("utf-8", "replace"))
-
-
-def printable(name: str) -> str:
-    """A name in which every character can be shown."""
-    return name if name.isprintable() else "".join(c if c.isprintable() else "�" for c in name)
+    return legible(raw[:NAME_BYTES].decode("utf-8", "replace"))
 
 
 class Block(NamedTuple):
@@ -115,7 +110,7 @@ class Survey(NamedTuple):
 
 def one_line(error: object) -> str:
     """The text of a foreign error, short and on one line."""
-    return printable(" ".join(str(error).split()))[:200]
+    return legible(" ".join(str(error).split()))[:200]
 
 
 def several(count: int, noun: str) -> str:

@@ -10,7 +10,8 @@ import re
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
-from .messages import NAME_BYTES, printable
+from ...topology.wording import legible
+from .messages import NAME_BYTES
 
 BAG_INFORMATION = "rosbag2_bagfile_information"
 METADATA_BYTES = 1 << 22
@@ -77,4 +78,4 @@ def _plain(value: str) -> str:
 
 
 def _name(path: str) -> str:
-    return printable(PurePosixPath(path.replace("\\", "/")).name[:NAME_BYTES])
+    return legible(PurePosixPath(path.replace("\\", "/")).name[:NAME_BYTES])

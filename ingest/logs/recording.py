@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
+from ...topology.wording import legible
 from ..remote.path import LogPath, RemotePath, log_path
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
-from .messages import printable
 from .metadata import METADATA_BYTES, Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
 from .split_recordings import is_path_of_parts, name_of_parts, parts_at
@@ -171,7 +171,7 @@ def _folder(path: LogPath) -> Recording:
         ]
         known = {_PACKED.sub("", name) for name in metadata.files}
         strangers = [
-            f"{METADATA} does not name {printable(file.path.name)}, which is read all the same"
+            f"{METADATA} does not name {legible(file.path.name)}, which is read all the same"
             for file in files
             if known and _bare(file) not in known
         ]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from ...topology.arrays import BoolArray, IntArray
 from ...topology.errors import LogError
 from ...topology.run import Grid
+from ...topology.wording import legible
 from ..remote.path import LogPath, RemotePath
-from .messages import printable
 from .metadata import yaml_values
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def saved_map_files(path: Path) -> tuple[Path, ...]:
         with suppress(OSError, ValueError):
             if place.is_file():
                 return path, place
-    raise LogError(f"{path}: its image {printable(str(image))[:200]} is missing")
+    raise LogError(f"{path}: its image {legible(str(image))[:200]} is missing")
 
 
 def read_saved_map(path: Path) -> SavedMap:
@@ -114,11 +114,11 @@ def read_saved_map(path: Path) -> SavedMap:
         like = Grid(_NONE, _NONE, _number(found, "resolution"), (x, y, yaw))
         grid, notes = _read(image, found, like)
         if not (path.parent / _image(found)).is_file():
-            where = printable(_image(found))[:200]
+            where = legible(_image(found))[:200]
             notes = (f"its image {where} is not there; {image.name} beside it is read", *notes)
         return SavedMap(checked_grid(grid), notes)
     except (ValueError, KeyError, OSError) as error:
-        text = printable(" ".join(str(error).split()))[:200]
+        text = legible(" ".join(str(error).split()))[:200]
         raise LogError(f"{path}: is no map that can be read: {text}") from error
 
 

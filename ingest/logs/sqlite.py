@@ -19,6 +19,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, IntArray
 from ...topology.errors import LogError
+from ...topology.wording import legible
 from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
 from .messages import (
@@ -36,7 +37,6 @@ from .messages import (
     normal_topic,
     normal_type,
     one_line,
-    printable,
     several,
 )
 from .topics import longest_message
@@ -461,9 +461,9 @@ def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
         f"SELECT id, {short} FROM topics LIMIT {TOPICS}"
     ):
         kind, body = definitions.get(str(type_name), ("", b""))
-        names = normal_topic(printable(str(name))), normal_type(printable(str(type_name)))
+        names = normal_topic(legible(str(name))), normal_type(legible(str(type_name)))
         # The recorder wrote the first one, whatever else calls itself so.
-        out.setdefault(int(key), Channel(*names, printable(str(form)), body, kind))
+        out.setdefault(int(key), Channel(*names, legible(str(form)), body, kind))
     return out
 
 

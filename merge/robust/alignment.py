@@ -312,21 +312,20 @@ def _with_views(
         fresh += [] if known else [T]
     if not fresh and not chosen:
         return found
-    cases = [(found[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
+    cases = [(found[k], told[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
     for T in fresh:
         here = laid(one, two, compose(T, two.pose), MOST)
         better = here.better(one, two, T)
         here = laid(one, two, compose(better, two.pose), MOST)
         proposed = _placed(a, b, here.better(one, two, better), settings)
         if proposed is not None:
-            cases.append((proposed, here))
+            cases.append((proposed, compose(proposed.transform, two.pose), here))
     placed = [(compose(T, two.pose), some) for T, some in asked]
-    placed += [(compose(c.transform, two.pose), here) for c, here in cases]
+    placed += [(compose(c.transform, two.pose), here) for c, _, here in cases]
     same = np.concatenate([revisits(one), revisits(two)])
     selves = repeats(one), repeats(two)
     out = [c for k, c in enumerate(found) if k not in chosen]
-    for c, here in cases:
-        pose = _told_of(c, a, b, two)
+    for c, pose, here in cases:
         elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
         said = judged(here, elsewhere, selves, same)
         out.append(replace(c, bits=c.bits + said.total, views=said))
@@ -334,10 +333,8 @@ def _with_views(
 
 
 def _told_of(c: Candidate, a: Prepared, b: Prepared, two: Picture) -> FloatArray:
-    """(n, 3) poses of the views of b in the frame of a: bent as its junctions are, if these led to
-    the candidate."""
-    if c.by_views:
-        return compose(c.transform, two.pose)
+    """(n, 3) poses of the views of b in the frame of a, bent as the junctions are that led to the
+    candidate."""
     nearest = np.abs(two.place[:, None] - b.z[c.b]).argmin(axis=1)
     mine, turn = b.z[c.b][nearest], c.turn[nearest]
     at = a.z[c.a][nearest] + turn * (two.place - mine)

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
-from ...topology.matching.views import Registered, register
+from ...topology.matching.views import LEAST_SAME, Registered, register
 from ...topology.se2 import between, compose
 from .settings import MATCH
 from .view_search import KEPT, Picture, placements
@@ -100,7 +100,7 @@ NO_VIEW_EVIDENCE = ViewEvidence(
 """Of maps without views, and where none lie over each other."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Laid:
     """Views of two maps laid over each other, and registered.
 
@@ -115,6 +115,17 @@ class Laid:
 
     def __len__(self) -> int:
         return len(self.first)
+
+    @cached_property
+    def cell(self) -> IntArray:
+        """(k,) the part of the overlap that each pair of views is in."""
+        spot = np.floor(self.predicted[:, :2] / CELL_M).astype(np.int64)
+        return np.unique(spot, axis=0, return_inverse=True)[1].reshape(-1)
+
+    @cached_property
+    def parts(self) -> FloatArray:
+        """(c,) mean z of every part of the overlap."""
+        return np.asarray(np.bincount(self.cell, self.found.z) / np.bincount(self.cell))
 
     def better(self, a: Picture, b: Picture, T_a_b: FloatArray) -> FloatArray:
         """The placement that fits the registrations best, (3,); unchanged if none agrees."""
@@ -174,14 +185,6 @@ def worth_judging(some: Laid) -> bool:
     return len(some) > 0 and float(np.median(some.found.z)) > LEAST_Z
 
 
-def means(here: Laid) -> tuple[FloatArray, IntArray]:
-    """(c,) mean z of every part of the overlap, and (k,) the part that each pair of views is in."""
-    spot = np.floor(here.predicted[:, :2] / CELL_M).astype(np.int64)
-    _, cell = np.unique(spot, axis=0, return_inverse=True)
-    cell = cell.reshape(-1)
-    return np.bincount(cell, here.found.z) / np.bincount(cell), cell
-
-
 def judged(
     here: Laid, elsewhere: Sequence[Laid], selves: Sequence[Repeats], same: FloatArray
 ) -> ViewEvidence:
@@ -189,9 +192,8 @@ def judged(
     on other parts of itself; same: z of the runs' revisits."""
     if not len(here):
         return NO_VIEW_EVIDENCE
-    part, cell = means(here)
-    others = [means(other)[0] for other in elsewhere if len(other)]
-    null = _level([own.z for own in selves], others)
+    part = here.parts
+    null = _level([own.z for own in selves], [other.parts for other in elsewhere if len(other)])
     true = _true(same)
     mean = float(part.mean())
     total = _against_chance(mean, len(part), null, true)
@@ -210,7 +212,7 @@ def judged(
         found.transform,
         found.information,
         found.z,
-        cell,
+        here.cell,
         bits,
         copies,
         repeated,
@@ -241,8 +243,6 @@ LESS_Z = 0.4
 """By so much it is lower between runs than at revisits of one, in the median of 45 true pairs."""
 TRUE_Z = (2.5, 5.2)
 """Range of the means of runs."""
-LEAST_SAME = 5
-"""Fewer revisits tell nothing of the mean."""
 MISSED = 0.01
 """Share of true placements that look like false ones: furniture was moved, doors were shut."""
 TAIL_Z, TAIL_LESS, LEAST_TAIL_Z = 2.7, 0.12, 2.0
@@ -322,7 +322,7 @@ class Repeats:
 def repeats(a: Picture) -> Repeats:
     """The placements of a map on other parts of itself, that views propose."""
     moved = [
-        means(some)[0]
+        some.parts
         for T, some in refined(a, a, placements(a, a), MOST)
         if len(some) and not (np.hypot(T[0], T[1]) < MATCH.place_m and abs(T[2]) < MATCH.turn_rad)
     ]

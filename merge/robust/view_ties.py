@@ -10,7 +10,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.map_pose_graph import NO_MEASUREMENTS, Measurements
-from ...topology.se2 import between, compose, inverse
+from ...topology.se2 import between, compose, inverse, turned_axes
 from .prepare import Prepared
 from .view_evidence import ViewEvidence
 
@@ -35,14 +35,10 @@ def view_ties(a: Prepared, b: Prepared, views: ViewEvidence) -> Measurements:
     arm = measured[:, :2] - there[:, :2]
     move = np.tile(np.eye(3), (len(good), 1, 1))
     move[:, 0, 2], move[:, 1, 2] = -arm[:, 1], arm[:, 0]
-    c, s = np.cos(near_a[:, 2]), np.sin(near_a[:, 2])
-    turn = np.tile(np.eye(3), (len(good), 1, 1))
-    turn[:, 0, 0] = turn[:, 1, 1] = c
-    turn[:, 0, 1], turn[:, 1, 0] = -s, s
     cell = views.cell[good]
     shared = np.bincount(cell)[cell, None, None]
     errors = shared * np.linalg.inv(views.information[good] + FREE * np.eye(3))
-    jacobian = move @ turn
+    jacobian = move @ turned_axes(near_a[:, 2])
     covariance = jacobian @ errors @ np.swapaxes(jacobian, 1, 2)
     for m, near in ((a, near_a), (b, near_b)):
         covariance += _drift(m, np.hypot(near[:, 0], near[:, 1]))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...topology.run import Grid
+from ...topology.wording import legible
 from .yaml_lines import yaml_text
 
 WALL, UNKNOWN, FREE = 0, 205, 254
@@ -33,9 +34,5 @@ def map_yaml(grid: Grid, picture: str, remarks: Sequence[str] = ()) -> str:
         "occupied_thresh": 0.65,
         "free_thresh": 0.196,
     }
-    told = "".join(f"# {_on_one_line(remark)}\n" for remark in remarks)
+    told = "".join(f"# {legible(remark)}\n" for remark in remarks)
     return told + yaml_text(document, 1)
-
-
-def _on_one_line(text: str) -> str:
-    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
