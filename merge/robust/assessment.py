@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 
 import numpy as np
 
 from ...topology.connected import connected
+from ..result import pairs_of
 from .alignment import Candidate, self_matches
 from .pairing import Pair
 from .prepare import Prepared
@@ -20,10 +21,24 @@ from .verdict import (
     counted_bits,
     needed_bits,
     threshold_for,
+    uniformity,
 )
 
 ANY = -1
 """Stands for the connected component of a map of which the others are too few."""
+
+LARGE_PART = 0.25
+"""Share of a map's junctions from which on a copy within it is of a wing, not of a standard part:
+of maps of 36 junctions half the offices and three quarters of the rows show one, a tenth of the
+tunnels of standard parts (`benchmarks/aliasing.py`)."""
+
+SHOWING = 12
+"""Junctions from which on a map can show a copy of a large part of itself: of offices with so many
+.43 do, of larger ones .6."""
+
+SHOWN = (0.25, 1.9)
+"""How much more often a map shows, or does not show, a copy of a large part of itself, if its
+building does not repeat itself: .1 of tunnels, .4 and more of offices and rows; .95 and .5."""
 
 ThresholdOf = Callable[[Sequence[int], PairCount], Threshold]
 """Gives the threshold for some maps (a pair, or the runs of two components) in a batch with a given
@@ -33,20 +48,21 @@ count of pairs."""
 def thresholds(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
-    linked: Iterable[Pair] | None = None,
+    linked: Mapping[Pair, float] | None = None,
     with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
 ) -> ThresholdOf:
     """The thresholds in a batch of maps.
 
     How a building repeats itself is estimated from the maps of buildings like it: a folder may mix
     offices, all of whose maps repeat themselves, with mazes, none of which do. linked: pairs with a
-    placement better than chance; maps that chains of these connect are of like buildings, unless
-    they are too few to tell. None: all maps are. with_themselves: matches of each map with other
-    parts of itself, if known.
+    placement better than chance, and its evidence [bits]; maps that chains of these connect are of
+    like buildings, unless they are too few to tell. None: all maps are. with_themselves: matches of
+    each map with other parts of itself, if known.
     """
     own = with_themselves or list(self_matches(prepared, settings))
     like = _like_buildings(len(own), linked, settings)
     copied = _copied(own, like, settings)
+    unrepeated = _unrepeated_bits(prepared, own, linked or {}, settings)
 
     @cache
     def copies(of: frozenset[int]) -> CopyModel:
@@ -55,11 +71,12 @@ def thresholds(
         return copy_model(list(samples), settings)
 
     @cache  # few differ: no map has less copied than most of those of like buildings
-    def reached(of: frozenset[int], count: PairCount, most: float) -> Threshold:
-        return threshold_for(count, copies(of), settings, copied=most)
+    def reached(of: frozenset[int], count: PairCount, most: float, unlike: float) -> Threshold:
+        return threshold_for(count, copies(of), settings, copied=most, unrepeated_bits=unlike)
 
     def threshold(some: Sequence[int], count: PairCount) -> Threshold:
-        return reached(frozenset(like[k] for k in some), count, max(copied[k] for k in some))
+        most, unlike = max(copied[k] for k in some), min(unrepeated[k] for k in some)
+        return reached(frozenset(like[k] for k in some), count, most, unlike)
 
     return threshold
 
@@ -99,6 +116,43 @@ def _copied(
         max([least[building], *(np.inf if _goes_on(c, need) else len(c) for c in own)])
         for building, own in zip(like, beyond, strict=True)
     ]
+
+
+def _unrepeated_bits(
+    prepared: Sequence[Prepared],
+    with_themselves: Sequence[tuple[Candidate, ...]],
+    linked: Mapping[Pair, float],
+    settings: RobustSettings,
+) -> list[float]:
+    """For every map the evidence [bits, 0 or more] that its building, though of few lengths, does
+    not repeat itself.
+
+    Buildings are the groups of maps with alignments that chance does not explain. A map that finds
+    no copy of a large part of itself speaks for it, by `SHOWN`; one that does speaks against it. So
+    do other buildings of few lengths: their share is estimated by Krichevsky and Trofimov's rule,
+    with one more that does repeat itself.
+    """
+    need = needed_bits(pairs_of(len(prepared)), settings)
+    sure = [pair for pair, bits in linked.items() if bits >= need]
+    one, other = np.array(sure, np.int64).reshape(-1, 2).T
+    building = connected(one, other, len(prepared))
+    shows = np.array([_shows(own, m) for own, m in zip(with_themselves, prepared, strict=True)])
+    large = np.array([len(m) >= SHOWING for m in prepared])
+    told = np.where(large, np.log2(np.where(shows, *SHOWN)), 0.0)
+    own = np.bincount(building, told)
+    runs = [np.flatnonzero(building == g).tolist() for g in range(len(own))]
+    uniform = np.array([uniformity(*(prepared[k] for k in of)) for of in runs])
+    repeats = uniform * (np.bincount(building, shows & large) > 0)
+    others, repeating = uniform.sum() - uniform, repeats.sum() - repeats
+    bits = own + np.log2((others - repeating + 0.5) / (repeating + 1.5))
+    out: list[float] = np.maximum(bits, 0.0)[building].tolist()
+    return out
+
+
+def _shows(own: Sequence[Candidate], m: Prepared) -> bool:
+    """Whether a map matches another part of itself, better than chance, in a large share of its
+    junctions."""
+    return max(map(len, filter(_beyond_chance, own)), default=0) >= LARGE_PART * len(m)
 
 
 def _goes_on(copy: Candidate, need_bits: float) -> bool:

@@ -38,7 +38,7 @@ class Batch:
     """
 
     matcher: Pairwise
-    thresholds_of: Callable[[Iterable[Pair]], ThresholdOf]
+    thresholds_of: Callable[[Mapping[Pair, float]], ThresholdOf]
     worded: Callable[[Pair, Assessment], PairVerdict]
     asked: Collection[Pair] = ()
     found: dict[Pair, Told] = field(default_factory=dict)
@@ -61,7 +61,10 @@ class Batch:
     def _threshold_of(self) -> ThresholdOf:
         """Given the pairs that were matched first."""
         found = self.found.items()
-        return self.thresholds_of([p for p, t in found if t.against_chance > MATCH.lead_bits])
+        chance = MATCH.lead_bits
+        return self.thresholds_of(
+            {p: t.against_chance for p, t in found if t.against_chance > chance}
+        )
 
     @cached_property
     def _against_chance(self) -> FloatArray:

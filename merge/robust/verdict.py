@@ -47,7 +47,8 @@ class Threshold:
 
     need_bits: against chance; need_copy_bits: against being a copy, for an alignment that is likely
     to be one; copied: junctions of the largest part of either map that matches another part of it;
-    copies: how copies differ in buildings like theirs.
+    copies: how copies differ in buildings like theirs; unrepeated_bits: evidence that such
+    buildings do not repeat themselves, where corridors of few lengths suggest it.
     """
 
     need_bits: float
@@ -55,6 +56,13 @@ class Threshold:
     copied: float
     copies: CopyModel
     settings: RobustSettings
+    unrepeated_bits: float = 0.0
+
+    def few_lengths(self, a: Prepared, b: Prepared) -> float:
+        """0 to 1: how much two maps are asked whether they show copies, because their corridors
+        have few lengths."""
+        told = self.unrepeated_bits / self.need_copy_bits if self.need_copy_bits else 0.0
+        return max(uniformity(a, b) - told, 0.0)
 
     def may_be_copy(self, best: Candidate) -> float:
         """0 to 1: how likely an alignment is a copy, by its size.
@@ -183,12 +191,13 @@ def threshold_for(
     settings: RobustSettings,
     *,
     copied: float = 0.0,
+    unrepeated_bits: float = 0.0,
 ) -> Threshold:
     """The threshold in a batch: every pair has an equal share of the false-merge rate, for either
     question."""
     against_copies = max(needed_bits(count.beyond, settings) - settings.copy_margin_bits, 0.0)
     need = needed_bits(count.all, settings)
-    return Threshold(need, against_copies, copied, copies, settings)
+    return Threshold(need, against_copies, copied, copies, settings, unrepeated_bits)
 
 
 def needed_bits(pairs: int, settings: RobustSettings) -> float:
@@ -213,14 +222,14 @@ def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings
     return max((rounded(b, BITS) for b in bits), default=0.0)
 
 
-def uniformity(a: Prepared, b: Prepared) -> float:
-    """0 to 1: how uninformative the length of a corridor is in these two maps.
+def uniformity(*maps: Prepared) -> float:
+    """0 to 1: how uninformative the length of a corridor is in these maps.
 
     A building with few different lengths repeats itself, even if neither run saw it do so. Measured
     by how often two different corridors of one map are equally long, which is unbiased for small
     maps, too.
     """
-    alike, pairs = a.alike + b.alike, a.alike_pairs + b.alike_pairs
+    alike, pairs = sum(m.alike for m in maps), sum(m.alike_pairs for m in maps)
     tells = -float(np.log2(alike / pairs)) if alike > 0 else np.inf
     return _share(2.0 - tells / MATCH.uniform_bits)
 
@@ -298,7 +307,7 @@ def _repetitions(
     a: Prepared, b: Prepared, _: object, threshold: Threshold, odd: Sequence[Candidate]
 ) -> list[float]:
     """0 to 1 for each alignment: how likely it is a copy."""
-    uniform = uniformity(a, b) if odd else 0.0
+    uniform = threshold.few_lengths(a, b) if odd else 0.0
     shares = [
         max(uniform, threshold.may_be_copy(c), misfits(a, b, c), c.views.repeated) for c in odd
     ]

@@ -68,14 +68,36 @@ class Repetition:
         return self.junctions
 
 
+@dataclass(frozen=True)
+class Equal:
+    """A map of so many junctions; density [1/m]: of corridors equally long."""
+
+    number: int
+    junctions: int = 36
+    density: float = 1.0
+
+    @property
+    def alike(self):
+        return self.density * self.alike_pairs
+
+    @property
+    def alike_pairs(self):
+        return 10.0
+
+    def __len__(self):
+        return self.junctions
+
+
 @pytest.fixture
 def reached(monkeypatch):
     """The thresholds of maps by what each matches of itself; copies: gives the copy model of
-    (map, match) samples."""
+    (map, match) samples; links: pairs that hold together a little."""
 
-    def reached(own, links=None, copies=lambda _: COPIES):
+    def reached(own, links=None, copies=lambda _: COPIES, maps=None):
         monkeypatch.setattr(assessment, "copy_model", lambda samples, _: copies(samples))
-        return thresholds(range(len(own)), SETTINGS, links, own)
+        known = links if links is None or isinstance(links, dict) else dict.fromkeys(links, 5.0)
+        maps = maps or [Equal(k) for k in range(len(own))]
+        return thresholds(maps, SETTINGS, known, own)
 
     return reached
 
@@ -86,7 +108,7 @@ def test_copies_are_taken_to_be_as_large_as_most_maps_of_the_batch_show(reached)
     heard = []
 
     def copies(samples):
-        heard.extend((k, len(c)) for k, c in samples)
+        heard.extend((m.number, len(c)) for m, c in samples)
         return COPIES
 
     asked = reached(own, copies=copies)
@@ -103,7 +125,7 @@ def test_maps_that_nothing_links_say_nothing_of_each_other(reached):
     heard = []
 
     def copies(samples):
-        heard.append([k for k, _ in samples])
+        heard.append([m.number for m, _ in samples])
         return replace(COPIES, change_rate=0.01 * len(samples))
 
     links = [(0, 1), (2, 1), (2, 3), (5, 6), (7, 8), (6, 8)]
@@ -137,6 +159,31 @@ def test_a_copy_that_nothing_ends_may_go_on(reached):
     asked = reached([(c,) for c in copies])
     # The other maps of the batch are held to what was seen.
     assert [asked([k], PairCount(10, 2)).copied for k in range(5)] == [np.inf, 6.0, 6.0, 6.0, 6.0]
+
+
+def test_buildings_of_few_lengths_that_show_no_copies_are_asked_less(reached):
+    """Two sites of four runs; `SURE` pairs are of one site."""
+    sure = needed_bits(28, SETTINGS)
+    links = {(i, i + 1): sure for i in (0, 1, 2, 4, 5, 6)}
+    repeats, none = (Repetition(9),), ()
+
+    def bits(own, maps=None, links=links):
+        asked = reached(own, links, maps=maps)
+        return [asked([k], PairCount(28, 2)).unrepeated_bits for k in range(len(own))]
+
+    plain = bits([none] * 8)
+    assert plain[0] == plain[7] > 3
+    # A map that repeats itself speaks against its own building, and a little against the other.
+    mixed = bits([none] * 4 + [repeats] + [none] * 3)
+    assert 0 < mixed[0] < plain[0]
+    assert mixed[4] < mixed[0]
+    # A standard part is no copy of a wing, small maps can show none, mazes tell nothing of offices.
+    assert bits([none] * 4 + [(Repetition(8),)] + [none] * 3) == plain
+    assert bits([none] * 8, [Equal(k, 11) for k in range(8)]) == [0.0] * 8
+    mazes = bits([none] * 8, [Equal(k, density=1.0 if k < 4 else 0.1) for k in range(8)])
+    assert 0 < mazes[0] < plain[0]
+    # Two runs alone are asked as before, or nearly.
+    assert max(bits([none] * 2, links={})) < 1
 
 
 def assessed(a, b, count):
