@@ -7,8 +7,12 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
+from scipy.spatial import cKDTree
 
+from ...topology.arrays import FloatArray, IntArray
+from ...topology.se2 import apply, compose
 from ...topology.topomap import RunNoise, TopoMap
+from ...topology.views import NO_VIEWS, Views
 from ..fusion.fuse import component_digest, fuse
 from ..kept import Kept, Kind
 from ..result import Alignment, FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
@@ -50,8 +54,14 @@ class MergedMap:
         return component_digest(list(self.maps.values()), self._inside, self._kept)
 
     @cached_property
+    def _laid_out(self) -> tuple[Mapping[str, FloatArray], FusedMap]:
+        """The poses of the runs, and their fused map."""
+        (component, *_), fused = fuse(list(self.maps.values()), self._inside, kept=self._kept)
+        return component.poses, fused
+
+    @property
     def _fused(self) -> FusedMap:
-        return fuse(list(self.maps.values()), self._inside, kept=self._kept)[1]
+        return self._laid_out[1]
 
     @cached_property
     def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
@@ -65,7 +75,7 @@ class MergedMap:
     def as_map(self) -> TopoMap:
         """As the map of one run that saw everything."""
         own = list(self.maps.values())
-        return own[0] if len(own) == 1 else _as_map(self._fused, own)
+        return own[0] if len(own) == 1 else _as_map(*self._laid_out, own)
 
     @cached_property
     def prepared(self) -> Prepared:
@@ -148,7 +158,7 @@ def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
     return (pair for pair in sorted(accepted) if those.issuperset(pair))
 
 
-def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
+def _as_map(poses: Mapping[str, FloatArray], fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
     """A fused map as the map of one run that saw everything, with the noise of the worst run."""
     observations = np.array([len(seen) for seen in fused.observations])
     times = np.arange(int(observations.sum()), dtype=np.int64)
@@ -162,5 +172,42 @@ def _as_map(fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
         noise=noise,
         shows_bends=any(m.shows_bends for m in own),
         confidence=fused_confidence(fused.members, {m.run: m for m in own}),
+        views=_views(poses, fused, own),
         **graph_part(fused, np.ones(len(fused), np.bool_)),
     )
+
+
+VIEWS_APART_M = 2.0
+"""Views of a merged map are as far apart at least: those of a run are 3 m apart, so that what one
+run has left out another may fill in, and no place counts for each of its runs."""
+
+
+def _views(poses: Mapping[str, FloatArray], fused: FusedMap, own: Sequence[TopoMap]) -> Views:
+    """The views of all runs in the frame of their merged map, each as its nearest junction lies."""
+    vertex = {
+        (run, v): k for k, of in enumerate(fused.members) for run, some in of.items() for v in some
+    }
+    pose, cells, times = [], [], []
+    for m in own:
+        if not len(m.views) or not len(m):
+            continue
+        nearest = np.asarray(cKDTree(m.xy).query(m.views.pose[:, :2])[1], np.int64)
+        there = compose(poses[m.run], m.views.pose)
+        rows = np.array([vertex[m.run, v] for v in nearest.tolist()])
+        there[:, :2] += fused.xy[rows] - apply(poses[m.run], m.xy[nearest])
+        pose.append(there)
+        cells.append(m.views.cells)
+        times.append(m.views.time_ns)
+    if not pose:
+        return NO_VIEWS
+    at = np.concatenate(pose)
+    kept = _apart(at[:, :2])
+    return Views(np.concatenate(times)[kept], at[kept], np.concatenate(cells)[kept])
+
+
+def _apart(xy: FloatArray) -> IntArray:
+    """Rows of (n, 2) points of which each is `VIEWS_APART_M` from all before it that are kept."""
+    kept = np.zeros(len(xy), np.bool_)
+    for k, at in enumerate(xy):
+        kept[k] = not np.any(np.hypot(*(xy[:k][kept[:k]] - at).T) < VIEWS_APART_M)
+    return np.flatnonzero(kept)

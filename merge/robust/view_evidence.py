@@ -14,7 +14,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from ...topology.arrays import FloatArray, IntArray
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
 from ...topology.se2 import between, compose
@@ -125,7 +125,14 @@ class Laid:
     @cached_property
     def parts(self) -> FloatArray:
         """(c,) mean z of every part of the overlap."""
-        return np.asarray(np.bincount(self.cell, self.found.z) / np.bincount(self.cell))
+        return self.parts_of(np.ones(len(self), np.bool_))
+
+    def parts_of(self, some: BoolArray) -> FloatArray:
+        """`parts` by some of the pairs of views (k,)."""
+        count = np.bincount(self.cell[some])
+        return np.asarray(
+            np.bincount(self.cell[some], self.found.z[some])[count > 0] / count[count > 0]
+        )
 
     def better(self, a: Picture, b: Picture, T_a_b: FloatArray) -> FloatArray:
         """The placement that fits the registrations best, (3,); unchanged if none agrees."""
@@ -320,12 +327,15 @@ class Repeats:
 
 @lru_cache(maxsize=KEPT)
 def repeats(a: Picture) -> Repeats:
-    """The placements of a map on other parts of itself, that views propose."""
-    moved = [
-        some.parts
-        for T, some in refined(a, a, placements(a, a), MOST)
-        if len(some) and not (np.hypot(T[0], T[1]) < MATCH.place_m and abs(T[2]) < MATCH.turn_rad)
-    ]
+    """The placements of a map on other parts of itself, that views propose. A room that looks the
+    same turned is no other part: what a placement turns on its spot does not count."""
+    moved = []
+    for T, some in refined(a, a, placements(a, a), MOST):
+        away = np.abs(a.place[some.first] - a.place[some.second])
+        turned = abs(T[2]) >= MATCH.turn_rad
+        if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
+            moved.append(some.parts_of(away >= (CELL_M if turned else 0.0)))
+    moved = [part for part in moved if len(part)]
     level = np.array([part.mean() for part in moved if len(part) >= FEWEST])
     return Repeats(level, max(map(_size, moved), default=0.0))
 

@@ -78,3 +78,13 @@ def test_where_the_maps_repeat_themselves_the_place_may_be_a_copy() -> None:
     assert repeats(a).size > 5
     assert told.total > 10
     assert told.repeated > 0.5
+
+
+def test_a_room_that_looks_the_same_turned_is_no_repetition() -> None:
+    walls = np.array(
+        [(-6, -4, 6, -4), (-6, 4, 6, 4), (-6, -4, -6, 4), (6, -4, 6, 4), (-2, 0, 2, 0)]
+    )
+    room = pictured(views_of(walls.astype(float), line((-3, 1), (3, 1), 5)))
+    turned = [some for T, some in refined(room, room, placements(room, room)) if abs(T[2]) > 3]
+    assert max(float(some.parts.mean()) for some in turned) > 3
+    assert repeats(room).size == 0
