@@ -130,7 +130,7 @@ def _unrepeated_bits(
     Buildings are the groups of maps with alignments that chance does not explain. A map that finds
     no copy of a large part of itself speaks for it, by `SHOWN`; one that does speaks against it. So
     do other buildings of few lengths: their share is estimated by Krichevsky and Trofimov's rule,
-    with one more that does repeat itself.
+    with a few more that do repeat themselves.
     """
     need = needed_bits(pairs_of(len(prepared)), settings)
     sure = [pair for pair, bits in linked.items() if bits >= need]
@@ -144,7 +144,7 @@ def _unrepeated_bits(
     uniform = np.array([uniformity(*(prepared[k] for k in of)) for of in runs])
     repeats = uniform * (np.bincount(building, shows & large) > 0)
     others, repeating = uniform.sum() - uniform, repeats.sum() - repeats
-    bits = own + np.log2((others - repeating + 0.5) / (repeating + 1.5))
+    bits = own + np.log2((others - repeating + 0.5) / (repeating + 3))
     out: list[float] = np.maximum(bits, 0.0)[building].tolist()
     return out
 

@@ -332,7 +332,7 @@ def _assess(
     asked = max(shares) > 0
     answers = []
     for c, share in zip(odd, shares, strict=True):
-        same_bits = next(same).bits + c.views.copies if asked else None
+        same_bits = _no_copy(next(same).bits, c.views.copies) if asked else None
         need_same = share * threshold.need_copy_bits
         carried = counted_bits(c)
         answers.append(Answers(threshold.need_bits, c.bits, carried, share, same_bits, need_same))
@@ -359,6 +359,15 @@ def _assess(
         against_chance=beyond_chance_bits(candidates, threshold.settings),
         lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
     )
+
+
+def _no_copy(lengths: float, views: float) -> float:
+    """The evidence of lengths and changes, and that of views, that an alignment is no copy [bits].
+
+    Both see the same walls: what one says is no news up to `MATCH.shared_bits` of the other.
+    """
+    most, least = max(lengths, views), min(lengths, views)
+    return most + max(least - MATCH.shared_bits, 0.0) if views else lengths
 
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
