@@ -10,8 +10,8 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, inverse, wrap
 from .chance import Chance, quantised
-from .faults import Faults
 from .motion import Drive
+from .settings import Faults
 from .world import World
 
 REACH_M = 1.0

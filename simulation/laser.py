@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ..topology.columns import take
-from ..topology.errors import UsageError
 from ..topology.frozen import freeze
 from ..topology.se2 import compose
 from .chance import Chance, quantised
 from .motion import Drive
-from .traffic import STEPS_ASIDE_M, Doors, People, hang_doors, walk_about
+from .settings import LaserSettings
+from .traffic import STEPS_ASIDE_M, Doors, People, hang_doors, positions, walk_about
 from .walls import Segments, doorways, walls_of
 from .world import World
 
@@ -36,64 +34,6 @@ GRID_BITS = 8
 
 NOTHING = -1
 """Segment of a beam that hits none."""
-
-
-@dataclass(frozen=True, slots=True)
-class LaserSettings:
-    """The laser, its mount, and doors, glass and people around it."""
-
-    beams: int = 180
-    view_deg: float = 270.0
-    """Angle between the first and the last beam, symmetric about the x axis."""
-    rate_hz: float = 5.0
-    sweep_s: float = 0.1
-    """Time between the first and the last beam of a scan, in which the robot moves on."""
-    range_min_m: float = 0.1
-    range_max_m: float = 12.0
-    noise_m: float = 0.015
-    """Standard deviation of ranges."""
-    lost_rate: float = 0.002
-    """Share of beams without an echo."""
-    mount: tuple[float, float, float] = (0.15, 0.0, 0.0)
-    """Pose of the laser on the robot: x, y [m], yaw [rad]."""
-    upside_down: bool = False
-    corridor_m: float = 1.4
-    """Width of all corridors."""
-    door_share: float = 0.06
-    """Share of corridor ends with a door that opens and closes."""
-    glass_share: float = 0.02
-    """Share of walls of glass, which reflect only near the normal."""
-    people_per_100_m: float = 0.7
-    """Number of people walking, by the total corridor length."""
-
-    def __post_init__(self) -> None:
-        if not 2 <= self.beams <= 100_000:
-            raise UsageError(f"laser: beams must lie in 2 … 100000, not {self.beams}")
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, float) and not (np.isfinite(value) and value >= 0):
-                raise UsageError(f"laser: {each.name} cannot be {value}")
-        if not 1 <= self.rate_hz <= 1000 or self.sweep_s * self.rate_hz > 1:
-            raise UsageError("laser: rate_hz must lie in 1 … 1000, and leave time for a sweep")
-        if not 0 < self.view_deg < 360 or not self.range_min_m < self.range_max_m:
-            raise UsageError("laser: view_deg must lie in 0 … 360, range_min_m below range_max_m")
-        if not 0.5 <= self.corridor_m <= 2.2:
-            raise UsageError(
-                f"laser: corridor_m must lie in 0.5 … 2.2, not {self.corridor_m}: corridors of "
-                "these worlds lie 2.5 m apart"
-            )
-
-
-LASERS: Mapping[str, LaserSettings] = MappingProxyType(
-    {
-        "none": LaserSettings(door_share=0.0, glass_share=0.0, people_per_100_m=0.0, lost_rate=0.0),
-        "mild": LaserSettings(),
-        "harsh": LaserSettings(
-            noise_m=0.03, door_share=0.15, glass_share=0.06, people_per_100_m=2.0, lost_rate=0.01
-        ),
-    }
-)
-"""Levels by name, as those of faults."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +172,7 @@ def _lost_in_glass(
 
 def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray:
     """(n, p, 2) positions of people; those in the robot's way are moved out of reach."""
-    xy = people.at(time_s)
+    xy = positions(people, time_s)
     near = np.hypot(*np.moveaxis(xy - drive.at(time_s)[:, None, :2], -1, 0)) < STEPS_ASIDE_M
     xy[near] = 1e9
     return xy

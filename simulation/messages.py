@@ -7,8 +7,7 @@ their first beam; the laser's mount is one message on /tf_static.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from functools import cache
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
@@ -16,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.run import Run
 from .chance import Chance, quantised
 from .laser import Scans
 from .scenario import SimulatedRun
@@ -23,14 +23,20 @@ from .scenario import SimulatedRun
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-ODOMETRY_TYPE = "nav_msgs/msg/Odometry"
-POSES_TYPE = "geometry_msgs/msg/PoseArray"
-SCAN_TYPE = "sensor_msgs/msg/LaserScan"
-TRANSFORMS_TYPE = "tf2_msgs/msg/TFMessage"
+TOPICS: Mapping[str, str] = {
+    "/odom": "nav_msgs/msg/Odometry",
+    "/junctions": "geometry_msgs/msg/PoseArray",
+    "/scan": "sensor_msgs/msg/LaserScan",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+}
+"""Types by topic."""
 
 LASER_FRAME = "laser"
 
 COVARIANCE = np.diag([1e-3, 1e-3, 1e6, 1e6, 1e6, 1e-2]).ravel()
+
+Message = tuple[int, int, str, bytes]
+"""Log time and stamp [ns], topic, and the serialized message."""
 
 
 @cache
@@ -39,54 +45,48 @@ def typestore(ros: str) -> Typestore:
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
     store = get_typestore(Stores.ROS1_NOETIC if ros == "ros1" else Stores.ROS2_JAZZY)
-    if TRANSFORMS_TYPE not in store.types:  # of ROS 1
+    if TOPICS["/tf_static"] not in store.types:  # of ROS 1
         text = "geometry_msgs/TransformStamped[] transforms"
-        store.register(get_types_from_msg(text, TRANSFORMS_TYPE))
+        store.register(get_types_from_msg(text, TOPICS["/tf_static"]))
     return store
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Topic:
-    """All messages of one topic: log_ns, stamp_ns: (n,) int64; payloads: n serialized messages."""
-
-    name: str
-    type_name: str
-    log_ns: IntArray
-    stamp_ns: IntArray
-    payloads: list[bytes]
+def topics_of(simulated: SimulatedRun) -> list[str]:
+    """The topics of a run's log, some perhaps without a message."""
+    left_out = set() if simulated.tells_junctions else {"/junctions"}
+    left_out |= set() if simulated.scans is not None else {"/scan", "/tf_static"}
+    return [topic for topic in TOPICS if topic not in left_out]
 
 
-def topics_of(simulated: SimulatedRun, ros: str) -> tuple[Topic, ...]:
-    """The topics of a run, serialized for ROS 1 or as CDR for ROS 2. O(n).
+def messages_of(simulated: SimulatedRun, ros: str) -> list[Message]:
+    """The messages of a run by log time, serialized for ROS 1 or as CDR for ROS 2. O(n log n).
 
-    Messages are logged some milliseconds after their stamp, as by a real recorder.
+    They are logged some milliseconds after their stamp, as by a real recorder; scans when their
+    sweep is complete.
     """
-    run = simulated.run
+    run, scans = simulated.run, simulated.scans
     chance = Chance("latency", len(run.odometry), len(run.detections))
-    odometry_ns, seen_ns = run.odometry.time_ns, run.detections.time_ns
-    late = chance.uniform(1_000, 8_000, len(odometry_ns)).astype(np.int64) * 1000
-    seen_late = chance.uniform(20_000, 70_000, len(seen_ns)).astype(np.int64) * 1000
-    topics = [
-        Topic("/odom", ODOMETRY_TYPE, odometry_ns + late, odometry_ns, _odometry(simulated, ros))
-    ]
+    late = chance.uniform(1_000, 8_000, len(run.odometry))
+    seen_late = chance.uniform(20_000, 70_000, len(run.detections))
+    out = _logged("/odom", run.odometry.time_ns, late, _odometry(simulated, ros))
     if simulated.tells_junctions:
-        seen = _detections(simulated, ros)
-        topics.append(Topic("/junctions", POSES_TYPE, seen_ns + seen_late, seen_ns, seen))
-    if simulated.scans is not None:
-        topics += _laser(simulated, simulated.scans, ros)
-    return tuple(topics)
+        out += _logged("/junctions", run.detections.time_ns, seen_late, _detections(run, ros))
+    if scans is not None:
+        late = Chance("laser latency", len(scans)).uniform(1_000, 9_000, len(scans))
+        swept_us, stamp_ns = round(scans.settings.sweep_s * 1e6), simulated.scans_ns
+        out += _logged("/scan", stamp_ns, swept_us + late, _scans(scans, stamp_ns, ros))
+        first_ns = run.odometry.time_ns[:1]
+        mount = _mount(run, scans, int(first_ns[0]), ros)
+        out += _logged("/tf_static", first_ns, np.zeros(1), [mount])
+    return sorted(out, key=lambda message: message[0])
 
 
-def in_log_order(topics: tuple[Topic, ...]) -> list[tuple[int, int, int, bytes]]:
-    """Every message as (topic number, log_ns, stamp_ns, payload), by log time."""
-    number = np.repeat(np.arange(len(topics)), [len(t.payloads) for t in topics])
-    log_ns = np.concatenate([t.log_ns for t in topics])
-    stamp_ns = np.concatenate([t.stamp_ns for t in topics])
-    payloads = [payload for t in topics for payload in t.payloads]
-    order = np.argsort(log_ns, kind="stable")
-    columns = (values[order].tolist() for values in (number, log_ns, stamp_ns))
-    rows = zip(*columns, order.tolist(), strict=True)
-    return [(n, log, stamp, payloads[i]) for n, log, stamp, i in rows]
+def _logged(
+    topic: str, stamp_ns: IntArray, late_us: FloatArray, payloads: list[bytes]
+) -> list[Message]:
+    log_ns = stamp_ns + late_us.astype(np.int64) * 1000
+    times = zip(log_ns.tolist(), stamp_ns.tolist(), payloads, strict=True)
+    return [(log, stamp, topic, payload) for log, stamp, payload in times]
 
 
 def _quaternion(yaw: FloatArray) -> FloatArray:
@@ -141,9 +141,8 @@ def _odometry(simulated: SimulatedRun, ros: str) -> list[bytes]:
     return out
 
 
-def _detections(simulated: SimulatedRun, ros: str) -> list[bytes]:
-    m, run, out = _named(ros), simulated.run, []
-    seen = run.detections
+def _detections(run: Run, ros: str) -> list[bytes]:
+    m, seen, out = _named(ros), run.detections, []
     turns, stops = _quaternion(seen.branches.values).tolist(), seen.branches.offsets.tolist()
     for k, time_ns in enumerate(seen.time_ns.tolist()):
         xy = seen.centre[k].tolist()
@@ -151,20 +150,6 @@ def _detections(simulated: SimulatedRun, ros: str) -> list[bytes]:
         header = _header(ros, time_ns, run.odometry.child_frame, k)
         out.append(_payload(ros, m.PoseArray(header, poses)))
     return out
-
-
-def _laser(simulated: SimulatedRun, scans: Scans, ros: str) -> tuple[Topic, Topic]:
-    """The scans, each logged when its sweep is complete, and the laser's mount."""
-    first_ns = simulated.run.odometry.time_ns[:1]
-    stamp_ns = simulated.scans_ns
-    chance = Chance("laser latency", len(scans))
-    late = chance.uniform(1_000, 9_000, len(scans)).astype(np.int64) * 1000
-    done_ns = stamp_ns + round(scans.settings.sweep_s * 1e9) + late
-    mount = _mount(simulated, scans, int(first_ns[0]), ros)
-    return (
-        Topic("/scan", SCAN_TYPE, done_ns, stamp_ns, _scans(scans, stamp_ns, ros)),
-        Topic("/tf_static", TRANSFORMS_TYPE, first_ns, first_ns, [mount]),
-    )
 
 
 def _scans(scans: Scans, stamp_ns: IntArray, ros: str) -> list[bytes]:
@@ -184,12 +169,12 @@ def _scans(scans: Scans, stamp_ns: IntArray, ros: str) -> list[bytes]:
     return [_payload(ros, m.LaserScan(header=h, ranges=r, **about)) for h, r in rows]
 
 
-def _mount(simulated: SimulatedRun, scans: Scans, time_ns: int, ros: str) -> bytes:
+def _mount(run: Run, scans: Scans, time_ns: int, ros: str) -> bytes:
     (x, y, yaw), m = scans.settings.mount, _named(ros)
     turn = _quaternion(np.array([yaw]))[0].tolist()
     if scans.settings.upside_down:
         # Yaw, then half a turn about x: the quaternion (0, 0, z, w) becomes (w, z, 0, 0).
         turn = [turn[3], turn[2], 0.0, 0.0]
-    header = _header(ros, time_ns, simulated.run.odometry.child_frame)
+    header = _header(ros, time_ns, run.odometry.child_frame)
     place = m.Transform(m.Vector3(x, y, 0.2), m.Quaternion(*turn))
     return _payload(ros, m.TFMessage([m.TransformStamped(header, LASER_FRAME, place)]))

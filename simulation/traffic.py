@@ -107,27 +107,22 @@ def _shut_spans(passing: BoolArray, end_s: float, chance: Chance) -> list[tuple[
     return [(TICK_S * b, TICK_S * e) for b, e in zip(begins.tolist(), ends.tolist(), strict=True)]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class People:
-    """Positions of people: for each of p people ascending times [s] and the points (k, 2) at
-    them."""
-
-    time_s: tuple[FloatArray, ...]
-    xy: tuple[FloatArray, ...]
-
-    def at(self, time_s: FloatArray) -> FloatArray:
-        """(n, p, 2) positions at each time, interpolated linearly."""
-        out = np.empty((len(time_s), len(self.xy), 2))
-        for p, (times, points) in enumerate(zip(self.time_s, self.xy, strict=True)):
-            for axis in (0, 1):
-                out[:, p, axis] = np.interp(time_s, times, points[:, axis])
-        return quantised(out, 20)
+People = list[tuple[FloatArray, FloatArray]]
+"""For each person ascending times (k,) [s] and the points (k, 2) at them."""
 
 
 def walk_about(world: World, closed: set[int], count: int, end_s: float, chance: Chance) -> People:
     """`count` people on random walks from junction to junction, each with a speed of its own."""
-    ways = [_wander(world, closed, end_s, chance) for _ in range(count)]
-    return People(tuple(time for time, _ in ways), tuple(xy for _, xy in ways))
+    return [_wander(world, closed, end_s, chance) for _ in range(count)]
+
+
+def positions(people: People, time_s: FloatArray) -> FloatArray:
+    """(n, p, 2) where people are at each time, interpolated linearly."""
+    out = np.empty((len(time_s), len(people), 2))
+    for p, (times, points) in enumerate(people):
+        for axis in (0, 1):
+            out[:, p, axis] = np.interp(time_s, times, points[:, axis])
+    return quantised(out, 20)
 
 
 def _wander(

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
+from ..topology.polyline import densely, simplify
 from ..topology.se2 import wrap
 from .world import World, polyline_at
 
@@ -57,14 +58,9 @@ def walls_of(world: World, corridor_m: float) -> Segments:
     part. O(n log n)."""
     half = 0.5 * corridor_m
     parts = free_space(world, corridor_m)
-    rooms = parts[: len(world)]
-    sides = [
-        step
-        for path in world.paths
-        for side in _offset(_simplified(path), half)
-        for step in _steps(side)
-    ]
-    edges = np.array([*sides, *(step for room in rooms for step in _steps(_ring(room)))])
+    sides = [side for path in world.paths for side in _offset(simplify(path, BEND_M), half)]
+    rings = [np.concatenate([room, room[:1]]) for room in parts[: len(world)]]
+    edges = np.concatenate([_steps(line) for line in (*sides, *rings)])
     inside = _HalfPlanes.of(parts)
     left_over = [_outside(start, end, inside) for start, end in edges]
     a, b = np.concatenate(left_over).transpose(1, 0, 2)
@@ -81,7 +77,7 @@ def free_space(world: World, corridor_m: float) -> list[FloatArray]:
     half = 0.5 * corridor_m
     parts = [_junction(world, vertex, half) for vertex in range(len(world))]
     for path in world.paths:
-        left, right = _offset(_simplified(path), half)
+        left, right = _offset(simplify(path, BEND_M), half)
         parts += [
             np.array([right[k], right[k + 1], left[k + 1], left[k]]) for k in range(len(left) - 1)
         ]
@@ -131,18 +127,6 @@ def _junction(world: World, vertex: int, half: float) -> FloatArray:
     return _round(xy, half)
 
 
-def _simplified(path: FloatArray) -> FloatArray:
-    """The polyline simplified to within BEND_M (Douglas-Peucker)."""
-    if len(path) < 3:
-        return path
-    along = path[-1] - path[0]
-    off = np.abs((path - path[0]) @ _left_of(along))
-    far = int(off.argmax())
-    if off[far] <= BEND_M:
-        return path[[0, -1]]
-    return np.concatenate([_simplified(path[: far + 1])[:-1], _simplified(path[far:])])
-
-
 def _offset(path: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
     """The left and right sides of a corridor, with mitred corners."""
     normals = np.array([_left_of(step) for step in np.diff(path, axis=0)])
@@ -152,13 +136,9 @@ def _offset(path: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
     return path + across, path - across
 
 
-def _ring(polygon: FloatArray) -> FloatArray:
-    return np.concatenate([polygon, polygon[:1]])
-
-
-def _steps(line: FloatArray) -> list[FloatArray]:
-    """The segments of a polyline, (2, 2) each."""
-    return [line[k : k + 2] for k in range(len(line) - 1)]
+def _steps(line: FloatArray) -> FloatArray:
+    """(k - 1, 2, 2) the segments of a polyline."""
+    return np.stack([line[:-1], line[1:]], axis=1)
 
 
 def _left_of(step: FloatArray) -> FloatArray:
@@ -187,7 +167,7 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     """Half the side of a room at a dead end that meets no other room or corridor."""
     here = world.xy[vertex]
     others = [
-        float(np.min(np.hypot(*(polyline_at(path, _spaced(path)) - here).T)))
+        float(np.min(np.hypot(*(densely(path, 0.5) - here).T)))
         for edge, path in enumerate(world.paths)
         if vertex not in (world.source[edge], world.target[edge])
     ]
@@ -198,11 +178,6 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     to_room = 0.5 * (float(away.min(initial=np.inf)) - THINNEST_WALL_M)
     # By its corners, which are √2 times as far out as its walls.
     return min(LARGEST_ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
-
-
-def _spaced(path: FloatArray) -> FloatArray:
-    way = float(np.sum(np.hypot(*np.diff(path, axis=0).T)))
-    return np.linspace(0.0, way, int(way / 0.5) + 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,17 +14,14 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
-from typing import Literal
+from typing import Any, Literal
 
 from ..topology.errors import UsageError
-from .messages import in_log_order, topics_of, typestore
+from .messages import TOPICS, messages_of, topics_of, typestore
 from .scenario import Scenario, SimulatedRun
 from .truth import write_truth
 
 TRUTH_FILE = "truth.json"
-METADATA = "metadata.yaml"
-"""Of the folder of a ROS 2 bag."""
-
 METADATA_VERSION: Literal[9] = 9
 """Version of metadata.yaml as in ROS 2 Jazzy."""
 
@@ -32,58 +29,65 @@ METADATA_VERSION: Literal[9] = 9
 def _write_mcap(path: Path, simulated: SimulatedRun) -> None:
     from mcap.writer import CompressionType, Writer
 
-    topics, store = topics_of(simulated, "ros2"), typestore("ros2")
+    store = typestore("ros2")
     with path.open("xb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
         writer.start(profile="ros2", library="topobatch")
-        channels = []
-        for topic in topics:
-            text, _ = store.generate_msgdef(topic.type_name, ros_version=2)
-            schema = writer.register_schema(topic.type_name, "ros2msg", text.encode())
-            channels.append(writer.register_channel(topic.name, "cdr", schema))
-        for sequence, (number, log, stamp, payload) in enumerate(in_log_order(topics)):
-            writer.add_message(channels[number], log, payload, stamp, sequence)
+        channels = {}
+        for topic in topics_of(simulated):
+            text, _ = store.generate_msgdef(TOPICS[topic], ros_version=2)
+            schema = writer.register_schema(TOPICS[topic], "ros2msg", text.encode())
+            channels[topic] = writer.register_channel(topic, "cdr", schema)
+        for sequence, (log_ns, stamp_ns, topic, payload) in enumerate(
+            messages_of(simulated, "ros2")
+        ):
+            writer.add_message(channels[topic], log_ns, payload, stamp_ns, sequence)
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _write_bag(path: Path, simulated: SimulatedRun) -> None:
-    from rosbags.rosbag1 import Writer
+def _write_rosbag(path: Path, simulated: SimulatedRun, storage: str | None) -> None:
+    """A ROS 1 bag, or the folder of a ROS 2 bag of a storage."""
+    writer: Any
+    if storage is None:
+        from rosbags.rosbag1 import Writer as BagWriter
 
-    topics, store = topics_of(simulated, "ros1"), typestore("ros1")
-    writer = Writer(path)
-    writer.set_compression(Writer.CompressionFormat.LZ4)
+        writer = BagWriter(path)
+        writer.set_compression(BagWriter.CompressionFormat.LZ4)
+    else:
+        from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+
+        plugin = StoragePlugin[storage]
+        writer = Writer(path, version=METADATA_VERSION, storage_plugin=plugin)
+        if plugin is StoragePlugin.MCAP:
+            writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    ros = "ros1" if storage is None else "ros2"
+    store = typestore(ros)
     with writer:
-        links = [writer.add_connection(t.name, t.type_name, typestore=store) for t in topics]
-        for number, log, _, payload in in_log_order(topics):
-            writer.write(links[number], log, payload)
-
-
-def _write_ros2_folder(path: Path, simulated: SimulatedRun, storage: str) -> None:
-    from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-
-    topics, store = topics_of(simulated, "ros2"), typestore("ros2")
-    plugin = StoragePlugin[storage]
-    writer = Writer(path, version=METADATA_VERSION, storage_plugin=plugin)
-    if plugin is StoragePlugin.MCAP:
-        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
-    with writer:
-        links = [writer.add_connection(t.name, t.type_name, typestore=store) for t in topics]
-        for number, log, _, payload in in_log_order(topics):
-            writer.write(links[number], log, payload)
+        links = {
+            topic: writer.add_connection(topic, TOPICS[topic], typestore=store)
+            for topic in topics_of(simulated)
+        }
+        for log_ns, _, topic, payload in messages_of(simulated, ros):
+            writer.write(links[topic], log_ns, payload)
 
 
 FORMATS: Mapping[str, tuple[str, Callable[[Path, SimulatedRun], None]]] = MappingProxyType(
     {
         "mcap": (".mcap", _write_mcap),
-        "bag": (".bag", _write_bag),
-        "db3": ("", partial(_write_ros2_folder, storage="SQLITE3")),
-        "ros2-mcap": ("", partial(_write_ros2_folder, storage="MCAP")),
+        "bag": (".bag", partial(_write_rosbag, storage=None)),
+        "db3": ("", partial(_write_rosbag, storage="SQLITE3")),
+        "ros2-mcap": ("", partial(_write_rosbag, storage="MCAP")),
     }
 )
 """Containers by name: suffix of the log's path, and writer. "db3" and "ros2-mcap" are folders."""
 
-STORAGE: Mapping[str, str] = MappingProxyType({"db3": ".db3", "ros2-mcap": ".mcap"})
-"""Suffix of the one file beside metadata.yaml, by the format of a folder."""
+_FILES: Mapping[str, tuple[str, ...]] = {
+    "mcap": ("{0}.mcap",),
+    "bag": ("{0}.bag",),
+    "db3": ("{0}/{0}.db3", "{0}/metadata.yaml"),
+    "ros2-mcap": ("{0}/{0}.mcap", "{0}/metadata.yaml"),
+}
+"""What a run's log consists of, by container."""
 
 
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
@@ -99,9 +103,11 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with TemporaryDirectory(prefix=".topobatch-", suffix=".tmp", dir=folder) as made:
-            log = Path(made, path.name)
-            write(log, simulated)
-            _move(log, path)
+            write(Path(made, path.name), simulated)
+            for file in [p for p in Path(made).rglob("*") if p.is_file()]:
+                target = folder / file.relative_to(made)
+                target.parent.mkdir(exist_ok=True)
+                os.replace(file, target)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
     except sqlite3.Error as error:
@@ -109,32 +115,15 @@ def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") ->
     return path
 
 
-def _move(log: Path, path: Path) -> None:
-    """Move a log into place, file by file, since a folder may exist already."""
-    if log.is_dir():
-        path.mkdir(exist_ok=True)
-        for file in log.iterdir():
-            os.replace(file, path / file.name)
-    else:
-        os.replace(log, path)
-
-
 def _remove_others(folder: Path, run: str, container: str) -> None:
-    """Remove the logs of a run that `write_run` left in other containers; links and whatever else a
-    folder of that name holds stay."""
+    """Remove what `write_run` left of a run in other containers; links and whatever else a folder
+    of that name holds stay."""
     bag = folder / run
-    others = [
-        folder / f"{run}{suffix}" for name, (suffix, _) in FORMATS.items() if name != container
-    ]
-    files = [path for path in others if path != bag]
-    if not bag.is_symlink() and (bag / METADATA).is_file():
-        inside = [bag / f"{run}{suffix}" for name, suffix in STORAGE.items() if name != container]
-        inside = [path for path in inside if path.is_file()]
-        files += [*inside, bag / METADATA] if inside and container not in STORAGE else inside
-    for path in files:
-        if path.is_file() and not path.is_symlink():
+    for file in {file for files in _FILES.values() for file in files} - {*_FILES[container]}:
+        path = folder / file.format(run)
+        if path.is_file() and not path.is_symlink() and not bag.is_symlink():
             path.unlink()
-    if container not in STORAGE and bag.is_dir() and not any(bag.iterdir()):
+    if bag.is_dir() and not bag.is_symlink() and not any(bag.iterdir()):
         bag.rmdir()
 
 
