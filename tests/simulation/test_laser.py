@@ -24,9 +24,8 @@ from topobatch.simulation import (
     write_truth,
 )
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.laser import cast_at_segments, scans
+from topobatch.simulation.laser import cast_at_segments, positions, scans, walk_about
 from topobatch.simulation.motion import Drive
-from topobatch.simulation.traffic import positions, walk_about
 from topobatch.simulation.walls import doorways, free_space, walls_of
 from topobatch.topology.errors import UsageError
 

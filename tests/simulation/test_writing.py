@@ -26,7 +26,7 @@ from topobatch.simulation import (
     write_run,
     write_scenario,
 )
-from topobatch.simulation.messages import TOPICS, messages_of, topics_of, typestore
+from topobatch.simulation.writing import TOPICS, messages_of, topics_of, typestore
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import wrap
 
