@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.connected import connected
 from ..topology.errors import UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
@@ -155,14 +156,11 @@ def _changes(
 
 def _connected(world: World, region: set[int], without: set[int]) -> bool:
     """Whether a region is connected without some corridors."""
-    start = min(region)
-    reached, front = {start}, [start]
-    while front:
-        for edge, other, _ in world.ends(front.pop()):
-            if other in region and other not in reached and edge not in without:
-                reached.add(other)
-                front.append(other)
-    return reached == region
+    inside = sorted(region)
+    own = np.isin(world.source, inside) & np.isin(world.target, inside)
+    own[sorted(without)] = False
+    part = connected(world.source[own], world.target[own], len(world))[inside]
+    return bool(np.all(part == part[0]))
 
 
 def _world_with_regions(
