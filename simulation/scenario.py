@@ -97,8 +97,8 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
     worlds = {f"{stem}-world": world}
     plan = [(f"{stem}-world", region) for region in regions]
     for k in range(s.unrelated_runs):
-        alone = replace(s, runs=1, world_junctions=None, seed=0)
-        other, parts = _world_with_regions(alone, Chance("elsewhere", s.seed, k).index(2**31))
+        seed = Chance("elsewhere", s.seed, k).index(2**31)
+        other, parts = _world_with_regions(replace(s, runs=1, seed=seed))
         worlds[f"{stem}-other{k + 1}"] = other
         plan.append((f"{stem}-other{k + 1}", parts[0]))
     digits = len(str(len(plan)))
@@ -163,24 +163,19 @@ def _connected(world: World, region: set[int], without: set[int]) -> bool:
     return bool(np.all(part == part[0]))
 
 
-def _world_with_regions(
-    s: ScenarioSettings, seed: int | None = None
-) -> tuple[World, list[set[int]]]:
+def _world_with_regions(s: ScenarioSettings) -> tuple[World, list[set[int]]]:
     """A world and the region of each run; larger worlds are tried until the regions fit."""
-    world_seed = s.seed if seed is None else seed
-    size, chance = s.junctions_per_run, Chance("regions", world_seed)
+    size, chance = s.junctions_per_run, Chance("regions", s.seed)
     wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
-    asked = [s.world_junctions] if s.world_junctions else [wanted * f for f in (1.15, 1.4, 1.8)]
-    for junctions in asked:
+    for room in (1.15, 1.4, 1.8):
         aspect = max(1.0, 0.8 * wanted / size)
-        world = make_world(s.world, round(junctions), world_seed, aspect)
+        world = make_world(s.world, round(wanted * room), s.seed, aspect)
         regions = chain_of_regions(world, s.runs, size, s.overlap, chance)
         if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
             return world, regions
-    larger = ", or a larger world" if s.world_junctions else ""
     raise UsageError(
         f"no room for {s.runs} runs of {size} junctions in a world of {len(world)} junctions: "
-        f"ask for fewer or smaller runs{larger}"
+        "ask for fewer or smaller runs"
     )
 
 

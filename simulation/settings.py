@@ -311,8 +311,6 @@ class ScenarioSettings(RunSettings):
     junctions_per_run: int = 50
     unrelated_runs: int = 0
     """Further runs, each in a world of its own."""
-    world_junctions: int | None = None
-    """Size of the world; by default as large as the runs need."""
     changes: int = 0
     """Corridors that close or open between the runs of the one world."""
     days: float | None = None
@@ -334,7 +332,6 @@ class ScenarioSettings(RunSettings):
             unrelated_runs=(0, 10_000),
             changes=(0, 10_000),
             days=(0.0, 10_000.0),
-            world_junctions=(5, 1_000_000),
             seed=(0, 2**63 - 1),
         )
         if not self.prefix or "/" in self.prefix or self.prefix.startswith("."):
