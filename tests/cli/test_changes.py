@@ -49,9 +49,7 @@ def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     write_map(alone.map_json("run1"), one)
     write_merged(alone.merged_json, merge_maps([one]))
     assert "nothing to compare" in topobatch("changes", "-w", alone.root).out
-    write_map(
-        alone.map_json("run1"), replace(one, observation_time_ns=one.observation_time_ns + 1)
-    )
+    write_map(alone.map_json("run1"), replace(one, observation_time_ns=one.observation_time_ns + 1))
     other = place.read_map("run2")
     write_map(alone.map_json("run2"), other)
     write_merged(alone.merged_json, merge_maps([one, other]))
