@@ -40,7 +40,7 @@ from topobatch.simulation import (
     simulate_scenario,
     true_vertex_of_passes,
 )
-from topobatch.simulation.drift import DRIFTS
+from topobatch.simulation.settings import DRIFTS
 from topobatch.topology.closure.alternatives import most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.incremental import RoundSettings, full_closure

@@ -38,7 +38,7 @@ from topobatch.merge.transfer import (
     transfer,
 )
 from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes
-from topobatch.simulation.motion import MotionSettings
+from topobatch.simulation.settings import MotionSettings
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.polyline import way_of
 from topobatch.topology.se2 import apply, fit_rigid

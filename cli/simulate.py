@@ -79,6 +79,24 @@ def simulate(
             metavar="DEGREES", min=0, help="How far it turns; default 30. Goes with --jumps."
         ),
     ] = None,
+    changes: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            max=10_000,
+            help="Corridors that close or open between runs; topobatch changes finds them.",
+        ),
+    ] = 0,
+    days: Annotated[
+        float | None,
+        typer.Option(
+            metavar="D",
+            min=0,
+            max=10_000,
+            help="Days from the first run to the last; default: two hours from each to the next.",
+        ),
+    ] = None,
     laser: Annotated[
         bool,
         typer.Option(
@@ -123,6 +141,7 @@ def simulate(
     \b
       topobatch simulate mazes
       topobatch simulate offices --world office --runs 2 --laser --format bag
+      topobatch simulate months --runs 4 --overlap 0.8 --changes 3 --days 60
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
@@ -149,6 +168,8 @@ def simulate(
         faults=faults,
         laser=scanner,
         tells_junctions=detections or not laser,
+        changes=changes,
+        days=days,
         seed=seed,
     )
     scenario = simulate_scenario(settings)

@@ -1,9 +1,10 @@
 """What to record next: drives that would join sites, ranked by expected bits per metre.
 
-A robot that drives through places of two sites joins them, if it passes enough of each: a run is
-merged with a map by about `junction_bits` for every junction that both have. So a drive is the
-shortest walk found through both maps, one laid over the other by the best placement of an open
-pair, by as many junctions of each as merging needs. Where no pair is open, a drive leads into the
+A robot that drives through places of two sites joins them, if it passes enough of each: every
+junction brings as much evidence as the site's pairs have for each of theirs, about `junction_bits`,
+less where the building repeats itself. So a drive is the shortest walk found through both maps, one
+laid over the other by the best placement of an open pair, by as many junctions of each as merging
+needs. Where no pair is open, a drive leads into the
 unknown, by a branch that nobody drove. Either is expected to bring, for every junction of another
 site, as much evidence as the site's pairs have for each of theirs, times the probability that it
 gets there: that the placement is right, or that the branch leads to a site. So drives through a
@@ -37,6 +38,14 @@ class DriveSettings:
     """Junctions beyond those that merging needs, as some are missed. Of 19 drives to join mazes,
     cities and organic ways 18 do, of 83 m; with 0 it is 17, of 42 m, and who has to drive once more
     loses more than that (`benchmarks/next.py --spare`)."""
+    most_junctions: int = 24
+    """Junctions of each site that a drive passes at most: where a building repeats itself a
+    junction brings a fraction of a bit, and no drive is long enough. Of 48 teams offices alone
+    reach it, with drives of some 200 m."""
+    beyond: float = 2.0
+    """Corridors driven beyond a branch never driven for every junction that merging needs: other
+    sites do not begin at once behind the last junction known. Of 13 such drives 8 join a site, with
+    1.0 it is 5."""
     same_m: float = 2.0
     same_rad: float = 0.2
     """Open pairs place two sites alike if their placements differ by no more: drift of some tens of
@@ -65,16 +74,17 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     `most_planned`. O(pairs + junctions + most_planned · most_local²).
     """
     maps = _Sites(result)
-    need = _needed_junctions(result)
     wanted = {c.id for c in result.components} if component is None else {component}
-    found = [*_joining(result, maps, need, wanted), *_exploring(result, maps, need, wanted)]
+    found = [*_joining(result, maps, wanted), *_exploring(result, maps, wanted)]
     found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
     return tuple(found[:most])
 
 
-def _needed_junctions(result: MergeResult) -> int:
+def _needed_junctions(result: MergeResult, per_junction: float) -> int:
+    """Junctions of a site by which a run is merged with it, if each brings so much evidence."""
     bits = result.threshold_bits or 5 * MATCH.junction_bits
-    return int(np.ceil(bits / MATCH.junction_bits)) + DRIVES.spare_junctions
+    enough = int(np.ceil(bits / max(per_junction, bits / DRIVES.most_junctions)))
+    return min(enough + DRIVES.spare_junctions, DRIVES.most_junctions)
 
 
 class _Site:
@@ -124,9 +134,7 @@ class _Sites(dict[int, _Site]):
 # Joining two sites.
 
 
-def _joining(
-    result: MergeResult, maps: _Sites, need: int, wanted: Collection[int]
-) -> Iterator[Drive]:
+def _joining(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iterator[Drive]:
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -141,7 +149,7 @@ def _joining(
     order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
     for s, t in order[: DRIVES.most_planned]:
         pairs = between[s, t]
-        drive = _joining_drive(maps[s], maps[t], pairs, home, members=members, need=need)
+        drive = _joining_drive(maps[s], maps[t], pairs, home, members=members, result=result)
         if drive is not None:
             yield drive
 
@@ -164,13 +172,19 @@ def _right(pair: PairVerdict) -> float:
 
 def _per_junction(pairs: Iterable[PairVerdict]) -> float:
     """Evidence for each junction that two runs have in common [bits]: the median of the pairs with
-    a placement, at most `junction_bits`, which it is without any."""
+    a placement, of either question that was asked, at most `junction_bits`, which it is without
+    any."""
     found = [
-        np.clip(pair.evidence_bits / len(pair.best.matched), 0.0, MATCH.junction_bits)
+        np.clip(_evidence(pair) / len(pair.best.matched), 0.0, MATCH.junction_bits)
         for pair in pairs
         if pair.best is not None and len(pair.best.matched)
     ]
     return float(np.median(found)) if found else MATCH.junction_bits
+
+
+def _evidence(pair: PairVerdict) -> float:
+    """Evidence for a placement: that it is one at all, and that it is no copy of the place."""
+    return min(pair.evidence_bits, float(pair.extra.get("same_place_bits", np.inf)))
 
 
 def _joining_drive(
@@ -180,10 +194,10 @@ def _joining_drive(
     home: dict[str, Component],
     *,
     members: dict[tuple[str, int], int],
-    need: int,
+    result: MergeResult,
 ) -> Drive | None:
-    """The shortest walk found by `need` junctions of both; None if their maps have none in
-    common."""
+    """The shortest walk found by as many junctions of both as merging needs; None if their maps
+    have none in common."""
     best = max(pairs, key=lambda p: (_right(p), p.evidence_bits, p.a, p.b))
     T_site_other = _placement(best, site, home)
     alike = [p for p in pairs if _same(_placement(p, site, home), T_site_other, other)]
@@ -193,11 +207,13 @@ def _joining_drive(
             if here not in partner.values() and there not in partner:
                 partner[there] = here
     both = _Laid(site, other, partner, T_site_other)
+    per_junction = _per_junction(alike)
+    need = _needed_junctions(result, per_junction)
     walk = both.walk(need)
     if walk is None:
         return None
     reached = min(need, int(both.in_other[list({*walk.places})].sum()))
-    bits = _right(best) * _per_junction(alike) * reached
+    bits = _right(best) * per_junction * reached
     named = tuple(sorted((p.a, p.b) for p in pairs))
     return both.drive(walk, bits, named)
 
@@ -387,11 +403,10 @@ def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _W
 # Into the unknown.
 
 
-def _exploring(
-    result: MergeResult, maps: _Sites, need: int, wanted: Collection[int]
-) -> Iterator[Drive]:
+def _exploring(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iterator[Drive]:
     """For every site the branch never driven that leads farthest from what is known."""
     share = _overlapping_share(result)
+    need = _needed_junctions(result, MATCH.junction_bits)
     free = ~driven_branches(result.fused)
     owner, heading = result.fused.branches.owner, result.fused.branches.values
     pairs: dict[int, list[PairVerdict]] = {}
@@ -411,9 +426,8 @@ def _exploring(
         open_ = _unobstructed(at, heading[rows], ways_m, corridors, site.usual_m / 2)
         k = int(open_.argmax())
         drive = _exploring_drive(site, site.row[int(owner[rows[k]])], float(heading[rows[k]]), need)
-        ahead = (drive.length_m - drive.known_m) / site.usual_m * float(open_[k])
         found = _per_junction(pairs.get(site.component, ()))
-        yield replace(drive, bits=share * found * min(ahead, need))
+        yield replace(drive, bits=share * found * need * float(open_[k]))
 
 
 def _overlapping_share(result: MergeResult) -> float:
@@ -440,13 +454,13 @@ def _unobstructed(
 
 
 def _exploring_drive(site: _Site, place: int, heading: float, need: int) -> Drive:
-    """By `need` known junctions to the branch, and as many corridors beyond it."""
+    """By `need` known junctions to the branch, and `beyond` times as many corridors beyond it."""
     alone = _Laid(site, site, {k: k for k in range(len(site.ids))}, np.zeros(3))
     alone.shared = [place]
     places, known_m = _Reach(alone, alone.in_site).tour(place, {place}, need - 1)
     places.reverse()
     steps = list(pairwise(places))
-    beyond_m = need * site.usual_m
+    beyond_m = DRIVES.beyond * need * site.usual_m
     ray = np.array([np.cos(heading), np.sin(heading)])
     end = site.xy[place] + beyond_m * ray
     x, y = rounded(end, METRES)

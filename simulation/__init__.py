@@ -4,18 +4,18 @@
 same settings give the same runs, and logs with the same messages, on any machine.
 """
 
-from .drift import DRIFTS, Drift
-from .faults import FAULTS, Faults
-from .laser import LASERS, LaserSettings
-from .motion import MotionSettings
-from .scenario import (
+from .scenario import Scenario, SimulatedRun, joined, simulate_run, simulate_scenario
+from .settings import (
+    DRIFTS,
+    FAULTS,
+    LASERS,
+    Drift,
+    Faults,
+    LaserSettings,
+    MotionSettings,
     RunSettings,
-    Scenario,
     ScenarioSettings,
-    SimulatedRun,
-    joined,
-    simulate_run,
-    simulate_scenario,
+    WalkSettings,
 )
 from .truth import (
     MIXED,
@@ -29,7 +29,6 @@ from .truth import (
     truth_transform,
     write_truth,
 )
-from .walk import WalkSettings
 from .world import World
 from .worlds import make_world
 from .writing import FORMATS, write_run, write_scenario

@@ -10,8 +10,8 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.ragged import Ragged
 from ..topology.se2 import apply, inverse, wrap
 from .chance import Chance, quantised
-from .faults import Faults
 from .motion import Drive
+from .settings import Faults
 from .world import World
 
 REACH_M = 1.0
@@ -94,7 +94,12 @@ def _visits(
     gap = np.concatenate([[np.inf], np.diff(way), [np.inf]])
     start = drive.first_at(way - np.minimum(REACH_M, 0.45 * gap[:-1]))
     end = drive.last_at(way + np.minimum(REACH_M, 0.45 * gap[1:]))
-    by_vertex = _branches_of_run(world, set(drive.visit_vertex.tolist()), closed, faults, chance)
+    by_vertex = {}  # the branches that can be seen in this run, and their fault
+    for v in sorted(set(drive.visit_vertex.tolist())):
+        branches = tuple(h for e, _, h in world.ends(v) if e not in closed)
+        by_vertex[v] = branches, ""
+        if chance.one_happens(faults.wrong_vertex_rate):
+            by_vertex[v] = _altered(branches, chance), "wrong vertex"
     missed = chance.happens(faults.missed_pass_rate, len(way))
     wrong = chance.happens(faults.wrong_pass_rate, len(way))
     passes = []
@@ -107,18 +112,6 @@ def _visits(
         x, y = world.xy[v].tolist()
         passes.append(_Pass(float(start[i]), float(end[i]), v, (x, y), branches, fault))
     return passes
-
-
-def _branches_of_run(
-    world: World, vertices: set[int], closed: set[int], faults: Faults, chance: Chance
-) -> dict[int, tuple[tuple[float, ...], str]]:
-    """For each vertex the branches that can be seen in this run, and their fault."""
-    out = {}
-    for v in sorted(vertices):
-        branches = tuple(h for e, _, h in world.ends(v) if e not in closed)
-        wrong = chance.one_happens(faults.wrong_vertex_rate)
-        out[v] = (_altered(branches, chance), "wrong vertex") if wrong else (branches, "")
-    return out
 
 
 def _altered(branches: tuple[float, ...], chance: Chance) -> tuple[float, ...]:
@@ -181,16 +174,12 @@ def _branch_rows(
     by_pass = Ragged.from_rows([p.branches for p in passes])
     skewed = Ragged(by_pass.offsets, by_pass.values + chance.normal(half, len(by_pass.values)))
     rows = skewed.take(owner)
-    wrong = np.flatnonzero(chance.happens(faults.wrong_message_rate, len(owner)))
-    if len(wrong):
-        rows = _with_wrong_rows(rows, wrong, chance)
+    wrong = chance.happens(faults.wrong_message_rate, len(owner))
+    if wrong.any():
+        listed = [rows[i] for i in range(len(rows))]
+        for i in np.flatnonzero(wrong).tolist():
+            listed[i] = np.array(_altered(tuple(rows[i].tolist()), chance))
+        rows = Ragged.from_rows(listed)
     flat = rows.values + chance.normal(half, len(rows.values)) - theta[rows.owner]
     order = np.lexsort((chance.uniform(0.0, 1.0, len(flat)), rows.owner))
     return Ragged(rows.offsets, quantised(wrap(flat[order]), 16))
-
-
-def _with_wrong_rows(rows: Ragged, wrong: IntArray, chance: Chance) -> Ragged:
-    listed = [rows[i] for i in range(len(rows))]
-    for i in wrong.tolist():
-        listed[i] = np.array(_altered(tuple(rows[i].tolist()), chance))
-    return Ragged.from_rows(listed)

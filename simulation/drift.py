@@ -2,99 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
-from ..topology.errors import UsageError
 from ..topology.se2 import between, wrap
 from .chance import Chance, quantised
 from .motion import Drive
-
-
-@dataclass(frozen=True, slots=True)
-class Drift:
-    """The odometry's errors. Those named `_sigma` are drawn once per run."""
-
-    along_m_per_sqrt_m: float = 0.0
-    """Random walk of the position along the path; half as much across it."""
-    heading_deg_per_sqrt_m: float = 0.0
-    """Random walk of the heading with distance."""
-    heading_deg_per_sqrt_rad: float = 0.0
-    """Random walk of the heading with the angle turned."""
-    scale_sigma: float = 0.0
-    """Relative error of lengths."""
-    turn_scale_sigma: float = 0.0
-    """Relative error of turns."""
-    gyro_bias_deg_per_s_sigma: float = 0.0
-    """Constant rate error of the heading."""
-    heading_bias_deg_per_m: float = 0.0
-    """Systematic heading error with distance, in every run: 3 means 3° too little per metre."""
-    sideways_slip_m_per_rad: float = 0.0
-    """Unmeasured sideways motion, outwards in turns while driving."""
-    heading_jumps_per_100_m: float = 0.0
-    """Rate of sudden heading errors that the odometry does not report."""
-    heading_jump_deg: float = 20.0
-    """Standard deviation of such an error."""
-    resets_per_100_m: float = 0.0
-    """Rate of resets to zero, which break the track."""
-    jumps: int = 0
-    """Number of jumps of the odometry's frame, spread evenly over the path."""
-    jump_m: float = 0.5
-    jump_deg: float = 30.0
-    """Size of every such jump, in a random direction."""
-
-    def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            signed = field.name in ("heading_bias_deg_per_m", "sideways_slip_m_per_rad")
-            if not np.isfinite(value) or (value < 0 and not signed):
-                raise UsageError(f"drift: {field.name} cannot be {value}")
-
-
-DRIFTS: Mapping[str, Drift] = MappingProxyType(
-    {
-        "none": Drift(),
-        "low": Drift(
-            along_m_per_sqrt_m=0.005,
-            heading_deg_per_sqrt_m=0.2,
-            heading_deg_per_sqrt_rad=0.3,
-            scale_sigma=0.002,
-            turn_scale_sigma=0.001,
-        ),
-        "mid": Drift(
-            along_m_per_sqrt_m=0.01,
-            heading_deg_per_sqrt_m=0.5,
-            heading_deg_per_sqrt_rad=0.8,
-            scale_sigma=0.005,
-            turn_scale_sigma=0.004,
-            gyro_bias_deg_per_s_sigma=0.003,
-        ),
-        "high": Drift(
-            along_m_per_sqrt_m=0.02,
-            heading_deg_per_sqrt_m=1.0,
-            heading_deg_per_sqrt_rad=1.5,
-            scale_sigma=0.01,
-            turn_scale_sigma=0.008,
-            gyro_bias_deg_per_s_sigma=0.015,
-        ),
-        "real": Drift(
-            along_m_per_sqrt_m=0.02,
-            heading_deg_per_sqrt_m=1.0,
-            heading_deg_per_sqrt_rad=1.5,
-            scale_sigma=0.01,
-            turn_scale_sigma=0.01,
-            heading_bias_deg_per_m=1.5,
-            sideways_slip_m_per_rad=0.02,
-            heading_jumps_per_100_m=0.3,
-            heading_jump_deg=8.0,
-        ),
-    }
-)
-"""Levels by name; "real" resembles the robots of public data sets."""
+from .settings import Drift
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,23 +1,21 @@
-"""The simulated laser: scans of a world from the robot's true pose."""
+"""The simulated laser: scans of a world from the robot's true pose, with doors that open and close
+and people who walk."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from types import MappingProxyType
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ..topology.columns import take
-from ..topology.errors import UsageError
 from ..topology.frozen import freeze
 from ..topology.se2 import compose
 from .chance import Chance, quantised
 from .motion import Drive
-from .traffic import STEPS_ASIDE_M, Doors, People, hang_doors, walk_about
+from .settings import LaserSettings
 from .walls import Segments, doorways, walls_of
-from .world import World
+from .world import World, polyline_at
 
 SCANS_AT_ONCE = 8
 """Scans cast together; with more, the set of walls in reach of any of them grows."""
@@ -37,63 +35,53 @@ GRID_BITS = 8
 NOTHING = -1
 """Segment of a beam that hits none."""
 
+DOOR_STAYS_S = (20.0, 90.0)
+"""Range of the time between changes of a door."""
 
-@dataclass(frozen=True, slots=True)
-class LaserSettings:
-    """The laser, its mount, and doors, glass and people around it."""
+WAY_CLEAR_M = 1.2
+"""A door is open while the robot is within this distance, and for WAY_CLEAR_S before and after."""
 
-    beams: int = 180
-    view_deg: float = 270.0
-    """Angle between the first and the last beam, symmetric about the x axis."""
-    rate_hz: float = 5.0
-    sweep_s: float = 0.1
-    """Time between the first and the last beam of a scan, in which the robot moves on."""
-    range_min_m: float = 0.1
-    range_max_m: float = 12.0
-    noise_m: float = 0.015
-    """Standard deviation of ranges."""
-    lost_rate: float = 0.002
-    """Share of beams without an echo."""
-    mount: tuple[float, float, float] = (0.15, 0.0, 0.0)
-    """Pose of the laser on the robot: x, y [m], yaw [rad]."""
-    upside_down: bool = False
-    corridor_m: float = 1.4
-    """Width of all corridors."""
-    door_share: float = 0.06
-    """Share of corridor ends with a door that opens and closes."""
-    glass_share: float = 0.02
-    """Share of walls of glass, which reflect only near the normal."""
-    people_per_100_m: float = 0.7
-    """Number of people walking, by the total corridor length."""
+WAY_CLEAR_S = 6.0
+"""See WAY_CLEAR_M."""
 
-    def __post_init__(self) -> None:
-        if not 2 <= self.beams <= 100_000:
-            raise UsageError(f"laser: beams must lie in 2 … 100000, not {self.beams}")
-        for each in fields(self):
-            value = getattr(self, each.name)
-            if isinstance(value, float) and not (np.isfinite(value) and value >= 0):
-                raise UsageError(f"laser: {each.name} cannot be {value}")
-        if not 1 <= self.rate_hz <= 1000 or self.sweep_s * self.rate_hz > 1:
-            raise UsageError("laser: rate_hz must lie in 1 … 1000, and leave time for a sweep")
-        if not 0 < self.view_deg < 360 or not self.range_min_m < self.range_max_m:
-            raise UsageError("laser: view_deg must lie in 0 … 360, range_min_m below range_max_m")
-        if not 0.5 <= self.corridor_m <= 2.2:
-            raise UsageError(
-                f"laser: corridor_m must lie in 0.5 … 2.2, not {self.corridor_m}: corridors of "
-                "these worlds lie 2.5 m apart"
-            )
+WALKING_M_PER_S = (0.8, 1.5)
+"""Range of walking speeds."""
+
+ASIDE_M = 0.3
+"""People walk this far to the right of the corridor's centre line."""
+
+STEPS_ASIDE_M = 0.6
+"""People within this distance of the robot's centre are removed from its scan."""
+
+TICK_S = 0.25
+"""Time step of doors."""
 
 
-LASERS: Mapping[str, LaserSettings] = MappingProxyType(
-    {
-        "none": LaserSettings(door_share=0.0, glass_share=0.0, people_per_100_m=0.0, lost_rate=0.0),
-        "mild": LaserSettings(),
-        "harsh": LaserSettings(
-            noise_m=0.03, door_share=0.15, glass_share=0.06, people_per_100_m=2.0, lost_rate=0.01
-        ),
-    }
-)
-"""Levels by name, as those of faults."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Doors:
+    """Doors and when they are shut.
+
+    walls: (d,) segments; edge, vertex: (d,) the corridor and the end of it at which each is; door,
+    from_s, to_s: (k,) half-open intervals in which door `door` is shut.
+    """
+
+    walls: Segments
+    edge: IntArray
+    vertex: IntArray
+    door: IntArray
+    from_s: FloatArray
+    to_s: FloatArray
+
+    def shut(self, time_s: FloatArray) -> BoolArray:
+        """(n, d) which doors are shut at each time."""
+        out = np.zeros((len(time_s), len(self.walls)), np.bool_)
+        for door, from_s, to_s in zip(self.door, self.from_s, self.to_s, strict=True):
+            out[:, door] |= (time_s >= from_s) & (time_s < to_s)
+        return out
+
+
+People = list[tuple[FloatArray, FloatArray]]
+"""For each person ascending times (k,) [s] and the points (k, 2) at them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -232,7 +220,7 @@ def _lost_in_glass(
 
 def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray:
     """(n, p, 2) positions of people; those in the robot's way are moved out of reach."""
-    xy = people.at(time_s)
+    xy = positions(people, time_s)
     near = np.hypot(*np.moveaxis(xy - drive.at(time_s)[:, None, :2], -1, 0)) < STEPS_ASIDE_M
     xy[near] = 1e9
     return xy
@@ -289,3 +277,91 @@ def cast_at_circles(
     met = (half2 > 0) & (along > 0)
     way = np.where(met, along - np.sqrt(np.where(met, half2, 0.0)), np.inf)
     return np.asarray(np.where(way > 0, way, np.inf).min(axis=1))
+
+
+def hang_doors(
+    hinges: tuple[Segments, IntArray, IntArray],
+    drive: Drive,
+    closed: set[int],
+    share: float,
+    chance: Chance,
+) -> Doors:
+    """Doors at a random share of the possible places, with the times when they are shut.
+
+    hinges: as returned by `walls.doorways`. Corridors `closed` for the run have permanently shut
+    doors at both ends; others open and shut at random, never in the robot's way.
+    """
+    places, edge, vertex = hinges
+    always = np.isin(edge, sorted(closed))
+    used = np.flatnonzero(always | chance.happens(share, len(edge)))
+    end_s = float(drive.time_s[-1]) + 1.0
+    robot = drive.at(np.arange(0.0, end_s, TICK_S))[:, :2]
+    spans = []
+    for number, place in enumerate(used.tolist()):
+        if always[place]:
+            spans.append((number, 0.0, end_s))
+            continue
+        middle = 0.5 * (places.a[place] + places.b[place])
+        passing = np.hypot(*(robot - middle).T) < WAY_CLEAR_M
+        spans += [(number, *span) for span in _shut_spans(passing, end_s, chance)]
+    door, from_s, to_s = np.array(spans, np.float64).reshape(-1, 3).T
+    return Doors(
+        Segments(places.a[used], places.b[used]),
+        edge[used],
+        vertex[used],
+        door.astype(np.int64),
+        quantised(from_s, 10),
+        quantised(to_s, 10),
+    )
+
+
+def _shut_spans(passing: BoolArray, end_s: float, chance: Chance) -> list[tuple[float, float]]:
+    """Intervals in which a door is shut; passing: for every tick whether the robot is near."""
+    stays = chance.uniform(*DOOR_STAYS_S, int(end_s / DOOR_STAYS_S[0]) + 2)
+    turns = np.concatenate([[0.0], np.cumsum(stays)])
+    ticks = TICK_S * np.arange(len(passing))
+    first = int(chance.one_happens(0.5))
+    shut = np.searchsorted(turns, ticks, side="right") % 2 == first
+    near = int(WAY_CLEAR_S / TICK_S)
+    shut &= np.convolve(passing, np.ones(2 * near + 1), mode="same") == 0
+    change = np.diff(np.concatenate([[False], shut, [False]]).astype(np.int8))
+    begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+    return [(TICK_S * b, TICK_S * e) for b, e in zip(begins.tolist(), ends.tolist(), strict=True)]
+
+
+def walk_about(world: World, closed: set[int], count: int, end_s: float, chance: Chance) -> People:
+    """`count` people on random walks from junction to junction, each with a speed of its own."""
+    return [_wander(world, closed, end_s, chance) for _ in range(count)]
+
+
+def positions(people: People, time_s: FloatArray) -> FloatArray:
+    """(n, p, 2) where people are at each time, interpolated linearly."""
+    out = np.empty((len(time_s), len(people), 2))
+    for p, (times, points) in enumerate(people):
+        for axis in (0, 1):
+            out[:, p, axis] = np.interp(time_s, times, points[:, axis])
+    return quantised(out, 20)
+
+
+def _wander(
+    world: World, closed: set[int], end_s: float, chance: Chance
+) -> tuple[FloatArray, FloatArray]:
+    here, came_by = chance.index(len(world)), -1
+    speed = chance.one_uniform(*WALKING_M_PER_S)
+    time_s, points, now = [], [], 0.0
+    while now <= end_s:
+        open_ends = [(e, v) for e, v, _ in world.ends(here) if e not in closed]
+        onwards = [end for end in open_ends if end[0] != came_by] or open_ends
+        if not onwards:
+            return np.zeros(1), world.xy[here : here + 1]
+        edge, there = onwards[chance.index(len(onwards))]
+        path, length = world.path_from(edge, here), float(world.length[edge])
+        way = np.linspace(0.0, length, max(2, int(length / 0.5)))
+        middle = polyline_at(path, way)
+        step = np.diff(middle, axis=0, append=2 * middle[-1:] - middle[-2:-1])
+        right = np.column_stack([step[:, 1], -step[:, 0]]) / np.hypot(*step.T)[:, None]
+        time_s.append(now + way / speed)
+        points.append(middle + ASIDE_M * right)
+        now += length / speed + 1e-3
+        here, came_by = there, edge
+    return np.concatenate(time_s), np.concatenate(points)

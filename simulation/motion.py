@@ -7,37 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
-from ..topology.errors import UsageError
 from ..topology.polyline import way_of
 from ..topology.se2 import wrap
 from .chance import Chance, quantised
+from .settings import MotionSettings
 from .walk import Leg
 from .world import World, polyline_at, polyline_length
 
 STEP_M = 0.05
 """Spacing of the planned path's points."""
-
-
-@dataclass(frozen=True, slots=True)
-class MotionSettings:
-    """The robot's speeds, and its deviation from the corridors' centre lines."""
-
-    slowest_m_per_s: float = 0.6
-    fastest_m_per_s: float = 1.0
-    """The cruising speed is drawn once per run between slowest and fastest."""
-    turn_rate_rad_per_s: float = 1.0
-    wobble_m: float = 0.05
-    """Deviation from the centre line, standard deviation per axis."""
-    corner_m: float = 0.2
-    """Corner cutting: standard deviation of the Gaussian smoothing along the path."""
-    stop_rate: float = 0.03
-    """Probability of standing still for 2 to 8 s at a junction."""
-
-    def __post_init__(self) -> None:
-        if not 0 < self.slowest_m_per_s <= self.fastest_m_per_s:
-            raise UsageError("speeds must be positive, the slowest not above the fastest")
-        if not self.turn_rate_rad_per_s > 0:
-            raise UsageError("turn_rate_rad_per_s must be positive")
 
 
 @dataclass(frozen=True, slots=True, eq=False)

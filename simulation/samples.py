@@ -10,10 +10,8 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-from .laser import LaserSettings
-from .motion import MotionSettings
-from .scenario import Scenario, ScenarioSettings, joined, simulate_scenario
-from .walk import WalkSettings
+from .scenario import Scenario, joined, simulate_scenario
+from .settings import LaserSettings, MotionSettings, ScenarioSettings, WalkSettings
 from .writing import write_scenario
 
 BRISK = MotionSettings(

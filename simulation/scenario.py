@@ -7,109 +7,34 @@ scenario.truth            # what really happened
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
-from typing import Any, TypeVar
+from collections.abc import Mapping, Sequence, Set
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
+from ..topology.connected import connected
 from ..topology.errors import UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
 from ..topology.se2 import compose, inverse, wrap
 from .chance import Chance
 from .detector import sightings
-from .drift import DRIFTS, Drift, measured
-from .faults import FAULTS, Faults
-from .laser import LASERS, LaserSettings, Scans, scans
-from .motion import MotionSettings, drive
+from .drift import measured
+from .laser import Scans, scans
+from .motion import drive
 from .regions import chain_of_regions
-from .truth import RunTruth, Truth
-from .walk import Leg, WalkSettings, explore
+from .settings import RunSettings, ScenarioSettings
+from .truth import RunTruth, Truth, WorldChange
+from .walk import Leg, explore
 from .world import World
-from .worlds import WORLDS, make_world
+from .worlds import make_world
 
 EPOCH_NS = 1_700_000_000 * 10**9
 """Start of the first run: November 2023."""
 BETWEEN_RUNS_NS = 7200 * 10**9
 """Time from one run's start to the next one's: two hours."""
-Level = TypeVar("Level", Drift, Faults, LaserSettings)
-
-
-LEVELS: Mapping[str, Mapping[str, Any]] = {"drift": DRIFTS, "faults": FAULTS, "laser": LASERS}
-"""Levels that settings may name."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunSettings:
-    """How a run is driven and recorded. Raises UsageError on invalid values."""
-
-    drift: str | Drift = "mid"
-    """A level (none, low, mid, high, real) or a Drift."""
-    faults: str | Faults = "mild"
-    """A level (none, mild, harsh) or a Faults."""
-    walk: WalkSettings = field(default_factory=WalkSettings)
-    motion: MotionSettings = field(default_factory=MotionSettings)
-    odometry_hz: float = 20.0
-    detector_hz: float = 7.0
-    laser: str | LaserSettings | None = None
-    """A level (none, mild, harsh) or a LaserSettings; None for no laser."""
-    tells_junctions: bool = True
-    """Whether the log holds the detector's messages."""
-
-    def __post_init__(self) -> None:
-        for name, known in LEVELS.items():
-            value = getattr(self, name)
-            if isinstance(value, str):
-                _one_of(name, value, known)
-        for name in ("odometry_hz", "detector_hz"):
-            _check_range(self, name, 1, 1000)
-
-
-@dataclass(frozen=True, slots=True)
-class ScenarioSettings(RunSettings):
-    """What to simulate: a world, and runs with common settings. Raises UsageError on invalid
-    values."""
-
-    world: str = "maze"
-    """Kind of world: maze, office, organic, city, rows or tiles."""
-    runs: int = 3
-    overlap: float = 0.4
-    """Share of a run's junctions that the run before it also visits, 0 … 0.9."""
-    junctions_per_run: int = 50
-    unrelated_runs: int = 0
-    """Further runs, each in a world of its own."""
-    world_junctions: int | None = None
-    """Size of the world; by default as large as the runs need."""
-    prefix: str = "run"
-    """Prefix of the runs' names, before a number."""
-    seed: int = 0
-    """Seed of the world, the paths and the errors."""
-
-    def __post_init__(self) -> None:
-        RunSettings.__post_init__(self)
-        _one_of("world", self.world, WORLDS)
-        _check_range(self, "runs", 1, 10_000)
-        _check_range(self, "unrelated_runs", 0, 10_000)
-        _check_range(self, "junctions_per_run", 5, 100_000)
-        if self.world_junctions is not None:
-            _check_range(self, "world_junctions", 5, 1_000_000)
-        _check_range(self, "overlap", 0.0, 0.9)
-        _check_range(self, "seed", 0, 2**63 - 1)
-        if not self.prefix or "/" in self.prefix or self.prefix.startswith("."):
-            raise UsageError(f"prefix {self.prefix!r} cannot begin the name of a file")
-
-
-def _check_range(settings: RunSettings, name: str, least: float, most: float) -> None:
-    value = getattr(settings, name)
-    if not least <= value <= most:
-        raise UsageError(f"{name} must lie in {least} … {most}, not {value}")
-
-
-def _one_of(name: str, value: str, known: Mapping[str, Any]) -> None:
-    if value not in known:
-        raise UsageError(f"no {name} {value!r}: choose one of {', '.join(known)}")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,10 +56,11 @@ class SimulatedRun:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scenario:
-    """Simulated runs, sorted by name, and the worlds they were driven in."""
+    """Simulated runs, sorted by name, the worlds they were driven in, and what changed there."""
 
     simulated: tuple[SimulatedRun, ...]
     worlds: Mapping[str, World]
+    changes: tuple[WorldChange, ...] = ()
 
     @property
     def runs(self) -> dict[str, Run]:
@@ -144,7 +70,7 @@ class Scenario:
     @property
     def truth(self) -> Truth:
         """The truth about all runs."""
-        return Truth(self.worlds, {s.run.name: s.truth for s in self.simulated})
+        return Truth(self.worlds, {s.run.name: s.truth for s in self.simulated}, self.changes)
 
 
 def joined(*scenarios: Scenario) -> Scenario:
@@ -155,14 +81,15 @@ def joined(*scenarios: Scenario) -> Scenario:
         raise UsageError("two scenarios have runs of the same name: give them another prefix")
     if len(worlds) < sum(len(scenario.worlds) for scenario in scenarios):
         raise UsageError("two scenarios have worlds of the same name: give them another prefix")
-    return Scenario(tuple(sorted(simulated, key=lambda s: s.run.name)), worlds)
+    changes = tuple(change for scenario in scenarios for change in scenario.changes)
+    return Scenario(tuple(sorted(simulated, key=lambda s: s.run.name)), worlds, changes)
 
 
 def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
     """The runs that the settings describe; deterministic on any machine.
 
     The runs' names are in random order, so that they do not tell which runs overlap. Raises
-    UsageError if no world has room for them.
+    UsageError if no world has room for them, or too few corridors can close or open.
     """
     s = settings or ScenarioSettings()
     world, regions = _world_with_regions(s)
@@ -170,14 +97,21 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
     worlds = {f"{stem}-world": world}
     plan = [(f"{stem}-world", region) for region in regions]
     for k in range(s.unrelated_runs):
-        alone = replace(s, runs=1, world_junctions=None, seed=0)
-        other, parts = _world_with_regions(alone, Chance("elsewhere", s.seed, k).index(2**31))
+        seed = Chance("elsewhere", s.seed, k).index(2**31)
+        other, parts = _world_with_regions(replace(s, runs=1, seed=seed))
         worlds[f"{stem}-other{k + 1}"] = other
         plan.append((f"{stem}-other{k + 1}", parts[0]))
     digits = len(str(len(plan)))
+    order = Chance("names", s.seed).order(len(plan)).tolist()
+    between_ns = BETWEEN_RUNS_NS
+    if s.days is not None:
+        between_ns = round(s.days * 86_400 / max(len(plan) - 1, 1)) * 10**9
+    start_ns = [EPOCH_NS + (order.index(k) + 1) * between_ns for k in range(len(plan))]
+    changes = _changes(world, f"{stem}-world", regions, start_ns, s)
     simulated = []
-    for number, place in enumerate(Chance("names", s.seed).order(len(plan)).tolist(), 1):
+    for number, place in enumerate(order, 1):
         where, region = plan[place]
+        changed = changes if place < len(regions) else ()
         simulated.append(
             simulate_run(
                 worlds[where],
@@ -186,30 +120,62 @@ def simulate_scenario(settings: ScenarioSettings | None = None) -> Scenario:
                 name=f"{s.prefix}{number:0{digits}d}",
                 seed=Chance("run", s.seed, place).index(2**31),
                 world_name=where,
-                start_ns=EPOCH_NS + number * BETWEEN_RUNS_NS,
+                start_ns=start_ns[place],
+                shut={c.edge for c in changed if c.open == (start_ns[place] < c.time_ns)},
             )
         )
-    return Scenario(tuple(simulated), worlds)
+    return Scenario(tuple(simulated), worlds, changes)
 
 
-def _world_with_regions(
-    s: ScenarioSettings, seed: int | None = None
-) -> tuple[World, list[set[int]]]:
+def _changes(
+    world: World, name: str, regions: list[set[int]], start_ns: list[int], s: ScenarioSettings
+) -> tuple[WorldChange, ...]:
+    """Corridors that close or open between two runs whose regions hold them, by time.
+
+    Every region stays connected without all of them. UsageError if there are too few.
+    """
+    chance, out, gone = Chance("changes", s.seed), list[WorldChange](), set[int]()
+    for edge in chance.order(len(world.source)).tolist():
+        if len(out) == s.changes:
+            break
+        ends = {int(world.source[edge]), int(world.target[edge])}
+        holders = [k for k, region in enumerate(regions) if ends <= region]
+        starts = [start_ns[k] for k in holders]
+        without = gone | {edge}
+        if len(starts) > 1 and all(_connected(world, regions[k], without) for k in holders):
+            time_s = chance.one_uniform(min(starts) / 1e9 + 1, max(starts) / 1e9)
+            out.append(WorldChange(name, edge, int(time_s) * 10**9, chance.one_happens(0.5)))
+            gone = without
+    if len(out) < s.changes:
+        raise UsageError(
+            f"only {len(out)} corridors that two runs pass can close: ask for fewer changes, or "
+            "for more overlap"
+        )
+    return tuple(sorted(out, key=lambda change: change.time_ns))
+
+
+def _connected(world: World, region: set[int], without: set[int]) -> bool:
+    """Whether a region is connected without some corridors."""
+    inside = sorted(region)
+    own = np.isin(world.source, inside) & np.isin(world.target, inside)
+    own[sorted(without)] = False
+    part = connected(world.source[own], world.target[own], len(world))[inside]
+    return bool(np.all(part == part[0]))
+
+
+def _world_with_regions(s: ScenarioSettings) -> tuple[World, list[set[int]]]:
     """A world and the region of each run; larger worlds are tried until the regions fit."""
-    world_seed = s.seed if seed is None else seed
-    size, chance = s.junctions_per_run, Chance("regions", world_seed)
+    size, chance = s.junctions_per_run, Chance("regions", s.seed)
     wanted = size * (1 + (s.runs - 1) * (1 - s.overlap))
-    asked = [s.world_junctions] if s.world_junctions else [wanted * f for f in (1.15, 1.4, 1.8)]
-    for junctions in asked:
+    for room in (1.15, 1.4, 1.8):
         aspect = max(1.0, 0.8 * wanted / size)
-        world = make_world(s.world, round(junctions), world_seed, aspect)
+        world = make_world(s.world, round(wanted * room), s.seed, aspect)
         regions = chain_of_regions(world, s.runs, size, s.overlap, chance)
         if len(regions) == s.runs and min(len(r) for r in regions) >= 0.9 * size:
             return world, regions
-    larger = ", or a larger world" if s.world_junctions else ""
     raise UsageError(
         f"no room for {s.runs} runs of {size} junctions in a world of {len(world)} junctions: "
-        f"ask for fewer or smaller runs{larger}"
+        "ask for fewer or smaller runs"
     )
 
 
@@ -223,21 +189,21 @@ def simulate_run(
     world_name: str | None = None,
     start_ns: int = EPOCH_NS,
     route: Sequence[Leg] | None = None,
+    shut: Set[int] = frozenset(),
 ) -> SimulatedRun:
     """One robot explores a connected region of a world (by default all of it) and records a run;
-    with a route it drives that instead.
+    with a route it drives that instead. Corridors that are `shut` are closed during it.
 
     O(path length), vectorised: about 50 ms for 100 junctions. Raises UsageError if the region has
     no corridor.
     """
     s = settings or RunSettings()
-    drift, faults = _level(DRIFTS, s.drift), _level(FAULTS, s.faults)
-    laser = None if s.laser is None else _level(LASERS, s.laser)
+    drift, faults, laser = s.values()
     inside = set(range(len(world))) if region is None else region
     if route is None:
-        legs, closed = explore(world, inside, s.walk, faults, Chance("walk", seed))
+        legs, closed = explore(world, inside, s.walk, faults, Chance("walk", seed), shut=shut)
     else:
-        legs, closed = list(route), set()
+        legs, closed = list(route), set(shut)
     if not legs:
         raise UsageError(f"{name}: the region of {len(inside)} junctions has no corridor to drive")
     driven = drive(world, legs, s.motion, Chance("motion", seed))
@@ -272,7 +238,7 @@ def simulate_run(
         break_ns=tuple(odometry.time_ns[track.breaks].tolist()),
         jump_ns=tuple(odometry.time_ns[track.jumps].tolist()),
         doors=_shut(seen_by_laser, stamps),
-        settings={"seed": seed, **_told(s, drift, faults, laser)},
+        settings={"seed": seed, **s.recorded()},
     )
     return SimulatedRun(
         Run(name, odometry, detections),
@@ -282,21 +248,6 @@ def simulate_run(
         stamps(seen_by_laser.time_s if seen_by_laser else np.zeros(0)),
         s.tells_junctions,
     )
-
-
-def _level(known: Mapping[str, Level], value: str | Level) -> Level:
-    return known[value] if isinstance(value, str) else value
-
-
-def _told(
-    settings: RunSettings, drift: Drift, faults: Faults, laser: LaserSettings | None
-) -> dict[str, Any]:
-    """The run's settings for the truth, with levels replaced by their values."""
-    by_name = {f.name: getattr(settings, f.name) for f in fields(RunSettings)}
-    told = asdict(RunSettings(**by_name | {"drift": drift, "faults": faults, "laser": laser}))
-    if laser is None:
-        del told["laser"], told["tells_junctions"]
-    return told
 
 
 def _shut(scans: Scans | None, stamps: Any) -> tuple[tuple[int, int, int, int], ...]:

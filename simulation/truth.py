@@ -13,20 +13,22 @@
                        "doors": [[edge, vertex, from_ns, to_ns], …],
                        "path": [[time_ns, x, y, theta], …],
                        "settings": {…}}},
+     "changes": [{"world": "maze", "edge": 7, "time_ns": …, "open": false}],
      "pairs": [{"a": "run1", "b": "run2", "common": [vertex, …], "transform": [x, y, theta]}]}
 
 Metres and radians in the world's frame. Vertices and edges are indices into their world's lists.
 `vertex` is -1 for a phantom; a pass with 0 messages was not detected. Times of passes are detector
 stamps, those of `path`, `drives` and `doors` true times; `doors` are the intervals in which they
-were shut, left out without a laser. `T_world_odom` is the odometry frame's pose by the run's first
-pose, without drift. `transform` is T_a_b by these poses; it and `common` (vertices that both runs
-detected) are given for every pair of runs of one world.
+were shut, left out without a laser. `closed_edges` are the corridors closed during a run; `changes`
+those that closed or opened for good between runs, left out without any. `T_world_odom` is the
+odometry frame's pose by the run's first pose, without drift. `transform` is T_a_b by these poses;
+it and `common` (vertices that both runs detected) are given for every pair of runs of one world.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -85,12 +87,23 @@ class RunTruth:
         return set(self.vertex[self.messages > 0].tolist()) - {NO_VERTEX}
 
 
+@dataclass(frozen=True, slots=True)
+class WorldChange:
+    """A corridor of a world that closed, or opened, and stays so."""
+
+    world: str
+    edge: int
+    time_ns: int
+    open: bool
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Truth:
-    """The worlds and the truth of the runs of a scenario, by name."""
+    """The worlds and the truth of the runs of a scenario, by name; changes by time."""
 
     worlds: Mapping[str, World]
     runs: Mapping[str, RunTruth]
+    changes: tuple[WorldChange, ...] = ()
 
     def common(self, a: str, b: str) -> list[int]:
         """World vertices that both runs detected, ascending; none if the worlds differ."""
@@ -191,21 +204,6 @@ def _common_nodes(truth: Truth, map_a: TopoMap, map_b: TopoMap) -> tuple[IntArra
     return in_a, in_b
 
 
-def truth_to_document(truth: Truth) -> dict[str, Any]:
-    """The dict of `truth.json`; inverse of `truth_from_document`."""
-    pairs = []
-    for a, b in combinations(sorted(truth.runs), 2):
-        if truth.runs[a].world == truth.runs[b].world:
-            transform = _rounded(truth_transform(truth, a, b), 6)
-            pairs.append({"a": a, "b": b, "common": truth.common(a, b), "transform": transform})
-    return {
-        "schema": TRUTH_SCHEMA,
-        "worlds": {name: _world_to_document(w) for name, w in truth.worlds.items()},
-        "runs": {name: _run_to_document(truth.runs[name]) for name in sorted(truth.runs)},
-        "pairs": pairs,
-    }
-
-
 def _rounded(values: Any, decimals: int) -> Any:
     return (np.round(np.asarray(values, np.float64), decimals) + 0.0).tolist()
 
@@ -244,18 +242,6 @@ def _run_to_document(run: RunTruth) -> dict[str, Any]:
     }
 
 
-def truth_from_document(doc: Any, name: str = "truth") -> Truth:
-    """The truth that a parsed document describes; DocumentError if it is no such document."""
-    if not isinstance(doc, dict) or doc.get("schema") != TRUTH_SCHEMA:
-        raise DocumentError(f"{name}: is not a document of schema {TRUTH_SCHEMA}")
-    try:
-        worlds = {key: _world_from_document(key, w) for key, w in doc["worlds"].items()}
-        runs = {key: _run_from_document(key, r) for key, r in doc["runs"].items()}
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
-        raise DocumentError(f"{name}: {type(error).__name__}: {error}") from error
-    return Truth(worlds, runs)
-
-
 def _world_from_document(name: str, doc: Any) -> World:
     edges = doc["edges"]
     return World(
@@ -288,9 +274,30 @@ def _run_from_document(name: str, doc: Any) -> RunTruth:
 
 def read_truth(path: Path) -> Truth:
     """The truth of a `truth.json`; DocumentError if it cannot be read or is no such document."""
-    return truth_from_document(read_json(path), str(path))
+    doc = read_json(path)
+    if not isinstance(doc, dict) or doc.get("schema") != TRUTH_SCHEMA:
+        raise DocumentError(f"{path}: is not a document of schema {TRUTH_SCHEMA}")
+    try:
+        worlds = {key: _world_from_document(key, w) for key, w in doc["worlds"].items()}
+        runs = {key: _run_from_document(key, r) for key, r in doc["runs"].items()}
+        changes = tuple(WorldChange(**change) for change in doc.get("changes", ()))
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError) as error:
+        raise DocumentError(f"{path}: {type(error).__name__}: {error}") from error
+    return Truth(worlds, runs, changes)
 
 
 def write_truth(path: Path, truth: Truth) -> None:
     """Write `truth.json`."""
-    write_json(path, truth_to_document(truth))
+    pairs = []
+    for a, b in combinations(sorted(truth.runs), 2):
+        if truth.runs[a].world == truth.runs[b].world:
+            transform = _rounded(truth_transform(truth, a, b), 6)
+            pairs.append({"a": a, "b": b, "common": truth.common(a, b), "transform": transform})
+    document = {
+        "schema": TRUTH_SCHEMA,
+        "worlds": {name: _world_to_document(w) for name, w in truth.worlds.items()},
+        "runs": {name: _run_to_document(truth.runs[name]) for name in sorted(truth.runs)},
+        **({"changes": [asdict(c) for c in truth.changes]} if truth.changes else {}),
+        "pairs": pairs,
+    }
+    write_json(path, document)

@@ -3,36 +3,16 @@
 from __future__ import annotations
 
 import heapq
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
-from ..topology.errors import UsageError
 from ..topology.se2 import wrap
 from .chance import Chance
-from .faults import Faults
+from .settings import Faults, WalkSettings
 from .world import World
-
-
-@dataclass(frozen=True, slots=True)
-class WalkSettings:
-    """How thoroughly a robot explores its region."""
-
-    coverage: float = 0.97
-    """Stop when this share of the region's corridors was driven."""
-    revisit_share: float = 0.15
-    """After exploring, drive to known places for this share of the distance so far, which closes
-    more loops."""
-    detour_rate: float = 0.03
-    """Probability before each step of going to a random known place."""
-
-    def __post_init__(self) -> None:
-        for name in ("coverage", "detour_rate"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise UsageError(f"{name} is a share, from 0 to 1, not {getattr(self, name)}")
-        if not 0 <= self.revisit_share <= 100:
-            raise UsageError(f"revisit_share must lie in 0 … 100, not {self.revisit_share}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,9 +27,16 @@ class Leg:
 
 
 def explore(
-    world: World, region: set[int], settings: WalkSettings, faults: Faults, chance: Chance
+    world: World,
+    region: set[int],
+    settings: WalkSettings,
+    faults: Faults,
+    chance: Chance,
+    *,
+    shut: Set[int] = frozenset(),
 ) -> tuple[list[Leg], set[int]]:
-    """The legs of one run inside a connected region, and the corridors closed during it.
+    """The legs of one run inside a connected region, and the corridors closed during it: those
+    `shut`, and some at random.
 
     Where the robot is it takes an undriven corridor, preferably ahead; else it drives the shortest
     known path to the nearest place that has one.
@@ -57,9 +44,9 @@ def explore(
     inside = [
         e
         for e, (u, v) in enumerate(zip(world.source.tolist(), world.target.tolist(), strict=True))
-        if u in region and v in region
+        if u in region and v in region and e not in shut
     ]
-    closed = _closed(world, inside, faults.closed_share, chance)
+    closed = _closed(world, inside, faults.closed_share, chance) | shut
     open_edges = set(inside) - closed
     starts = sorted({int(end[e]) for e in open_edges for end in (world.source, world.target)})
     if not starts:

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
+from ..topology.polyline import densely
 from ..topology.se2 import wrap
 from .world import World, polyline_at
 
@@ -57,14 +58,9 @@ def walls_of(world: World, corridor_m: float) -> Segments:
     part. O(n log n)."""
     half = 0.5 * corridor_m
     parts = free_space(world, corridor_m)
-    rooms = parts[: len(world)]
-    sides = [
-        step
-        for path in world.paths
-        for side in _offset(_simplified(path), half)
-        for step in _steps(side)
-    ]
-    edges = np.array([*sides, *(step for room in rooms for step in _steps(_ring(room)))])
+    sides = [side for path in world.paths for side in _offset(_simplified(path), half)]
+    rings = [np.concatenate([room, room[:1]]) for room in parts[: len(world)]]
+    edges = np.concatenate([_steps(line) for line in (*sides, *rings)])
     inside = _HalfPlanes.of(parts)
     left_over = [_outside(start, end, inside) for start, end in edges]
     a, b = np.concatenate(left_over).transpose(1, 0, 2)
@@ -152,13 +148,9 @@ def _offset(path: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:
     return path + across, path - across
 
 
-def _ring(polygon: FloatArray) -> FloatArray:
-    return np.concatenate([polygon, polygon[:1]])
-
-
-def _steps(line: FloatArray) -> list[FloatArray]:
-    """The segments of a polyline, (2, 2) each."""
-    return [line[k : k + 2] for k in range(len(line) - 1)]
+def _steps(line: FloatArray) -> FloatArray:
+    """(k - 1, 2, 2) the segments of a polyline."""
+    return np.stack([line[:-1], line[1:]], axis=1)
 
 
 def _left_of(step: FloatArray) -> FloatArray:
@@ -187,7 +179,7 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     """Half the side of a room at a dead end that meets no other room or corridor."""
     here = world.xy[vertex]
     others = [
-        float(np.min(np.hypot(*(polyline_at(path, _spaced(path)) - here).T)))
+        float(np.min(np.hypot(*(densely(path, 0.5) - here).T)))
         for edge, path in enumerate(world.paths)
         if vertex not in (world.source[edge], world.target[edge])
     ]
@@ -198,11 +190,6 @@ def _room_for(world: World, vertex: int, half: float) -> float:
     to_room = 0.5 * (float(away.min(initial=np.inf)) - THINNEST_WALL_M)
     # By its corners, which are √2 times as far out as its walls.
     return min(LARGEST_ROOM_M, float(min(to_corridor, to_room) / np.sqrt(2)))
-
-
-def _spaced(path: FloatArray) -> FloatArray:
-    way = float(np.sum(np.hypot(*np.diff(path, axis=0).T)))
-    return np.linspace(0.0, way, int(way / 0.5) + 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

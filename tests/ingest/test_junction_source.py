@@ -27,6 +27,7 @@ from topobatch.simulation import (
     write_run,
 )
 from topobatch.topology.errors import DataError, LogError, UsageError
+from topobatch.topology.run import Run
 
 ODOM = ("/odom", "nav_msgs/msg/Odometry")
 SEEN = ("/junctions", "geometry_msgs/msg/PoseArray")
@@ -113,6 +114,12 @@ def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_run(tmp_path_factory.mktemp("both"), scenario().simulated[0])
 
 
+@pytest.fixture(scope="module")
+def straight(both: Path) -> Run:
+    """Its run from the scans."""
+    return read_run(both, ReadSettings(junctions_from="scan"))
+
+
 def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
     run = read_run(both)
     assert len(run.detections) > 0
@@ -123,8 +130,8 @@ def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
     assert uses["/scan"] == ("scans", "not used; --junctions-from scan finds junctions in it")
 
 
-def test_scans_become_a_map(both: Path) -> None:
-    run = read_run(both, ReadSettings(junctions_from="scan"))
+def test_scans_become_a_map(straight: Run) -> None:
+    run = straight
     assert run.scanned is not None
     assert len(run.detections) == 0
     told = run.source["junctions"]
@@ -180,7 +187,7 @@ def test_a_mounting_that_nobody_tells_is_assumed_and_said(
 
 
 def test_a_laser_that_looks_aside_is_found_to(
-    both: Path, sensors: ModuleType, tmp_path: Path
+    both: Path, straight: Run, sensors: ModuleType, tmp_path: Path
 ) -> None:
     """Without its transform, and turned by a right angle."""
     from rosbags.typesys import Stores, get_typestore
@@ -204,7 +211,6 @@ def test_a_laser_that_looks_aside_is_found_to(
     assert "--laser-pose" in told
     assert run.source["junctions"]["covered"] > 0.9
     assert run.source["junctions"]["drift_after_m"] < 0.2
-    straight = read_run(both, ReadSettings(junctions_from="scan"))
     assert run.scanned is not None
     assert straight.scanned is not None
     assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
@@ -212,7 +218,7 @@ def test_a_laser_that_looks_aside_is_found_to(
 
 @pytest.mark.parametrize("placed", [False, True])
 def test_a_laser_upside_down_is_found_to_be(
-    both: Path, sensors: ModuleType, tmp_path: Path, placed: bool
+    both: Path, straight: Run, sensors: ModuleType, tmp_path: Path, placed: bool
 ) -> None:
     """Without its transform, or with one that says that it is upright."""
 
@@ -232,7 +238,6 @@ def test_a_laser_upside_down_is_found_to_be(
     assert len(assumed) == (0 if placed else 1)
     assert "against the odometry" in told
     assert "upside down" in told
-    straight = read_run(both, ReadSettings(junctions_from="scan"))
     assert run.source["junctions"]["drift_after_m"] < 0.2
     assert run.scanned is not None
     assert straight.scanned is not None
@@ -240,7 +245,7 @@ def test_a_laser_upside_down_is_found_to_be(
 
 
 def test_scans_that_are_stamped_late_are_found_to_be(
-    both: Path, sensors: ModuleType, tmp_path: Path
+    both: Path, straight: Run, sensors: ModuleType, tmp_path: Path
 ) -> None:
     def late(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
         if topic == "/scan":
@@ -256,7 +261,6 @@ def test_scans_that_are_stamped_late_are_found_to_be(
     found = re.fullmatch(r".* does, (.*) s late: the odometry was taken by the scans' clock", told)
     assert found is not None
     assert float(found[1]) == pytest.approx(0.4, abs=0.05)
-    straight = read_run(both, settings)
     assert run.scanned is not None
     assert straight.scanned is not None
     ours, true = run.scanned.passes, straight.scanned.passes

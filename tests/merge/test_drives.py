@@ -85,7 +85,8 @@ COMMON = [(8, 0), (9, 1), (10, 2), (11, 3)]
 
 def test_one_drive_passes_enough_of_both() -> None:
     first, *rest = drives(merge_of({"a": A, "b": B}, [open_pair(COMMON)]))
-    need = 5 + DRIVES.spare_junctions  # 12.5 bits, 2.5 a junction
+    # 9 bits of 4 junctions are 2.25 for each; 12.5 bits are needed.
+    need = 6 + DRIVES.spare_junctions
     assert (first.site, first.onto, first.pairs) == ("a", "b", (("a", "b"),))
     here = [s.junction for s in first.stops if s.site == "a"]
     there = [s.junction for s in first.stops if s.site == "b"]
@@ -95,14 +96,22 @@ def test_one_drive_passes_enough_of_both() -> None:
     assert first.known_m == pytest.approx(STEP * (need - 1))
     # The other's part lies where the placement has it: straight on.
     assert first.path[-1] == pytest.approx([STEP * (12 + need - 4 - 1), 0.0], abs=1e-6)
-    # 9 bits of 4 junctions are 2.25 for each of the other site's.
     assert first.bits == pytest.approx(2.25 * need * 2**9 / (2**9 + 1))
     assert [d.onto for d in rest] == [None, None]
     assert first.bits_per_m > rest[0].bits_per_m
     where, settles = first.words
-    assert where == f"{first.length_m:.0f} m in a, from junction 4 towards 5"
+    assert where == f"{first.length_m:.0f} m in a, from junction 3 towards 4"
     assert settles == "joins a and b, 1 pair, if they are one place"
-    assert first.way.endswith("11, b:16, b:17, b:18, b:19")
+    assert first.way.endswith("11, b:16, b:17, b:18, b:19, b:20")
+
+
+def test_a_building_that_repeats_itself_needs_a_longer_drive() -> None:
+    pair = open_pair(COMMON, extra={"same_place_bits": 5.0})
+    first = drives(merge_of({"a": A, "b": B}, [pair]))[0]
+    need = 10 + DRIVES.spare_junctions  # 5 bits of 4 junctions say that it is no copy
+    assert len({s.junction for s in first.stops if s.site == "a"}) == 12 < need
+    assert sum(s.site == "b" for s in first.stops) == 8
+    assert first.bits < 1.25 * 12
 
 
 def test_a_placement_with_a_rival_is_worth_less() -> None:
@@ -131,7 +140,7 @@ def test_into_the_unknown_from_what_is_known() -> None:
     assert found.heading_rad is not None
     assert abs(np.exp(1j * found.heading_rad) - 1j) < 1.5  # no way back along the corridor
     assert "by the branch never driven" in found.way
-    assert found.length_m == pytest.approx(found.known_m + need * STEP)
+    assert found.length_m == pytest.approx(found.known_m + DRIVES.beyond * need * STEP)
 
 
 def test_nothing_to_drive() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -44,6 +46,22 @@ def test_unrelated_runs_share_no_world(scenario: Scenario) -> None:
     groups = scenario.truth.linked()
     assert sorted(len(group) for group in groups) == [1, 3]
     assert len({run.world for run in scenario.truth.runs.values()}) == 2
+
+
+def test_a_world_changes_between_runs_as_the_truth_says() -> None:
+    s = ScenarioSettings(
+        "organic", 3, 0.7, 25, unrelated_runs=1, changes=3, days=10, faults="none", seed=4
+    )
+    truth = simulate_scenario(s).truth
+    times = sorted(int(run.path_ns[0]) for run in truth.runs.values())
+    assert times[-1] - times[0] == 10 * 86_400 * 10**9
+    assert len(truth.changes) == 3
+    for run in truth.runs.values():
+        shut = {c.edge for c in truth.changes if c.open == (run.path_ns[0] < c.time_ns)}
+        assert set(run.closed_edges) == (shut if run.world == "run-world" else set())
+        assert not set(run.closed_edges) & set(run.drive_edge.tolist())
+    with pytest.raises(UsageError, match="fewer changes, or for more overlap"):
+        simulate_scenario(replace(s, changes=50))
 
 
 def test_scattered_regions_are_about_as_large_as_asked() -> None:
@@ -97,10 +115,7 @@ def test_nonsense_is_refused(wrong: dict[str, object]) -> None:
 
 
 def test_too_small_a_world_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"no room .* smaller runs, or a larger world$"):
-        simulate_scenario(ScenarioSettings("maze", 5, 0.1, 40, world_junctions=50))
-    # Where the world is as large as the runs need, no larger one can be asked for.
-    with pytest.raises(UsageError, match=r"ask for fewer or smaller runs$"):
+    with pytest.raises(UsageError, match=r"no room .* ask for fewer or smaller runs$"):
         simulate_scenario(ScenarioSettings(runs=52, overlap=0.5, junctions_per_run=14, seed=3))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +23,7 @@ from topobatch.simulation import (
     truth_transform,
     write_truth,
 )
-from topobatch.simulation.truth import truth_from_document
+from topobatch.simulation.truth import WorldChange
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.se2 import apply, compose, inverse
 from topobatch.topology.topomap import TopoMap
@@ -31,7 +32,8 @@ from ..maps import straight_map
 
 
 def test_truth_survives_its_document(scenario: Scenario, tmp_path: Path) -> None:
-    write_truth(tmp_path / "truth.json", scenario.truth)
+    changes = (WorldChange("run-world", 3, 5, open=True),)
+    write_truth(tmp_path / "truth.json", replace(scenario.truth, changes=changes))
     again = read_truth(tmp_path / "truth.json")
     for name, run in scenario.truth.runs.items():
         other = again.runs[name]
@@ -43,14 +45,16 @@ def test_truth_survives_its_document(scenario: Scenario, tmp_path: Path) -> None
     for name, world in scenario.truth.worlds.items():
         np.testing.assert_array_equal(world.xy, again.worlds[name].xy)
         np.testing.assert_allclose(world.branches.values, again.worlds[name].branches.values)
+    assert again.changes == changes
     write_truth(tmp_path / "again.json", again)
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "truth.json").read_bytes()
 
 
 @pytest.mark.parametrize("doc", [[], {"schema": "x"}, {"schema": "topobatch.truth/1", "runs": {}}])
-def test_what_is_no_truth_is_refused(doc: object) -> None:
-    with pytest.raises(DocumentError):
-        truth_from_document(doc)
+def test_what_is_no_truth_is_refused(doc: object, tmp_path: Path) -> None:
+    (tmp_path / "truth.json").write_text(json.dumps(doc))
+    with pytest.raises(DocumentError, match=r"truth\.json: "):
+        read_truth(tmp_path / "truth.json")
 
 
 def test_times_belong_to_the_nearest_detected_pass(scenario: Scenario) -> None:

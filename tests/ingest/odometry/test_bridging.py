@@ -13,7 +13,7 @@ from topobatch.ingest.odometry.jumps import driven_on, without_jumps
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.merge.pieces import joined_pieces
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.simulation.drift import DRIFTS
+from topobatch.simulation.settings import DRIFTS
 from topobatch.topology.se2 import between, compose, wrap
 
 
