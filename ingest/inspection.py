@@ -9,7 +9,7 @@ from typing import Any
 
 from ..topology.errors import LogError, UsageError
 from .channels import check_mapping
-from .junction_source import JunctionSource, junction_source, sensor_topics
+from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.intake import Intake
 from .logs.messages import Channel
 from .logs.recording import Recording, recording_at, run_name
@@ -142,6 +142,13 @@ def _uses(
         uses.setdefault(topic, ("", f"not used; --odometry-topic {topic} takes it for odometry"))
     for topic, way in sensor_topics(counts):
         uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
+    shown = views_source(counts, settings, log) if source and source.way == "topic" else None
+    for choice in (shown.choice, *shown.beside) if shown else ():
+        use, why = uses[choice.topic]
+        uses[choice.topic] = (
+            use,
+            f"shows the walls around places; {why.removeprefix('not used; ')}",
+        )
     if source is not None:
         beside = source.beside if source.way in ("scan", "cloud") else ()
         for choice in (source.choice, *beside):

@@ -79,7 +79,23 @@ def walks(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> in
         way = junction_source(counts, settings, log).way
     except (LogError, UsageError):
         return 1
+    if way == "topic":
+        return 1 if views_source(counts, settings, log) is None else 2
     return 2 if way in ("scan", "cloud") else 1
+
+
+def views_source(
+    counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> JunctionSource | None:
+    """The scans, or else the clouds, that show the surroundings of places in a log with
+    detections; None if there are none, or if nothing but detections was asked for."""
+    for way in ("scan", "cloud") if settings.junctions_from is None else ():
+        try:
+            choice, *beside = _choices(way, counts, settings, log)
+        except LogError:
+            continue
+        return JunctionSource(way, choice, beside=tuple(beside))
+    return None
 
 
 def _asked(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple[Way, ...]:

@@ -25,6 +25,7 @@ from ..topology.mapbuilding import build_topomap
 from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import NO_DETECTIONS, NOT_SEEN_AGAIN, Detections, Run
+from ..topology.se2 import compose
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
@@ -131,14 +132,23 @@ def build_map_with_errors(
         drawing = settings.drawing
         turned = turning_points(topomap, odometry, corrected.visits, source.resolution_m, drawing)
     topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
-    if run.scanned is not None:
-        views = placed_views(run.scanned.views, odometry, corrected.visits, corrected.xy)
+    views = seen_on_the_way(run, odometry)
+    if len(views):
+        views = placed_views(views, odometry, corrected.visits, corrected.xy)
         topomap = replace(topomap, views=views)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
     closures = _closures(closed, corrected, reckoning.passes)
     topomap = replace(topomap, closures=closures, info=info)
     return topomap, errors
+
+
+def seen_on_the_way(run: Run, odometry: Odometry) -> Views:
+    """The views of a run in the frame of its odometry."""
+    if run.scanned is not None:
+        return run.scanned.views
+    body = odometry.at(run.views.time_ns)
+    return replace(run.views, pose=compose(body, run.views.pose))
 
 
 def placed_views(views: Views, odometry: Odometry, visits: Visits, xy: FloatArray) -> Views:

@@ -13,7 +13,7 @@ from ..topology.run import Run
 from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
-from .junction_source import JunctionSource, junction_source, walks
+from .junction_source import JunctionSource, junction_source, views_source, walks
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
@@ -32,7 +32,7 @@ from .mounting import transforms_about
 from .odometry.conventions import disagreements
 from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
-from .odometry.reading import because, described, driven, odometry_topic, poses_of
+from .odometry.reading import Driven, because, described, driven, odometry_topic, poses_of
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
@@ -182,7 +182,24 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
             f"the wheels stand while the junction in view changes {times(carried)}: the robot was "
             "carried; the chain is split there"
         )
-    return Run(read.run, split, sightings.detections, about, tuple(warnings), misread=bool(misread))
+    run = Run(read.run, split, sightings.detections, about, tuple(warnings), misread=bool(misread))
+    return _with_views(read, run, odometry.frames[1] or "base_link", clock, track)
+
+
+def _with_views(read: LogRead, run: Run, body: str, clock: Clock, track: Driven) -> Run:
+    """A run with detections, and what its lasers saw around places, if it has any."""
+    source = views_source(read.counts, read.settings, read.log)
+    if source is None:
+        return run
+    from .scan_reading import views_beside  # loads what most runs do without
+
+    try:
+        views, about, told = views_beside(read, source, body, clock, track)
+    except DataError as error:
+        told = [f"places are known by their junctions alone: {error}"]
+        return replace(run, warnings=(*run.warnings, *told))
+    about = {**run.source, "views": about}
+    return replace(run, views=views, source=about, warnings=(*run.warnings, *told))
 
 
 def _with_scans(read: LogRead, source: JunctionSource) -> Run:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ def scans_on_map(
 ) -> LaidScans:
     """Read the scans of the log that a map with views was made from again. DataError if its views
     are others than the map's. on_bytes: as of `read_log`."""
+    if "views" in topomap.info.get("source", {}):  # its junctions are of another topic
+        settings = replace(settings, junctions_from="scan")
     kept: list[Keyframes] = []
     found = read_log(log, settings, on_bytes=on_bytes, on_keyframes=kept.append)
     if not isinstance(found, Run) or found.scanned is None or not kept:

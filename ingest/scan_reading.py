@@ -13,10 +13,12 @@ from ..topology.arrays import FloatArray
 from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
 from ..topology.run import NO_DETECTIONS, Run
+from ..topology.se2 import between
+from ..topology.views import Views
 from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
-from .odometry.reading import OdometryTopic, described, driven, odometry_topic
+from .odometry.reading import Driven, OdometryTopic, described, driven, odometry_topic
 from .scans.clock_lag import LaggingError, OtherClockError
 from .scans.detection import detect
 from .scans.handedness import MirroredError
@@ -101,6 +103,25 @@ def _run(
         tuple(warnings),
         scanned=result.scanned,
     )
+
+
+def views_beside(
+    read: LogRead, source: JunctionSource, body: str, clock: Clock, track: Driven
+) -> tuple[Views, dict[str, Any], list[str]]:
+    """What the lasers of a run with detections saw around places, posed in the robot's frame of
+    their time; the source for its document, and warnings.
+
+    body: the robot's frame. Raises LogError or DataError if the scans cannot be used.
+    """
+    found = lasers(read, source, body)
+    scans = _Scans(read, found, clock, track.recorded)
+    result, stream, told, used = _by_all_or_one(scans, track.odometry)
+    assert result.scanned is not None
+    views = result.scanned.views
+    body_pose = result.odometry.at(views.time_ns)
+    views = replace(views, pose=between(body_pose, views.pose))
+    about = {"from": source.way, "topic": used[0].topic, "type": used[0].choice.type_name}
+    return views, about, [*found.warnings, *told, *stream.warnings, *result.warnings]
 
 
 @dataclass(frozen=True, slots=True)

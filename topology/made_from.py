@@ -24,7 +24,10 @@ def junctions_told(info: Mapping[str, Any]) -> str:
     if way is None:
         if not others:
             return ""
-        return f"junctions from {topic}, not from {others} (--junctions-from scan takes these)"
+        sensor = _inside(_inside(info, "source"), "views").get("topic")
+        shown = f"; walls around places from {sensor}" if sensor else ""
+        takes = "(--junctions-from scan takes these)"
+        return f"junctions from {topic}, not from {others} {takes}{shown}"
     if way == "grid":
         return f"junctions from the grid {topic}"
     parts = [f"junctions from {topic}"]

@@ -183,8 +183,9 @@ class Run:
     source: topics, types and counts for the document's `graph.source`: JSON values that depend on
     the content alone, not on the container, the path or the machine; warnings: one sentence, with a
     count, per kind of fault found in the log; scanned: of a run whose junctions were detected in
-    scans; its detections are then empty; misread: whether detections and odometry are known to be
-    in different units, axes, frames or clocks.
+    scans; its detections are then empty; views: of a run with detections, what its lasers saw
+    around places, posed in the robot's frame of their time; misread: whether detections and
+    odometry are known to be in different units, axes, frames or clocks.
     """
 
     name: str
@@ -194,3 +195,4 @@ class Run:
     warnings: tuple[str, ...] = ()
     scanned: Scanned | None = None
     misread: bool = False
+    views: Views = NO_VIEWS

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from topobatch.ingest import scan_reading
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.junction_source import junction_source
 from topobatch.ingest.logs.messages import Channel
@@ -28,6 +29,7 @@ from topobatch.simulation import (
 )
 from topobatch.topology.errors import DataError, LogError, UsageError
 from topobatch.topology.run import Run
+from topobatch.topology.se2 import apply, fit_rigid
 
 ODOM = ("/odom", "nav_msgs/msg/Odometry")
 SEEN = ("/junctions", "geometry_msgs/msg/PoseArray")
@@ -108,6 +110,9 @@ def replace_all(settings: ScenarioSettings, changes: dict[str, Any]) -> Scenario
     return replace(settings, **changes)
 
 
+DETECTIONS_ALONE = ReadSettings(junctions_from="topic")
+
+
 @pytest.fixture(scope="module")
 def both(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log with detections and scans."""
@@ -121,13 +126,53 @@ def straight(both: Path) -> Run:
 
 
 def test_with_detections_and_scans_the_detections_win(both: Path) -> None:
-    run = read_run(both)
+    run = read_run(both, DETECTIONS_ALONE)
     assert len(run.detections) > 0
     assert run.scanned is None
+    assert len(run.views) == 0
     assert run.source["junctions"]["passed_over"] == ["/scan"]
     uses = {topic.topic: (topic.use, topic.why) for topic in inspect_log(both).topics}
     assert uses["/junctions"][0] == "junctions"
-    assert uses["/scan"] == ("scans", "not used; --junctions-from scan finds junctions in it")
+    told = "shows the walls around places; --junctions-from scan finds junctions in it"
+    assert uses["/scan"] == ("scans", told)
+    uses = {t.topic: t.why for t in inspect_log(both, DETECTIONS_ALONE).topics}
+    assert uses["/scan"] == "not used; --junctions-from scan finds junctions in it"
+
+
+def test_the_junctions_are_of_the_detector_and_the_views_of_the_laser(
+    both: Path, straight: Run
+) -> None:
+    run = read_run(both)
+    assert run.source["views"] == {
+        "from": "scan",
+        "topic": "/scan",
+        "type": "sensor_msgs/msg/LaserScan",
+    }
+    plain, topomap = build_map(read_run(both, DETECTIONS_ALONE)), build_map(run)
+    assert np.array_equal(topomap.xy, plain.xy)
+    assert len(topomap.views) > 5
+    # They lie where the laser's own map has them.
+    of_scans = build_map(straight)
+    assert straight.scanned is not None
+    _, here, there = np.intersect1d(
+        topomap.views.time_ns, of_scans.views.time_ns, return_indices=True
+    )
+    one, two = topomap.views.pose[here, :2], of_scans.views.pose[there, :2]
+    apart = one - apply(fit_rigid(one, two), two)
+    assert np.hypot(*apart.T).max() < 1.0
+
+
+def test_scans_that_show_nothing_leave_the_detections(
+    both: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise DataError("no two scans match")
+
+    monkeypatch.setattr(scan_reading, "detect", refuse)
+    run = read_run(both)
+    assert len(run.detections) > 0
+    assert "places are known by their junctions alone: " in run.warnings[-1]
+    assert "no two scans match" in run.warnings[-1]
 
 
 def test_scans_become_a_map(straight: Run) -> None:

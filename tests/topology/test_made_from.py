@@ -12,6 +12,8 @@ def test_what_is_said_of_sources():
     assert junctions_told({"source": {"junctions": {"topic": "/junctions"}}}) == ""
     told = {"topic": "/junctions", "passed_over": ["/scan"]}
     assert "from /junctions, not from /scan" in junctions_told({"source": {"junctions": told}})
+    both = {"source": {"junctions": told, "views": {"from": "scan", "topic": "/scan"}}}
+    assert junctions_told(both).endswith("; walls around places from /scan")
     alone = {"from": "scan", "topic": "/s", "drift_after_m": 0.3, "covered": 0.5, "odometry": False}
     map_info = {"source": {"junctions": alone}}
     told = "junctions from /s, drift in 20 m 0.30 m, 50 % of the way covered"
