@@ -168,17 +168,15 @@ def directions(walls: ComplexArray) -> FloatArray:
     return np.maximum(out / np.median(out) - 1.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Pixels:
-    """Fourier transforms of pictures of size × size pixels, turned by `turn` [rad] about `middle`:
-    of the walls, and of how well a wall of another map fits."""
+    """Pictures of size × size pixels, turned by `turn` [rad] about `middle`: of the walls, and of
+    how well a wall of another map fits."""
 
     turn: float
     middle: complex
-    size: int
-    walls: NDArray[np.complex64]
-    fit: NDArray[np.complex64]
-    count: int
+    walls: NDArray[np.float32]
+    fit: NDArray[np.float32]
 
     @classmethod
     def of(
@@ -189,8 +187,22 @@ class Pixels:
         near = np.minimum(2.5 * ndimage.gaussian_filter(wall, 0.7), 1.0)
         against = clear * (ndimage.maximum_filter(wall, 3) == 0)
         fit = np.maximum(wall, near) - np.float32(CONTRADICTS) * against
-        count = int(wall.sum())
-        return cls(turn, middle, size, fft.rfft2(wall), fft.rfft2(fit), count)
+        return cls(turn, middle, wall, fit)
+
+    def turned(self, quarter: int) -> Pixels:
+        """Turned by quarter turns."""
+        both = (np.rot90(picture, -quarter) for picture in (self.walls, self.fit))
+        return Pixels(self.turn + quarter * np.pi / 2, self.middle, *both)
+
+    @property
+    def size(self) -> int:
+        """Pixels along a side."""
+        return len(self.walls)
+
+    @cached_property
+    def transforms(self) -> tuple[NDArray[np.complex64], NDArray[np.complex64]]:
+        """Fourier transforms of the walls and of the fit."""
+        return fft.rfft2(self.walls), fft.rfft2(self.fit)
 
 
 def _drawn(z: ComplexArray, turn: float, middle: complex, size: int) -> NDArray[np.float32]:
@@ -209,13 +221,16 @@ def placements(a: Picture, b: Picture) -> FloatArray:
     if not parts or a.whole is None:
         return np.zeros((0, 3))
     whole = a.whole
+    whole_walls, whole_fit = whole.transforms
     turns, shifts, middles, scores = [], [], [], []
     for part in parts:
         along = _turn(a.directions, part.directions)
+        upright = Pixels.of(part.walls, part.free, along + whole.turn, part.middle, whole.size)
+        count = int(upright.walls.sum())
         for quarter in range(4):
             turn = along + quarter * np.pi / 2
-            drawn = Pixels.of(part.walls, part.free, turn + whole.turn, part.middle, whole.size)
-            product = whole.fit * np.conj(drawn.walls) + whole.walls * np.conj(drawn.fit)
+            walls, fit = upright.turned(quarter).transforms
+            product = whole_fit * np.conj(walls) + whole_walls * np.conj(fit)
             score = fft.irfft2(product, (whole.size, whole.size), overwrite_x=True)
             for y, x, most in _peaks(score):
                 shift = (_signed(x, whole.size) + 1j * _signed(y, whole.size)) * PIXEL_M
@@ -224,7 +239,7 @@ def placements(a: Picture, b: Picture) -> FloatArray:
                 shifts.append(here - np.exp(1j * turn) * part.middle)
                 middles.append(part.middle)
                 # More walls tell more, but a large stretch is no better placed than others.
-                scores.append(most / (2 * drawn.count) * min(drawn.count, 400))
+                scores.append(most / (2 * count) * min(count, 400))
     return _agreeing(
         np.array(turns), np.array(shifts), np.array(middles), np.maximum(np.array(scores), 0.0)
     )
