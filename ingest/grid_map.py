@@ -48,15 +48,20 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     grid, coarser = lattice(_cropped(log.grid))
     warnings = (*log.warnings, *coarser)
     frontier = grid.free & binary_dilation(grid.unknown)
-    # A room with pillars has junctions between these alone, a small home behind narrow doors.
-    for tried in (settings, settings.among_pillars, settings.through_narrow_doors):
-        places, corridors, blocked = skeleton_graph(grid.free, grid.resolution_m, tried, frontier)
-        if any(place.kind == "junction" for place in places):
+    # A room with pillars has junctions between these alone; the more rooms of a small home, the
+    # narrower the doors that a robot fits through.
+    most = 0
+    for other in (settings, settings.among_pillars, settings.through_narrow_doors):
+        plan = skeleton_graph(grid.free, grid.resolution_m, other, frontier)
+        count = sum(place.kind in ("junction", "room") for place in plan.places)
+        if count > most:
+            most, tried, (places, corridors, blocked) = count, other, plan
+        if any(place.kind == "junction" for place in plan.places):
             break
-    else:
+    if not most:
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
-            f"{int(grid.free.sum())} of them free, shows no junction; "
+            f"{int(grid.free.sum())} of them free, shows no junction and no room; "
             + "; ".join((*coarser, "nothing can be mapped"))
             + f" (with --robot-radius {settings.skeleton.clearance_m:g}: smaller robots fit "
             "through narrower doors)"

@@ -13,9 +13,10 @@ from scipy.spatial import cKDTree
 from ...topology.arrays import BoolArray, FloatArray
 from ...topology.polyline import way_of
 from ...topology.se2 import wrap
-from .crossing import Crossing, Known, crossings, with_crossings
+from .crossing import Known, crossings, with_crossings
 from .grid import GridSettings
 from .open_space import Lattice, OpenSpace, open_space, wall_yaw
+from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
 from .ways import Drivable, Way, driven
@@ -78,16 +79,21 @@ class FloorplanSettings:
         )
 
 
+Kind = Literal["junction", "room", "door", "dead_end", "frontier"]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Place:
     """A place of a floor plan: xy: (2,) from the grid's corner [m]; branches: (b,) headings [rad],
     ascending; kind: "frontier" where a way leads on into the unknown; confidence: share of the
-    variants that agree on the branches."""
+    variants that agree on the branches; area_m2: of a room, width_m: of a door, None of others."""
 
     xy: FloatArray
     branches: FloatArray
-    kind: Literal["junction", "dead_end", "frontier"]
+    kind: Kind
     confidence: float
+    area_m2: float | None = None
+    width_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -148,6 +154,8 @@ def skeleton_graph(
         settings.skeleton,
         known=known,
     )
+    drivable = Drivable.of(base.space, settings.skeleton.clearance_m)
+    rooms = with_rooms(graph, base.space.clearance_m, base.opening, drivable, settings.skeleton)
     others = []
     for variant in settings.variants[1:]:
         axes = shown[variant.unknown_m]
@@ -160,10 +168,12 @@ def skeleton_graph(
             variant.skeleton,
             known=known if axes is base else None,
         )
-        others.append(list(every.places.values()))
+        own_doors = doors(other, axes.space.clearance_m, axes.space.cell_m)
+        others.append([*every.places.values(), *door_nodes(other, own_doors, axes.space.cell_m)])
+    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
     agreement = _agreement(own, others, settings)
-    drivable = Drivable.of(base.space, settings.skeleton.clearance_m)
-    plan = _floorplan(graph, own, agreement, base, drivable)
+    places = _known_places(rooms, agreement, drivable)
+    plan = _floorplan(rooms.graph, places, base, drivable)
     return _from_corner(plan, base.lattice, resolution_m)
 
 
@@ -259,20 +269,37 @@ def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
     return replace(lines, border=lines.border - corners)
 
 
-def _floorplan(
-    graph: SkeletonGraph,
-    crossed: Sequence[Crossing],
-    agreement: Sequence[float],
-    axes: _Axes,
-    drivable: Drivable,
-) -> Floorplan:
-    """Places, and the ways between them that can be driven, from the corner of the lattice."""
-    cell_m = drivable.cell_m
-    centres = [drivable.moved(node.xy) for node in crossed]
-    places = [
-        Place(xy, node.headings, "junction", share)
-        for xy, node, share in zip(centres, crossed, agreement, strict=True)
+def _known_places(rooms: Rooms, agreement: Sequence[float], drivable: Drivable) -> list[Place]:
+    """A place for every node. agreement: of the junctions, and of the doors after them. A room is
+    as sure as the least sure one of its doors."""
+    junctions = len(rooms.kept)
+    at_doors = agreement[junctions:]
+    kinds: list[tuple[Kind, float, float | None, float | None]] = [
+        *(("junction", share, None, None) for share in agreement[:junctions]),
+        *(
+            ("room", min((at_doors[k] for k in behind), default=1.0), area, None)
+            for behind, area in zip(rooms.behind, rooms.area_m2, strict=True)
+        ),
+        *(
+            ("door", share, None, 2 * door.half_m)
+            for door, share in zip(rooms.doors, at_doors, strict=True)
+        ),
     ]
+    return [
+        Place(drivable.moved(node.xy), node.headings, *kind)
+        for node, kind in zip(rooms.nodes, kinds, strict=True)
+    ]
+
+
+def _floorplan(
+    graph: SkeletonGraph, known: Sequence[Place], axes: _Axes, drivable: Drivable
+) -> Floorplan:
+    """Places, and the ways between them that can be driven, from the corner of the lattice.
+
+    known: a place for every node.
+    """
+    cell_m = drivable.cell_m
+    places = list(known)
     corridors, blocked = [], 0
     used = [[False] * len(node.ends) for node in graph.nodes]
     for number, edge in enumerate(graph.edges):
@@ -281,10 +308,10 @@ def _floorplan(
         if line is None:
             continue
         source_branch, target_branch = _take(graph, used, source, number), 0
-        line[0] = centres[source]
+        line[0] = places[source].xy
         if target >= 0:
             target_branch = _take(graph, used, target, number)
-            line[-1] = centres[target]
+            line[-1] = places[target].xy
             way = driven(line, drivable, _reach(line, axes, drivable))
         else:
             kind, line = _ended(line, axes, drivable)

@@ -117,8 +117,6 @@ def _smoothed(path: FloatArray, cell_m: float) -> FloatArray:
 def _round_obstacles(raw: FloatArray, drivable: Drivable, reach_m: FloatArray) -> FloatArray | None:
     """The cheapest way from one end of a line to the other, within its reach; None if there is
     none."""
-    from skimage.graph import MCP_Geometric
-
     rows, columns = drivable.at(raw)
     most = int(reach_m.max() / drivable.cell_m) + 2
     top, left = max(int(rows.min()) - most, 0), max(int(columns.min()) - most, 0)
@@ -128,17 +126,31 @@ def _round_obstacles(raw: FloatArray, drivable: Drivable, reach_m: FloatArray) -
     line[rows - top, columns - left] = False
     np.maximum.at(reach, (rows - top, columns - left), reach_m)
     away, (r, c) = ndimage.distance_transform_edt(line, return_indices=True)
-    within = cells & (away * drivable.cell_m <= reach[r, c] + drivable.cell_m)
-    price = np.where(within, drivable.price[box], -1.0)
-    ends = [(int(rows[k]) - top, int(columns[k]) - left) for k in (0, -1)]
-    if not (within[ends[0]] and within[ends[1]]):
+    within = np.asarray(away * drivable.cell_m <= reach[r, c] + drivable.cell_m)
+    found = cheapest(raw[[0, -1]], drivable, within, (top, left))
+    if found is None:
         return None
-    if ends[0] == ends[1]:
-        return None
-    search = MCP_Geometric(price)
-    costs, _ = search.find_costs([ends[0]], [ends[1]])
-    if not np.isfinite(costs[ends[1]]):
-        return None
-    steps = np.array(search.traceback(ends[1]))
-    path = (steps + np.array([top, left]))[:, ::-1] * drivable.cell_m
+    path = found[:, ::-1] * drivable.cell_m
     return np.concatenate([raw[:1], path[1:-1], raw[-1:]])
+
+
+def cheapest(
+    ends: FloatArray, drivable: Drivable, within: BoolArray, corner: tuple[int, int]
+) -> IntArray | None:
+    """Cells (k, 2), row and column, of the cheapest way between two points (2, 2) through marked
+    cells, of which the first one is at `corner`; None if there is none."""
+    from skimage.graph import MCP_Geometric
+
+    h, w = within.shape
+    cells = np.stack(drivable.at(ends), axis=1) - np.array(corner)
+    begin, end = (tuple(cell) for cell in cells.tolist())
+    inside = ((cells >= 0) & (cells < np.array([h, w]))).all()
+    box = np.s_[corner[0] : corner[0] + h, corner[1] : corner[1] + w]
+    within = within & drivable.cells[box]
+    if begin == end or not inside or not (within[begin] and within[end]):
+        return None
+    search = MCP_Geometric(np.where(within, drivable.price[box], -1.0))
+    costs, _ = search.find_costs([begin], [end])
+    if not np.isfinite(costs[end]):
+        return None
+    return np.asarray(np.array(search.traceback(end)) + np.array(corner), np.int64)
