@@ -104,6 +104,8 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
         noise=GRID_NOISE,
         confidence=np.array([places[k].confidence for k in vertices]),
         shows_bends=False,
+        area_m2=np.array([places[k].area_m2 or 0.0 for k in vertices]),
+        width_m=np.array([places[k].width_m or 0.0 for k in vertices]),
         turning_points=_frontiers(
             [c for c in used if places[c.target].kind == "frontier"], number, rows, origin
         ),

@@ -107,7 +107,8 @@ def _closure_to_document(closure: Closure) -> dict[str, Any]:
 
 
 def _node_certainty(topomap: TopoMap, vertex: int) -> dict[str, Any]:
-    """The sigmas of a vertex where they are known, and its confidence if it is below 1."""
+    """The sigmas and the size of a vertex where they are known, and its confidence if it is below
+    1."""
     out: dict[str, Any] = {}
     if topomap.position_sigma is not None:
         out["sigma_m"] = significant(float(topomap.position_sigma[vertex]))
@@ -115,6 +116,10 @@ def _node_certainty(topomap: TopoMap, vertex: int) -> dict[str, Any]:
         out["branch_sigmas"] = [significant(s) for s in topomap.branch_sigma[vertex].tolist()]
     if topomap.confidence[vertex] < 1:
         out["confidence"] = significant(float(topomap.confidence[vertex]))
+    for name in ("area_m2", "width_m"):
+        known = getattr(topomap, name)
+        if known is not None and known[vertex] > 0:
+            out[name] = significant(float(known[vertex]))
     return out
 
 
@@ -187,6 +192,8 @@ def map_from_document(doc: Any, name: str = "map document") -> TopoMap:
             branch_sigma=_rows_known([node.branch_sigmas for node in d.nodes]),
             traversal_ns=_times_known([edge.traversal_ns for edge in d.edges]),
             confidence=np.array([node.confidence for node in d.nodes], np.float64),
+            area_m2=_sizes_known([node.area_m2 for node in d.nodes]),
+            width_m=_sizes_known([node.width_m for node in d.nodes]),
             shows_bends=d.graph.shows_bends,
             closures=tuple(
                 Closure(
@@ -260,6 +267,11 @@ def _branch(named: int | None) -> int:
 def _rows_known(rows: Sequence[list[float] | None]) -> Ragged | None:
     known = [row for row in rows if row is not None]
     return Ragged.from_rows(known) if known and len(known) == len(rows) else None
+
+
+def _sizes_known(sizes: Sequence[float | None]) -> FloatArray | None:
+    known = any(size is not None for size in sizes)
+    return np.array([size or 0.0 for size in sizes]) if known else None
 
 
 def _times_known(rows: Sequence[list[tuple[int, int]] | None]) -> tuple[IntArray, ...] | None:

@@ -87,10 +87,11 @@ class Vertex(Model):
     x: Metres = Field(description="Position in the frame, metres.")
     y: Metres = Field(description="Position in the frame, metres.")
     kind: str = Field(
-        description="junction, dead_end (one branch) or bend (two, not opposite). Of runs with "
-        "scans also turning_point (the robot drove there out of a junction and back) and track_end "
+        description="junction, dead_end (one branch) or bend (two, not opposite). Of grids also "
+        "door (two branches) and room (behind doors, any number of branches). Of runs with scans "
+        "also turning_point (the robot drove there out of a junction and back) and track_end "
         "(its log begins or ends there), of grids frontier (the way leads on into the unknown): "
-        "they are matched with nothing, and come after all others, as their corridors do."
+        "these three are matched with nothing, and come after all others, as their corridors do."
     )
     branches: list[Finite] = Field(
         description="Direction in which each branch leaves, driven or only seen: radians in the "
@@ -120,6 +121,10 @@ class MapNode(Vertex):
         description="How sure it is that the vertex has just these branches: 1 for detections, for "
         "scans and grids the share of variants of the detector's settings that agree.",
     )
+    area_m2: Extent | None = Field(
+        None, description="Of a room: free space between its walls and doors, square metres."
+    )
+    width_m: Extent | None = Field(None, description="Of a door: between its posts, metres.")
 
     @model_validator(mode="after")
     def _one_sigma_per_branch(self) -> MapNode:

@@ -22,7 +22,10 @@ EDGE_COLUMNS = (
 )
 """Fields of `Graph` with one row per vertex, and per edge."""
 
-MAP_VERTEX_COLUMNS = (*VERTEX_COLUMNS, "position_sigma", "branch_sigma", "confidence")
+MAP_VERTEX_COLUMNS = (
+    *VERTEX_COLUMNS,
+    *("position_sigma", "branch_sigma", "confidence", "area_m2", "width_m"),
+)
 MAP_EDGE_COLUMNS = (*EDGE_COLUMNS, "traversal_ns")
 """The same of `TopoMap`."""
 
@@ -81,7 +84,7 @@ class Graph:
     """`n` vertices and `m` edges laid out in the plane (a multigraph, loops allowed).
 
     xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad], ascending in [-pi, pi).
-    kind: n names ("junction", "dead_end", "bend"). source, target: (m,) vertex indices.
+    kind: n names ("junction", "room", "door", "dead_end", "bend"). source, target: (m,) vertex indices.
     source_branch, target_branch: (m,) row-local branch by which the edge leaves its source /
     target, NO_BRANCH where unknown. length: (m,) length along the corridor [m]; length_sigma: (m,)
     1 sigma [m]; traversals: (m,) times driven. paths: m polylines (k, 2) [m] from source to target,
@@ -131,7 +134,8 @@ class TopoMap(Graph):
     for all: 1 for maps from detections. shows_bends: whether the detector reports places with two
     branches; those of scans and grids do not. turning_points: dead ends of the track that are not
     vertices; `turning_vertices.with_turning_points` makes vertices of them. views: what a laser or
-    a grid shows around places of the run, posed in the map's frame. Raises ValueError where
+    a grid shows around places of the run, posed in the map's frame. area_m2: (n,) of rooms, 0 of
+    other vertices; width_m: (n,) of doors, likewise; None where not known. Raises ValueError where
     shapes, indices or values do not fit.
     """
 
@@ -149,6 +153,8 @@ class TopoMap(Graph):
     shows_bends: bool = True
     turning_points: TurningPoints = NO_TURNING_POINTS
     views: Views = NO_VIEWS
+    area_m2: FloatArray | None = None
+    width_m: FloatArray | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     """Other entries of the document's `graph`: source, settings, warnings. JSON values only."""
 
@@ -190,6 +196,11 @@ class TopoMap(Graph):
     def _check_certainty(self, n: int) -> None:
         if self.position_sigma is not None:
             freeze(self, np.float64, position_sigma=(n,))
+        for name in ("area_m2", "width_m"):
+            if getattr(self, name) is not None:
+                freeze(self, np.float64, **{name: (n,)})
+                if np.any(getattr(self, name) < 0):
+                    raise ValueError(f"{name} must not be negative")
         if self.branch_sigma is not None and not np.array_equal(
             self.branch_sigma.offsets, self.branches.offsets
         ):

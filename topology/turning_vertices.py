@@ -32,6 +32,8 @@ def with_turning_points(topomap: TopoMap) -> TopoMap:
         "position_sigma": t.position_sigma,
         "branch_sigma": Ragged(ends, t.branch_sigma),
         "confidence": topomap.confidence[t.vertex],
+        "area_m2": np.zeros(k),
+        "width_m": np.zeros(k),
         "source": t.vertex,
         "target": np.arange(n, n + k),
         "source_branch": t.branch,

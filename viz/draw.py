@@ -154,13 +154,22 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
             sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
             times = counted(passes[i], "pass", "passes")
             sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
-            told = f"{m.kind[i].replace('_', ' ')} {i}: {times}{sigma}{sure}"
+            told = f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {times}{sigma}{sure}"
             canvas.dots(xy[i : i + 1], colour, size, told=told)
         keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
     if len(m) <= MOST_NUMBERED:
         for i, where in enumerate(_beside(m, T, xy, 8.0 / canvas.points_per_m)):
             canvas.words((float(where[0]), float(where[1])), str(i), size_pt=SMALL_PT)
     return keys
+
+
+def _size_told(m: TopoMap, vertex: int) -> str:
+    """How large a room is, and how wide a door."""
+    if m.area_m2 is not None and m.area_m2[vertex] > 0:
+        return f", {m.area_m2[vertex]:.0f} m²"
+    if m.width_m is not None and m.width_m[vertex] > 0:
+        return f", {m.width_m[vertex]:.2f} m wide"
+    return ""
 
 
 TURNED = {

@@ -177,6 +177,8 @@ def _junctions(
             passes=topomap.passes,
             confidence=topomap.confidence,
             position_sigma_m=topomap.position_sigma,
+            area_m2=topomap.area_m2,
+            width_m=topomap.width_m,
         ),
     )
     colours = palette.by_degree(topomap.degree)

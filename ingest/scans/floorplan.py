@@ -174,6 +174,7 @@ def skeleton_graph(
     agreement = _agreement(own, others, settings)
     places = _known_places(rooms, agreement, drivable)
     plan = _floorplan(rooms.graph, places, base, drivable)
+    plan = plan._replace(blocked=plan.blocked + rooms.lost)
     return _from_corner(plan, base.lattice, resolution_m)
 
 

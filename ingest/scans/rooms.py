@@ -23,8 +23,9 @@ from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
 from .skeleton_lines import Labels
 from .ways import Drivable, cheapest
 
-WIDEST_M = 1.5
-"""Widest door: double doors are up to 1.4 m wide, corridors are rarely narrower."""
+WIDEST_M = 1.2
+"""Widest door: single doors are up to 1.1 m wide. What is wider is often a gap between furniture, or
+beside a pillar."""
 
 RISE = 1.35
 """Clearance on both sides of a door, in those of the door: a door of 0.9 m in a corridor of 1.25 m

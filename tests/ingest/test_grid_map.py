@@ -180,7 +180,7 @@ def test_a_turned_picture_shows_the_same_junctions(degrees: float) -> None:
 
 
 def test_a_home_with_narrow_doors_is_mapped_for_a_smaller_robot() -> None:
-    """Two rooms on either side of a hall, behind doors of 0.4 m."""
+    """Two rooms on either side of a hall with a door in it, all doors of 0.4 m."""
     free = np.zeros((160, 240), bool)
     free[60:100, 20:220] = True
     for left in (30, 130):
@@ -190,6 +190,10 @@ def test_a_home_with_narrow_doors_is_mapped_for_a_smaller_robot() -> None:
     free[60:100, 100:104] = False
     free[76:84, 100:104] = True
     home = GridLog("home", Grid(free, np.zeros_like(free), 0.05, (0.0, 0.0, 0.0)), {})
-    m = map_of_grid(home)
-    assert "junction" in m.kind
+    m = topomap(home.name, home.grid)
+    assert (m.kind.count("room"), m.kind.count("door")) == (6, 5)
+    assert m.area_m2 is not None
+    assert m.width_m is not None
+    np.testing.assert_array_equal(m.area_m2 > 0, [kind == "room" for kind in m.kind])
+    np.testing.assert_allclose(m.width_m[m.width_m > 0], 0.4, atol=0.08)
     assert any("narrower doors" in warning for warning in m.info["warnings"])
