@@ -84,7 +84,8 @@ class Graph:
     """`n` vertices and `m` edges laid out in the plane (a multigraph, loops allowed).
 
     xy: (n, 2) vertex positions [m]. branches: n rows of headings [rad], ascending in [-pi, pi).
-    kind: n names ("junction", "room", "door", "dead_end", "bend"). source, target: (m,) vertex indices.
+    kind: n names ("junction", "room", "door", "dead_end", "bend"). source, target: (m,) vertex
+    indices.
     source_branch, target_branch: (m,) row-local branch by which the edge leaves its source /
     target, NO_BRANCH where unknown. length: (m,) length along the corridor [m]; length_sigma: (m,)
     1 sigma [m]; traversals: (m,) times driven. paths: m polylines (k, 2) [m] from source to target,

@@ -24,8 +24,8 @@ from .skeleton_lines import Labels
 from .ways import Drivable, cheapest
 
 WIDEST_M = 1.2
-"""Widest door: single doors are up to 1.1 m wide. What is wider is often a gap between furniture, or
-beside a pillar."""
+"""Widest door: single doors are up to 1.1 m wide. What is wider is often a gap between furniture,
+or beside a pillar."""
 
 RISE = 1.35
 """Clearance on both sides of a door, in those of the door: a door of 0.9 m in a corridor of 1.25 m
@@ -128,10 +128,10 @@ def regions(
     for door in found:
         _cut(open_, _cell(graph, door), door.half_m / cell_m + 1.0)
     # By four neighbours: no way leads past a corner of a disc.
-    label, count = ndimage.label(open_)
-    away, (y, x) = ndimage.distance_transform_edt(label == 0, return_indices=True)
-    label = np.where((clearance_m > 0) & (away * cell_m <= robot_m + cell_m), label[y, x], 0)
-    label = np.asarray(label, np.int32)
+    parts, count = ndimage.label(open_)
+    away, (y, x) = ndimage.distance_transform_edt(parts == 0, return_indices=True)
+    near = (clearance_m > 0) & (away * cell_m <= robot_m + cell_m)
+    label: Labels = np.where(near, parts[y, x], 0).astype(np.int32)
     inside = label > 0
     own, r = label[inside], clearance_m[inside]
     area = np.bincount(own, minlength=count + 1) * cell_m**2
