@@ -9,22 +9,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
-from ..merge.decision_text import (
-    agreement,
-    because,
-    digits_of,
-    headline,
-    lies,
-    missing,
-    needs,
-    other_name,
-    pose,
-    rows,
-    short,
-    sum_told,
-    threshold,
-)
-from ..merge.result import shown_bits
+from ..merge.decision_text import headline, lines, short
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
 from ..topology.se2 import apply, turned
@@ -41,9 +26,18 @@ from .map_sheet import (
     write_rings,
     write_words,
 )
-from .map_summary import bulleted, plain
+from .map_summary import bulleted
 from .placements import against, placements
-from .recording import UP, PathParts, Recording, blueprint, markdown, placed, write_recording
+from .recording import (
+    UP,
+    PathParts,
+    Recording,
+    blueprint,
+    markdown,
+    placed,
+    screen,
+    write_recording,
+)
 from .seen_together import CORNERS, WIDTHS, Overlay, overlays
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
@@ -58,8 +52,8 @@ VIEW_MARGIN_M = 1.0
 TOLD = {SILENT: "silent", AGREES: "agrees", CONTRADICTS: "contradicts"}
 """Names of what walls of one view tell of the other."""
 
-LINKS_SHOWN = 5
-"""Rows of links on the first page."""
+MOST_LINKS = 1000
+"""Links on the page of all evidence."""
 
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
@@ -75,8 +69,8 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
     def fill(recording: Recording) -> rrb.Blueprint:
         cells = _pictures(recording, with_turning_points(a), with_turning_points(b), decision)
         seen = _views(recording, overlays(decision), upright_rad(a.paths))
-        recording.static(("decision",), markdown(told(decision)))
-        recording.static(("evidence",), markdown(all_told(decision)))
+        recording.static(("decision",), screen(lines(decision)))
+        recording.static(("evidence",), screen(lines(decision, MOST_LINKS)))
         recording.static(("legend",), markdown(_LEGEND))
         return _blueprint(cells, seen, headline(decision))
 
@@ -235,67 +229,6 @@ def _contradictions(
         )
 
 
-def told(decision: Decision) -> str:
-    """The first page: verdict, why, the evidence added up, what is needed, what is missing."""
-    verdict, _, numbers = headline(decision).rpartition(": ")
-    parts = [f"# {plain(verdict)}", f"**{plain(numbers)}**", plain(because(decision))]
-    for text in (missing(decision), lies(decision)):
-        if text:
-            parts.append(plain(f"{text}."))
-    parts.append(_table(decision, LINKS_SHOWN))
-    if len(decision.placements) > 1:
-        other = decision.placements[1]
-        name = other_name(decision).capitalize()
-        parts.append(plain(f"{name}: {agreement(other)}; at {pose(other)}."))
-    parts += [plain(f"Note: {note}.") for note in decision.notes]
-    return "\n\n".join(parts) + "\n"
-
-
-def _table(decision: Decision, links: int) -> str:
-    table = rows(decision, links)
-    if not table:
-        return plain(f"Needed: {threshold(decision)} bits: {needs(decision)}")
-    count, digits = len(decision.placements), digits_of(decision)
-    names = [plain(short(run, 12)) for run in (decision.said.a, decision.said.b)]
-    head = [*(["this", "next"][:count] if count > 1 else ["bits"]), "for and against", *names]
-    lines = [_line(head), _line(["---:"] * count + ["---"] * 3)]
-    for row in table:
-        cells = ["" if bits is None else f"{bits:+.{digits}f}" for bits in row.bits]
-        text = plain(row.told)
-        if row.level:  # a part of the sum above
-            text, cells = f"   {cells[0]}  {text}", []
-        cells += [""] * (count - len(cells))
-        lines.append(_line([*cells, text, row.a, row.b]))
-    sums = [f"**{shown_bits(p.alignment.evidence_bits, digits)}**" for p in decision.placements]
-    lines.append(_line([*sums, f"**{sum_told(decision)}**", "", ""]))
-    need, _, more = needs(decision).partition(", ")
-    blank = [""] * (count - 1)
-    lines.append(_line([threshold(decision), *blank, f"needed: {plain(need)}", "", ""]))
-    lines.append(_line(["", *blank, f"and {plain(more)}", "", ""]))
-    return "\n".join(lines)
-
-
-def _line(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def all_told(decision: Decision) -> str:
-    """The second page: every term of every placement."""
-    parts = ["# Every term"]
-    for placement in decision.placements:
-        parts.append(
-            f"## {placement.alignment.evidence_bits:.2f} bits, at {plain(pose(placement))}"
-        )
-        lines = [_line(["bits", "what", "of a", "of b"]), _line(["---:", "---", "---", "---"])]
-        for t in placement.terms:
-            ends = ("-".join(map(str, v)) for v in (t.a, t.b))
-            lines.append(_line([f"{t.bits:+.2f}", plain(t.with_size), *ends]))
-        parts.append("\n".join(lines))
-    if not decision.placements:
-        parts.append("Nothing in the two maps is alike.")
-    return "\n\n".join(parts) + "\n"
-
-
 _LEGEND = "# How to read it\n\n" + bulleted(
     [
         "**Placement**: the second run laid over the first. White: matched junctions; the line "
@@ -322,7 +255,7 @@ def _blueprint(cells: list[Cell], seen: list[Cell], name: str) -> rrb.Blueprint:
             rrb.Tabs(*pictures, active_tab=0),
             rrb.Tabs(
                 rrb.TextDocumentView(origin="/decision", name="Decision"),
-                rrb.TextDocumentView(origin="/evidence", name="Every term"),
+                rrb.TextDocumentView(origin="/evidence", name="All evidence"),
                 rrb.TextDocumentView(origin="/legend", name="How to read it"),
                 active_tab=0,
                 name="Why",

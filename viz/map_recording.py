@@ -24,7 +24,7 @@ from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
 from .map_sheet import corridors_told
-from .map_summary import MapLayers, correction, map_summary
+from .map_summary import correction, map_summary
 from .odometry_health import Lane, lanes
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
@@ -96,16 +96,7 @@ def write_map_recording(
             write_scans(recording, MAP, seen)
         for lane in health:
             _lane(recording, lane)
-        shown = MapLayers(
-            odometry=track is not None,
-            detections=track is not None and detections is not None and len(detections) > 0,
-            accepted=any(q.closure.accepted for q in asked),
-            refused=any(not q.closure.accepted for q in asked),
-            health=bool(health),
-            scans=seen is not None,
-            grid=grid is not None,
-        )
-        recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
+        recording.static(("summary",), markdown(map_summary(topomap, asked)))
         return map_blueprint(topomap, track, health=bool(health), scans=seen is not None)
 
     write_recording(path, topomap.run, fill)

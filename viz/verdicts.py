@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits, shown_lead
-from ..topology.driven_branches import driven_branches
 from ..topology.wording import counted, listed, to_turning_points
 from .map_summary import bulleted, plain, several
 from .steps import Step
@@ -51,21 +49,29 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
     return matrix
 
 
-@dataclass(frozen=True, slots=True)
-class MergeLayers:
-    """Which optional parts a merge's recording holds: the legend describes only these."""
+LEGEND = """\
+## How to read it
 
-    story: bool = False
-    undecided: bool = False
-    contradictions: bool = False
-    walls: bool = False
-    legend: bool = False
-    numbers: bool = False
-    dots: bool = False
-    marks: bool = False
+**Map**: every corridor is a ribbon with one strand for each run that drove it; junctions seen by
+several runs are white, others grey. The names are in *Legend*. Drag the *join* time line: runs
+light up in the order in which they were joined. A white line ties the two runs that the step
+rests on; *Story* tells why. **Red** dots: where joined runs contradict each other. Under the map:
+what the lasers of all runs saw, walls **slate**, free space a little brighter than what is not
+known. Short strokes: branches that nobody drove. **Agreement**: the brighter, the more runs.
+**Runs**: each run's own map, laid into its component. **Undecided**: pairs that the evidence does
+not decide, those with most of it first, with both placements: the first run **blue**, the second
+**orange**; matched junctions in white, contradictions in red.
+
+**Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
+other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
+unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits
+and the reason.
+
+Point at anything for what is known about it, or select it and open the panels at the top right;
+the left one shows and hides runs."""
 
 
-def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
+def merge_summary(result: MergeResult) -> str:
     """A Markdown page: counts, legend, components, warnings."""
     count = result.standings()
     fused = result.fused
@@ -86,92 +92,14 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     ]
     if "method" in result.info:
         rows.append(f"method: {plain(result.info['method'])}")
-    legend = "## How to read it\n\n" + "\n\n".join(_legend(result, shown))
-    parts = ["# Merged map", bulleted(rows), legend, _components(result), _notes(result)]
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-_COLOURS = {
-    Standing.MERGED: "**green** merged",
-    Standing.JOINED: "**dark green** joined through other runs",
-    Standing.AMBIGUOUS: "**orange** ambiguous",
-    Standing.KEPT_OUT: "**red** fitting, but kept out by a later check",
-    Standing.UNRELATED: "**grey** unrelated",
-}
-
-
-def _legend(result: MergeResult, shown: MergeLayers) -> list[str]:
-    shared = any(len(members) > 1 for members in result.fused.members)
-    seen = "; junctions seen by several runs are white, others grey" if shared else ""
-    where = " The names are in *Legend*." if shown.legend else ""
-    views = [
-        f"**Map**: every corridor is a ribbon with one strand for each run that drove "
-        f"it{seen}.{where}"
-        if len(result.fused)
-        else ""
-    ]
-    if shown.story:
-        views.append(
-            "Drag the *join* time line: runs light up in the order in which they were joined. A "
-            "white line ties the two runs that the step rests on; *Story* tells why."
-        )
-    if shown.contradictions:
-        views.append("**Red** dots: where joined runs contradict each other; point at one.")
-    if shown.walls:
-        views.append(
-            "Under the map: what the lasers of all runs saw, walls **slate**, free space a little "
-            "brighter than what is not known."
-        )
-    if not driven_branches(result.fused).all():
-        views.append("Short strokes: branches that nobody drove.")
-    if shared:
-        views.append("**Agreement**: the brighter, the more runs.")
-    if len(result.fused):
-        views.append("**Runs**: each run's own map, laid into its component.")
-    if shown.undecided:
-        views.append(
-            "**Undecided**: pairs that the evidence does not decide, those with most of it first, "
-            "with both placements: the first run **blue**, the second **orange**; matched "
-            "junctions in white, contradictions in red."
-        )
-    matrix = _matrix_legend(result, shown)
-    pointing = (
-        "Point at anything for what is known about it, or select it and open the panels at the top "
-        "right; the left one shows and hides runs."
-    )
-    return [part for part in (" ".join(filter(None, views)), matrix, pointing) if part]
-
-
-def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
-    """The legend of the matrix."""
-    if not result.verdicts:
-        return ""
-    count = result.standings()
-    named = ", ".join(told for standing, told in _COLOURS.items() if count[standing])
-    lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
-    if shown.numbers:
-        lines.append(numbers_told(result))
-    if shown.dots:
-        where = "below the diagonal" if shown.numbers else "in a square"
-        lines.append(f"A dot {where}: the larger, the more evidence; point at it for the reason.")
-    if shown.marks:
-        lines.append(
-            "Runs of one component stand together; the marks at the left tell their names."
-        )
     if result.threshold_bits is not None:
-        lines.append(f"Merging needs {shown_bits(result.threshold_bits)} bits.")
-    return " ".join(lines)
+        rows.append(f"merging needs **{shown_bits(result.threshold_bits)}** bits")
+    parts = ["# Merged map", bulleted(rows), LEGEND, _components(result), _notes(result)]
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 LOCKED = "locked"
 """Stands beside the evidence of pairs on which a person decided."""
-
-
-def numbers_told(result: MergeResult) -> str:
-    """What stands in the matrix."""
-    locked = any(pair.locked for pair in result.verdicts)
-    decided = f"; {LOCKED}: a person decided" if locked else ""
-    return f"Numbers above the diagonal: bits of evidence{decided}."
 
 
 def _components(result: MergeResult) -> str:
