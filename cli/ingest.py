@@ -6,15 +6,14 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
-from .grouped import grouped
 from .journal import note
 from .options import (
     DEFAULT_WORKSPACE,
@@ -22,14 +21,14 @@ from .options import (
     QuietOption,
     VerboseOption,
     WorkspaceOption,
+    grouped,
 )
 from .output import Screen, say_lines
-from .read_options import ReadOptions
+from .read_options import MapOptions, ReadOptions
 from .settings_file import by_settings
 from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
-    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.remote.path import LogPath
     from ..topology.errors import LogError
     from .ingest_worker import IngestJob, IngestOutcome
@@ -37,33 +36,6 @@ if TYPE_CHECKING:
 # A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
 WORTH_A_PROCESS_LOGS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class MapOptions:
-    """How a map is made of what was read."""
-
-    robot_radius: Annotated[
-        float,
-        typer.Option(
-            metavar="METRES",
-            help="Radius of the robot that has to fit through the corridors of a saved map or a "
-            "grid.",
-        ),
-    ] = 0.25
-    closure: Annotated[
-        Literal["none", "gated", "full"],
-        typer.Option(
-            help="How to close loops: not at all; at the nearest place within the odometry's "
-            "error; or by everything that is known."
-        ),
-    ] = "full"
-
-    def settings(self) -> MappingSettings:
-        """The settings."""
-        from ..ingest.mapping_settings import MappingSettings
-
-        return MappingSettings(closure=self.closure, robot_radius_m=self.robot_radius)
 
 
 @grouped
@@ -78,7 +50,7 @@ def ingest(
     ],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
-    mapping: MapOptions = MapOptions(),
+    mapping: MapOptions = MapOptions(),  # noqa: B008 - frozen
     name: Annotated[
         str | None,
         typer.Option(
@@ -188,13 +160,9 @@ def _plan(
     names = names or run_names(logs, like.place, replace=like.force)
     used: dict[str, LogPath] = {}
 
-    def known(run: str) -> bool:
-        return like.place.map_json(run).is_file() or like.place.ingested(run) is not None
-
     for log, run in names.items():
         try:
-            # A run that is there may have a name that earlier versions gave.
-            like.place.check_run(run if known(run) else checked_run_name(run))
+            like.place.check_run(checked_run_name(run))
             if run in used:
                 raise UsageError(f"{used[run]} would become run {run!r} as well")
         except UsageError as error:
@@ -228,9 +196,8 @@ def _run_all(
 ) -> None:
     """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
     the list as they are known."""
-    from .ingest_pool import outcomes_of
+    from .ingest_pool import announce, outcomes_of
     from .ingest_worker import IngestJob, IngestOutcome, job_size
-    from .remote import announce
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]

@@ -8,7 +8,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -190,9 +190,10 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     return joined_pieces(topomap)
 
 
-READ_OPTIONS = (
-    *("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time"),
-    *("scan_topic", "junctions_from", "scan_stamp", "laser_pose"),
+READ_OPTIONS = tuple(
+    each.name
+    for each in fields(ReadSettings)
+    if each.name not in ("slices", "strict", "track", "sightings")
 )
 """Options about reading a log that are recorded, to read it again in the same way; beside them the
 heights of clouds."""

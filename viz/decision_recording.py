@@ -27,7 +27,7 @@ from .map_sheet import (
     write_words,
 )
 from .map_summary import bulleted
-from .placements import against, placements
+from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
 from .recording import (
     UP,
     PathParts,
@@ -38,7 +38,6 @@ from .recording import (
     screen,
     write_recording,
 )
-from .seen_together import CORNERS, WIDTHS, Overlay, overlays
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 Drawn = tuple[FloatArray, FloatArray]

@@ -33,12 +33,10 @@ from .drawing import (
     extent,
     strands,
 )
-from .palette import Order
+from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import against, placements
-from .seen_together import CORNERS, WIDTHS, Overlay, overlays
+from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
-from .theme import Theme
 from .walls import FINE_M, map_walls, moved, site_views, site_walls, strokes, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})

@@ -25,8 +25,7 @@ from .parts import Part, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import UP, PathParts, Recording, placed, strips
 from .sheet import Cell
-from .steps import Step, first_steps
-from .story import shared_from
+from .story import Step, first_steps, shared_from
 from .walls import FINE_M, site_views, walls_of
 
 FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"

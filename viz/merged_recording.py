@@ -32,8 +32,7 @@ from .pair_layers import (
 )
 from .parts import colours_of, lay_out
 from .recording import JOIN, Recording, blueprint, markdown, write_recording
-from .steps import joining_steps
-from .story import STORY, write_story
+from .story import STORY, joining_steps, write_story
 from .verdicts import (
     MOST_PLACEMENTS,
     merge_summary,

@@ -29,6 +29,7 @@ from ..topology.made_from import junctions_told
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .map_summary import minutes
+from .palette import LIGHT
 from .parts import ranks
 from .report_maps import INK, SiteLayers, blank_figure, change_told, site_map
 from .report_pairs import (
@@ -39,7 +40,6 @@ from .report_pairs import (
     pair_figure,
 )
 from .sheet import upright_rad
-from .theme import LIGHT
 from .verdicts import runs_in_order
 from .walls import site_walls
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits, shown_lead
 from ..topology.wording import counted, listed, to_turning_points
 from .map_summary import bulleted, plain, several
-from .steps import Step
 
 DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
@@ -22,9 +21,6 @@ MOST_PAIRS = 60
 
 MOST_PLACEMENTS = 12
 """Undecided pairs that are drawn, strongest evidence first: with more, their names have no room."""
-
-STORY_BEFORE, STORY_AFTER = 8, 12
-"""Steps listed before and after a step on its page."""
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
@@ -192,27 +188,3 @@ def _placement(a: Alignment) -> str:
     )
     against = "; ".join(plain(c) for c in a.contradictions[:3])
     return f"{told}; against it: {against}" if against else told
-
-
-def joining_told(steps: Sequence[Step]) -> list[str]:
-    """A page of markdown for every step, that of step 0 first: what happens there, and around it.
-
-    A page shows STORY_BEFORE steps before its own and STORY_AFTER after it.
-    """
-    lines = [_step_told(step) for step in steps]
-    reasons = [f"{plain(s.pair.a)} - {plain(s.pair.b)}: {plain(s.pair.reason)}" for s in steps]
-    pages = []
-    for now in range(len(steps) + 1):
-        head = f"# Step {now} of {len(steps)}\n\n"
-        head += f"{lines[now - 1]}\n\n{reasons[now - 1]}" if now else "Every run is by itself."
-        shown = range(max(0, now - 1 - STORY_BEFORE), min(len(steps), now + STORY_AFTER))
-        rest = [f"- {'→ ' if i + 1 == now else ''}{i + 1}: {lines[i]}" for i in shown]
-        pages.append(head + "\n\n## Before and after\n\n" + "\n".join(rest) + "\n")
-    return pages
-
-
-def _step_told(step: Step) -> str:
-    joins, into = (listed(list(map(plain, group)), 4) for group in (step.joins, step.into))
-    if len(step.joins) == len(step.into) == 1:
-        return f"**{joins}** and **{into}** join"
-    return f"**{joins}** {'joins' if len(step.joins) == 1 else 'join'} **{into}**"

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from topobatch.cli.cluster import cluster
+from topobatch.cli.matching import cluster
 from topobatch.cli.unchanged import contents
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
@@ -176,7 +176,7 @@ def test_a_cluster_by_the_command(dask, topobatch, workspace, fleet):
 
 def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("topobatch.cli.cluster.CONNECT_S", 1)
+    monkeypatch.setattr("topobatch.cli.matching.CONNECT_S", 1)
     called = topobatch("merge", "--all", "--cluster", "tcp://127.0.0.1:1", "-w", workspace)
     assert called.code == 1
     assert "no scheduler answers" in called.err

@@ -15,7 +15,7 @@ from case import read_of, writers
 from judge import print_of
 
 from topobatch.cli import places_file
-from topobatch.cli.places_file import read_places
+from topobatch.cli.transfer import read_places
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
 from topobatch.ingest.logs.messages import NAME_BYTES, DamageError

@@ -9,7 +9,7 @@ from topobatch.topology.topomap import TopoMap
 from topobatch.viz import verdicts
 from topobatch.viz.history import history, questions
 from topobatch.viz.map_summary import bulleted, map_summary
-from topobatch.viz.steps import joining_steps
+from topobatch.viz.story import joining_steps
 from topobatch.viz.verdicts import (
     CLASS,
     DIAGONAL,
