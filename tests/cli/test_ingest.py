@@ -379,16 +379,6 @@ def test_a_log_with_colons_in_its_name_becomes_a_run_without(topobatch, logs, tm
     assert place.runs() == ["t10-15-00"]
     assert ": run t10-15-00, " in topobatch("info", log).out
     assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
-    # Earlier versions kept the colons.
-    path = place.maps / "t10:15:00.json"
-    path.write_text(place.map_json("t10-15-00").read_text().replace("t10-15-00", path.stem))
-    assert topobatch("discard", "t10-15-00", "-q", "-w", place.root).code == 0
-    assert topobatch("merge", path.stem, "-q", "-w", place.root).code == 0
-    assert topobatch("ingest", log, "-q", "-w", place.root).code == 0
-    assert place.runs() == [path.stem]
-    assert topobatch("rename", path.stem, "ten", "-q", "-w", place.root).code == 0
-    assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
-    assert place.runs() == ["ten"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
