@@ -174,7 +174,7 @@ def test_several_processes_give_the_same_maps(topobatch, logs, tmp_path):
         assert one.read_bytes() == two.read_bytes()
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [2])
 def test_what_an_interrupted_ingest_has_made_is_in_the_history(
     topobatch, logs, tmp_path, monkeypatch, jobs
 ):
@@ -586,37 +586,22 @@ def test_what_is_broken_in_a_folder_costs_no_other_log(topobatch, logs, tmp_path
 
 
 class Deadly:
-    """In place of a path: whoever unpickles it is killed, if told so only the first time."""
-
-    def __init__(self, path, mark=None):
-        self.path, self.mark = path, mark
+    """In place of a path: whoever unpickles it is killed."""
 
     def __reduce__(self):
-        kill = "__import__('os').kill(__import__('os').getpid(), 9)"
-        mark = f"__import__('pathlib').Path({str(self.mark)!r})"
-        path = f"__import__('pathlib').Path({str(self.path)!r})"
-        once = f"({mark}.exists() or [{mark}.touch(), {kill}]) and {path}"
-        return eval, (once if self.mark else kill,)
-
-    def __getattr__(self, name):
-        return getattr(self.path, name)
-
-    def __fspath__(self):
-        return str(self.path)
+        return eval, ("__import__('os').kill(__import__('os').getpid(), 9)",)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
-@pytest.mark.parametrize("again", [True, False])
-def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
+def test_a_process_that_dies_costs_no_other_log(logs, tmp_path):
     kinds = ("mcap", "bag", "other")
     place = Workspace(tmp_path / "ws")
     jobs = [
         IngestJob(logs[k], k, place, ReadSettings(), MappingSettings(), force=False) for k in kinds
     ]
-    deadly = Deadly(logs["bag"], None if again else tmp_path / "mark")
-    jobs[1] = replace(jobs[1], log=deadly)
+    jobs[1] = replace(jobs[1], log=Deadly())
     found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
-    assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}
+    assert found == {"mcap": "done", "bag": "failed", "other": "done"}
 
 
 def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
