@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
+from ..merge.decision import AGAINST, LINKS, Decision, Placement
 from ..merge.decision_text import headline, lines, short
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
@@ -19,6 +19,7 @@ from ..topology.views import CELL_M
 from . import palette
 from .drawing import extent, pen_m
 from .map_sheet import (
+    LaidOver,
     sheet_view,
     write_cards,
     write_laid_over,
@@ -27,7 +28,7 @@ from .map_sheet import (
     write_words,
 )
 from .map_summary import bulleted
-from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
+from .placements import CORNERS, WIDTHS, Overlay, contradiction_spots, overlays, placements
 from .recording import (
     UP,
     PathParts,
@@ -53,6 +54,9 @@ TOLD = {SILENT: "silent", AGREES: "agrees", CONTRADICTS: "contradicts"}
 
 MOST_LINKS = 1000
 """Links on the page of all evidence."""
+
+FOOT = 0.06
+"""Height of the runs' names above the foot of a cell, over its smaller side."""
 
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
@@ -80,21 +84,22 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
     drawn = placements(a, b, decision)
     if not drawn:  # nothing to lay over each other: the two maps as they are
         return _side_by_side(recording, a, b)
-    points = [np.concatenate([extent(a), apply(p.T_a_b, extent(b))]) for p in drawn]
-    margin = sheet_margin_m(points)
-    cells = arrange(points, [upright_rad(a.paths)] * len(drawn), margin)
-    recording.static((PLACEMENTS,), UP)
-    write_cards(recording, PLACEMENTS, cells, [(p.title,) for p in drawn])
+    laid = []
+    for number, p in enumerate(drawn):
+        of_b, terms = apply(p.T_a_b, b.xy), p.placement.of(*AGAINST) if p.placement else ()
+        against = ((f"{t.bits:+.2f} bits: {t.told}", (t.a, t.b)) for t in terms if t.a or t.b)
+        spots = contradiction_spots(against, a.xy, of_b)
+        none = np.zeros(0, np.int64)
+        laid.append(LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, number, none, spots))
+    cells = write_laid_over(recording, PLACEMENTS, laid)
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):
         here = (PLACEMENTS, picture.name)
-        write_laid_over(recording, here, cell, (a, b), picture.T_a_b, pen=pen)
         if picture.placement is not None:
             xy = (a.xy, apply(picture.T_a_b, b.xy))
             _ties(recording, here, picture.placement, xy, pen=pen)
             _links(recording, here, picture.placement, xy, pen=pen, both=picture.tied)
-            _contradictions(recording, here, picture.placement, xy, pen=pen)
-        _names(recording, picture.name, cell, margin, (a.run, b.run))
+        _names(recording, picture.name, cell, (a.run, b.run))
     return cells
 
 
@@ -135,12 +140,11 @@ def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
     return cells
 
 
-def _names(
-    recording: Recording, name: str, cell: Cell, margin: float, runs: tuple[str, str]
-) -> None:
+def _names(recording: Recording, name: str, cell: Cell, runs: tuple[str, str]) -> None:
     """The runs' names in their colours, at the foot of a cell."""
-    width = cell.high[0] - cell.low[0]
-    places = [(cell.low[0] + share * width, cell.low[1] + 0.8 * margin) for share in (0.3, 0.7)]
+    width, height = cell.high - cell.low
+    low = cell.low[1] + FOOT * min(width, height)
+    places = [(cell.low[0] + share * width, low) for share in (0.3, 0.7)]
     write_words(
         recording,
         (PLACEMENTS, "names", name),
@@ -192,40 +196,8 @@ def _links(
             colors=[palette.MERGED if t.bits >= 0 else palette.REFUSED for t in shown],
             draw_order=palette.Order.EVIDENCE,
         )
-        recording.static((*here, "links", name), lines, _info(shown))
-
-
-def _info(terms: list[Term]) -> rr.AnyValues:
-    return rr.AnyValues(bits=[t.bits for t in terms], what=[t.told for t in terms])
-
-
-def _contradictions(
-    recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
-) -> None:
-    """Junctions that the other run drove past unseen, and corridors that cross, in red."""
-    found = list(against(placement.of(*AGAINST), *xy))
-    spots = [(term, at[0]) for term, at in found if len(at) == 1]
-    if spots:
-        points = rr.Points2D(
-            [at for _, at in spots],
-            radii=3.0 * pen,
-            colors=palette.REFUSED,
-            draw_order=palette.Order.CONTRADICTION,
-        )
-        recording.static(
-            (*here, "contradictions", "junctions"), points, _info([t for t, _ in spots])
-        )
-    crossed = [(term, line) for term, line in found if len(line) == 2]
-    if crossed:
-        lines = rr.LineStrips2D(
-            [line for _, line in crossed],
-            radii=pen,
-            colors=palette.REFUSED,
-            draw_order=palette.Order.BRANCH,
-        )
-        recording.static(
-            (*here, "contradictions", "corridors"), lines, _info([t for t, _ in crossed])
-        )
+        told = rr.AnyValues(bits=[t.bits for t in shown], what=[t.told for t in shown])
+        recording.static((*here, "links", name), lines, told)
 
 
 _LEGEND = "# How to read it\n\n" + bulleted(

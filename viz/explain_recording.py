@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 
 from ..merge.paper.explain import Explanation, lines
 from ..topology.arrays import FloatArray
-from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted
 from . import palette
-from .drawing import extent, pen_m
-from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
-from .recording import HAIR, UP, Recording, blueprint, screen, write_recording
-from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
+from .map_sheet import LaidOver, sheet_view, write_laid_over
+from .recording import HAIR, Recording, blueprint, screen, write_recording
+from .sheet import Cell, outline
 
 TABLE, SPACE, PLACEMENTS = "table", "transforms", "placements"
 
@@ -161,19 +159,12 @@ def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: 
 def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> list[Cell]:
     """Write b over a as each of the best clusters places it."""
     h, c = e.hypotheses, e.clusters
-    shown = min(len(c.vertices), MOST_PLACEMENTS)
-    points = [np.concatenate([extent(a), apply(c.transform[k], extent(b))]) for k in range(shown)]
-    cells = arrange(points, [upright_rad(a.paths)] * shown, sheet_margin_m(points))
-    recording.static((PLACEMENTS,), UP)
-    titles = [(_title(e, k),) for k in range(shown)]
-    write_cards(recording, PLACEMENTS, cells, titles)
-    pen = pen_m([a, b])
-    for k, cell in enumerate(cells):
-        here = (PLACEMENTS, f"cluster {k + 1}")
-        write_laid_over(recording, here, cell, (a, b), c.transform[k], pen=pen)
+    laid = []
+    for k in range(min(len(c.vertices), MOST_PLACEMENTS)):
         matched = np.unique(h.vertex_a[c.of[h.of] == k])
-        write_rings(recording, (*here, "matched"), a.xy[matched], 2.4 * pen)
-    return cells
+        path, title = (f"cluster {k + 1}",), (_title(e, k),)
+        laid.append(LaidOver(path, title, (a, b), c.transform[k], k, matched))
+    return write_laid_over(recording, PLACEMENTS, laid)
 
 
 def _space_view(e: Explanation) -> rrb.View:

@@ -78,8 +78,8 @@ def write_fused_layers(
 
 def write_fused_contradictions(
     recording: Recording, result: MergeResult, maps: Mapping[str, TopoMap], parts: list[Part]
-) -> bool:
-    """Write red dots where merged runs contradict each other; returns whether there are any."""
+) -> None:
+    """Write red dots where merged runs contradict each other."""
     pen = pen_m([result.fused])
     found: dict[int, list[Spot]] = {}
     home = {run: part for part in parts for run in part.component.poses}
@@ -87,12 +87,12 @@ def write_fused_contradictions(
         if pair.accepted and pair.best is not None and pair.best.contradicting:
             poses = home[pair.a].component.poses
             of_a, of_b = (apply(poses[run], maps[run].xy) for run in (pair.a, pair.b))
-            spots = contradiction_spots(pair.best, of_a, of_b)
+            against = zip(pair.best.contradictions, pair.best.contradicting, strict=False)
+            spots = contradiction_spots(against, of_a, of_b)
             found.setdefault(home[pair.a].component.id, []).extend(spots)
     for part in parts:
         path = (FUSED, part.name, "contradictions")
         write_contradictions(recording, path, found.get(part.component.id, []), pen)
-    return bool(found)
 
 
 MOST_VIEWS = 5000

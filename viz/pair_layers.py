@@ -13,17 +13,10 @@ from ..topology.arrays import FloatArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import extent, pen_m
-from .map_sheet import (
-    write_cards,
-    write_contradictions,
-    write_laid_over,
-    write_rings,
-    write_words,
-)
+from .map_sheet import LaidOver, write_laid_over, write_words
 from .placements import contradiction_spots
-from .recording import HAIR, UP, Recording
-from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
+from .recording import HAIR, Recording
+from .sheet import Cell, outline
 from .verdicts import CLASS, DIAGONAL, LOCKED, verdict_matrix
 
 MATRIX, UNDECIDED = "verdicts", "undecided"
@@ -201,31 +194,16 @@ def write_undecided(
 
     Returns the cells, one for each placement.
     """
-    laid = [
-        (pair, name, alignment)
-        for pair in pairs
-        for name, alignment in (("best", pair.best), ("runner-up", pair.runner_up))
-        if alignment is not None
-    ]
-    points = [
-        np.concatenate([extent(maps[p.a]), apply(a.transform, extent(maps[p.b]))])
-        for p, _, a in laid
-    ]
-    turns = [upright_rad(maps[p.a].paths) for p, _, _ in laid]
-    together = [pairs.index(pair) for pair, _, _ in laid]
-    cells = arrange(points, turns, sheet_margin_m(points), groups=together)
-    recording.static((UNDECIDED,), UP)
-    named = [(f"{p.a} - {p.b}", name, shown_bits(a.evidence_bits)) for p, name, a in laid]
-    titles = [
-        (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair) for pair, name, bits in named
-    ]
-    write_cards(recording, UNDECIDED, cells, titles)
-    pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
-    for (pair, name, alignment), cell in zip(laid, cells, strict=True):
-        here = (UNDECIDED, "pairs", pair.a, pair.b, name)
-        a, b = maps[pair.a], maps[pair.b]
-        write_laid_over(recording, here, cell, (a, b), alignment.transform, pen=pen)
-        write_rings(recording, (*here, "matched"), a.xy[alignment.matched[:, 0]], 2.2 * pen)
-        spots = contradiction_spots(alignment, a.xy, apply(alignment.transform, b.xy))
-        write_contradictions(recording, (*here, "contradictions"), spots, pen)
-    return cells
+    laid = []
+    for group, p in enumerate(pairs):
+        a, b, pair = maps[p.a], maps[p.b], f"{p.a} - {p.b}"
+        for name, alignment in (("best", p.best), ("runner-up", p.runner_up)):
+            if alignment is None:
+                continue
+            bits, T = shown_bits(alignment.evidence_bits), alignment.transform
+            titles = (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair)
+            against = zip(alignment.contradictions, alignment.contradicting, strict=False)
+            spots = contradiction_spots(against, a.xy, apply(T, b.xy))
+            path = ("pairs", p.a, p.b, name)
+            laid.append(LaidOver(path, titles, (a, b), T, group, alignment.matched[:, 0], spots))
+    return write_laid_over(recording, UNDECIDED, laid)

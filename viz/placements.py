@@ -3,14 +3,14 @@ views that speak most for a placement and against it, laid over each other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..merge.decision import Decision, Placement, Term
 from ..merge.decision_text import listed, other_name
-from ..merge.result import Alignment, shown_bits
+from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
 from ..topology.se2 import apply, compose, turned
@@ -91,15 +91,19 @@ class Spot:
     told: str
 
 
-def contradiction_spots(alignment: Alignment, of_a: FloatArray, of_b: FloatArray) -> list[Spot]:
-    """The contradictions of an alignment whose junctions are known, in the frame of the given
-    positions, (n, 2) each: at a junction that the other run did not see, or amid two corridors that
-    cross."""
+def contradiction_spots(
+    against: Iterable[tuple[str, tuple[Sequence[int], Sequence[int]]]],
+    of_a: FloatArray,
+    of_b: FloatArray,
+) -> list[Spot]:
+    """Contradictions, each with its text and the junctions of a and of b that it concerns, in the
+    frame of the given positions, (n, 2) each: at a junction that the other run did not see, or amid
+    two corridors that cross."""
     spots = []
-    for told, (a, b) in zip(alignment.contradictions, alignment.contradicting, strict=False):
-        alone = [of[list(ends)] for of, ends in ((of_a, a), (of_b, b)) if len(ends) == 1]
-        both = [of_a[list(a)], of_b[list(b)]]
-        spots.append(Spot(np.concatenate(alone or both).mean(axis=0), told))
+    for told, (a, b) in against:
+        ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
+        alone = [points for points in ends if len(points) == 1]
+        spots.append(Spot(np.concatenate(alone or ends).mean(axis=0), told))
     return spots
 
 

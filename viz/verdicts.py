@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits, shown_lead
+from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.wording import counted, listed, to_turning_points
 from .map_summary import bulleted, plain, several
 
@@ -119,7 +119,7 @@ def _notes(result: MergeResult) -> str:
 
 
 def pairs_told(result: MergeResult) -> str:
-    """Markdown with every pair's verdict, reason and evidence, the strongest of each kind first."""
+    """Markdown with every pair's verdict and reason, the strongest of each kind first."""
     parts = ["# Pairs of runs"]
     of_kind: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
     for pair in result.verdicts:
@@ -135,8 +135,7 @@ def pairs_told(result: MergeResult) -> str:
         pairs, everyone = strongest(of_kind[standing]), count[standing]
         if everyone:
             parts.append(f"## {title} ({everyone:,})")
-            told = _in_short if standing in (Standing.JOINED, Standing.UNRELATED) else _in_full
-            parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
+            parts.append("\n".join(map(_told, pairs[:MOST_PAIRS])))
             if len(pairs) > MOST_PAIRS:
                 parts.append(f"… and {len(pairs) - MOST_PAIRS:,} more, in `merged.json`")
             if everyone > len(pairs):
@@ -157,34 +156,10 @@ def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
     return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))
 
 
-def _in_short(pair: PairVerdict) -> str:
-    return f"- {plain(pair.a)} - {plain(pair.b)}: {plain(pair.reason)}"
-
-
-def _in_full(pair: PairVerdict) -> str:
-    lines = [f"**{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
-    if pair.best is not None:
-        lines.append(f"best: {shown_bits(pair.best.evidence_bits)} bits, {_placement(pair.best)}")
-    if pair.runner_up is not None:
-        other = pair.runner_up.evidence_bits
-        bits = f"{shown_bits(other)} bits"
-        if pair.margin_bits is not None:
-            bits = f"{bits}, {shown_lead(pair.evidence_bits, other):.1f} behind"
-        lines.append(f"runner-up: {bits}, {_placement(pair.runner_up)}")
+def _told(pair: PairVerdict) -> str:
+    lines = [f"- **{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
     if pair.advice:
         lines.append(f"to settle it: {plain(pair.advice)}")
     if pair.locked:
         lines.append(f"decided by a person: {plain(pair.locked)}")
-    head, *rest = lines
-    return "\n".join([f"- {head}", *(f"  - {line}" for line in rest)])
-
-
-def _placement(a: Alignment) -> str:
-    x, y, theta = a.transform
-    told = (
-        f"{counted(len(a.matched), 'junction')} and {counted(a.corridors, 'corridor')} "
-        f"matched, {a.rmse_m:.2f} m apart (rms), at ({x:.2f}, {y:.2f}) m, "
-        f"{np.degrees(theta):.1f}°"
-    )
-    against = "; ".join(plain(c) for c in a.contradictions[:3])
-    return f"{told}; against it: {against}" if against else told
+    return "\n  - ".join(lines)

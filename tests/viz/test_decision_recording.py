@@ -60,7 +60,10 @@ def test_a_merged_pair_is_drawn_over_and_tied(tmp_path: Path, make_map) -> None:
         "placement: 30.0 bits",
         "the 5 matched junctions tied",
     ]
-    assert got.value("/placements/placement/contradictions/junctions", "bits") == [-2.0]
+    assert got.value("/placements/placement/contradictions", "contradiction") == [
+        "-2.00 bits: junction unseen in a corridor",
+        "-1.00 bits: corridors that lead elsewhere",
+    ]
     page = got.value("/decision", "TextDocument:text")[0]
     assert [*lines(told)] == page.splitlines()[1:-1]  # between fences
     assert "a/1 and b: merged: 30.0 bits of evidence, 12.6 needed" in page
