@@ -121,7 +121,7 @@ def test_runs_are_named(tmp_path: Path, merge_of: Merge) -> None:
     got = Readback(tmp_path / "merged.rrd")
     assert got.value("/legend/runs", "Points2D:labels") == ["component 0", *half]
     assert got.value("/verdicts/runs", "run")[: len(half)] == half
-    assert got.value("/verdicts/rows", "Points2D:labels") == ["component 0", "alone"]
+    assert got.value("/verdicts/rows", "Points2D:labels") == ["component 0"]
     assert len(got.value("/verdicts/evidence", "pair")) == len(result.verdicts)
 
 

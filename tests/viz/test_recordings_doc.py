@@ -95,6 +95,4 @@ def test_its_tables_name_nothing_else(samples, section: str, file: str, of_scans
         "/map/component_N/contradictions",
         "/undecided/pairs/A/B/best/…",
         "/undecided/pairs/A/B/runner-up/…",
-        "/verdicts/runs",
-        "/verdicts/components",
     }
