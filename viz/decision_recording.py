@@ -17,7 +17,7 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M
 from . import palette
-from .drawing import extent, pen_m
+from .drawing import MOST_NUMBERED, extent, pen_m
 from .map_sheet import (
     LaidOver,
     sheet_view,
@@ -97,7 +97,7 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
         here = (PLACEMENTS, picture.name)
         if picture.placement is not None:
             xy = (a.xy, apply(picture.T_a_b, b.xy))
-            _ties(recording, here, picture.placement, xy, pen=pen)
+            _ties(recording, here, picture.placement, xy, pen=pen, apart=picture.tied)
             _links(recording, here, picture.placement, xy, pen=pen, both=picture.tied)
         _names(recording, picture.name, cell, (a.run, b.run))
     return cells
@@ -155,9 +155,16 @@ def _names(recording: Recording, name: str, cell: Cell, runs: tuple[str, str]) -
 
 
 def _ties(
-    recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
+    recording: Recording,
+    here: PathParts,
+    placement: Placement,
+    xy: Drawn,
+    *,
+    pen: float,
+    apart: bool,
 ) -> None:
-    """Matched junctions, and a line from each to its partner."""
+    """Matched junctions with their numbers, of b only where it is drawn `apart`, and a line from
+    each to its partner."""
     pairs = placement.alignment.matched
     if not len(pairs):
         return
@@ -170,8 +177,11 @@ def _ties(
     )
     info = rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
     recording.static((*here, "ties"), lines, info)
-    for name, at in (("a", one), ("b", two)):
+    for k, (name, at) in enumerate((("a", one), ("b", two))):
         write_rings(recording, (*here, "matched", name), at, 1.8 * pen, palette.Order.RING)
+        if (apart or k == 0) and len(pairs) <= MOST_NUMBERED:
+            path, numbers = (*here, "numbers", name), [str(v) for v in pairs[:, k].tolist()]
+            write_words(recording, path, at, numbers, colours=palette.of_rank(k))
 
 
 def _links(

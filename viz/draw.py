@@ -352,7 +352,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
             )
             links |= _links(canvas, agreeing, xy, digits, both=picture.tied)
             contradicted |= _against(canvas, others, xy, digits)
-            matched |= _ties(canvas, picture.placement.alignment, xy)
+            matched |= _ties(canvas, picture.placement.alignment, xy, apart=picture.tied)
     keys = _pair_keys(
         *(theme, a.run, b.run),
         matched=matched,
@@ -461,9 +461,11 @@ def _side_by_side(
     return canvas
 
 
-def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray]) -> bool:
-    """Draw rings round matched junctions and a line between each two; returns whether there are
-    any."""
+def _ties(
+    canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray], *, apart: bool
+) -> bool:
+    """Draw rings round matched junctions, their numbers, of b only where it is drawn `apart`, and a
+    line between each two; returns whether there are any."""
     pairs = alignment.matched
     if len(pairs) == 0:
         return False
@@ -475,6 +477,10 @@ def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray
         )
     canvas.dots(one, ink, 6.5, order=Order.TIE, ring=True)
     canvas.dots(two, ink, 6.5, order=Order.TIE, ring=True)
+    aside = 7.0 / canvas.points_per_m
+    for k, at in enumerate((one, two) if apart else (one,)):
+        for v, (x, y) in zip(pairs[:MOST_NUMBERED, k].tolist(), at.tolist(), strict=False):
+            canvas.words((x - aside, y + aside), str(v), size_pt=SMALL_PT)
     return True
 
 
