@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -106,27 +106,17 @@ def ingest(
     )
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []
-        before = _records(planned)
-        stopped = False
         try:
             _run_all(planned, jobs, screen, outcomes)
         except (KeyboardInterrupt, SystemExit):
-            stopped = True
+            done = f"{len(outcomes)} of {counted(len(planned), 'log')} finished"
+            screen.stopped(f"{done}; run again to go on")
             raise
         finally:
-            # After a Ctrl-C runs may be finished of which nobody was told.
-            told = {outcome.run for outcome in outcomes}
-            new = {outcome.run for outcome in outcomes if outcome.status == "done"}
-            records = _records(planned)
-            new |= {run for run in records if run not in told and records[run] != before.get(run)}
+            new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
             if new:
-                text = f"{counted(len(new), 'log')}: {listed(sorted(new))}"
+                text = f"{counted(len(new), 'log')}: {listed(new)}"
                 note(place, "ingest", f"{text}{by_settings(place)}", screen.warn)
-            if stopped:
-                done = len(told | new)
-                screen.stopped(
-                    f"{done} of {counted(len(planned), 'log')} finished; run again to go on"
-                )
     if as_json:
         fields = ("run", "status", "text", "maps", "warnings")
         say_lines(json.dumps([{name: getattr(o, name) for name in fields} for o in outcomes]))
@@ -234,20 +224,6 @@ def _done(read: int, finished: Sequence[str], sizes: Mapping[str, int]) -> tuple
     read = min(max(read, mapped), total)
     told = f"{len(finished)}/{len(sizes)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
     return mapped + read, told
-
-
-def _records(planned: list[IngestJob | IngestOutcome]) -> dict[str, tuple[int, int]]:
-    """For every run that has a record of its ingest, what is another when it is written anew."""
-    from .ingest_worker import IngestJob, called
-
-    found = {}
-    for job in planned:
-        if isinstance(job, IngestJob):
-            run = called(job.place, job.run)
-            with suppress(OSError):
-                state = os.lstat(job.place.ingest_record(run))
-                found[run] = (state.st_ino, state.st_mtime_ns)
-    return found
 
 
 def _show(outcome: IngestOutcome, screen: Screen) -> None:

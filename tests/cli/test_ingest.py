@@ -174,9 +174,8 @@ def test_several_processes_give_the_same_maps(topobatch, logs, tmp_path):
         assert one.read_bytes() == two.read_bytes()
 
 
-@pytest.mark.parametrize("jobs", [2])
-def test_what_an_interrupted_ingest_has_made_is_in_the_history(
-    topobatch, logs, tmp_path, monkeypatch, jobs
+def test_what_an_interrupted_ingest_has_told_is_in_the_history(
+    topobatch, logs, tmp_path, monkeypatch
 ):
     from topobatch.cli import ingest
 
@@ -187,20 +186,19 @@ def test_what_an_interrupted_ingest_has_made_is_in_the_history(
 
     def interrupted(outcome, screen):
         shown(outcome, screen)
-        monkeypatch.setattr(ingest, "_show", shown)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ingest, "_show", interrupted)
-    call = ("ingest", *files, "-j", jobs, "-w", tmp_path / "ws")
-    stopped = topobatch(*call)
+    call = ("ingest", *files, "-j", 2, "-w", tmp_path / "ws")
+    with monkeypatch.context() as patch:
+        patch.setattr(ingest, "_show", interrupted)
+        stopped = topobatch(*call)
     assert stopped.code == 130
-    assert " of 3 logs finished; run again to go on" in stopped.err
+    assert "1 of 3 logs finished; run again to go on" in stopped.err
     done = topobatch(*call)
     assert done.code == 0, done
     told = json.loads(topobatch("history", "--json", "-w", tmp_path / "ws").out)
     assert len(told) == 2
-    named = ", ".join(entry["text"].partition(": ")[2] for entry in told)
-    assert sorted(named.split(", ")) == ["a", "b", "c"]
+    assert told[0]["text"].startswith("1 log: ")
 
 
 def test_reading_is_half_of_the_work():
