@@ -106,7 +106,6 @@ SETTINGS: dict[str, dict[str, float]] = {
     },
     "growth: discount": {"rounds.candidates.growth.discount": 1.0},
     "growth: known gaps": {"rounds.candidates.growth.line_m": 0.0},
-    "measured rates": {"rounds.rates.prior_passes": ALWAYS},
     "grid kernel": {"rounds.estimate.grid_kernel": ALWAYS},
     "closed again": {"rounds.most_crossing": ALWAYS},
     "closed again: strict": {"rounds.strict_wrong_share": 0.1},
@@ -135,10 +134,6 @@ def _one_hop(state, a, b, aligned, settings):
 def _no_missed(state, front, pairs, settings):
     none = np.zeros(0, np.int64)
     return growth.take(pairs, none), none
-
-
-def _no_bounds(state, a, *args):
-    return np.full(len(a), np.inf), np.full(len(a), np.inf)
 
 
 def _evidence_without(part):
@@ -178,6 +173,7 @@ REPLACED = {
     "growth": (candidates, "grow", lambda s, a, *args: growth.Support(*np.zeros((2, len(a))))),
     "growth: one hop": (candidates, "grow", _one_hop),
     "growth: missed junctions": (growth, "_past_missed", _no_missed),
+    "measured rates": (incremental, "measured_rates", lambda places, noise: noise),
     "noise raised": (incremental, "_fitting_scale", lambda now, *args: now),
     "taking back": (incremental, "_outliers", lambda *args: []),
     "joint compatibility": (incremental, "_together", lambda *args: ([], {})),
@@ -196,7 +192,6 @@ REPLACED = {
         "is_step",
         lambda lattice, shift: np.zeros(len(shift), bool),
     ),
-    "shortest known path": (candidates, "known_way_variance", _no_bounds),
     "neighbours": (candidates, "among_neighbours", lambda common, odds, *args: odds),
     "negative information": (negative_information.DrivenGround, "share", _zeros(1)),
     "joint: one step off": (joint_compatibility, "_one_step_off", lambda *args: -np.inf),

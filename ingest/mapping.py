@@ -12,11 +12,10 @@ from ..topology.closure.alternatives import most_likely_closure
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
-from ..topology.closure.estimate import optimise
+from ..topology.closure.estimate import optimise, set_apart
 from ..topology.closure.incremental import Closed, closure_without_grid, full_closure
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.nearest_neighbour import gated_closure
-from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import Fitted, fitted_noise
 from ..topology.digits import significant
 from ..topology.errors import DataError
@@ -33,9 +32,9 @@ from ..topology.visits import Visits, in_map_frame
 from .driven_shares import ON_THE_WAY, driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
-from .odometry.bridging import bridged, confirmed, jumps_told, split_told
+from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
-from .odometry.motion_errors import motion_errors, refine_scale, scale_told
+from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from .odometry.noise import refine_noise
 from .pass_source import PassSource, pass_source, why_none
 
@@ -236,7 +235,7 @@ def close_loops(
         closed = gated_closure(reckoning, settings.rounds)
     else:
         place = np.arange(len(reckoning), dtype=np.int64)
-        closed = Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
+        closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
     return closed, fitted(closed)
 
 
@@ -315,8 +314,8 @@ def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: Corrected
 
 def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
     """The record of the map: all identifications made, refused and taken back."""
-    asked = [*closed.asked, *places.asked]
-    answers = [(_without_phantoms(q, places.place), False) for q in asked]
+    identifications = [*closed.identifications, *places.identifications]
+    answers = [(_without_phantoms(q, places.place), False) for q in identifications]
     answers += [(q, True) for q in closed.revised]
     answers.sort(key=lambda a: (a[0].second, a[0].first, a[0].round, a[1]))
     times = passes.time_ns.tolist()
@@ -356,11 +355,11 @@ def _info(
         "settings": asdict(settings),
         "warnings": [
             *run.warnings,
-            *scale_told(calibration.motion),
-            *split_told(run.odometry, odometry),
+            *describe_scale(calibration.motion),
+            *describe_splits(run.odometry, odometry),
         ],
         **({"pieces": pieces} if pieces > 1 else {}),
-        **({"jumps": jumps_told(run.odometry, odometry)} if len(odometry.jumps) else {}),
+        **({"jumps": jump_records(run.odometry, odometry)} if len(odometry.jumps) else {}),
         "calibration": {
             name: {
                 "applied": calibration.applied[k],
