@@ -22,7 +22,7 @@ from ..ingest.scans.slicing import SliceSettings
 from ..topology.document import map_to_document
 from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
-from ..topology.made_from import junctions_told
+from ..topology.made_from import describe_junctions
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.view_file import view_writes
@@ -144,7 +144,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
-    if source := junctions_told(maps[0].info):
+    if source := describe_junctions(maps[0].info):
         text += f"; {source}"
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)

@@ -25,7 +25,7 @@ from ..merge.change import Change
 from ..merge.decision import Decision
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, shown_bits
-from ..topology.made_from import junctions_told
+from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .map_summary import minutes
@@ -354,7 +354,7 @@ def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[s
     for run in runs:
         if run in report.maps:
             m = report.maps[run]
-            source = junctions_told(m.info)
+            source = describe_junctions(m.info)
             told = ([source] if source else []) + [str(w) for w in m.info.get("warnings") or ()][:8]
             out.append(([run, home.get(run, "—"), *_measured(m)], told))
     return out
