@@ -126,17 +126,14 @@ def read_log(
 def _kept(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
 ) -> tuple[Intake, Findings]:
-    """The messages kept and the findings, using the index as long as it is consistent with the
-    data."""
+    """The messages kept and the findings, by the index if it lists what is needed."""
     if index is not None:
         try:
-            intake, findings = _walked(recording, settings, progress, index)
-            if not findings.misdescribed:
-                return intake, findings
+            return _walked(recording, settings, progress, index)
         except (LogError, UsageError):
             if index.sure:
                 raise
-    # There is no index, or it is inconsistent with the data.
+    # There is no index, or one that may be wrong lacks what is needed.
     if settings.junction_fields is not None:
         try_mapping(recording, settings)
     return _walked(recording, settings, progress, None)
