@@ -17,7 +17,7 @@ from .junction_source import JunctionSource, junction_source, views_source, walk
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import Findings
+from .logs.messages import MISDESCRIBED, Findings
 from .logs.recording import (
     Recording,
     log_exists,
@@ -129,7 +129,9 @@ def _kept(
     """The messages kept and the findings, by the index if it lists what is needed."""
     if index is not None:
         try:
-            return _walked(recording, settings, progress, index)
+            intake, findings = _walked(recording, settings, progress, index)
+            if MISDESCRIBED not in findings.faults:
+                return intake, findings
         except (LogError, UsageError):
             if index.sure:
                 raise

@@ -152,8 +152,8 @@ class ChunkedLog(ABC):
         assert isinstance(self.path, RemotePath)
         file = self.path.file
         channels = Channels(want, Findings())
-        for number, channel in self.index.channels.items() if self.index is not None else ():
-            channels.describe(number, channel)
+        if self.index is not None:
+            channels.take_index(self.index.channels)
         needed = self._needed(channels)
         return file.cost(self._requests(needed, file.size))
 
@@ -172,8 +172,8 @@ class ChunkedLog(ABC):
         keep_freed_memory()
         with open_source(self.path, progress) as source:
             channels, index = Channels(want, findings), self.index
-            for number, channel in index.channels.items() if index is not None else ():
-                channels.describe(number, channel)
+            if index is not None:
+                channels.take_index(index.channels)
             remote = isinstance(source, RemoteSource)
             needed = self._needed(channels) if by_index or remote else "it is not believed"
             if isinstance(source, RemoteSource) and isinstance(needed, str):

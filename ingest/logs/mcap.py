@@ -241,24 +241,26 @@ class Definitions:
     def __init__(self, channels: Channels) -> None:
         self._channels = channels
         self._schemas: dict[int, tuple[str, str, bytes]] = {0: ("", "", b"")}
-        self._read = np.zeros(2 * NUMBERS, bool)
+        self._length = np.zeros(2 * NUMBERS, np.int64)
 
     def read(self, data: Bytes, where: IntArray) -> int:
-        """Read the new ones among records at `where`; returns the bytes of those that are
-        damaged."""
+        """Read the new ones among records at `where`; returns the bytes of those that are damaged:
+        that cannot be read, or are of another length than before."""
         where = where[where + RECORD_HEAD + 2 <= len(data)]
         number = words(data, "<u2", where + RECORD_HEAD) + NUMBERS * (data[where] == SCHEMA)
+        size = words(data, "<i8", where + 1)
         first = np.unique(number, return_index=True)[1]
-        fresh = np.sort(first[~self._read[number[first]]])
+        fresh = np.sort(first[self._length[number[first]] == 0])
         damaged = 0
         for place, key in zip(where[fresh].tolist(), number[fresh].tolist(), strict=True):
             op, length = _RECORD(data.data, place)
             body = data[place + RECORD_HEAD : place + RECORD_HEAD + length].tobytes()
             try:
-                self._read[key] = self._add(op, body)
+                self._length[key] = length if self._add(op, body) else 0
             except (DamageError, struct.error):
                 damaged += len(body)
-        return damaged
+        known = self._length[number]
+        return damaged + int(size[(known > 0) & (size != known)].sum())
 
     def _add(self, op: int, body: bytes) -> bool:
         """Read a schema, or a channel if its schema is known."""

@@ -144,6 +144,10 @@ Fault = tuple[str, str]
 
 CUT: Fault = ("", "the log is cut short")
 UNREADABLE: Fault = ("byte", "could not be read as messages")
+MISDESCRIBED: Fault = (
+    "channel",
+    "described by the index otherwise than the data, which are believed",
+)
 UNKNOWN: Fault = ("message", "of channels that the log does not describe")
 
 
