@@ -156,14 +156,12 @@ class Findings:
     """What was found in a scan of a log.
 
     counts: messages per channel, wanted or not; faults: how often each was met; lost: messages per
-    topic known to be lost in damaged places; lost_at_least: there may be more; first_ns, last_ns:
-    log times.
+    topic known to be lost, by the file's own counts; first_ns, last_ns: log times.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
     faults: Counter[Fault] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
-    lost_at_least: bool = False
     first_ns: int | None = None
     last_ns: int | None = None
 
@@ -191,7 +189,7 @@ class Findings:
         for other in known:
             faults -= Counter({fault: other.faults[fault] for fault in self.faults})
             lost -= Counter({topic: other.lost[topic] for topic in self.lost})
-        return Findings(faults=faults, lost=lost, lost_at_least=self.lost_at_least)
+        return Findings(faults=faults, lost=lost)
 
     @property
     def messages(self) -> int:
@@ -207,7 +205,7 @@ class Findings:
             if count
         ]
         for topic, count in sorted(self.lost.items()):
-            told = f"{'at least ' * self.lost_at_least}{several(count, 'message')} of {topic}"
+            told = f"{several(count, 'message')} of {topic}"
             out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9

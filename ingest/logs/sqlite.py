@@ -206,7 +206,6 @@ class _Reader:
             behind = self._first_from(last + 1) or self._readable_after(last + 1)
             yield [*rows, behind] if behind is not None else rows
             if behind is None:
-                self._findings.lost_at_least = True
                 return
             last = behind[0]
         self._findings.note("the database is damaged in too many places: the rest is left out")
