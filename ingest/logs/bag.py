@@ -29,7 +29,7 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
 from .walk import bag_records
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -245,9 +245,10 @@ class BagScan(Scan):
         return size
 
     def _next_record(self, read: Read, position: int, stop: int) -> int | None:
+        window = LEAST_BYTES
         while position < stop:
-            raw = read(position, SLAB_BYTES + 32)
-            for match in _START.finditer(raw, 0, SLAB_BYTES + 24):
+            raw = read(position, window + 32)
+            for match in _START.finditer(raw, 0, window + 24):
                 self._tries -= 1
                 if self._tries < 0:
                     return None
@@ -257,7 +258,8 @@ class BagScan(Scan):
                 cut = record.end > stop and record.op == CHUNK
                 if cut or record.end == stop or record_at(read, record.end) is not None:
                     return position + match.start()
-            position += SLAB_BYTES
+            position += window
+            window = min(4 * window, SLAB_BYTES)
         return None
 
     def _chunk_at(self, position: int) -> Chunk | None:

@@ -51,8 +51,8 @@ THREADS = 2
 SMALL_BYTES = 1 << 15
 """Chunks up to this size are decoded together: the work per chunk exceeds the work per byte."""
 
-AHEAD_BYTES = 1 << 25
-"""Bytes read and decompressed ahead of the decoding."""
+AHEAD_BYTES, AHEAD = 1 << 25, 64
+"""Bytes, and chunks, read and decompressed ahead of the decoding."""
 
 RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
 """Longest record of most channels: a longer one holds a longer message than is decoded."""
@@ -251,10 +251,11 @@ class Scan(ABC):
         try:
             for chunk in chunks:
                 task = partial(_inflated, chunk, self._source.read)
-                slow = chunk.compression in SLOW and not _in_parts(chunk)
+                slow = chunk.compression in SLOW and chunk.size > SMALL_BYTES
+                slow &= not _in_parts(chunk)
                 waiting.append((chunk, pool.submit(task).result if slow else task))
                 ahead += chunk.packed + chunk.size
-                while ahead > AHEAD_BYTES:
+                while ahead > AHEAD_BYTES or len(waiting) > AHEAD:
                     ahead -= waiting[0][0].packed + waiting[0][0].size
                     yield from self._of_chunk(*waiting.popleft())
             while waiting:

@@ -27,7 +27,7 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
 from .walk import mcap_records
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -95,6 +95,7 @@ class McapScan(Scan):
     def all(self) -> Iterator[Chunk]:
         """All chunks, and runs of records outside of them."""
         read, position, stop = self._source.read, len(MAGIC), self._source.size
+        window = LEAST_BYTES
         if read(0, position) != MAGIC:
             self.findings.note("the file does not begin with the MCAP magic")
         while position + RECORD_HEAD <= stop:
@@ -110,8 +111,9 @@ class McapScan(Scan):
                 continue
             if op not in _NOT_IN_CHUNKS:
                 if length < RECORD_BYTES:
-                    data = np.frombuffer(read(position, max(SLAB_BYTES, end - position)), np.uint8)
+                    data = np.frombuffer(read(position, max(window, end - position)), np.uint8)
                     end = position + mcap_records(data, _NOT_IN_CHUNKS)[1]
+                    window = min(max(4 * (end - position), LEAST_BYTES), SLAB_BYTES)
                 chunk = Chunk("", position, end - position, end - position)
             if chunk is not None:
                 yield chunk
@@ -133,8 +135,9 @@ class McapScan(Scan):
             self.findings.note("the checksum (CRC) of the data section is wrong")
 
     def _next_record(self, read: Read, position: int, stop: int) -> int | None:
+        window = LEAST_BYTES
         while position + RECORD_HEAD <= stop:
-            raw = np.frombuffer(read(position, SLAB_BYTES + RECORD_HEAD), np.uint8)
+            raw = np.frombuffer(read(position, window + RECORD_HEAD), np.uint8)
             count = min(len(raw) - RECORD_HEAD + 1, stop - position)
             starts = _KNOWN[raw[:count]]
             for k in (6, 7, 8):  # the upper bytes of the length
@@ -149,6 +152,7 @@ class McapScan(Scan):
                 if _leads_on(read, position + start, stop):
                     return int(position + start)
             position += count
+            window = min(4 * window, SLAB_BYTES)
         return None
 
     def _chunk_at(self, position: int) -> Chunk | None:
@@ -325,8 +329,13 @@ def _read_summary(source: Source) -> Index | None:
         counts = dict(struct.iter_unpack("<HQ", raw[at + 46 : at + 46 + size]))
     if sum(counts.values()) != total:
         counts = {}
-    chunks = sorted(_chunk_index(raw, at) for at in (where[op == CHUNK_INDEX]).tolist())
-    listed = frozenset[int]().union(*(held for _, _, held in chunks))
+    kinds: dict[frozenset[int], frozenset[int]] = {}  # few, of a million chunks
+    chunks = []
+    for at in where[op == CHUNK_INDEX].tolist():
+        begin, end, held = _chunk_index(raw, at)
+        chunks.append((begin, end, kinds.setdefault(held, held)))
+    chunks.sort(key=lambda chunk: chunk[0])
+    listed = frozenset[int]().union(*kinds)
     filled = {number for number, count in counts.items() if count}
     apart = all(end <= begin for (_, end, _), (begin, _, _) in pairwise(chunks))
     apart &= all(begin < end <= start for begin, end, _ in chunks)

@@ -15,6 +15,9 @@ from .messages import Passed, Progress
 SLAB_BYTES = 1 << 20
 """Bytes read at a time in a walk record by record."""
 
+LEAST_BYTES = 1 << 14
+"""Bytes read first where little may be of use, as between damaged places."""
+
 ALLOW_SCAN = "--allow-scan"
 
 
