@@ -204,6 +204,7 @@ class Scan(ABC):
         self._allowance = Allowance()
         self._tries = TRIES
         self._held: list[bytes] = []
+        self._held_bytes = 0
 
     # What a format tells
 
@@ -276,7 +277,8 @@ class Scan(ABC):
                 if chunk.size > SMALL_BYTES:
                     yield from self._used_together()
                 self._held.append(raw)
-                if sum(map(len, self._held)) > 8 * SMALL_BYTES or chunk.size > SMALL_BYTES:
+                self._held_bytes += max(len(raw), 64)  # an empty one takes memory as well
+                if self._held_bytes > 8 * SMALL_BYTES or chunk.size > SMALL_BYTES:
                     yield from self._used_together()
         except LimitError as damage:
             self._fault("chunk", f"left out by a limit: {damage}")
@@ -290,7 +292,7 @@ class Scan(ABC):
 
     def _used_together(self) -> Iterator[Block]:
         """The messages of the chunks held."""
-        held, self._held = self._held, []
+        held, self._held, self._held_bytes = self._held, [], 0
         data = np.frombuffer(held[0] if len(held) == 1 else b"".join(held), np.uint8)
         where, stop = self._records(data)
         if stop == len(data):
