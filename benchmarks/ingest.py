@@ -319,19 +319,19 @@ def measure_limit(path: Path) -> Found:
     with FileSource(path) as window:
         if path.suffix == ".mcap":
             for start, length, compression, size in mcap_chunks(path):
-                data = window.view(start, length)
+                data = window.read(start, length)
                 if compression:
                     inflate(compression, data, size)
         elif path.suffix == ".bag":
             position = len(MAGIC)
             while position < window.size:
-                record = record_at(window.copy, position)
+                record = record_at(window.read, position)
                 assert record is not None
-                window.view(record.data_at, record.data_size)
+                window.read(record.data_at, record.data_size)
                 position = record.end
         else:
             for position in range(0, window.size, CHUNK_BYTES):
-                window.view(position, CHUNK_BYTES)
+                window.read(position, CHUNK_BYTES)
     return Found()
 
 

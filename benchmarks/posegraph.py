@@ -5,29 +5,27 @@
 GTSAM comes with the tools of the tests. Files: intel, CSAIL, MIT, manhattan (M3500) and others, for
 instance from github.com/david-m-rosen/SE-Sync.
 
-Times are the best process CPU times of one thread, ours from arrays to convergence (chordal start,
-ordering, Gauss–Newton), GTSAM's for `optimize()` alone, without building its graph; both begin from
-the poses of the file, or from chained edges where it has none. χ² is g2o's metric for both; GTSAM
-minimises another residual (the logarithm of the error), so that its minimum may score higher.
-`LAGO` is GTSAM's own start for planar graphs, its time included.
+Times are the best process CPU times of one thread, ours from arrays to convergence (ordering,
+Gauss–Newton), GTSAM's for `optimize()` alone, without building its graph; both begin from the poses
+of the file, or from chained edges where it has none, as the product begins from dead reckoning. χ²
+is g2o's metric for both; GTSAM minimises another residual (the logarithm of the error), so that its
+minimum may score higher. A χ² far above the other one is a local minimum. `LAGO` is GTSAM's own
+start for planar graphs, its time included.
 """
 
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
 import gtsam
 import numpy as np
+from public_graphs import read_g2o
 
 from topobatch.topology.posegraph.graph import edge_errors, squared
 from topobatch.topology.posegraph.marginals import Marginals
-
-sys.path.insert(0, str(Path(__file__).parent))
-from chordal import solve
-from public_graphs import read_g2o
+from topobatch.topology.posegraph.solve import solve
 
 
 def best_ms(call, repeats):

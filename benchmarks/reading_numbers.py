@@ -33,7 +33,6 @@ NUMBERS = {
     "DENSE": "intake",
     "PENDING_BYTES": "intake",
     "HEADS": "intake",
-    "FileSource.STEP": "source",
     "ROWS": "sqlite",
     "LEAST_REACH": "walk",
     "SLAB_BYTES": "source",

@@ -12,7 +12,7 @@ from .journal import note
 from .merge import merge_again
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
 from .output import Screen
-from .workspace import Workspace, pairs_named
+from .workspace import Workspace, pair_named
 
 
 def discard(
@@ -74,16 +74,13 @@ def _sorted_out(
     known = set(place.runs())
     runs, pairs = [], []
     for name in dict.fromkeys(what):
-        found = pairs_named(name, known)
         if name in known and not undo:
-            if found:
-                first = place.call("rename", name, name.replace(":", "-"))
-                raise UsageError(f"{name} is a run, and two runs A:B; first: {first}")
             runs.append(name)
             continue
-        if len(found) != 1 or found[0][0] == found[0][1]:
+        pair = pair_named(name, known)
+        if pair is None or pair[0] == pair[1]:
             raise place.unknown([name], f"{'two runs A:B' if undo else 'run or runs A:B'} named")
-        pairs += found
+        pairs.append(pair)
     _check_locks(place, pairs, undo)
     for run in runs:
         _check_own(place, run)

@@ -11,13 +11,13 @@ import typer
 from ..topology.errors import DocumentError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
 from .output import checked_output, say
-from .workspace import MERGED, Workspace, pairs_named
+from .workspace import MERGED, Workspace, pair_named
 
 if TYPE_CHECKING:
     from ..merge.result import MergeResult
     from ..topology.topomap import TopoMap
     from ..viz.canvas import Canvas, Format
-    from ..viz.theme import Theme
+    from ..viz.palette import Theme
 
 
 def draw(
@@ -58,7 +58,7 @@ def draw(
     form = format_of(checked_output(out))
     quiet_fonts()
     from ..topology.files import write_atomically
-    from ..viz.theme import DARK, LIGHT
+    from ..viz.palette import DARK, LIGHT
 
     canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
     data = canvas.as_bytes(form)
@@ -88,8 +88,9 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     runs = place.runs()
     if what in runs and what != MERGED:
         return drawings.draw_map(place.read_map(what), theme)
-    pair = _pair(what, runs)
-    if pair is not None:
+    if pair := pair_named(what, runs):
+        if pair[0] == pair[1]:
+            raise UsageError(f"two runs are needed, got {pair[0]!r} twice")
         from .explain import decided
 
         return drawings.draw_decision(*decided(place, pair), theme)
@@ -118,14 +119,6 @@ def _walled(
         with suppress(DocumentError):  # what is merged is drawn, if without its walls
             maps[run] = place.read_map(run)
     return maps
-
-
-def _pair(what: str, runs: list[str]) -> tuple[str, str] | None:
-    """The two runs of "A:B", in the order of their names."""
-    found = pairs_named(what, runs)
-    if found and found[0][0] == found[0][1]:
-        raise UsageError(f"two runs are needed, got {found[0][0]!r} twice")
-    return found[0] if found else None
 
 
 def _merge_of(place: Workspace, what: str) -> Workspace | None:

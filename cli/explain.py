@@ -11,11 +11,17 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
-from .grouped import grouped
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, complete_run
+from .options import (
+    DEFAULT_WORKSPACE,
+    JsonOption,
+    MergeOption,
+    WorkspaceOption,
+    complete_run,
+    grouped,
+)
 from .output import say, say_lines, warn, width
 from .paper_options import PaperOptions
-from .workspace import MERGED, Workspace, pairs_named
+from .workspace import MERGED, Workspace, pair_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -98,9 +104,8 @@ def explain(
 
 def _both(place: Workspace, named: str) -> tuple[str, str]:
     """The runs of "A:B"."""
-    found = pairs_named(named, place.runs())
-    if found:
-        return found[0]
+    if pair := pair_named(named, place.runs()):
+        return pair
     if ":" in named:
         raise place.unknown([named], "runs A:B named")
     raise UsageError("two runs are needed: topobatch explain A B")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Collection, Mapping
 from functools import partial
 from pathlib import Path
@@ -361,10 +360,8 @@ def _path(
 
 def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> list[Path]:
     """What exports of a merge wrote and this one did not, as the sites are others; records what
-    this one wrote. place: with the merge. Earlier versions called files by the merge and a
-    number."""
+    this one wrote. place: with the merge."""
     from ..topology.files import read_json, write_json
-    from ..viz.exports import ENDINGS
 
     try:
         found = read_json(place.export_record)
@@ -373,9 +370,6 @@ def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> li
     record = dict(found) if isinstance(found, dict) else {}
     last = record.get(form)
     write_json(place.export_record, record | {form: sorted(path.name for path in written)})
-    endings = "|".join(map(re.escape, ENDINGS[form]))
-    run = r"\..+" if form == "tum" else ""
-    own = re.compile(rf"{re.escape(place.merge)}(-[0-9]+)?{run}({endings})")
     named = (*place.runs(), *(each.merge for each in place.merges()))
     others = tuple(f"{name}." for name in named if name != place.merge)
     return [
@@ -383,7 +377,8 @@ def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> li
         for path in place.exports.iterdir()
         if path not in written
         and not path.name.startswith(others)
-        and (own.fullmatch(path.name) or (isinstance(last, list) and path.name in last))
+        and isinstance(last, list)
+        and path.name in last
     ]
 
 

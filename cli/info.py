@@ -11,8 +11,7 @@ import typer
 
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
-from .grouped import grouped
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, grouped
 from .output import Screen, complain, say, say_lines, table, warn
 from .read_options import ReadOptions
 from .settings_file import settings_of, told_settings

@@ -5,16 +5,15 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping, Sequence
-from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
-from .grouped import grouped
 from .journal import note
 from .options import (
     DEFAULT_WORKSPACE,
@@ -22,14 +21,14 @@ from .options import (
     QuietOption,
     VerboseOption,
     WorkspaceOption,
+    grouped,
 )
 from .output import Screen, say_lines
-from .read_options import ReadOptions
+from .read_options import MapOptions, ReadOptions
 from .settings_file import by_settings
 from .workspace import Workspace, checked_run_name
 
 if TYPE_CHECKING:
-    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.remote.path import LogPath
     from ..topology.errors import LogError
     from .ingest_worker import IngestJob, IngestOutcome
@@ -37,33 +36,6 @@ if TYPE_CHECKING:
 # A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
 WORTH_A_PROCESS_LOGS = 8
-
-
-@dataclass(frozen=True, slots=True)
-class MapOptions:
-    """How a map is made of what was read."""
-
-    robot_radius: Annotated[
-        float,
-        typer.Option(
-            metavar="METRES",
-            help="Radius of the robot that has to fit through the corridors of a saved map or a "
-            "grid.",
-        ),
-    ] = 0.25
-    closure: Annotated[
-        Literal["none", "gated", "full"],
-        typer.Option(
-            help="How to close loops: not at all; at the nearest place within the odometry's "
-            "error; or by everything that is known."
-        ),
-    ] = "full"
-
-    def settings(self) -> MappingSettings:
-        """The settings."""
-        from ..ingest.mapping_settings import MappingSettings
-
-        return MappingSettings(closure=self.closure, robot_radius_m=self.robot_radius)
 
 
 @grouped
@@ -78,7 +50,7 @@ def ingest(
     ],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
-    mapping: MapOptions = MapOptions(),
+    mapping: MapOptions = MapOptions(),  # noqa: B008 - frozen
     name: Annotated[
         str | None,
         typer.Option(
@@ -134,27 +106,17 @@ def ingest(
     )
     with place.held(screen.warn):
         outcomes: list[IngestOutcome] = []
-        before = _records(planned)
-        stopped = False
         try:
             _run_all(planned, jobs, screen, outcomes)
         except (KeyboardInterrupt, SystemExit):
-            stopped = True
+            done = f"{len(outcomes)} of {counted(len(planned), 'log')} finished"
+            screen.stopped(f"{done}; run again to go on")
             raise
         finally:
-            # After a Ctrl-C runs may be finished of which nobody was told.
-            told = {outcome.run for outcome in outcomes}
-            new = {outcome.run for outcome in outcomes if outcome.status == "done"}
-            records = _records(planned)
-            new |= {run for run in records if run not in told and records[run] != before.get(run)}
+            new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
             if new:
-                text = f"{counted(len(new), 'log')}: {listed(sorted(new))}"
+                text = f"{counted(len(new), 'log')}: {listed(new)}"
                 note(place, "ingest", f"{text}{by_settings(place)}", screen.warn)
-            if stopped:
-                done = len(told | new)
-                screen.stopped(
-                    f"{done} of {counted(len(planned), 'log')} finished; run again to go on"
-                )
     if as_json:
         fields = ("run", "status", "text", "maps", "warnings")
         say_lines(json.dumps([{name: getattr(o, name) for name in fields} for o in outcomes]))
@@ -188,13 +150,9 @@ def _plan(
     names = names or run_names(logs, like.place, replace=like.force)
     used: dict[str, LogPath] = {}
 
-    def known(run: str) -> bool:
-        return like.place.map_json(run).is_file() or like.place.ingested(run) is not None
-
     for log, run in names.items():
         try:
-            # A run that is there may have a name that earlier versions gave.
-            like.place.check_run(run if known(run) else checked_run_name(run))
+            like.place.check_run(checked_run_name(run))
             if run in used:
                 raise UsageError(f"{used[run]} would become run {run!r} as well")
         except UsageError as error:
@@ -228,9 +186,8 @@ def _run_all(
 ) -> None:
     """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
     the list as they are known."""
-    from .ingest_pool import outcomes_of
+    from .ingest_pool import announce, outcomes_of
     from .ingest_worker import IngestJob, IngestOutcome, job_size
-    from .remote import announce
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
@@ -267,20 +224,6 @@ def _done(read: int, finished: Sequence[str], sizes: Mapping[str, int]) -> tuple
     read = min(max(read, mapped), total)
     told = f"{len(finished)}/{len(sizes)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
     return mapped + read, told
-
-
-def _records(planned: list[IngestJob | IngestOutcome]) -> dict[str, tuple[int, int]]:
-    """For every run that has a record of its ingest, what is another when it is written anew."""
-    from .ingest_worker import IngestJob, called
-
-    found = {}
-    for job in planned:
-        if isinstance(job, IngestJob):
-            run = called(job.place, job.run)
-            with suppress(OSError):
-                state = os.lstat(job.place.ingest_record(run))
-                found[run] = (state.st_ino, state.st_mtime_ns)
-    return found
 
 
 def _show(outcome: IngestOutcome, screen: Screen) -> None:

@@ -8,7 +8,7 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
@@ -22,7 +22,7 @@ from ..ingest.scans.slicing import SliceSettings
 from ..topology.document import map_to_document
 from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
-from ..topology.made_from import junctions_told
+from ..topology.made_from import describe_junctions
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.view_file import view_writes
@@ -144,7 +144,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
     text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
-    if source := junctions_told(maps[0].info):
+    if source := describe_junctions(maps[0].info):
         text += f"; {source}"
     told = maps[0].info.get("warnings", ())
     details = _details(job, topomap)
@@ -190,9 +190,10 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     return joined_pieces(topomap)
 
 
-READ_OPTIONS = (
-    *("odometry_topic", "junction_topic", "base_frame", "junction_fields", "time"),
-    *("scan_topic", "junctions_from", "scan_stamp", "laser_pose"),
+READ_OPTIONS = tuple(
+    each.name
+    for each in fields(ReadSettings)
+    if each.name not in ("slices", "strict", "track", "sightings")
 )
 """Options about reading a log that are recorded, to read it again in the same way; beside them the
 heights of clouds."""

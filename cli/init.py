@@ -7,13 +7,11 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import UsageError
-from .grouped import grouped
-from .ingest import MapOptions
 from .journal import note
 from .merge import FalseMergeRate
-from .options import DEFAULT_WORKSPACE, WorkspaceOption
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, grouped
 from .output import say, warn
-from .read_options import ReadOptions
+from .read_options import MapOptions, ReadOptions
 from .settings_file import NAMES, settings_text, told_settings
 from .workspace import Workspace
 

@@ -1,4 +1,8 @@
-"""Matching maps: where pairs are matched, the maps, what is kept, and shares of the pairs."""
+"""Matching maps: where pairs are matched, the maps, what is kept, and shares of the pairs.
+
+The workers of a Dask cluster (`--cluster tcp://…`, of the extra `topobatch[cluster]`) need the same
+topobatch, and the workspace under the same path.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +19,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted
 from .output import Screen
-from .workers import start_worker
+from .process import start_worker
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -61,15 +65,12 @@ class MatchOptions:
 
     def check(self) -> None:
         """UsageError if there can be no such cluster."""
-        from .cluster import require_cluster
-
         if self.cluster is not None:
             require_cluster(self.cluster)
 
     def workers(self, pairs: int) -> Workers | None:
         """What so many pairs are matched by: None for this process, else processes or a cluster."""
         from ..merge.workers import Workers
-        from .cluster import cluster
 
         if self.cluster is not None:
             return Workers(partial(cluster, self.cluster))
@@ -173,3 +174,54 @@ def match_share(
     )
     if broken:
         raise typer.Exit(1)
+
+
+CONNECT_S = 20
+"""Timeout of the connection to a scheduler."""
+
+
+@contextmanager
+def cluster(address: str) -> Iterator[Executor]:
+    """The executor of a running cluster. UsageError if Dask is not installed or the address is
+    invalid, DataError if nobody answers or workers keep dying."""
+    try:
+        from distributed import Client
+        from distributed.scheduler import KilledWorker
+    except ImportError as error:
+        raise UsageError(
+            "--cluster needs Dask: python -m pip install 'topobatch[cluster]'"
+        ) from error
+    _check(address)
+    try:
+        client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except OSError as error:
+        raise DataError(f"--cluster {address}: no scheduler answers there") from error
+    with client:
+        try:
+            # Tasks are identified by their order; hashing them is not needed.
+            yield client.get_executor(pure=False)
+        except KilledWorker as error:
+            raise DataError(
+                f"--cluster {address}: the workers that match die again and again (out of "
+                "memory?); what they had done is kept: call again"
+            ) from error
+
+
+def require_cluster(address: str) -> None:
+    """Raise as `cluster` if none is there, also where nothing would need it."""
+    with cluster(address):
+        pass
+
+
+def _check(address: str) -> None:
+    """UsageError for an address that is none: of one that is tried, Dask tells for a minute."""
+    from distributed.comm.addressing import parse_address, parse_host_port
+    from distributed.comm.registry import get_backend
+
+    try:
+        scheme, place = parse_address(address)
+        get_backend(scheme)
+        if scheme != "inproc" and not 0 < parse_host_port(place)[1] < 1 << 16:
+            raise ValueError("its port must lie in 1 … 65535")
+    except ValueError as error:
+        raise UsageError(f"--cluster {address}: {error}") from error

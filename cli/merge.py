@@ -15,7 +15,6 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
 from .draw import read_result
-from .grouped import grouped
 from .journal import note
 from .matching import MatchOptions, match_share, matching, read_maps, share_of
 from .options import (
@@ -25,6 +24,7 @@ from .options import (
     VerboseOption,
     WorkspaceOption,
     complete_run,
+    grouped,
 )
 from .output import Screen, say_lines
 from .paper_options import PaperOptions

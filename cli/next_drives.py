@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,6 +24,9 @@ from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..merge.drive import Drive
+
+PLANS = (".csv", ".geojson")
+"""Suffixes of files of waypoints."""
 
 
 def next_drives(
@@ -66,7 +69,7 @@ def next_drives(
       topobatch next --drives 1 --output plan.csv --output plan.geojson
     """
     for path in output or ():
-        if path.suffix.lower() not in WRITERS:
+        if path.suffix.lower() not in PLANS:
             raise UsageError(f"{path}: a plan's name ends in .csv or .geojson")
     place = Workspace(workspace, merge)
     result = read_result(place)
@@ -77,7 +80,7 @@ def next_drives(
         raise place.no_site(site, list(names))
     found = drives(result, most, None if site is None else names[site])
     for path in output or ():
-        _write(path, WRITERS[path.suffix.lower()](found))
+        _write(path, found)
     if as_json:
         from ..merge.drive import drive_to_document
 
@@ -104,25 +107,12 @@ def _lines(found: Sequence[Drive]) -> list[str]:
     return [*out, counted(len(found), "drive")]
 
 
-def _write(path: Path, text: str) -> None:
+def _write(path: Path, found: Sequence[Drive]) -> None:
     from ..topology.files import write_text
+    from ..viz.exports.drives import drives_csv, drives_geojson
 
+    text = drives_csv(found) if path.suffix.lower() == PLANS[0] else drives_geojson(found)
     try:
         write_text(path, text)
     except PermissionError as error:
         raise DataError(f"{path}: {error.strerror}; name another --output") from error
-
-
-def _csv(found: Sequence[Drive]) -> str:
-    from ..viz.exports.drives import drives_csv
-
-    return drives_csv(found)
-
-
-def _geojson(found: Sequence[Drive]) -> str:
-    from ..viz.exports.drives import drives_geojson
-
-    return drives_geojson(found)
-
-
-WRITERS: dict[str, Callable[[Sequence[Drive]], str]] = {".csv": _csv, ".geojson": _geojson}

@@ -74,3 +74,27 @@ def lack_of_memory(error: Exception) -> str | None:
     limit = memory_limit()
     limited = "" if limit is None else f", which is limited to {limit >> 20} MiB (ulimit -v)"
     return f"not enough memory{limited}: {str(error) or 'none is left'}"
+
+
+def start_worker() -> None:
+    """Set up a worker process: it ignores Ctrl-C, which its parent handles, and ends with its
+    parent, or when that ends it."""
+    import threading
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # A process has the handlers of its parent or, from a server, what that blocks.
+    for number in ENDING:
+        signal.signal(number, signal.SIG_DFL)
+    if hasattr(signal, "pthread_sigmask"):
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, ENDING)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+
+
+def _end_with_parent() -> None:
+    """End the worker when its parent was killed, since no work will come."""
+    import multiprocessing
+
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)

@@ -1,4 +1,4 @@
-"""Options about reading logs, shared by `ingest` and `info`."""
+"""Options about reading logs and making maps, shared by `ingest`, `info` and `init`."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import typer
 from ..topology.errors import UsageError
 
 if TYPE_CHECKING:
+    from ..ingest.mapping_settings import MappingSettings
     from ..ingest.reading import ReadSettings
     from ..ingest.remote.path import LogPath
     from ..topology.errors import LogError
@@ -128,6 +129,33 @@ class ReadOptions:
 
         places = [log_path(name, allow_scan=self.allow_scan) for name in named]
         return logs_of(places, warn, separate=self.separate)
+
+
+@dataclass(frozen=True, slots=True)
+class MapOptions:
+    """How a map is made of what was read."""
+
+    robot_radius: Annotated[
+        float,
+        typer.Option(
+            metavar="METRES",
+            help="Radius of the robot that has to fit through the corridors of a saved map or a "
+            "grid.",
+        ),
+    ] = 0.25
+    closure: Annotated[
+        Literal["none", "gated", "full"],
+        typer.Option(
+            help="How to close loops: not at all; at the nearest place within the odometry's "
+            "error; or by everything that is known."
+        ),
+    ] = "full"
+
+    def settings(self) -> MappingSettings:
+        """The settings."""
+        from ..ingest.mapping_settings import MappingSettings
+
+        return MappingSettings(closure=self.closure, robot_radius_m=self.robot_radius)
 
 
 def numbers(text: str | None, flag: str, names: str) -> tuple[float, ...] | None:

@@ -82,20 +82,11 @@ def _kept(where: Mapping[LogPath, _Location], place: Workspace) -> dict[LogPath,
     """The names of the runs that the workspace has from these logs."""
     kept: dict[LogPath, str] = {}
     for log, at in sorted(where.items(), key=lambda item: item[1]):
-        if _named_as_before(at.base, place):
-            kept[log] = at.base
-        for name in at.labels() if log not in kept else ():
+        for name in at.labels():
             if name not in kept.values() and _is_of(_record(place, name), log):
                 kept[log] = name
                 break
     return kept
-
-
-def _named_as_before(base: str, place: Workspace) -> bool:
-    """Whether the workspace has a run with colons in its name, as earlier versions gave them."""
-    with suppress(UsageError):
-        return ":" in base and (place.map_json(base).is_file() or bool(place.ingested(base)))
-    return False
 
 
 def _known(where: Mapping[LogPath, _Location], place: Workspace) -> Iterator[_Location]:

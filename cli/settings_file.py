@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import tomllib
 from collections.abc import Mapping
+from dataclasses import fields
 from difflib import get_close_matches
 from typing import Any
 
@@ -15,23 +16,11 @@ import typer
 from typer.exceptions import TyperException
 
 from ..topology.errors import DocumentError
+from .read_options import MapOptions, ReadOptions
 from .workspace import Workspace
 
 NAMES = (
-    "odometry_topic",
-    "junction_topic",
-    "junction_fields",
-    "junctions_from",
-    "scan_topic",
-    "scan_stamp",
-    "laser_pose",
-    "cloud_band",
-    "base_frame",
-    "time",
-    "separate",
-    "allow_scan",
-    "robot_radius",
-    "closure",
+    *(field.name for group in (ReadOptions, MapOptions) for field in fields(group)),
     "false_merge_rate",
 )
 """Parameters of commands that a workspace may remember: what the robots are like, and how sure a

@@ -16,7 +16,7 @@ import typer
 from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
-from .workspace import Workspace, pairs_named
+from .workspace import Workspace, pair_named
 
 ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
 
@@ -79,7 +79,7 @@ def _recording(place: Workspace, run: str | None) -> Path:
     merge = place.merge_named(run)
     if merge is not None and merge.merged_rrd.is_file():
         return merge.merged_rrd
-    for pair in pairs_named(run, place.runs()):
+    if pair := pair_named(run, place.runs()):
         recording = place.explain_rrd(*pair)
         if not recording.is_file():
             raise DataError(f"{recording}: is not there; {place.call('explain', *pair)} makes it")

@@ -529,13 +529,12 @@ def is_workspace(folder: Path) -> bool:
     return any(folder.joinpath("maps").glob("*.json"))
 
 
-def pairs_named(text: str, runs: Iterable[str]) -> list[tuple[str, str]]:
-    """The pairs of known runs that "A:B" may name, each in the order of names; names that earlier
-    versions gave may hold colons."""
-    known = set(runs)
-    cuts = (k for k, letter in enumerate(text) if letter == ":")
-    found = ((text[:k], text[k + 1 :]) for k in cuts)
-    return [(min(pair), max(pair)) for pair in found if known.issuperset(pair)]
+def pair_named(text: str, runs: Iterable[str]) -> tuple[str, str] | None:
+    """The pair of known runs that "A:B" names, in the order of names."""
+    pair = text.split(":")
+    if len(pair) != 2 or not set(runs).issuperset(pair):
+        return None
+    return min(pair), max(pair)
 
 
 def run_named_after(log_name: str) -> str:

@@ -188,9 +188,6 @@ class _Listener:
         self.failed = 0
         self.reason = ""
 
-    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> None:
-        """Nothing: messages are not kept."""
-
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """No poses."""
         poses = self._decoder.decode(data, start, size)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,10 @@ from ..topology.closure.alternatives import most_likely_closure
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
-from ..topology.closure.estimate import optimise
+from ..topology.closure.estimate import optimise, set_apart
 from ..topology.closure.incremental import Closed, closure_without_grid, full_closure
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.nearest_neighbour import gated_closure
-from ..topology.closure.pieces import set_apart
 from ..topology.closure.variance_components import Fitted, fitted_noise
 from ..topology.digits import significant
 from ..topology.errors import DataError
@@ -26,17 +24,17 @@ from ..topology.odometry import Odometry
 from ..topology.passes import Passes
 from ..topology.run import NO_DETECTIONS, NOT_SEEN_AGAIN, Detections, Run
 from ..topology.se2 import compose
-from ..topology.topomap import Closure, TopoMap
-from ..topology.turning_back import turning_points
+from ..topology.topomap import Closure, RunNoise, TopoMap
+from ..topology.turning_back import TurnedBack, turning_points
 from ..topology.vertex_errors import VertexErrors
 from ..topology.views import Views
 from ..topology.visits import Visits, in_map_frame
 from .driven_shares import ON_THE_WAY, driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
-from .odometry.bridging import bridged, confirmed, jumps_told, split_told
+from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
-from .odometry.motion_errors import motion_errors, refine_scale, scale_told
+from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from .odometry.noise import refine_noise
 from .pass_source import PassSource, pass_source, why_none
 
@@ -88,59 +86,39 @@ def build_map_with_errors(
     """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
     run, odometry, reckoning, calibration = dead_reckoned(run, settings)
     source = pass_source(run, settings)
-    if len(odometry.jumps) and settings.closure == "full":
-        odometry, reckoning, closed, fit = _with_jumps_measured(
-            odometry, reckoning, source, settings
-        )
-    else:
-        closed, fit = identified(reckoning, odometry, settings)
-    corrected = correct_detections(
+    odometry, reckoning, closed, fitted = _close_loops(odometry, reckoning, source, settings)
+    places = correct_detections(
         closed.reckoning,
         odometry,
         closed.place,
-        set_apart(reckoning, closed.place, fit.estimate),
+        set_apart(reckoning, closed.place, fitted.estimate),
         settings.driven_by,
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
-    measured, alike = _measured(
-        fit.reckoning, odometry, run, source, settings, too_long=calibration.too_long
+    measured, shared_m = _measure_hidden_errors(
+        fitted.reckoning, odometry, run, source, settings, too_long=calibration.too_long
     )
     errors = place_errors(
-        measured, fit.estimate, closed.place, corrected.kept, fit.grid, shared_m=alike
+        measured, fitted.estimate, closed.place, places.kept, fitted.grid, shared_m=shared_m
     )
-    refined = partial(
-        refine_noise,
-        reckoning.passes,
-        corrected.place,
-        corrected.turn,
-        drive_bys=int(np.sum(~corrected.visits.seen)),
-        settings=source.expected(),
-    )
+    cautious, likely = _refine_noise(reckoning, closed, measured, places, source)
     topomap = build_topomap(
         run.name,
         odometry,
         reckoning.passes,
-        corrected,
-        noise=refined(closed.reckoning.noise),
+        places,
+        noise=cautious,
         errors=errors,
         askew_rad=source.askew_rad,
-        fitted_noise=refined(replace(measured.noise, branch_rad=reckoning.noise.branch_rad)),
+        fitted_noise=likely,
         settings=settings.drawing,
     )
-    turned = ON_THE_WAY
-    if not source.shows_bends:
-        drawing = settings.drawing
-        turned = turning_points(topomap, odometry, corrected.visits, source.resolution_m, drawing)
-    topomap = replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends)
-    views = seen_on_the_way(run, odometry)
-    if len(views):
-        views = placed_views(views, odometry, corrected.visits, corrected.xy)
-        topomap = replace(topomap, views=views)
+    topomap, turned = _add_turning_points(topomap, odometry, places.visits, source, settings)
+    topomap = _add_views(topomap, run, odometry, places)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, turned)
-    closures = _closures(closed, corrected, reckoning.passes)
-    topomap = replace(topomap, closures=closures, info=info)
-    return topomap, errors
+    closures = _closures(closed, places, reckoning.passes)
+    return replace(topomap, closures=closures, info=info), errors
 
 
 def seen_on_the_way(run: Run, odometry: Odometry) -> Views:
@@ -149,13 +127,6 @@ def seen_on_the_way(run: Run, odometry: Odometry) -> Views:
         return run.scanned.views
     body = odometry.at(run.views.time_ns)
     return replace(run.views, pose=compose(body, run.views.pose))
-
-
-def placed_views(views: Views, odometry: Odometry, visits: Visits, xy: FloatArray) -> Views:
-    """The views of a run in its map's frame, without those of parts that the map does not show."""
-    pose = in_map_frame(odometry, visits, xy, views.time_ns, views.pose)
-    known = np.isfinite(pose).all(axis=1)
-    return Views(views.time_ns[known], pose[known], views.cells[known])
 
 
 def dead_reckoned(
@@ -225,26 +196,28 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
     )
 
 
-def _with_jumps_measured(
-    recorded: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
+def _close_loops(
+    odometry: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
 ) -> tuple[Odometry, DeadReckoning, Closed, Fitted]:
-    """The odometry with its jumps measured by the places seen on both sides, or broken there; its
-    passes, their places, and the noise that these show."""
+    """`close_loops`, with the jumps of the odometry measured by the places seen on both sides, or
+    the odometry broken there; the odometry and dead reckoning with these jumps come first."""
+    if not len(odometry.jumps) or settings.closure != "full":
+        return odometry, reckoning, *close_loops(reckoning, odometry, settings)
 
     def reckoning_of(track: Odometry) -> DeadReckoning:
         return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
 
-    odometry = bridged(recorded, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
-    driven = reckoning_of(odometry)
-    closed, fit = identified(driven, odometry, settings)
-    sure = confirmed(recorded, odometry, driven, closed.place)
-    if len(sure.breaks) > len(odometry.breaks):
+    measured = bridged(odometry, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
+    driven = reckoning_of(measured)
+    closed, fitted = close_loops(driven, measured, settings)
+    sure = confirmed(odometry, measured, driven, closed.place)
+    if len(sure.breaks) > len(measured.breaks):
         driven = reckoning_of(sure)
-        closed, fit = identified(driven, sure, settings)
-    return sure, driven, closed, fit
+        closed, fitted = close_loops(driven, sure, settings)
+    return sure, driven, closed, fitted
 
 
-def identified(
+def close_loops(
     reckoning: DeadReckoning, odometry: Odometry, settings: MappingSettings
 ) -> tuple[Closed, Fitted]:
     """The places of the passes, by the chosen kind of loop closure, and the noise that these
@@ -262,11 +235,11 @@ def identified(
         closed = gated_closure(reckoning, settings.rounds)
     else:
         place = np.arange(len(reckoning), dtype=np.int64)
-        closed = Closed(reckoning, place, optimise(reckoning, place), asked=[], grid=None)
+        closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
     return closed, fitted(closed)
 
 
-def _measured(
+def _measure_hidden_errors(
     fitted: DeadReckoning,
     odometry: Odometry,
     run: Run,
@@ -289,10 +262,60 @@ def _measured(
     return replace(fitted, noise=noise), alike
 
 
-def _closures(closed: Closed, corrected: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
+def _refine_noise(
+    reckoning: DeadReckoning,
+    closed: Closed,
+    measured: DeadReckoning,
+    places: CorrectedPlaces,
+    source: PassSource,
+) -> tuple[RunNoise, RunNoise]:
+    """The noise to match with, on the cautious side, and the most likely one; both with the error
+    rates of the detector that the places show."""
+    likely = replace(measured.noise, branch_rad=reckoning.noise.branch_rad)
+    cautious, likely = (
+        refine_noise(
+            reckoning.passes,
+            places.place,
+            places.turn,
+            noise,
+            drive_bys=int(np.sum(~places.visits.seen)),
+            settings=source.expected(),
+        )
+        for noise in (closed.reckoning.noise, likely)
+    )
+    return cautious, likely
+
+
+def _add_turning_points(
+    topomap: TopoMap,
+    odometry: Odometry,
+    visits: Visits,
+    source: PassSource,
+    settings: MappingSettings,
+) -> tuple[TopoMap, TurnedBack]:
+    """The map with the turning points that its source of passes does not report as junctions."""
+    turned = ON_THE_WAY
+    if not source.shows_bends:
+        drawing = settings.drawing
+        turned = turning_points(topomap, odometry, visits, source.resolution_m, drawing)
+    return replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends), turned
+
+
+def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: CorrectedPlaces) -> TopoMap:
+    """The map with the views of its run in its frame, without those of parts that it does not
+    show."""
+    views = seen_on_the_way(run, odometry)
+    if not len(views):
+        return topomap
+    pose = in_map_frame(odometry, places.visits, places.xy, views.time_ns, views.pose)
+    known = np.isfinite(pose).all(axis=1)
+    return replace(topomap, views=Views(views.time_ns[known], pose[known], views.cells[known]))
+
+
+def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
     """The record of the map: all identifications made, refused and taken back."""
-    asked = [*closed.asked, *corrected.asked]
-    answers = [(_without_phantoms(q, corrected.place), False) for q in asked]
+    identifications = [*closed.identifications, *places.identifications]
+    answers = [(_without_phantoms(q, places.place), False) for q in identifications]
     answers += [(q, True) for q in closed.revised]
     answers.sort(key=lambda a: (a[0].second, a[0].first, a[0].round, a[1]))
     times = passes.time_ns.tolist()
@@ -332,11 +355,11 @@ def _info(
         "settings": asdict(settings),
         "warnings": [
             *run.warnings,
-            *scale_told(calibration.motion),
-            *split_told(run.odometry, odometry),
+            *describe_scale(calibration.motion),
+            *describe_splits(run.odometry, odometry),
         ],
         **({"pieces": pieces} if pieces > 1 else {}),
-        **({"jumps": jumps_told(run.odometry, odometry)} if len(odometry.jumps) else {}),
+        **({"jumps": jump_records(run.odometry, odometry)} if len(odometry.jumps) else {}),
         "calibration": {
             name: {
                 "applied": calibration.applied[k],

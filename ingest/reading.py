@@ -17,7 +17,7 @@ from .junction_source import JunctionSource, junction_source, views_source, walk
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import Findings
+from .logs.messages import MISDESCRIBED, Findings
 from .logs.recording import (
     Recording,
     log_exists,
@@ -126,17 +126,16 @@ def read_log(
 def _kept(
     recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
 ) -> tuple[Intake, Findings]:
-    """The messages kept and the findings, using the index as long as it is consistent with the
-    data."""
+    """The messages kept and the findings, by the index if it lists what is needed."""
     if index is not None:
         try:
             intake, findings = _walked(recording, settings, progress, index)
-            if not findings.misdescribed:
+            if MISDESCRIBED not in findings.faults:
                 return intake, findings
         except (LogError, UsageError):
             if index.sure:
                 raise
-    # There is no index, or it is inconsistent with the data.
+    # There is no index, or one that may be wrong lacks what is needed.
     if settings.junction_fields is not None:
         try_mapping(recording, settings)
     return _walked(recording, settings, progress, None)

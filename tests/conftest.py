@@ -3,7 +3,9 @@
 changes; elsewhere with new ones."""
 
 import os
+import sys
 from collections.abc import Callable
+from contextlib import redirect_stdout
 from pathlib import Path
 
 import pytest
@@ -36,3 +38,28 @@ def once(tmp_path_factory) -> Callable[[str, Callable[[Path], object]], Path]:
         return folder
 
     return made
+
+
+def command(*arguments: object) -> None:
+    """The command in this process, which must succeed, outside of any test."""
+    from topobatch.cli.main import main
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["topobatch", *map(str, arguments)])
+        with pytest.raises(SystemExit) as ended:
+            main()
+    assert not ended.value.code
+
+
+@pytest.fixture(scope="session")
+def samples(once) -> Path:
+    """A folder with `topobatch-workspace`, in which the sample logs are ingested and merged, and
+    what the command said of it. To be copied by who changes it."""
+
+    def make(folder: Path) -> None:
+        logs, place = Path(__file__).parents[1] / "sample_logs", folder / "topobatch-workspace"
+        with (folder / "said.txt").open("w") as said, redirect_stdout(said):
+            command("ingest", logs, "-j", 1, "-w", place)
+            command("merge", "--all", "-j", 1, "-w", place)
+
+    return once("samples", make)

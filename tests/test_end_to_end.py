@@ -35,7 +35,7 @@ from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.se2 import between
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz.draw import draw_merged
-from topobatch.viz.theme import DARK, LIGHT
+from topobatch.viz.palette import DARK, LIGHT
 
 SAMPLES = Path(__file__).parent.parent / "sample_logs"
 MAZE = ("maze-1", "maze-2", "maze-3")

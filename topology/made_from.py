@@ -10,7 +10,7 @@ LEAST_TOLD = 0.01
 """Smaller shares of the way are not mentioned."""
 
 
-def junctions_told(info: Mapping[str, Any]) -> str:
+def describe_junctions(info: Mapping[str, Any]) -> str:
     """Source of a map's junctions, drift before and after scan matching, and shares of the way
     driven.
 

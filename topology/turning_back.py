@@ -67,13 +67,13 @@ def turning_points(
     """The turning points more than `least_m` [m] from their vertex that no corridor of the map
     leads to.
 
-    Which those are is decided by `told_by_deepest`; corridors within `least_m` count as the same.
+    Which those are is decided by `group_by_dead_end`; corridors within `least_m` count as the same.
     """
     every = _excursions(topomap, odometry, visits, settings)
     found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
     step_m = least_m / 4
     corridors = Ways(topomap.paths, step_m)
-    kept, others = told_by_deepest(
+    kept, others = group_by_dead_end(
         ((e.time_ns, e) for e in found),
         topomap,
         lambda vertex: corridors,
@@ -113,7 +113,7 @@ class Drive(Protocol):
 D = TypeVar("D", bound=Drive)
 
 
-def told_by_deepest(
+def group_by_dead_end(
     ranked: Iterable[tuple[int, D]],
     graph: Graph,
     corridors: Callable[[int], Ways],

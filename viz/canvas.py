@@ -26,8 +26,7 @@ from matplotlib.path import Path as Outline
 
 from ..topology.arrays import FloatArray
 from ..topology.wording import legible
-from .palette import Order
-from .theme import Theme
+from .palette import Order, Theme
 
 Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
 Format = Literal["svg", "png"]

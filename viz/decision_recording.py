@@ -8,23 +8,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
-from ..merge.decision_text import (
-    agreement,
-    because,
-    digits_of,
-    headline,
-    lies,
-    missing,
-    needs,
-    other_name,
-    pose,
-    rows,
-    short,
-    sum_told,
-    threshold,
-)
-from ..merge.result import shown_bits
+from ..merge.decision import AGAINST, LINKS, Decision, Placement
+from ..merge.decision_text import headline, lines, short
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
 from ..topology.se2 import apply, turned
@@ -32,8 +17,9 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M
 from . import palette
-from .drawing import extent, pen_m
+from .drawing import MOST_NUMBERED, extent, pen_m
 from .map_sheet import (
+    LaidOver,
     sheet_view,
     write_cards,
     write_laid_over,
@@ -41,10 +27,18 @@ from .map_sheet import (
     write_rings,
     write_words,
 )
-from .map_summary import bulleted, plain
-from .placements import against, placements
-from .recording import UP, PathParts, Recording, blueprint, markdown, placed, write_recording
-from .seen_together import CORNERS, WIDTHS, Overlay, overlays
+from .map_summary import bulleted
+from .placements import CORNERS, WIDTHS, Overlay, contradiction_spots, overlays, placements
+from .recording import (
+    UP,
+    PathParts,
+    Recording,
+    blueprint,
+    markdown,
+    placed,
+    screen,
+    write_recording,
+)
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 Drawn = tuple[FloatArray, FloatArray]
@@ -58,8 +52,11 @@ VIEW_MARGIN_M = 1.0
 TOLD = {SILENT: "silent", AGREES: "agrees", CONTRADICTS: "contradicts"}
 """Names of what walls of one view tell of the other."""
 
-LINKS_SHOWN = 5
-"""Rows of links on the first page."""
+MOST_LINKS = 1000
+"""Links on the page of all evidence."""
+
+FOOT = 0.06
+"""Height of the runs' names above the foot of a cell, over its smaller side."""
 
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
@@ -75,8 +72,8 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
     def fill(recording: Recording) -> rrb.Blueprint:
         cells = _pictures(recording, with_turning_points(a), with_turning_points(b), decision)
         seen = _views(recording, overlays(decision), upright_rad(a.paths))
-        recording.static(("decision",), markdown(told(decision)))
-        recording.static(("evidence",), markdown(all_told(decision)))
+        recording.static(("decision",), screen(lines(decision)))
+        recording.static(("evidence",), screen(lines(decision, MOST_LINKS)))
         recording.static(("legend",), markdown(_LEGEND))
         return _blueprint(cells, seen, headline(decision))
 
@@ -87,21 +84,22 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
     drawn = placements(a, b, decision)
     if not drawn:  # nothing to lay over each other: the two maps as they are
         return _side_by_side(recording, a, b)
-    points = [np.concatenate([extent(a), apply(p.T_a_b, extent(b))]) for p in drawn]
-    margin = sheet_margin_m(points)
-    cells = arrange(points, [upright_rad(a.paths)] * len(drawn), margin)
-    recording.static((PLACEMENTS,), UP)
-    write_cards(recording, PLACEMENTS, cells, [(p.title,) for p in drawn])
+    laid = []
+    for number, p in enumerate(drawn):
+        of_b, terms = apply(p.T_a_b, b.xy), p.placement.of(*AGAINST) if p.placement else ()
+        against = ((f"{t.bits:+.2f} bits: {t.told}", (t.a, t.b)) for t in terms if t.a or t.b)
+        spots = contradiction_spots(against, a.xy, of_b)
+        none = np.zeros(0, np.int64)
+        laid.append(LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, number, none, spots))
+    cells = write_laid_over(recording, PLACEMENTS, laid)
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):
         here = (PLACEMENTS, picture.name)
-        write_laid_over(recording, here, cell, (a, b), picture.T_a_b, pen=pen)
         if picture.placement is not None:
             xy = (a.xy, apply(picture.T_a_b, b.xy))
-            _ties(recording, here, picture.placement, xy, pen=pen)
+            _ties(recording, here, picture.placement, xy, pen=pen, apart=picture.tied)
             _links(recording, here, picture.placement, xy, pen=pen, both=picture.tied)
-            _contradictions(recording, here, picture.placement, xy, pen=pen)
-        _names(recording, picture.name, cell, margin, (a.run, b.run))
+        _names(recording, picture.name, cell, (a.run, b.run))
     return cells
 
 
@@ -142,12 +140,11 @@ def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
     return cells
 
 
-def _names(
-    recording: Recording, name: str, cell: Cell, margin: float, runs: tuple[str, str]
-) -> None:
+def _names(recording: Recording, name: str, cell: Cell, runs: tuple[str, str]) -> None:
     """The runs' names in their colours, at the foot of a cell."""
-    width = cell.high[0] - cell.low[0]
-    places = [(cell.low[0] + share * width, cell.low[1] + 0.8 * margin) for share in (0.3, 0.7)]
+    width, height = cell.high - cell.low
+    low = cell.low[1] + FOOT * min(width, height)
+    places = [(cell.low[0] + share * width, low) for share in (0.3, 0.7)]
     write_words(
         recording,
         (PLACEMENTS, "names", name),
@@ -158,9 +155,16 @@ def _names(
 
 
 def _ties(
-    recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
+    recording: Recording,
+    here: PathParts,
+    placement: Placement,
+    xy: Drawn,
+    *,
+    pen: float,
+    apart: bool,
 ) -> None:
-    """Matched junctions, and a line from each to its partner."""
+    """Matched junctions with their numbers, of b only where it is drawn `apart`, and a line from
+    each to its partner."""
     pairs = placement.alignment.matched
     if not len(pairs):
         return
@@ -173,8 +177,11 @@ def _ties(
     )
     info = rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
     recording.static((*here, "ties"), lines, info)
-    for name, at in (("a", one), ("b", two)):
+    for k, (name, at) in enumerate((("a", one), ("b", two))):
         write_rings(recording, (*here, "matched", name), at, 1.8 * pen, palette.Order.RING)
+        if (apart or k == 0) and len(pairs) <= MOST_NUMBERED:
+            path, numbers = (*here, "numbers", name), [str(v) for v in pairs[:, k].tolist()]
+            write_words(recording, path, at, numbers, colours=palette.of_rank(k))
 
 
 def _links(
@@ -199,101 +206,8 @@ def _links(
             colors=[palette.MERGED if t.bits >= 0 else palette.REFUSED for t in shown],
             draw_order=palette.Order.EVIDENCE,
         )
-        recording.static((*here, "links", name), lines, _info(shown))
-
-
-def _info(terms: list[Term]) -> rr.AnyValues:
-    return rr.AnyValues(bits=[t.bits for t in terms], what=[t.told for t in terms])
-
-
-def _contradictions(
-    recording: Recording, here: PathParts, placement: Placement, xy: Drawn, *, pen: float
-) -> None:
-    """Junctions that the other run drove past unseen, and corridors that cross, in red."""
-    found = list(against(placement.of(*AGAINST), *xy))
-    spots = [(term, at[0]) for term, at in found if len(at) == 1]
-    if spots:
-        points = rr.Points2D(
-            [at for _, at in spots],
-            radii=3.0 * pen,
-            colors=palette.REFUSED,
-            draw_order=palette.Order.CONTRADICTION,
-        )
-        recording.static(
-            (*here, "contradictions", "junctions"), points, _info([t for t, _ in spots])
-        )
-    crossed = [(term, line) for term, line in found if len(line) == 2]
-    if crossed:
-        lines = rr.LineStrips2D(
-            [line for _, line in crossed],
-            radii=pen,
-            colors=palette.REFUSED,
-            draw_order=palette.Order.BRANCH,
-        )
-        recording.static(
-            (*here, "contradictions", "corridors"), lines, _info([t for t, _ in crossed])
-        )
-
-
-def told(decision: Decision) -> str:
-    """The first page: verdict, why, the evidence added up, what is needed, what is missing."""
-    verdict, _, numbers = headline(decision).rpartition(": ")
-    parts = [f"# {plain(verdict)}", f"**{plain(numbers)}**", plain(because(decision))]
-    for text in (missing(decision), lies(decision)):
-        if text:
-            parts.append(plain(f"{text}."))
-    parts.append(_table(decision, LINKS_SHOWN))
-    if len(decision.placements) > 1:
-        other = decision.placements[1]
-        name = other_name(decision).capitalize()
-        parts.append(plain(f"{name}: {agreement(other)}; at {pose(other)}."))
-    parts += [plain(f"Note: {note}.") for note in decision.notes]
-    return "\n\n".join(parts) + "\n"
-
-
-def _table(decision: Decision, links: int) -> str:
-    table = rows(decision, links)
-    if not table:
-        return plain(f"Needed: {threshold(decision)} bits: {needs(decision)}")
-    count, digits = len(decision.placements), digits_of(decision)
-    names = [plain(short(run, 12)) for run in (decision.said.a, decision.said.b)]
-    head = [*(["this", "next"][:count] if count > 1 else ["bits"]), "for and against", *names]
-    lines = [_line(head), _line(["---:"] * count + ["---"] * 3)]
-    for row in table:
-        cells = ["" if bits is None else f"{bits:+.{digits}f}" for bits in row.bits]
-        text = plain(row.told)
-        if row.level:  # a part of the sum above
-            text, cells = f"   {cells[0]}  {text}", []
-        cells += [""] * (count - len(cells))
-        lines.append(_line([*cells, text, row.a, row.b]))
-    sums = [f"**{shown_bits(p.alignment.evidence_bits, digits)}**" for p in decision.placements]
-    lines.append(_line([*sums, f"**{sum_told(decision)}**", "", ""]))
-    need, _, more = needs(decision).partition(", ")
-    blank = [""] * (count - 1)
-    lines.append(_line([threshold(decision), *blank, f"needed: {plain(need)}", "", ""]))
-    lines.append(_line(["", *blank, f"and {plain(more)}", "", ""]))
-    return "\n".join(lines)
-
-
-def _line(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def all_told(decision: Decision) -> str:
-    """The second page: every term of every placement."""
-    parts = ["# Every term"]
-    for placement in decision.placements:
-        parts.append(
-            f"## {placement.alignment.evidence_bits:.2f} bits, at {plain(pose(placement))}"
-        )
-        lines = [_line(["bits", "what", "of a", "of b"]), _line(["---:", "---", "---", "---"])]
-        for t in placement.terms:
-            ends = ("-".join(map(str, v)) for v in (t.a, t.b))
-            lines.append(_line([f"{t.bits:+.2f}", plain(t.with_size), *ends]))
-        parts.append("\n".join(lines))
-    if not decision.placements:
-        parts.append("Nothing in the two maps is alike.")
-    return "\n\n".join(parts) + "\n"
+        told = rr.AnyValues(bits=[t.bits for t in shown], what=[t.told for t in shown])
+        recording.static((*here, "links", name), lines, told)
 
 
 _LEGEND = "# How to read it\n\n" + bulleted(
@@ -322,7 +236,7 @@ def _blueprint(cells: list[Cell], seen: list[Cell], name: str) -> rrb.Blueprint:
             rrb.Tabs(*pictures, active_tab=0),
             rrb.Tabs(
                 rrb.TextDocumentView(origin="/decision", name="Decision"),
-                rrb.TextDocumentView(origin="/evidence", name="Every term"),
+                rrb.TextDocumentView(origin="/evidence", name="All evidence"),
                 rrb.TextDocumentView(origin="/legend", name="How to read it"),
                 active_tab=0,
                 name="Why",

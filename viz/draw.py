@@ -33,12 +33,10 @@ from .drawing import (
     extent,
     strands,
 )
-from .palette import Order
+from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import against, placements
-from .seen_together import CORNERS, WIDTHS, Overlay, overlays
+from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
-from .theme import Theme
 from .walls import FINE_M, map_walls, moved, site_views, site_walls, strokes, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
@@ -363,7 +361,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
             )
             links |= _links(canvas, agreeing, xy, digits, both=picture.tied)
             contradicted |= _against(canvas, others, xy, digits)
-            matched |= _ties(canvas, picture.placement.alignment, xy)
+            matched |= _ties(canvas, picture.placement.alignment, xy, apart=picture.tied)
     keys = _pair_keys(
         *(theme, a.run, b.run),
         matched=matched,
@@ -472,9 +470,11 @@ def _side_by_side(
     return canvas
 
 
-def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray]) -> bool:
-    """Draw rings round matched junctions and a line between each two; returns whether there are
-    any."""
+def _ties(
+    canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray], *, apart: bool
+) -> bool:
+    """Draw rings round matched junctions, their numbers, of b only where it is drawn `apart`, and a
+    line between each two; returns whether there are any."""
     pairs = alignment.matched
     if len(pairs) == 0:
         return False
@@ -486,6 +486,10 @@ def _ties(canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray
         )
     canvas.dots(one, ink, 6.5, order=Order.TIE, ring=True)
     canvas.dots(two, ink, 6.5, order=Order.TIE, ring=True)
+    aside = 7.0 / canvas.points_per_m
+    for k, at in enumerate((one, two) if apart else (one,)):
+        for v, (x, y) in zip(pairs[:MOST_NUMBERED, k].tolist(), at.tolist(), strict=False):
+            canvas.words((x - aside, y + aside), str(v), size_pt=SMALL_PT)
     return True
 
 

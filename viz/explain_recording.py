@@ -3,28 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from ..topology.arrays import FloatArray, IntArray
-from ..topology.se2 import apply
+from ..merge.paper.explain import Explanation, lines
+from ..topology.arrays import FloatArray
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted
 from . import palette
-from .drawing import extent, pen_m
-from .map_sheet import sheet_view, write_cards, write_laid_over, write_rings
-from .map_summary import plain, several
-from .recording import HAIR, UP, Recording, blueprint, markdown, write_recording
-from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
-
-if TYPE_CHECKING:
-    from ..merge.paper.explain import Explanation
-
+from .map_sheet import LaidOver, sheet_view, write_laid_over
+from .recording import HAIR, Recording, blueprint, screen, write_recording
+from .sheet import Cell, outline
 
 TABLE, SPACE, PLACEMENTS = "table", "transforms", "placements"
 
@@ -36,13 +29,7 @@ OTHER, DROPPED = TOLD_APART + 1, TOLD_APART + 2
 
 MOST_PLACEMENTS = 9
 MOST_ROWS = 40
-"""Limits: placements drawn, and rows of the tables of clusters and hypotheses."""
-
-NUMBER_GAP = 0.035
-"""Distance of the vertices' numbers from the table, over the table's size."""
-
-MOST_NUMBERED = 45
-"""Up to this many vertices the table's rows and columns are numbered."""
+"""Limits: placements drawn, and rows of tables."""
 
 HEIGHT = 0.6
 """Height of a full turn in the plot of transforms, over the extent of x and y."""
@@ -59,7 +46,7 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, e: Explanation) 
         _table(recording, a, b, e)
         _transform_space(recording, e)
         cells = _placements(recording, with_turning_points(a), with_turning_points(b), e)
-        recording.static(("summary",), markdown(_told(a, b, e)))
+        recording.static(("summary",), screen(lines(e, MOST_ROWS)))
         views = [_table_view(a, b)]
         if len(e.hypotheses.size):
             views = [sheet_view(PLACEMENTS, "Placements", cells), _space_view(e), *views]
@@ -103,25 +90,6 @@ def _table(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> None
     columns = np.argsort(e.degree_b, kind="stable")
     cells = pair_classes((len(a), len(b)), e)[np.ix_(rows, columns)]
     recording.static((TABLE, "pairs"), rr.SegmentationImage(cells, opacity=1.0))
-    if max(len(a), len(b)) <= MOST_NUMBERED:
-        _numbers(recording, rows, columns)
-
-
-def _numbers(recording: Recording, rows: IntArray, columns: IntArray) -> None:
-    """Write the vertices' numbers left of and above the table, in cells."""
-    count = max(len(rows), len(columns))
-    gap = NUMBER_GAP * count
-    rise = count / 128  # the viewer writes below a point
-    left = np.stack([np.full(len(rows), -gap), np.arange(len(rows)) + 0.5 - rise], axis=-1)
-    above = np.stack([np.arange(len(columns)) + 0.5, np.full(len(columns), -gap)], axis=-1)
-    numbers = rr.Points2D(
-        np.concatenate([left, above]),
-        radii=0.0,
-        colors=palette.TITLE,
-        labels=[str(i) for i in (*rows.tolist(), *columns.tolist())],
-        show_labels=True,
-    )
-    recording.static((TABLE, "vertices"), numbers)
 
 
 def _space(e: Explanation) -> tuple[FloatArray, FloatArray, float]:
@@ -191,59 +159,12 @@ def _turn_levels(recording: Recording, low: FloatArray, high: FloatArray, rise: 
 def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) -> list[Cell]:
     """Write b over a as each of the best clusters places it."""
     h, c = e.hypotheses, e.clusters
-    shown = min(len(c.vertices), MOST_PLACEMENTS)
-    points = [np.concatenate([extent(a), apply(c.transform[k], extent(b))]) for k in range(shown)]
-    cells = arrange(points, [upright_rad(a.paths)] * shown, sheet_margin_m(points))
-    recording.static((PLACEMENTS,), UP)
-    titles = [(_title(e, k),) for k in range(shown)]
-    write_cards(recording, PLACEMENTS, cells, titles)
-    pen = pen_m([a, b])
-    for k, cell in enumerate(cells):
-        here = (PLACEMENTS, f"cluster {k + 1}")
-        write_laid_over(recording, here, cell, (a, b), c.transform[k], pen=pen)
+    laid = []
+    for k in range(min(len(c.vertices), MOST_PLACEMENTS)):
         matched = np.unique(h.vertex_a[c.of[h.of] == k])
-        write_rings(recording, (*here, "matched"), a.xy[matched], 2.4 * pen)
-    return cells
-
-
-def _told(a: TopoMap, b: TopoMap, e: Explanation) -> str:
-    h, c = e.hypotheses, e.clusters
-    head = (
-        f"# {plain(a.run)} - {plain(b.run)}\n\n{len(a)} by {len(b)} vertices, "
-        f"{several(len(e.candidate_a), 'compatible pair')}, each rotation counted, "
-        f"{several(len(h.size), 'hypothesis', 'hypotheses')}, "
-        f"{several(len(c.vertices), 'cluster')}"
-    )
-    if len(c.vertices) == 0:
-        fits = "none of them fits along its corridors"
-        none = "no pair of junctions is compatible"
-        return f"{head}: {fits if len(e.candidate_a) else none}.\n"
-    rms = np.sqrt(c.squared_error / np.maximum(c.vertices, 1))
-    clusters = [
-        f"| {k + 1} | {c.vertices[k]} | {c.hypotheses[k]} | {c.largest[k]} | {rms[k]:.2f} "
-        f"| {_pose(c.transform[k])} |"
-        for k in range(min(len(c.vertices), MOST_ROWS))
-    ]
-    hypotheses = [
-        f"| {i + 1} | {c.of[i] + 1 if c.of[i] >= 0 else ''} | {h.size[i]} | {h.corridors[i]} "
-        f"| {np.sqrt(h.error[i]):.2f} | {_pose(h.transform[i])} |"
-        for i in range(min(len(h.size), MOST_ROWS))
-    ]
-    return "\n\n".join(
-        [
-            head,
-            "## Clusters\n\n| cluster | pairs | hypotheses | largest | rms, m | b over a |\n"
-            "| ---: | ---: | ---: | ---: | ---: | --- |\n" + "\n".join(clusters),
-            "## Hypotheses\n\n| no. | cluster | vertices | corridors | rms, m | b over a |\n"
-            "| ---: | ---: | ---: | ---: | ---: | --- |\n" + "\n".join(hypotheses),
-            f"At most {MOST_ROWS} rows of each are shown.\n",
-        ]
-    )
-
-
-def _pose(pose: FloatArray) -> str:
-    x, y = np.round(pose[:2], 1) + 0.0  # no minus before a zero
-    return f"({x:.1f}, {y:.1f}) m, {np.round(np.degrees(pose[2])) + 0.0:.0f}°"
+        path, title = (f"cluster {k + 1}",), (_title(e, k),)
+        laid.append(LaidOver(path, title, (a, b), c.transform[k], k, matched))
+    return write_laid_over(recording, PLACEMENTS, laid)
 
 
 def _space_view(e: Explanation) -> rrb.View:
@@ -264,13 +185,13 @@ def _space_view(e: Explanation) -> rrb.View:
 
 
 def _table_view(a: TopoMap, b: TopoMap) -> rrb.View:
-    spare = 2 * NUMBER_GAP * max(len(a), len(b), 1)
+    spare = 0.03 * max(len(a), len(b), 1)
     return rrb.Spatial2DView(
         origin=f"/{TABLE}",
         name=f"Vertices of {a.run} (down) and {b.run} (across)",
         background=palette.BACKGROUND,
         visual_bounds=rrb.VisualBounds2D(
-            x_range=[-spare, len(b) + spare / 2], y_range=[-spare, len(a) + spare / 2]
+            x_range=[-spare, len(b) + spare], y_range=[-spare, len(a) + spare]
         ),
     )
 

@@ -16,18 +16,16 @@ from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.views import Views
-from ..topology.wording import counted
 from . import palette
 from .drawing import Strand, branch_arrows, pen_m, strands
 from .grid_layer import write_grid
 from .growing import colour_columns, light_up_by_step
-from .map_sheet import write_cards, write_contradictions, write_own_maps, write_words
-from .parts import Part, legend_step_m, rows_of
+from .map_sheet import write_cards, write_contradictions, write_own_maps
+from .parts import Part, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import UP, PathParts, Recording, placed, strips
 from .sheet import Cell
-from .steps import Step, first_steps
-from .story import shared_from
+from .story import Step, first_steps, shared_from
 from .walls import FINE_M, site_views, walls_of
 
 FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
@@ -35,9 +33,6 @@ FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
 
 LEGEND_ROWS, LEGEND_COLUMN = 34, 8.0
 """Rows of a column of the key, and the distance of columns in rows."""
-
-LEGEND_LINE = 0.2
-"""Half the length of a key entry's line, over the key's width."""
 
 
 def write_fused_layers(
@@ -53,7 +48,8 @@ def write_fused_layers(
     runs that share each part of it, and each run's own map in its place."""
     for root in (FUSED, AGREEMENT, RUNS):
         recording.static((root,), UP)
-        _cards(recording, root, parts, colours)
+        titles = [part.titles for part in parts] if len(parts) > 1 else []
+        write_cards(recording, root, [part.cell for part in parts], titles)
         for part in parts:
             recording.static((root, part.name), placed(part.cell.T_sheet_map))
     pen = pen_m([result.fused])
@@ -82,8 +78,8 @@ def write_fused_layers(
 
 def write_fused_contradictions(
     recording: Recording, result: MergeResult, maps: Mapping[str, TopoMap], parts: list[Part]
-) -> bool:
-    """Write red dots where merged runs contradict each other; returns whether there are any."""
+) -> None:
+    """Write red dots where merged runs contradict each other."""
     pen = pen_m([result.fused])
     found: dict[int, list[Spot]] = {}
     home = {run: part for part in parts for run in part.component.poses}
@@ -91,12 +87,12 @@ def write_fused_contradictions(
         if pair.accepted and pair.best is not None and pair.best.contradicting:
             poses = home[pair.a].component.poses
             of_a, of_b = (apply(poses[run], maps[run].xy) for run in (pair.a, pair.b))
-            spots = contradiction_spots(pair.best, of_a, of_b)
+            against = zip(pair.best.contradictions, pair.best.contradicting, strict=False)
+            spots = contradiction_spots(against, of_a, of_b)
             found.setdefault(home[pair.a].component.id, []).extend(spots)
     for part in parts:
         path = (FUSED, part.name, "contradictions")
         write_contradictions(recording, path, found.get(part.component.id, []), pen)
-    return bool(found)
 
 
 MOST_VIEWS = 5000
@@ -136,12 +132,9 @@ def write_legend(
     recording: Recording, parts: list[Part], colours: Mapping[str, palette.Colour]
 ) -> list[Cell]:
     """Write the names of all merged runs in their colours, in columns, each component under its
-    title.
-
-    Writes and returns nothing where every component has its own key beside it.
-    """
+    title; nothing where no runs are merged."""
     several = [part for part in parts if len(part.component.poses) > 1]
-    if all(part.legend_m > 0 for part in several):
+    if not several:
         return []
     entries: list[tuple[str, palette.Colour]] = []
     for part in several:
@@ -162,59 +155,6 @@ def write_legend(
     low = np.array([-LEGEND_COLUMN, -rows - 1.0])
     high = np.array([LEGEND_COLUMN * (-(-len(entries) // rows)), 1.0])
     return [Cell(np.zeros(3), low, high)]
-
-
-def _cards(
-    recording: Recording,
-    root: str,
-    parts: list[Part],
-    colours: Mapping[str, palette.Colour],
-) -> None:
-    """Write the frame, title and key of every component."""
-    titles = [part.titles for part in parts]
-    cells = [part.cell for part in parts]
-    write_cards(recording, root, cells, titles if len(parts) > 1 else [])
-    for part in parts:
-        if part.legend_m > 0:
-            step_m = legend_step_m(cells)
-            entries = {run: colours[run] for run in sorted(part.component.poses)}
-            if root == AGREEMENT:
-                entries = _count_colours(part)
-            _legend(recording, (root, "legends", part.name), part, entries, step_m)
-
-
-def _count_colours(part: Part) -> dict[str, palette.Colour]:
-    """Labels and colours of the number of runs that share a part of the map."""
-    most = len(palette.COUNTS)
-    counts = range(1, min(len(part.component.poses), most) + 1)
-    names = [f"{n} or more runs" if n == most else counted(n, "run") for n in counts]
-    return dict(zip(names, map(tuple, palette.COUNTS.tolist()), strict=False))
-
-
-def _legend(
-    recording: Recording,
-    path: PathParts,
-    part: Part,
-    entries: Mapping[str, palette.Colour],
-    step_m: float,
-) -> None:
-    """Write the component's key at the right of its map: a line in each colour with the name below,
-    `step_m` apart."""
-    low, high = part.cell.low, part.cell.high
-    rows = (len(entries) - 1) / 2 - np.arange(len(entries))
-    middle = np.array([high[0] - part.legend_m / 2, (low + high)[1] / 2])
-    places = middle + step_m * np.stack([np.zeros(len(entries)), rows], axis=-1)
-    half = np.array([LEGEND_LINE * part.legend_m, 0.0])
-    recording.static(
-        (*path, "lines"),
-        rr.LineStrips2D(
-            np.stack([places - half, places + half], axis=1),
-            radii=rr.Radius.ui_points(2.0),
-            colors=list(entries.values()),
-            draw_order=palette.Order.WORDS,
-        ),
-    )
-    write_words(recording, (*path, "names"), places, list(entries), colours=list(entries.values()))
 
 
 def _ribbons(

@@ -14,17 +14,17 @@ from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Grid, Scanned
+from ..topology.se2 import compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .detections import write_detections
 from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .grid_layer import write_grid
 from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
 from .map_sheet import corridors_told
-from .map_summary import MapLayers, correction, map_summary
+from .map_summary import correction, map_summary
 from .odometry_health import Lane, lanes
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
@@ -91,21 +91,12 @@ def write_map_recording(
             _drift(recording, track, topomap)
             if detections is not None:
                 x, y = (correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
-                write_detections(recording, MAP, detections.moved((-x, -y)), track)
+                _detections(recording, MAP, detections.moved((-x, -y)), track)
         if seen is not None:
             write_scans(recording, MAP, seen)
         for lane in health:
             _lane(recording, lane)
-        shown = MapLayers(
-            odometry=track is not None,
-            detections=track is not None and detections is not None and len(detections) > 0,
-            accepted=any(q.closure.accepted for q in asked),
-            refused=any(not q.closure.accepted for q in asked),
-            health=bool(health),
-            scans=seen is not None,
-            grid=grid is not None,
-        )
-        recording.static(("summary",), markdown(map_summary(topomap, asked, shown)))
+        recording.static(("summary",), markdown(map_summary(topomap, asked)))
         return map_blueprint(topomap, track, health=bool(health), scans=seen is not None)
 
     write_recording(path, topomap.run, fill)
@@ -333,3 +324,47 @@ def _track(recording: Recording, track: RobotTrack) -> None:
         radii=rr.Radius.ui_points(2.5), colors=palette.TRAIL, draw_order=palette.Order.TIE
     )
     recording.static((*MAP, "trail"), trail)
+
+
+MOST_DETECTIONS = 20_000
+"""More detections are thinned evenly to this count."""
+
+BRANCH_M = 0.8
+"""Length of a drawn branch."""
+
+
+def _detections(
+    recording: Recording, root: PathParts, detections: Detections, track: RobotTrack
+) -> None:
+    """Write every detection as a dot, and over time its branches as a star, at the poses of the
+    corrected track. Detections outside of the track's time range are left out."""
+    time_ns = detections.time_ns
+    rows = np.flatnonzero((time_ns >= track.time_ns[0]) & (time_ns <= track.time_ns[-1]))
+    if len(rows) == 0:
+        return
+    rows = rows[:: max(1, -(-len(rows) // MOST_DETECTIONS))]
+    pose = track.at(time_ns[rows])
+    ahead = np.column_stack([detections.centre[rows], np.zeros(len(rows))])
+    centre = compose(pose, ahead)[:, :2]
+    recording.static(
+        (*root, "detections"),
+        rr.Points2D(
+            centre,
+            radii=rr.Radius.ui_points(1.0),
+            colors=palette.DETECTION,
+            draw_order=palette.Order.SIGHTING,
+        ),
+    )
+    branches = detections.branches.take(rows)
+    theta = branches.values + pose[branches.owner, 2]
+    ends = BRANCH_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
+    strips = np.stack([centre[branches.owner], centre[branches.owner] + ends], axis=1)
+    seen = branches.counts > 0
+    if not seen.any():
+        return
+    columns = rr.LineStrips2D.columns(strips=list(strips)).partition(branches.counts[seen])
+    recording.over_time((*root, "detection"), time_ns[rows][seen], columns)
+    look = rr.LineStrips2D.from_fields(
+        radii=rr.Radius.ui_points(1.5), colors=palette.DETECTION, draw_order=palette.Order.SEEN
+    )
+    recording.static((*root, "detection"), look)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,14 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.decision_text import short
-from ..topology.arrays import FloatArray
+from ..topology.arrays import FloatArray, IntArray
+from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import SHEET_MARGIN, bounds
+from .drawing import SHEET_MARGIN, bounds, extent, pen_m
 from .placements import Spot
-from .recording import HAIR, PathParts, Recording, map_view, placed, strips
-from .sheet import ASPECT, Cell, corners_of, outline
+from .recording import HAIR, UP, PathParts, Recording, map_view, placed, strips
+from .sheet import ASPECT, Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 
 TITLE_LETTERS, SHORTEST_TITLE = 150, 5
 """Letters across a view of typical width; titles with room for fewer than SHORTEST_TITLE are left
@@ -163,18 +165,39 @@ def write_own_maps(
         )
 
 
-def write_laid_over(
-    recording: Recording,
-    here: PathParts,
-    cell: Cell,
-    maps: tuple[TopoMap, TopoMap],
-    T_a_b: FloatArray,
-    *,
-    pen: float,
-) -> None:
-    """Write map b over map a in a cell, in two colours."""
-    a, b = maps
-    recording.static(here, placed(cell.T_sheet_map))
-    recording.static((*here, "b"), placed(T_a_b))
-    paths = [(*here, "a", a.run), (*here, "b", b.run)]
-    write_own_maps(recording, paths, maps, [palette.of_rank(0), palette.of_rank(1)], pen)
+@dataclass(frozen=True, slots=True, eq=False)
+class LaidOver:
+    """Map b over map a, at T_a_b. titles: forms, longest first; matched: junctions of a; spots:
+    where the two contradict each other; group: equal for neighbours that belong in one row."""
+
+    path: PathParts
+    titles: tuple[str, ...]
+    maps: tuple[TopoMap, TopoMap]
+    T_a_b: FloatArray
+    group: int
+    matched: IntArray
+    spots: Sequence[Spot] = ()
+
+
+def write_laid_over(recording: Recording, root: str, laid: Sequence[LaidOver]) -> list[Cell]:
+    """Write maps over maps in two colours, side by side; returns their cells."""
+    points = [
+        np.concatenate([extent(each.maps[0]), apply(each.T_a_b, extent(each.maps[1]))])
+        for each in laid
+    ]
+    turns = [upright_rad(each.maps[0].paths) for each in laid]
+    groups = [each.group for each in laid]
+    cells = arrange(points, turns, sheet_margin_m(points), groups=groups)
+    recording.static((root,), UP)
+    write_cards(recording, root, cells, [each.titles for each in laid])
+    pen = pen_m([m for each in laid for m in each.maps])
+    colours = [palette.of_rank(0), palette.of_rank(1)]
+    for each, cell in zip(laid, cells, strict=True):
+        here, (a, b) = (root, *each.path), each.maps
+        recording.static(here, placed(cell.T_sheet_map))
+        recording.static((*here, "b"), placed(each.T_a_b))
+        paths = [(*here, "a", a.run), (*here, "b", b.run)]
+        write_own_maps(recording, paths, (a, b), colours, pen)
+        write_rings(recording, (*here, "matched"), a.xy[each.matched], 2.2 * pen)
+        write_contradictions(recording, (*here, "contradictions"), each.spots, pen)
+    return cells

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -28,25 +27,31 @@ MOST_LINES = 40
 """Longer lists are cut; the JSON document has all entries."""
 
 
-@dataclass(frozen=True, slots=True)
-class MapLayers:
-    """Which optional layers a recording holds: the legend describes only these."""
+LEGEND = """\
+Junctions are coloured by their branches: dead ends **red**, bends **grey**, three **blue**, four
+**green**, more **violet**. Small **red** dots: the robot turned round, or its log begins or ends.
+**Amber** arrows: branches never driven. Corridors are brighter the more often they were driven.
+**Green** rings: closures, one for each time that the junction was recognised. **Red** lines (hidden
+at first): two junctions that were not taken for one.
 
-    odometry: bool = False
-    detections: bool = False
-    accepted: bool = False
-    refused: bool = False
-    health: bool = False
-    scans: bool = False
-    grid: bool = False
+Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). **White**: the
+robot at the cursor, behind it its last minute (**bright green**). **Violet** dots: raw detections,
+a star of branches at the cursor; or junctions that scans show, dull where variants of the detector
+do not agree. Under the map: walls that the laser saw up to then (**slate**), the skeleton of the
+free space (**teal**), the window about the last junction; or the grid that the map was made from.
+
+Drag the time line below: the map grows as it was driven. Point at anything for what is known about
+it, or select it and open the panels at the top right; the left one shows and hides layers.
+**Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of the map.
+**Health**: gaps, jumps and breaks of the odometry; standing; new ground."""
 
 
-def map_summary(topomap: TopoMap, asked: Sequence[Question], shown: MapLayers) -> str:
+def map_summary(topomap: TopoMap, asked: Sequence[Question]) -> str:
     """A Markdown page about one map: counts, closures, noise, warnings, and a legend."""
     parts = [
         f"# {plain(topomap.run)}",
         _counts(topomap),
-        _legend(topomap, shown),
+        LEGEND if len(topomap) else "The map is empty: no junction was found in this run.",
         _closures(asked),
         _warnings(topomap),
         _source(topomap),
@@ -106,65 +111,6 @@ def _span(topomap: TopoMap) -> str:
         return ""
     first, last = int(times.min()), int(times.max())
     return f" in {minutes(last - first)}, from {utc(first)} UTC"
-
-
-_COLOURS = ("", "dead ends **red**", "bends **grey**", "three **blue**", "four **green**")
-
-
-def _legend(topomap: TopoMap, shown: MapLayers) -> str:
-    if len(topomap) == 0:
-        return "The map is empty: no junction was found in this run."
-    degrees = np.unique(np.minimum(topomap.degree, len(_COLOURS)))
-    named = [_COLOURS[d] if d < len(_COLOURS) else "more **violet**" for d in degrees.tolist() if d]
-    lines = [f"Junctions are coloured by their branches: {', '.join(named)}."] if named else []
-    if len(topomap.turning_points):
-        lines.append("Small **red** dots: the robot turned round, or its log begins or ends.")
-    if (~driven_branches(with_turning_points(topomap))).any():
-        lines.append("**Amber** arrows: branches never driven.")
-    if len(topomap.traversals) and topomap.traversals.max() > 1:
-        lines.append("Corridors are brighter the more often they were driven.")
-    if shown.odometry:
-        lines.append(
-            "Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). "
-            "**White**: the robot at the cursor, behind it its last minute (**bright green**)."
-        )
-    if shown.detections:
-        lines.append(
-            "**Violet** dots: raw detections; those at the cursor are stars, a ray for each branch."
-        )
-    if shown.scans:
-        lines.append(
-            "Under the map: walls that the laser saw up to then (**slate**), the skeleton of the "
-            "free space (**teal**), junctions that it shows (**violet** dots, dull where variants "
-            "of the detector do not agree), and the window about the last one; select a junction, "
-            "and the window that shows it best is outlined."
-        )
-    if shown.grid:
-        lines.append(
-            "Under the map: the grid that it was made from, walls **slate**, free space a little "
-            "brighter than what is not known."
-        )
-    if shown.accepted:
-        lines.append("**Green** rings: closures; one for each time that it was recognised.")
-    if shown.refused:
-        lines.append("**Red** lines (hidden at first): two junctions that were not taken for one.")
-    closures = shown.accepted or shown.refused
-    things = "a junction, a corridor or a closure" if closures else "a junction or a corridor"
-    reading = [
-        "Drag the time line below: the map grows as it was driven."
-        if len(topomap.observation_time_ns)
-        else "",
-        f"Point at {things} for what is known about it, or select it "
-        "and open the panels at the top right; the left one shows and hides layers.",
-    ]
-    if shown.odometry:
-        reading.append(
-            "**Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of "
-            "the map."
-        )
-    if shown.health:
-        reading.append("**Health**: gaps, jumps and breaks of the odometry; standing; new ground.")
-    return " ".join(lines) + "\n\n" + " ".join(filter(None, reading))
 
 
 def _closures(asked: Sequence[Question]) -> str:

@@ -25,9 +25,6 @@ from .fused_layers import (
 from .map_sheet import sheet_view
 from .pair_layers import (
     MATRIX,
-    MOST_DOTS,
-    MOST_NAMES,
-    MOST_NUMBERS,
     UNDECIDED,
     matrix_bounds,
     write_matrix,
@@ -35,11 +32,9 @@ from .pair_layers import (
 )
 from .parts import colours_of, lay_out
 from .recording import JOIN, Recording, blueprint, markdown, write_recording
-from .steps import joining_steps
-from .story import STORY, write_story
+from .story import STORY, joining_steps, write_story
 from .verdicts import (
     MOST_PLACEMENTS,
-    MergeLayers,
     merge_summary,
     pairs_told,
     runs_in_order,
@@ -67,7 +62,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         parts = lay_out(result, walls={c: wall_points(grid) for c, grid in walls.items()})
         sheet = [part.cell for part in parts]
         write_fused_layers(recording, result, by_name, parts, colours=colours, steps=steps)
-        contradicted = write_fused_contradictions(recording, result, by_name, parts)
+        write_fused_contradictions(recording, result, by_name, parts)
         write_walls(recording, walls, parts)
         views = [
             sheet_view(FUSED, "Map", sheet),
@@ -77,26 +72,14 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         if pairs:
             cells = write_undecided(recording, pairs, by_name)
             views.append(sheet_view(UNDECIDED, "Undecided", cells))
-        names = write_legend(recording, parts, colours)
-        if names:
-            views.append(sheet_view(LEGEND, "Legend", names))
+        side = [sheet_view(LEGEND, "Legend", [c]) for c in write_legend(recording, parts, colours)]
         if steps:
             write_story(recording, FUSED, steps, parts, by_name)
         write_matrix(recording, result, runs, colours)
-        shown = MergeLayers(
-            story=bool(steps),
-            undecided=bool(pairs),
-            contradictions=contradicted,
-            walls=bool(walls),
-            legend=bool(names),
-            numbers=len(runs) <= MOST_NUMBERS,
-            dots=len(runs) <= MOST_DOTS,
-            marks=len(runs) > MOST_NAMES,
-        )
-        recording.static(("summary",), markdown(merge_summary(result, shown)))
+        recording.static(("summary",), markdown(merge_summary(result)))
         recording.static(("pairs",), markdown(pairs_told(result)))
-        matrix = _matrix_view(result, runs) if len(runs) > 1 else None
-        return _blueprint(views, matrix, told=bool(steps))
+        side += [_matrix_view(result, runs)] if len(runs) > 1 else []
+        return _blueprint(views, side, told=bool(steps))
 
     write_recording(path, RECORDING_ID, fill)
 
@@ -123,7 +106,7 @@ def _matrix_view(result: MergeResult, runs: list[str]) -> rrb.Spatial2DView:
 
 
 def _blueprint(
-    views: list[rrb.Spatial2DView], matrix: rrb.Spatial2DView | None, *, told: bool
+    maps: list[rrb.Spatial2DView], side: list[rrb.Spatial2DView], *, told: bool
 ) -> rrb.Blueprint:
     pages: list[rrb.View] = [
         rrb.TextDocumentView(origin="/summary", name="Summary"),
@@ -131,13 +114,10 @@ def _blueprint(
     ]
     if told:
         pages.append(rrb.TextDocumentView(origin=f"/{STORY}", name="Story"))
-    side: list[rrb.View | rrb.Container] = [rrb.Tabs(*pages, active_tab=0, name="Details")]
-    if matrix is not None:
-        side.append(matrix)
     return blueprint(
         rrb.Horizontal(
-            rrb.Tabs(*views, active_tab=0, name="Maps"),
-            rrb.Vertical(*side, row_shares=[1, 1][: len(side)], name="Verdicts"),
+            rrb.Tabs(*maps, active_tab=0, name="Maps"),
+            rrb.Vertical(rrb.Tabs(*pages, active_tab=0, name="Details"), *side, name="Verdicts"),
             column_shares=[5, 2],
             name="Merged map",
         ),

@@ -13,34 +13,24 @@ from ..topology.arrays import FloatArray
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import extent, pen_m
-from .map_sheet import (
-    write_cards,
-    write_contradictions,
-    write_laid_over,
-    write_rings,
-    write_words,
-)
+from .map_sheet import LaidOver, write_laid_over, write_words
 from .placements import contradiction_spots
-from .recording import HAIR, UP, Recording
-from .sheet import Cell, arrange, outline, sheet_margin_m, upright_rad
+from .recording import HAIR, Recording
+from .sheet import Cell, outline
 from .verdicts import CLASS, DIAGONAL, LOCKED, verdict_matrix
 
 MATRIX, UNDECIDED = "verdicts", "undecided"
 """Entity roots of the two views."""
 
 MOST_NAMES = 16
-"""Above this many runs the matrix has no names of runs."""
+"""Above this many runs the matrix has the names of sites in place of those of runs."""
 
 MOST_NUMBERS = 8
 """Up to this many runs the evidence is written into the matrix, above only shown by dots."""
 
-NAMES_ABOVE = 34
-"""The columns have names if the columns times the longest name are at most this many letters."""
-
 LEAST_BLOCK = 0.05
-"""A component is named beside a large matrix if it has at least this share of the runs (the height
-of a name)."""
+"""A site is named beside a large matrix if it has at least this share of the runs (the height of a
+name)."""
 
 MOST_DOTS = 300
 """Above this many runs the matrix has no dots."""
@@ -67,98 +57,66 @@ def write_matrix(
     runs: list[str],
     colours: Mapping[str, palette.Colour],
 ) -> None:
-    """Write the verdicts of all pairs as an image and their evidence as dots, with the runs' names
-    at the left; above MOST_NAMES runs only the components' names, and those of the runs on
-    hovering."""
+    """Write the verdicts of all pairs as an image and their evidence as dots, with names at the
+    left, the runs of a site framed, and a mark for each run with its name on hovering."""
     if not runs:
         return
+    count = len(runs)
     recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
     matrix = verdict_matrix(result, runs)
     recording.static((MATRIX, "pairs"), rr.SegmentationImage(matrix, opacity=1.0))
-    if len(runs) <= MOST_NAMES:
-        _names(recording, runs)
-    else:
-        _block_names(recording, result, runs)
-        _rows(recording, runs, colours)
-    if len(runs) <= MOST_DOTS:
-        _evidence(recording, result, runs)
-
-
-def matrix_bounds(result: MergeResult, runs: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
-    high = np.array([1.01 * len(runs) + 0.2, 1.01 * len(runs) + 0.2])
-    if len(runs) > MOST_NAMES:
-        names = [name for name, _, _ in _blocks(result, runs)]
-        return np.array([-_names_width(names, len(runs)), -0.02 * len(runs)]), high
-    return np.array([-_names_width(runs, len(runs)), -0.09 * len(runs) - 0.1]), high
-
-
-def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
-    """(name, first row, rows) of the largest components and, as one block, of the runs that merged
-    with none."""
-    row = {run: i for i, run in enumerate(runs)}
-    several = [c for c in result.components if len(c.poses) > 1]
-    largest = sorted(several, key=lambda c: (-len(c.poses), c.id))
-    out = [
-        (c.name, min(row[run] for run in c.poses), len(c.poses))
-        for c in largest
-        if len(c.poses) >= LEAST_BLOCK * len(runs)
-    ]
-    alone = len(result.components) - len(several)
-    if alone >= LEAST_BLOCK * len(runs):
-        out.append(("alone", len(runs) - alone, alone))
-    return out
-
-
-def _block_names(recording: Recording, result: MergeResult, runs: list[str]) -> None:
-    blocks = _blocks(result, runs)
-    if not blocks:
-        return
-    frames = [outline((k, k), (k + n, k + n)) for _, k, n in blocks]
-    recording.static(
-        (MATRIX, "components"),
-        rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING),
-    )
-    width = _names_width([name for name, _, _ in blocks], len(runs))
-    # LABEL_RISE in cells, which are the smaller the larger the matrix.
-    rise = LABEL_RISE * len(runs) / MOST_NUMBERS
-    places = np.array([(-0.55 * width, k + n / 2 - rise) for _, k, n in blocks])
-    _labels(recording, "rows", places, [name for name, _, _ in blocks])
-
-
-def _rows(recording: Recording, runs: list[str], colours: Mapping[str, palette.Colour]) -> None:
-    """Write a mark in the run's colour beside its row, with its name on hovering."""
-    at = np.arange(len(runs)) + 0.5
+    frames = [outline((k, k), (k + n, k + n)) for _, k, n in _blocks(result, runs)]
+    lines = rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING)
+    recording.static((MATRIX, "components"), lines)
+    middle = np.arange(count) + 0.5
     marks = rr.Points2D(
-        np.stack([np.full(len(runs), -0.012 * len(runs)), at], axis=-1),
-        radii=0.4,
+        np.stack([np.full(count, -0.012 * count), middle], axis=-1),
+        radii=0.012 * count,
         colors=[colours[run] for run in runs],
         labels=runs,
         show_labels=False,
         draw_order=palette.Order.CONTRADICTION,
     )
     recording.static((MATRIX, "runs"), marks, rr.AnyValues(run=runs))
+    names = _row_names(result, runs)
+    # LABEL_RISE in cells, which are the smaller the larger the matrix.
+    rise = LABEL_RISE * max(count / MOST_NUMBERS, 1.0)
+    left = -0.55 * _names_width(names, count)
+    places = np.array([(left, at - rise) for _, at in names]).reshape(-1, 2)
+    _labels(recording, "rows", places, [name for name, _ in names])
+    if count <= MOST_NAMES:
+        above = np.stack([middle, np.full(count, -0.09 * count)], axis=-1)
+        _labels(recording, "columns", above, [str(k) for k in range(1, count + 1)])
+    if count <= MOST_DOTS:
+        _evidence(recording, result, runs)
 
 
-def _names_width(names: list[str], cells: int) -> float:
+def matrix_bounds(result: MergeResult, runs: list[str]) -> tuple[FloatArray, FloatArray]:
+    """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
+    count = len(runs)
+    left = _names_width(_row_names(result, runs), count)
+    return np.array([-left, -0.09 * count - 0.1]), np.full(2, 1.01 * count + 0.2)
+
+
+def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
+    """(name, first row, rows) of every site of several runs."""
+    row = {run: i for i, run in enumerate(runs)}
+    several = [c for c in result.components if len(c.poses) > 1]
+    return [(c.name, min(row[run] for run in c.poses), len(c.poses)) for c in several]
+
+
+def _row_names(result: MergeResult, runs: list[str]) -> list[tuple[str, float]]:
+    """Names at the left, with the middles of their rows."""
+    if len(runs) <= MOST_NAMES:
+        return [(f"{i}  {run}", i - 0.5) for i, run in enumerate(runs, start=1)]
+    large = [block for block in _blocks(result, runs) if block[2] >= LEAST_BLOCK * len(runs)]
+    return [(name, k + n / 2) for name, k, n in large]
+
+
+def _names_width(names: list[tuple[str, float]], cells: int) -> float:
     """Width of the names at the left [cells], from their share of a view of typical width."""
-    share = min(0.06 + 0.024 * max(map(len, names), default=0), 0.6)
+    share = min(0.08 + 0.024 * max((len(name) for name, _ in names), default=0), 0.6)
     return cells * share / (1 - share)
-
-
-def _names(recording: Recording, runs: list[str]) -> None:
-    """Write the names of the rows, and above the columns the names if they are short, else row
-    numbers."""
-    short = len(runs) * max(map(len, runs)) <= NAMES_ABOVE
-    middle = np.arange(len(runs)) + 0.5
-    left, above = (
-        np.full(len(runs), -_names_width(runs, len(runs)) / 2),
-        np.full(len(runs), -0.09 * len(runs)),
-    )
-    rows = runs if short else [f"{i}  {run}" for i, run in enumerate(runs, start=1)]
-    columns = runs if short else [str(i) for i in range(1, len(runs) + 1)]
-    _labels(recording, "rows", np.stack([left, middle - LABEL_RISE], axis=-1), rows)
-    _labels(recording, "columns", np.stack([middle, above], axis=-1), columns)
 
 
 def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
@@ -201,31 +159,16 @@ def write_undecided(
 
     Returns the cells, one for each placement.
     """
-    laid = [
-        (pair, name, alignment)
-        for pair in pairs
-        for name, alignment in (("best", pair.best), ("runner-up", pair.runner_up))
-        if alignment is not None
-    ]
-    points = [
-        np.concatenate([extent(maps[p.a]), apply(a.transform, extent(maps[p.b]))])
-        for p, _, a in laid
-    ]
-    turns = [upright_rad(maps[p.a].paths) for p, _, _ in laid]
-    together = [pairs.index(pair) for pair, _, _ in laid]
-    cells = arrange(points, turns, sheet_margin_m(points), groups=together)
-    recording.static((UNDECIDED,), UP)
-    named = [(f"{p.a} - {p.b}", name, shown_bits(a.evidence_bits)) for p, name, a in laid]
-    titles = [
-        (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair) for pair, name, bits in named
-    ]
-    write_cards(recording, UNDECIDED, cells, titles)
-    pen = pen_m([maps[run] for p in pairs for run in (p.a, p.b)])
-    for (pair, name, alignment), cell in zip(laid, cells, strict=True):
-        here = (UNDECIDED, "pairs", pair.a, pair.b, name)
-        a, b = maps[pair.a], maps[pair.b]
-        write_laid_over(recording, here, cell, (a, b), alignment.transform, pen=pen)
-        write_rings(recording, (*here, "matched"), a.xy[alignment.matched[:, 0]], 2.2 * pen)
-        spots = contradiction_spots(alignment, a.xy, apply(alignment.transform, b.xy))
-        write_contradictions(recording, (*here, "contradictions"), spots, pen)
-    return cells
+    laid = []
+    for group, p in enumerate(pairs):
+        a, b, pair = maps[p.a], maps[p.b], f"{p.a} - {p.b}"
+        for name, alignment in (("best", p.best), ("runner-up", p.runner_up)):
+            if alignment is None:
+                continue
+            bits, T = shown_bits(alignment.evidence_bits), alignment.transform
+            titles = (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair)
+            against = zip(alignment.contradictions, alignment.contradicting, strict=False)
+            spots = contradiction_spots(against, a.xy, apply(T, b.xy))
+            path = ("pairs", p.a, p.b, name)
+            laid.append(LaidOver(path, titles, (a, b), T, group, alignment.matched[:, 0], spots))
+    return write_laid_over(recording, UNDECIDED, laid)

@@ -1,8 +1,10 @@
-"""Colours for the viewer's dark background, and the drawing order."""
+"""Colours for the viewer's dark background, for drawings and the report, and the drawing order."""
 
 from __future__ import annotations
 
 import colorsys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from enum import IntEnum, auto
 
 import numpy as np
@@ -148,3 +150,73 @@ def stepped(step: int, saturation: float, value: float) -> Colour:
     hue = (0.31 + 0.61803398875 * step) % 1.0
     red, green, blue = colorsys.hsv_to_rgb(hue, saturation + 0.15 * (step % 3), value)
     return round(255 * red), round(255 * green), round(255 * blue)
+
+
+_INKS = {
+    "paper": ("#ffffff", BACKGROUND),
+    "ink": ("#1b1f24", TITLE),
+    "dim": ("#8a929c", DIM),
+    "card": ("#dde1e6", CARD),
+    "corridor": ("#6c93c2", CORRIDOR),
+    "single": ("#7b8490", SINGLE),
+    "shared": ("#1b1f24", WHITE),
+    "unexplored": ("#d97f00", UNEXPLORED),
+    "agrees": ("#1f9d55", MERGED),
+    "against": ("#d43a3a", REFUSED),
+    "degree 0": ("#8b929b", DEGREES[0]),
+    "degree 1": ("#d6304f", DEGREES[1]),
+    "degree 2": ("#8b929b", DEGREES[2]),
+    "degree 3": ("#1f78d1", DEGREES[3]),
+    "degree 4": ("#1f9d55", DEGREES[4]),
+    "degree 5": ("#8e44cf", DEGREES[5]),
+    "wall": ("#c9ced6", WALL),
+}
+"""Named colours besides those of runs: in the light and in the dark theme."""
+
+_LIGHT_RUNS = (
+    "#1f77d0",
+    "#e8590c",
+    "#12934f",
+    "#d1359c",
+    "#a88400",
+    "#6741d9",
+    "#0c8599",
+    "#c92a2a",
+    "#5c940d",
+    "#8d6748",
+)
+
+
+def _hex(colour: Iterable[int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+@dataclass(frozen=True, slots=True)
+class Theme:
+    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run."""
+
+    inks: Mapping[str, str]
+    run: Callable[[int], str]
+    """The colour of a run by its rank among those drawn together, from 0."""
+
+    def __getitem__(self, ink: str) -> str:
+        return self.inks[ink]
+
+    def pale_run(self, rank: int) -> str:
+        """The colour of a run half-way to that of the paper: of its walls, below its map."""
+        of_run, paper = (bytes.fromhex(c[1:]) for c in (self.run(rank), self["paper"]))
+        return _hex((x + y) // 2 for x, y in zip(of_run, paper, strict=True))
+
+
+def _light_run(rank: int) -> str:
+    """The first ten chosen by hand, later ones by steps of the golden angle in hue."""
+    if rank < len(_LIGHT_RUNS):
+        return _LIGHT_RUNS[rank]
+    return _hex(stepped(rank - len(_LIGHT_RUNS), 0.65, 0.72))
+
+
+LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, _light_run)
+DARK = Theme(
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()},
+    lambda rank: _hex(of_rank(rank)),
+)

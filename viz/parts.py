@@ -12,18 +12,9 @@ from ..merge.result import Component, MergeResult
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
-from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, corners_of, sheet_margin_m, upright_rad
+from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, sheet_margin_m, upright_rad
 
 NO_WALLS: Mapping[int, FloatArray] = MappingProxyType({})
-
-MOST_LEGENDS = 6
-"""Up to this many components of several runs have a key beside them."""
-
-MOST_NAMES = 24
-"""Most entries of a key."""
-
-LEGEND_LINES = 26
-"""Lines of text over the height of a sheet that fills its view."""
 
 FEW, FLEET_MARGIN = 12, 0.22
 """Up to FEW maps the margin is a share of the largest one, above it FLEET_MARGIN of the median
@@ -46,7 +37,6 @@ class Part:
     cell: Cell
     vertices: IntArray
     edges: IntArray
-    legend_m: float
     junctions: int
 
     @property
@@ -73,8 +63,8 @@ def lay_out(
 ) -> list[Part]:
     """All components on one sheet, those of most runs first.
 
-    for_paper: without room for keys, and with margins by the median map; walls: points (k, 2) of
-    the walls of a component, by its id, that its cell is to hold as well [m].
+    for_paper: with margins by the median map; walls: points (k, 2) of the walls of a component, by
+    its id, that its cell is to hold as well [m].
     """
     fused = result.fused
     order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
@@ -86,21 +76,14 @@ def lay_out(
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
-    usual_m = _usual_extent(points)
     margin = _fleet_margin_m(points) if len(order) > FEW else sheet_margin_m(points)
-    room = [0.0] * len(order)
     if for_paper:
         share = PAPER_MARGIN if len(order) > 1 else ALONE_MARGIN
-        cells = arrange(points, turns, share * usual_m)
-    else:
-        room = _legends(order, points)
-        cells = arrange(points, turns, margin, room)
-        if not _legends_fit(order, cells, room):
-            room = [0.0] * len(order)
-            cells = arrange(points, turns, margin)
+        margin = share * _usual_extent(points)
+    cells = arrange(points, turns, margin)
     junction = ~fused.is_turned
     places = [int(junction[rows].sum()) for rows in vertices]
-    return [Part(*row) for row in zip(order, cells, vertices, edges, room, places, strict=True)]
+    return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
 
 
 def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
@@ -117,45 +100,9 @@ def _fleet_margin_m(points: list[FloatArray]) -> float:
     return max(usual_m, TITLE_SHARE * float(np.sqrt(ASPECT * area)))
 
 
-def _legends_fit(order: list[Component], cells: list[Cell], room: list[float]) -> bool:
-    """Whether every key is at most as high as its cell."""
-    if not any(room):
-        return True
-    step_m = legend_step_m(cells)
-    return all(
-        step_m * len(c.poses) <= cell.high[1] - cell.low[1]
-        for c, cell, legend in zip(order, cells, room, strict=True)
-        if legend > 0
-    )
-
-
-def legend_step_m(cells: list[Cell]) -> float:
-    """Line spacing of a key on a sheet that fills its view [m]."""
-    width, height = np.ptp(corners_of(cells), axis=0)
-    return float(max(width / ASPECT, height)) / LEGEND_LINES
-
-
 def _usual_extent(points: list[FloatArray]) -> float:
     extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
     return max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
-
-
-def _legends(order: list[Component], points: list[FloatArray]) -> list[float]:
-    """Width of each component's key [m]; 0 where there are too many."""
-    several = [2 <= len(c.poses) <= MOST_NAMES for c in order]
-    if sum(several) > MOST_LEGENDS:
-        return [0.0] * len(order)
-    area = sum(float(np.prod(np.ptp(p, axis=0))) for p in points if len(p))
-    sheet_m = 1.3 * np.sqrt(ASPECT * area)
-    return [
-        sheet_m * _legend_share(c) if shown else 0.0
-        for c, shown in zip(order, several, strict=True)
-    ]
-
-
-def _legend_share(component: Component) -> float:
-    """Width of a key over the sheet's width, for the longest name."""
-    return 0.04 + 0.008 * min(max(map(len, component.poses)), 40)
 
 
 def ranks(result: MergeResult) -> dict[str, int]:

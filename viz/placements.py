@@ -1,18 +1,21 @@
-"""The placements of one map on another that a picture of a decision shows side by side."""
+"""What a picture of a decision shows: the placements of one map on another side by side, and the
+views that speak most for a placement and against it, laid over each other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..merge.decision import Decision, Placement, Term
 from ..merge.decision_text import listed, other_name
-from ..merge.result import Alignment, shown_bits
+from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.se2 import apply, compose
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
+from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import TopoMap
+from ..topology.views import REACH_M
 from ..topology.wording import counted
 from .sheet import upright_rad
 
@@ -88,13 +91,55 @@ class Spot:
     told: str
 
 
-def contradiction_spots(alignment: Alignment, of_a: FloatArray, of_b: FloatArray) -> list[Spot]:
-    """The contradictions of an alignment whose junctions are known, in the frame of the given
-    positions, (n, 2) each: at a junction that the other run did not see, or amid two corridors that
-    cross."""
+def contradiction_spots(
+    against: Iterable[tuple[str, tuple[Sequence[int], Sequence[int]]]],
+    of_a: FloatArray,
+    of_b: FloatArray,
+) -> list[Spot]:
+    """Contradictions, each with its text and the junctions of a and of b that it concerns, in the
+    frame of the given positions, (n, 2) each: at a junction that the other run did not see, or amid
+    two corridors that cross."""
     spots = []
-    for told, (a, b) in zip(alignment.contradictions, alignment.contradicting, strict=False):
-        alone = [of[list(ends)] for of, ends in ((of_a, a), (of_b, b)) if len(ends) == 1]
-        both = [of_a[list(a)], of_b[list(b)]]
-        spots.append(Spot(np.concatenate(alone or both).mean(axis=0), told))
+    for told, (a, b) in against:
+        ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
+        alone = [points for points in ends if len(points) == 1]
+        spots.append(Spot(np.concatenate(alone or ends).mean(axis=0), told))
     return spots
+
+
+CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+"""(4, 2) corners of a picture, about the place of the first view [m]."""
+
+WIDTHS = (1.0, 0.5)
+"""Widths of the walls of a and of b, over that of a cell: where both lie, both show."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Overlay:
+    """A picture: its name, its title, and its walls."""
+
+    name: str
+    title: str
+    seen: Compared
+
+    def layers(self, turn_rad: float) -> Iterator[tuple[int, int, FloatArray]]:
+        """Of which run (0 or 1), of which kind, and the middles of the cells (k, 2) about the place
+        of the first view, turned; what contradicts last."""
+        xy = turned(self.seen.xy, turn_rad)
+        for kind in (SILENT, AGREES, CONTRADICTS):
+            for run in (0, 1):
+                own = (self.seen.kind == kind) & (self.seen.of_second == (run == 1))
+                if own.any():
+                    yield run, kind, xy[own]
+
+
+def overlays(decision: Decision) -> list[Overlay]:
+    """The pictures of the first placement of a decision: what speaks for it, then against it."""
+    shown = [t for p in decision.placements[:1] for t in p.of("views") if t.seen is not None]
+    out = []
+    for term in sorted(shown, key=lambda t: -t.bits):
+        name = "for" if term.bits > 0 else "against"
+        title = f"views {name} it: {term.bits:+.1f} bits"
+        if term.seen is not None:
+            out.append(Overlay(name, title, term.seen))
+    return out

@@ -25,10 +25,11 @@ from ..merge.change import Change
 from ..merge.decision import Decision
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, shown_bits
-from ..topology.made_from import junctions_told
+from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .map_summary import minutes
+from .palette import LIGHT
 from .parts import ranks
 from .report_maps import INK, SiteLayers, blank_figure, change_told, site_map
 from .report_pairs import (
@@ -39,7 +40,6 @@ from .report_pairs import (
     pair_figure,
 )
 from .sheet import upright_rad
-from .theme import LIGHT
 from .verdicts import runs_in_order
 from .walls import site_walls
 
@@ -354,7 +354,7 @@ def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[s
     for run in runs:
         if run in report.maps:
             m = report.maps[run]
-            source = junctions_told(m.info)
+            source = describe_junctions(m.info)
             told = ([source] if source else []) + [str(w) for w in m.info.get("warnings") or ()][:8]
             out.append(([run, home.get(run, "—"), *_measured(m)], told))
     return out

@@ -33,9 +33,9 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
 from .drawing import bounds, strands
 from .history import history, questions
+from .palette import LIGHT
 from .parts import ranks, rows_of
 from .sheet import upright_rad
-from .theme import LIGHT
 from .walls import wall_points
 
 INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"

@@ -14,8 +14,8 @@ from ..merge.decision_text import because, digits_of, itemised, missing, needs, 
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
+from .palette import LIGHT
 from .report_maps import BAD, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
-from .theme import LIGHT
 from .verdicts import CLASS, strongest, verdict_matrix
 
 STANDING_COLOURS = {

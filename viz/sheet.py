@@ -77,25 +77,23 @@ def arrange(
     point_sets: Sequence[FloatArray],
     turns_rad: Sequence[float],
     margin_m: float,
-    legends_m: Sequence[float] | None = None,
     *,
     groups: Sequence[int] | None = None,
 ) -> list[Cell]:
     """A cell for each map from its points (n, 2) and rotation, in the given order.
 
-    legends_m: width to leave at the right of each map; groups: a number for each map, equal for
-    neighbours that belong in one row. Cells are laid in rows, left to right, the top row first (y
-    points up); the row width is chosen so that a sheet of ASPECT shows them largest. O(points).
+    groups: a number for each map, equal for neighbours that belong in one row. Cells are laid in
+    rows, left to right, the top row first (y points up); the row width is chosen so that a sheet of
+    ASPECT shows them largest. O(points).
     """
     lows, sizes = [], []
-    legends = [0.0] * len(point_sets) if legends_m is None else legends_m
     groups = range(len(point_sets)) if groups is None else groups
-    for points, turn, legend in zip(point_sets, turns_rad, legends, strict=True):
+    for points, turn in zip(point_sets, turns_rad, strict=True):
         turned = apply(np.array([0.0, 0.0, turn]), points) if len(points) else np.zeros((1, 2))
         low, high = turned.min(axis=0), turned.max(axis=0)
         spare = np.maximum(MIN_SIDE_M - (high - low), 0.0) / 2
         lows.append(low - spare)
-        sizes.append(high - low + 2 * spare + 2 * margin_m + np.array([legend, 0.0]))
+        sizes.append(high - low + 2 * spare + 2 * margin_m)
     cells = []
     for corner, low, size, turn in zip(
         _shelves(sizes, groups), lows, sizes, turns_rad, strict=True

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits, shown_lead
-from ..topology.driven_branches import driven_branches
+from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.wording import counted, listed, to_turning_points
 from .map_summary import bulleted, plain, several
-from .steps import Step
 
 DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
@@ -24,9 +21,6 @@ MOST_PAIRS = 60
 
 MOST_PLACEMENTS = 12
 """Undecided pairs that are drawn, strongest evidence first: with more, their names have no room."""
-
-STORY_BEFORE, STORY_AFTER = 8, 12
-"""Steps listed before and after a step on its page."""
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
@@ -51,21 +45,29 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
     return matrix
 
 
-@dataclass(frozen=True, slots=True)
-class MergeLayers:
-    """Which optional parts a merge's recording holds: the legend describes only these."""
+LEGEND = """\
+## How to read it
 
-    story: bool = False
-    undecided: bool = False
-    contradictions: bool = False
-    walls: bool = False
-    legend: bool = False
-    numbers: bool = False
-    dots: bool = False
-    marks: bool = False
+**Map**: every corridor is a ribbon with one strand for each run that drove it; junctions seen by
+several runs are white, others grey. The names are in *Legend*. Drag the *join* time line: runs
+light up in the order in which they were joined. A white line ties the two runs that the step
+rests on; *Story* tells why. **Red** dots: where joined runs contradict each other. Under the map:
+what the lasers of all runs saw, walls **slate**, free space a little brighter than what is not
+known. Short strokes: branches that nobody drove. **Agreement**: the brighter, the more runs.
+**Runs**: each run's own map, laid into its component. **Undecided**: pairs that the evidence does
+not decide, those with most of it first, with both placements: the first run **blue**, the second
+**orange**; matched junctions in white, contradictions in red.
+
+**Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
+other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
+unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits
+and the reason.
+
+Point at anything for what is known about it, or select it and open the panels at the top right;
+the left one shows and hides runs."""
 
 
-def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
+def merge_summary(result: MergeResult) -> str:
     """A Markdown page: counts, legend, components, warnings."""
     count = result.standings()
     fused = result.fused
@@ -86,92 +88,14 @@ def merge_summary(result: MergeResult, shown: MergeLayers) -> str:
     ]
     if "method" in result.info:
         rows.append(f"method: {plain(result.info['method'])}")
-    legend = "## How to read it\n\n" + "\n\n".join(_legend(result, shown))
-    parts = ["# Merged map", bulleted(rows), legend, _components(result), _notes(result)]
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-_COLOURS = {
-    Standing.MERGED: "**green** merged",
-    Standing.JOINED: "**dark green** joined through other runs",
-    Standing.AMBIGUOUS: "**orange** ambiguous",
-    Standing.KEPT_OUT: "**red** fitting, but kept out by a later check",
-    Standing.UNRELATED: "**grey** unrelated",
-}
-
-
-def _legend(result: MergeResult, shown: MergeLayers) -> list[str]:
-    shared = any(len(members) > 1 for members in result.fused.members)
-    seen = "; junctions seen by several runs are white, others grey" if shared else ""
-    where = " The names are in *Legend*." if shown.legend else ""
-    views = [
-        f"**Map**: every corridor is a ribbon with one strand for each run that drove "
-        f"it{seen}.{where}"
-        if len(result.fused)
-        else ""
-    ]
-    if shown.story:
-        views.append(
-            "Drag the *join* time line: runs light up in the order in which they were joined. A "
-            "white line ties the two runs that the step rests on; *Story* tells why."
-        )
-    if shown.contradictions:
-        views.append("**Red** dots: where joined runs contradict each other; point at one.")
-    if shown.walls:
-        views.append(
-            "Under the map: what the lasers of all runs saw, walls **slate**, free space a little "
-            "brighter than what is not known."
-        )
-    if not driven_branches(result.fused).all():
-        views.append("Short strokes: branches that nobody drove.")
-    if shared:
-        views.append("**Agreement**: the brighter, the more runs.")
-    if len(result.fused):
-        views.append("**Runs**: each run's own map, laid into its component.")
-    if shown.undecided:
-        views.append(
-            "**Undecided**: pairs that the evidence does not decide, those with most of it first, "
-            "with both placements: the first run **blue**, the second **orange**; matched "
-            "junctions in white, contradictions in red."
-        )
-    matrix = _matrix_legend(result, shown)
-    pointing = (
-        "Point at anything for what is known about it, or select it and open the panels at the top "
-        "right; the left one shows and hides runs."
-    )
-    return [part for part in (" ".join(filter(None, views)), matrix, pointing) if part]
-
-
-def _matrix_legend(result: MergeResult, shown: MergeLayers) -> str:
-    """The legend of the matrix."""
-    if not result.verdicts:
-        return ""
-    count = result.standings()
-    named = ", ".join(told for standing, told in _COLOURS.items() if count[standing])
-    lines = [f"**Verdicts**, a square for every pair of runs: {named}; the diagonal is dark."]
-    if shown.numbers:
-        lines.append(numbers_told(result))
-    if shown.dots:
-        where = "below the diagonal" if shown.numbers else "in a square"
-        lines.append(f"A dot {where}: the larger, the more evidence; point at it for the reason.")
-    if shown.marks:
-        lines.append(
-            "Runs of one component stand together; the marks at the left tell their names."
-        )
     if result.threshold_bits is not None:
-        lines.append(f"Merging needs {shown_bits(result.threshold_bits)} bits.")
-    return " ".join(lines)
+        rows.append(f"merging needs **{shown_bits(result.threshold_bits)}** bits")
+    parts = ["# Merged map", bulleted(rows), LEGEND, _components(result), _notes(result)]
+    return "\n\n".join(part for part in parts if part) + "\n"
 
 
 LOCKED = "locked"
 """Stands beside the evidence of pairs on which a person decided."""
-
-
-def numbers_told(result: MergeResult) -> str:
-    """What stands in the matrix."""
-    locked = any(pair.locked for pair in result.verdicts)
-    decided = f"; {LOCKED}: a person decided" if locked else ""
-    return f"Numbers above the diagonal: bits of evidence{decided}."
 
 
 def _components(result: MergeResult) -> str:
@@ -195,7 +119,7 @@ def _notes(result: MergeResult) -> str:
 
 
 def pairs_told(result: MergeResult) -> str:
-    """Markdown with every pair's verdict, reason and evidence, the strongest of each kind first."""
+    """Markdown with every pair's verdict and reason, the strongest of each kind first."""
     parts = ["# Pairs of runs"]
     of_kind: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
     for pair in result.verdicts:
@@ -211,8 +135,7 @@ def pairs_told(result: MergeResult) -> str:
         pairs, everyone = strongest(of_kind[standing]), count[standing]
         if everyone:
             parts.append(f"## {title} ({everyone:,})")
-            told = _in_short if standing in (Standing.JOINED, Standing.UNRELATED) else _in_full
-            parts.append("\n".join(told(pair) for pair in pairs[:MOST_PAIRS]))
+            parts.append("\n".join(map(_told, pairs[:MOST_PAIRS])))
             if len(pairs) > MOST_PAIRS:
                 parts.append(f"… and {len(pairs) - MOST_PAIRS:,} more, in `merged.json`")
             if everyone > len(pairs):
@@ -233,58 +156,10 @@ def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
     return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))
 
 
-def _in_short(pair: PairVerdict) -> str:
-    return f"- {plain(pair.a)} - {plain(pair.b)}: {plain(pair.reason)}"
-
-
-def _in_full(pair: PairVerdict) -> str:
-    lines = [f"**{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
-    if pair.best is not None:
-        lines.append(f"best: {shown_bits(pair.best.evidence_bits)} bits, {_placement(pair.best)}")
-    if pair.runner_up is not None:
-        other = pair.runner_up.evidence_bits
-        bits = f"{shown_bits(other)} bits"
-        if pair.margin_bits is not None:
-            bits = f"{bits}, {shown_lead(pair.evidence_bits, other):.1f} behind"
-        lines.append(f"runner-up: {bits}, {_placement(pair.runner_up)}")
+def _told(pair: PairVerdict) -> str:
+    lines = [f"- **{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
     if pair.advice:
         lines.append(f"to settle it: {plain(pair.advice)}")
     if pair.locked:
         lines.append(f"decided by a person: {plain(pair.locked)}")
-    head, *rest = lines
-    return "\n".join([f"- {head}", *(f"  - {line}" for line in rest)])
-
-
-def _placement(a: Alignment) -> str:
-    x, y, theta = a.transform
-    told = (
-        f"{counted(len(a.matched), 'junction')} and {counted(a.corridors, 'corridor')} "
-        f"matched, {a.rmse_m:.2f} m apart (rms), at ({x:.2f}, {y:.2f}) m, "
-        f"{np.degrees(theta):.1f}°"
-    )
-    against = "; ".join(plain(c) for c in a.contradictions[:3])
-    return f"{told}; against it: {against}" if against else told
-
-
-def joining_told(steps: Sequence[Step]) -> list[str]:
-    """A page of markdown for every step, that of step 0 first: what happens there, and around it.
-
-    A page shows STORY_BEFORE steps before its own and STORY_AFTER after it.
-    """
-    lines = [_step_told(step) for step in steps]
-    reasons = [f"{plain(s.pair.a)} - {plain(s.pair.b)}: {plain(s.pair.reason)}" for s in steps]
-    pages = []
-    for now in range(len(steps) + 1):
-        head = f"# Step {now} of {len(steps)}\n\n"
-        head += f"{lines[now - 1]}\n\n{reasons[now - 1]}" if now else "Every run is by itself."
-        shown = range(max(0, now - 1 - STORY_BEFORE), min(len(steps), now + STORY_AFTER))
-        rest = [f"- {'→ ' if i + 1 == now else ''}{i + 1}: {lines[i]}" for i in shown]
-        pages.append(head + "\n\n## Before and after\n\n" + "\n".join(rest) + "\n")
-    return pages
-
-
-def _step_told(step: Step) -> str:
-    joins, into = (listed(list(map(plain, group)), 4) for group in (step.joins, step.into))
-    if len(step.joins) == len(step.into) == 1:
-        return f"**{joins}** and **{into}** join"
-    return f"**{joins}** {'joins' if len(step.joins) == 1 else 'join'} **{into}**"
+    return "\n  - ".join(lines)

@@ -5,40 +5,36 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from functools import cached_property
-from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import IntArray
-from ..remote.path import RemotePath
 from .channels import NUMBERS, TOO_MANY, Channels
-from .chunks import RECORD_BYTES, Chunk, ChunkedLog, ChunkIndex, Read, Scan, reader_of
+from .chunks import RECORD_BYTES, Chunk, ChunkedLog, Index, Read, Scan, reader_of
 from .columns import Shape, column, gather, words
+from .inflate import WHOLE_BYTES
 from .messages import (
+    CUT,
     NAME_BYTES,
     SCHEMA_BYTES,
+    UNREADABLE,
     Block,
     Bytes,
     Channel,
     DamageError,
     Findings,
-    Survey,
-    Walking,
     normal_topic,
     normal_type,
     text,
 )
-from .source import SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
 from .walk import bag_records
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Kinds of records."""
-
-_IN_CHUNKS = frozenset({MESSAGE, CONNECTION})
 
 HEAD_BYTES = 256
 """Bytes of a record that are looked at first: the headers of most."""
@@ -49,14 +45,8 @@ HEADER_BYTES = 2 * NAME_BYTES + 128
 INDEX_BYTES = 1 << 26
 """Largest index section read: a chunk with a dozen topics takes 200 bytes in it."""
 
-TAIL_BYTES = 1 << 18
-"""End of a damaged bag in which descriptions of connections are looked for."""
-
 DESCRIBED = 1 << 18
 """Records of one file that are parsed one by one, 3 µs each: four for every connection."""
-
-TRIES = 1 << 16
-"""Places of one file that are looked at in search of a record, 10 µs each."""
 
 COMPRESSIONS = {b"none": "", b"bz2": "bz2", b"lz4": "lz4"}
 
@@ -95,9 +85,14 @@ class Record(NamedTuple):
         """Where the next record begins."""
         return self.data_at + self.data_size
 
-    def number(self, name: bytes, size: int = 4) -> int:
-        """An unsigned field of `size` bytes; raises DamageError."""
-        return _number(self.fields, name, size)
+    def number(self, name: bytes) -> int:
+        """An unsigned field."""
+        return int.from_bytes(self.fields[name], "little")
+
+    def time_ns(self, name: bytes) -> int:
+        """A time."""
+        seconds, nanoseconds = struct.unpack("<II", self.fields[name])
+        return int(seconds * 10**9 + nanoseconds)
 
 
 def _fields(header: bytes) -> Fields:
@@ -117,18 +112,6 @@ def _fields(header: bytes) -> Fields:
     return fields
 
 
-def _number(fields: Fields, name: bytes, size: int = 4) -> int:
-    value = fields.get(name, b"")
-    if len(value) != size:
-        raise DamageError(f"a record lacks its field {name.decode()}")
-    return int.from_bytes(value, "little")
-
-
-def _time_ns(raw: bytes) -> int:
-    """ROS time as nanoseconds."""
-    return int.from_bytes(raw[:4], "little") * 10**9 + int.from_bytes(raw[4:], "little")
-
-
 def record_at(read: Read, position: int) -> Record | None:
     """The record at `position`, None if its fields are not those of its kind.
 
@@ -142,28 +125,36 @@ def record_at(read: Read, position: int) -> Record | None:
         head = read(position, size + 8)
         if size + 8 > len(head):
             return None
+    record = _record(head, size, position)
+    return record if record is not None and _is_sound(record) else None
+
+
+def _record(head: bytes, size: int, position: int) -> Record | None:
     try:
         fields = _fields(head[4 : 4 + size])
-        record = Record(
-            fields, _number(fields, b"op", 1), position + 8 + size, _U32(head, 4 + size)[0]
-        )
-        for name, width in _FIELDS.get(record.op, {b"op": 0}).items():
-            record.number(name, width)
-        if record.op in _ITEMS and record.number(b"count") * _ITEMS[record.op] != record.data_size:
-            return None
-        if record.op == CHUNK and fields.get(b"compression") not in COMPRESSIONS:
-            return None
-        return record
     except DamageError:
         return None
+    op = fields.get(b"op", b"")
+    data_at, data_size = position + 8 + size, _U32(head, 4 + size)[0]
+    return Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
 
 
-def _channel(fields: Fields, data: bytes) -> Channel:
+def _is_sound(record: Record) -> bool:
+    """Whether a record has the fields of its kind."""
+    wanted = _FIELDS.get(record.op, {b"op": 1})
+    if any(len(record.fields.get(name, b"")) != width for name, width in wanted.items()):
+        return False
+    if record.op in _ITEMS and record.number(b"count") * _ITEMS[record.op] != record.data_size:
+        return False
+    return record.op != CHUNK or record.fields.get(b"compression") in COMPRESSIONS
+
+
+def _channel(record: Record, data: bytes) -> Channel:
     """The description of a connection record; raises DamageError."""
     described = _fields(data)
     definition = described.get(b"message_definition", b"")
     return Channel(
-        normal_topic(text(fields.get(b"topic") or described.get(b"topic", b""))),
+        normal_topic(text(record.fields.get(b"topic") or described.get(b"topic", b""))),
         normal_type(text(described.get(b"type", b""))),
         "ros1",
         definition if len(definition) <= SCHEMA_BYTES else b"",
@@ -174,10 +165,10 @@ def _channel(fields: Fields, data: bytes) -> Channel:
 class BagFile(ChunkedLog):
     """One ROS 1 bag of format 2.0, uncompressed, bz2 or lz4."""
 
-    BEHIND = HEAD_BYTES
+    CHECKED = False
 
     @cached_property
-    def index(self) -> BagIndex | None:
+    def index(self) -> Index | None:
         """The index section of a closed bag, None if it is missing or wrong."""
         with open_source(self.path) as source:
             try:
@@ -185,133 +176,79 @@ class BagFile(ChunkedLog):
             except DamageError:
                 return None
 
-    def _chunks(self) -> ChunkIndex | str:
-        if self.index is None:
-            return "it has no index, or a damaged one"
-        if not isinstance(self.path, RemotePath):
-            return "its index has no checksum"  # all is read, which is quick here
-        return self.index.chunks
-
-    def _scan(
-        self, source: Source, channels: Channels, findings: Findings, by_index: bool
-    ) -> BagScan:
-        return BagScan(source, channels, findings, self.index, by_index)
-
-    def survey(self, exact: bool = False) -> Survey | None:
-        """Counts from the chunk infos of the index."""
-        if self.index is None:
-            return None
-        counts: dict[Channel, int] = {}
-        for key, channel in self.index.channels.items():
-            counts[channel] = counts.get(channel, 0) + self.index.counts.get(key, 0)
-        return Survey(counts, *self.index.span_ns)
+    def _scan(self, source: Source, channels: Channels, findings: Findings) -> BagScan:
+        start = self.index.start if self.index is not None else None
+        return BagScan(source, channels, findings, start)
 
 
 class BagScan(Scan):
-    """One scan of a bag."""
+    """One scan of a bag. index_at: where its index begins, None without one."""
 
     def __init__(
-        self,
-        source: Source,
-        channels: Channels,
-        findings: Findings,
-        index: BagIndex | None,
-        by_index: bool,
+        self, source: Source, channels: Channels, findings: Findings, index_at: int | None
     ) -> None:
         super().__init__(source, channels, findings)
-        self._index = index
+        self._index_at = index_at
         self._template: HeadTemplate | None = None
         self._headers: set[bytes] = set()
-        self._described, self._tries = DESCRIBED, TRIES
-        if index is None:
-            channels.take_index(_at_the_end(source), believed=True)
-        else:
-            channels.take_index(index.channels, believed=by_index)
+        self._described = DESCRIBED
 
-    def all(self) -> Iterator[Block]:
-        """All messages of the file, record by record, up to its index."""
-        stop = self._source.size if self._index is None else self._index.start
-        yield from self._walk(len(MAGIC), stop)
-        yield from self._finish()
-
-    def _declared(self) -> Mapping[int, int]:
-        counts = self._index.counts if self._index is not None else {}
-        if self.findings.whole and self._channels.lacks(counts):
-            # Nothing is damaged: it is the index, which has no checksum, that is wrong.
-            self.findings.note("the index counts other numbers of messages than there are")
-            return {}
-        return counts
-
-    def _record(self, position: int) -> Record | None:
-        return record_at(lambda at, n: self._source.view(at, n).tobytes(), position)
-
-    def _walk(self, position: int, stop: int) -> Iterator[Block]:
+    def all(self) -> Iterator[Chunk]:
+        """All chunks up to the index, and runs of records outside of them."""
+        position = len(MAGIC)
+        stop = self._source.size if self._index_at is None else self._index_at
         while position < stop:
-            record = self._record(position)
-            if record is None:
-                position = yield from self._around_damage(position, stop)
-                continue
-            if record.op == CHUNK:
-                chunk = _chunk(record)
-                if record.end > stop or chunk.size == record.data_size == 0:
+            record = record_at(self._source.read, position)
+            chunk = _chunk(record) if record is not None else None
+            if chunk is not None and (chunk.cut or chunk.at + chunk.packed > stop):
+                if chunk.compression:
                     # Cut, or the recorder died before it could complete the header.
-                    yield from self._open_chunk(chunk, stop)
+                    size = max(chunk.size, WHOLE_BYTES)
+                    yield chunk._replace(packed=stop - chunk.at, size=size, cut=True)
                     return
-                yield from self._take(chunk)
-            elif record.end > stop:
-                position = yield from self._around_damage(position, stop)
-                continue
-            elif record.op in _IN_CHUNKS:
-                position = yield from self._loose(position, record, stop)
-                continue
-            elif record.op == INDEX and self._last is not None:
-                self._last.listed[record.number(b"conn")] = record.number(b"count")
-            elif record.op == BAG_HEADER and self._index is None:
-                self._unclosed(record)
-            position = record.end
-            self._source.passed(position)
+                self.findings.faults[CUT] = 1
+                self.broken = True
+                position = chunk.at
+            elif record is None or record.end > stop:
+                position = self._around_damage(position, stop)
+            elif chunk is not None:
+                yield chunk
+                position = record.end
+            elif record.op in (MESSAGE, CONNECTION):
+                size = self._loose(position, record.end - position)
+                yield Chunk("", position, size, size)
+                position += size
+            else:
+                if record.op == BAG_HEADER and self._index_at is None:
+                    self._unclosed(record)
+                position = record.end
 
     def _unclosed(self, record: Record) -> None:
         """Report that the index is missing that the bag's header claims."""
-        at = record.number(b"index_pos", 8)
+        at = record.number(b"index_pos")
         if at >= self._source.size:
-            self.findings.truncated = True
+            self.findings.faults[CUT] = 1
         else:
             self.findings.note(f"the index {'is damaged' if at else 'was never written'}")
 
-    def _open_chunk(self, chunk: Chunk, stop: int) -> Iterator[Block]:
-        """The messages of the last chunk of a bag that was not closed."""
-        self.findings.truncated = True
-        if not chunk.compression:
-            yield from self._caught_up()
-            yield from self._walk(chunk.data_at, stop)
-        else:
-            yield from self._cut(chunk._replace(data_size=stop - chunk.data_at))
-
-    def _loose(self, position: int, record: Record, stop: int) -> Walking:
-        """Messages and connections outside chunks; returns the position of the next other
-        record."""
-        yield from self._caught_up()
-        need = record.end - position
+    def _loose(self, position: int, need: int) -> int:
+        """Bytes of the messages and connections outside chunks from a position on, of which the
+        first takes `need`."""
         if need > RECORD_BYTES:
-            number = record.number(b"conn") if record.op == MESSAGE else NUMBERS
-            if not self._channels.large(number, need):
-                return record.end
-        data = self._source.view(position, min(max(SLAB_BYTES, need), stop - position))
-        where, end = bag_records(data)
+            return need
+        data = np.frombuffer(self._source.read(position, max(SLAB_BYTES, need)), np.uint8)
+        where, size = bag_records(data)
         for place in self._columns(data, where)[3].tolist():
             other = record_at(reader_of(data), place)
-            if other is None or other.op not in _IN_CHUNKS:
-                end = max(place, need)
-                break
-        yield from self._blocks(data[:end], where[where < end])
-        self._source.passed(position + end)
-        return position + end
+            if other is None or other.op not in (MESSAGE, CONNECTION):
+                return max(int(place), need)
+        return size
 
     def _next_record(self, read: Read, position: int, stop: int) -> int | None:
+        window = LEAST_BYTES
         while position < stop:
-            raw = read(position, SLAB_BYTES + 32)
-            for match in _START.finditer(raw, 0, SLAB_BYTES + 24):
+            raw = read(position, window + 32)
+            for match in _START.finditer(raw, 0, window + 24):
                 self._tries -= 1
                 if self._tries < 0:
                     return None
@@ -321,18 +258,20 @@ class BagScan(Scan):
                 cut = record.end > stop and record.op == CHUNK
                 if cut or record.end == stop or record_at(read, record.end) is not None:
                     return position + match.start()
-            position += SLAB_BYTES
+            position += window
+            window = min(4 * window, SLAB_BYTES)
         return None
 
-    def _plausible(self, position: int) -> bool:
-        return self._record(position) is not None
+    def _chunk_at(self, position: int) -> Chunk | None:
+        record = record_at(self._source.read, position)
+        return None if record is None else _chunk(record)
 
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return bag_records(data)
 
     def _head(self, data: Bytes) -> tuple[int, int]:
         record = record_at(reader_of(data), 0)
-        if record is None or record.op not in _IN_CHUNKS:
+        if record is None or record.op not in (MESSAGE, CONNECTION):
             return 0, NUMBERS
         return record.end, record.number(b"conn") if record.op == MESSAGE else NUMBERS
 
@@ -360,16 +299,15 @@ class BagScan(Scan):
         if template is None:
             none = np.zeros(0, np.int64)
             return none, none, none, where
-        inside = where[where + (template.size + 8) <= len(data)]
-        heads = gather(data, inside, template.size + 4)
+        inside = where + (template.size + 8) <= len(data)
+        heads = gather(data, where[inside], template.size + 4)
         other = template.shape.misfits(heads) if len(heads) else None
-        found = inside
+        alike = inside.copy()
         if other is not None:
-            found, heads = inside[~other], heads[~other]
+            alike[inside] = ~other
+            heads = heads[~other]
         conn, time = template.read(heads)
-        left = np.ones(len(where), bool)
-        left[np.searchsorted(where, found)] = False
-        return conn, time, found + (4 + template.size), where[left]
+        return conn, time, where[alike] + (4 + template.size), where[~alike]
 
     def _learned(self, data: Bytes, where: IntArray) -> HeadTemplate | None:
         """The header of the first message as the template of all."""
@@ -394,41 +332,28 @@ class BagScan(Scan):
                 break
             record = record_at(reader_of(data), place)
             if record is not None and record.op == MESSAGE:
-                time = _time_ns(record.fields[b"time"])
-                out.append((record.number(b"conn"), time, record.data_at - 4))
-            elif record is not None and record.op == CONNECTION:
-                body = data[record.data_at : record.end].tobytes()
-                try:
-                    self._channels.describe(record.number(b"conn"), _channel(record.fields, body))
-                    self._headers.add(head)
-                except DamageError:
-                    self.findings.unreadable_bytes += size
-            else:
-                self.findings.unreadable_bytes += size
+                conn, time_ns = record.number(b"conn"), record.time_ns(b"time")
+                out.append((conn, time_ns, record.data_at - 4))
+                continue
+            try:
+                if record is None or record.op != CONNECTION:
+                    raise DamageError("no record of a chunk")
+                channel = _channel(record, data[record.data_at : record.end].tobytes())
+                self._channels.describe(record.number(b"conn"), channel)
+                self._headers.add(head)
+            except DamageError:
+                self._fault(*UNREADABLE, size)
         return out
 
 
-def _at_the_end(source: Source) -> dict[int, Channel]:
-    """The connections described in the last bytes of a bag, where a closed one repeats them.
-
-    Elsewhere they stand in the first chunk alone, which may be damaged.
-    """
-    out: dict[int, Channel] = {}
-    tail = source.copy(source.size - TAIL_BYTES, TAIL_BYTES)
-    read = reader_of(np.frombuffer(tail, np.uint8))
-    for match in islice(_START.finditer(tail), DESCRIBED):
-        record = record_at(read, match.start())
-        if record is not None and record.op == CONNECTION and record.end <= len(tail):
-            with suppress(DamageError):
-                data = tail[record.data_at : record.end]
-                out.setdefault(record.number(b"conn"), _channel(record.fields, data))
-    return out
-
-
-def _chunk(record: Record) -> Chunk:
+def _chunk(record: Record) -> Chunk | None:
+    """The chunk of a record; one that says that it is empty is still open, so that it is cut."""
+    if record.op != CHUNK:
+        return None
     compression = COMPRESSIONS[record.fields[b"compression"]]
     size = record.number(b"size")
-    return Chunk(compression, record.data_at, record.data_size, size, 0, {})
+    open_ = size == record.data_size == 0
+    return Chunk(compression, record.data_at, record.data_size, size, cut=open_)
 
 
 class HeadTemplate(NamedTuple):
@@ -447,7 +372,8 @@ class HeadTemplate(NamedTuple):
     def of(cls, head: bytes) -> HeadTemplate:
         """The template of one message record's header, length included."""
         # Values have a fixed length, so that their names are found where they are.
-        conn_at, time_at = (head.index(name) + len(name) for name in (CONN, TIME))
+        names = (b"\x09\0\0\0conn=", b"\x0d\0\0\0time=")
+        conn_at, time_at = (head.index(name) + len(name) for name in names)
         first, last = sorted(((conn_at, conn_at + 4), (time_at, time_at + 8)))
         fixed = ((0, first[0]), (first[1], last[0]), (last[1], len(head)))
         shape = Shape.of(np.frombuffer(head, np.uint8), fixed)
@@ -460,34 +386,20 @@ class HeadTemplate(NamedTuple):
         return column(heads, "<u4", self.conn_at), time
 
 
-CONN, TIME = b"\x09\0\0\0conn=", b"\x0d\0\0\0time="
-"""Lengths and names of the fields of a message."""
-
-
-class BagIndex(NamedTuple):
-    """The index at the end of a closed bag. start: its position; counts: messages per
-    connection."""
-
-    start: int
-    channels: dict[int, Channel]
-    counts: dict[int, int]
-    span_ns: tuple[int, int]
-    chunks: ChunkIndex
-
-
-def _read_index(source: Source) -> BagIndex | None:
+def _read_index(source: Source) -> Index | None:
     """The index of a bag, None if it is missing or inconsistent with the bag's header; raises
     DamageError."""
-    header = record_at(source.copy, len(MAGIC))
+    header = record_at(source.read, len(MAGIC))
     if header is None or header.op != BAG_HEADER:
         return None
-    start, count = header.number(b"index_pos", 8), header.number(b"conn_count")
+    start, count = header.number(b"index_pos"), header.number(b"conn_count")
     if not header.end <= start <= source.size <= start + INDEX_BYTES:
         return None
-    raw = source.copy(start, source.size - start)
+    raw = source.read(start, source.size - start)
     channels: dict[int, Channel] = {}
-    infos: list[tuple[int, int, int, int]] = []
-    pairs: list[bytes] = []
+    counts: dict[int, int] = {}
+    infos: list[tuple[int, frozenset[int]]] = []
+    times: list[int] = []
     position = 0
     while position < len(raw):
         record = record_at(lambda at, n: raw[at : at + n], position)
@@ -495,27 +407,23 @@ def _read_index(source: Source) -> BagIndex | None:
             raise DamageError("the index is cut")
         data = raw[record.data_at : record.end]
         if record.op == CONNECTION and len(channels) < min(count, NUMBERS):
-            channels[record.number(b"conn")] = _channel(record.fields, data)
+            channels[record.number(b"conn")] = _channel(record, data)
         elif record.op == CHUNK_INFO and len(data) <= 8 * count:
-            first, last = (_time_ns(record.fields[name]) for name in (b"start_time", b"end_time"))
-            infos.append((record.number(b"chunk_pos", 8), first, last, len(data) // 8))
-            pairs.append(data)
+            held = dict(struct.iter_unpack("<II", data))
+            for number, messages in held.items():
+                counts[number] = counts.get(number, 0) + messages
+            infos.append((record.number(b"chunk_pos"), frozenset(held)))
+            times += [record.time_ns(b"start_time"), record.time_ns(b"end_time")] if held else []
         else:
             raise DamageError("the index holds other records")
         position = record.end
     if len(channels) != count or len(infos) != header.number(b"chunk_count"):
         return None
-    order = sorted(range(len(infos)), key=lambda k: infos[k])
-    begin, first_ns, last_ns, listed = (
-        np.array([infos[k] for k in order], np.int64).reshape(-1, 4).T
-    )
-    held = np.frombuffer(b"".join(pairs[k] for k in order), "<u4").reshape(-1, 2).astype(np.int64)
-    if begin.max(initial=0) >= start or not set(np.unique(held[:, 0]).tolist()) <= set(channels):
+    infos.sort(key=lambda info: info[0])
+    begins = [begin for begin, _ in infos]
+    if not counts.keys() <= channels.keys() or max(begins, default=0) >= start:
         return None
-    chunk = np.repeat(np.arange(len(begin)), listed)
-    end = np.append(begin[1:], start)[: len(begin)]
-    index = ChunkIndex(begin, end, first_ns, last_ns, chunk, *held.T)
-    filled = listed > 0
-    span = int(first_ns[filled].min(initial=1 << 62)), int(last_ns[filled].max(initial=0))
-    counts = index.counts(np.ones(len(begin), bool))
-    return BagIndex(start, channels, counts, span if filled.any() else (0, 0), index)
+    ends = [*begins[1:], start]
+    chunks = [(begin, end, held) for (begin, held), end in zip(infos, ends, strict=False)]
+    span = (min(times), max(times)) if times else (0, 0)
+    return Index(channels, counts, span, chunks, "", checked=False, start=start)

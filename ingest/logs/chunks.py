@@ -1,6 +1,7 @@
 """Logs that hold their messages in chunks, MCAP files and bags: what both have in common.
 
-Chunks are read and decompressed ahead of the decoding, checked, and skipped if they are damaged.
+A format lists the pieces of a file (`Chunk`): its chunks and the runs of records outside of them.
+They are read and decompressed ahead of the decoding, checked, and skipped if they are damaged.
 """
 
 from __future__ import annotations
@@ -8,14 +9,15 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, IntArray
+from ...topology.arrays import IntArray
 from ..remote.path import LogPath, RemotePath
+from ..remote.source import Ranges
 from .channels import Channels
 from .inflate import (
     SLOW,
@@ -25,25 +27,38 @@ from .inflate import (
     WrongSizeError,
     checksum,
     inflate,
-    inflate_part,
     keep_freed_memory,
     pieces,
 )
-from .messages import MESSAGE_BYTES, Block, Bytes, DamageError, Findings, Progress, Walking, Want
+from .messages import (
+    CUT,
+    MESSAGE_BYTES,
+    UNREADABLE,
+    Block,
+    Bytes,
+    Channel,
+    DamageError,
+    Findings,
+    Progress,
+    Survey,
+    Want,
+)
 from .source import SLAB_BYTES, RemoteSource, Source, open_source
 
 THREADS = 2
 """Threads that decompress: reading, decompression and checksums release the interpreter's lock."""
 
-AHEAD_BYTES = 1 << 25
-"""Bytes read and decompressed ahead of the decoding."""
-
 SMALL_BYTES = 1 << 15
 """Chunks up to this size are decoded together: the work per chunk exceeds the work per byte."""
+
+AHEAD_BYTES, AHEAD = 1 << 25, 64
+"""Bytes, and chunks, read and decompressed ahead of the decoding."""
 
 RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
 """Longest record of most channels: a longer one holds a longer message than is decoded."""
 
+TRIES = 1 << 16
+"""Places of one file that are looked at in search of a record, 10 µs each."""
 
 Read = Callable[[int, int], bytes]
 """Gives bytes by their position and number, fewer at the end."""
@@ -55,82 +70,92 @@ def reader_of(data: Bytes) -> Read:
 
 
 class Chunk(NamedTuple):
-    """A chunk record's description of its data.
+    """A stretch of a file that holds records of messages and channels.
 
-    compression: empty if there is none; size: of the data when decompressed; crc: their checksum, 0
-    if none is given; listed: messages per channel by the index records behind it.
+    compression: empty if there is none; at, packed: position and number of its bytes; size: of the
+    records when decompressed; crc: their checksum, 0 if none is given; cut: whether the file ends
+    within it.
     """
 
     compression: str
-    data_at: int
-    data_size: int
+    at: int
+    packed: int
     size: int
-    crc: int
-    listed: dict[int, int]
+    crc: int = 0
+    cut: bool = False
 
 
-class ChunkIndex(NamedTuple):
-    """The chunks of a log in the order of the file.
+class Index(NamedTuple):
+    """The index of a log.
 
-    begin, end: (c,) positions of their bytes; first_ns, last_ns: (c,) log times; chunk, channel,
-    messages: (k,) number of messages of a channel in a chunk, in the order of chunks.
+    channels: by number; counts: messages of each; span_ns: first and last log time; chunks: bytes
+    of each chunk and the channels in it, in the order of the file; distrusted: why they are not
+    used to choose chunks, empty if they are; checked: whether a checksum covers it all; start:
+    where the index begins.
     """
 
-    begin: IntArray
-    end: IntArray
-    first_ns: IntArray
-    last_ns: IntArray
-    chunk: IntArray
-    channel: IntArray
-    messages: IntArray
-
-    def needed(self, wanted: BoolArray) -> BoolArray:
-        """(c,) which chunks hold any message that is wanted, by channel number."""
-        out = np.zeros(len(self.begin), bool)
-        out[self.chunk[wanted[self.channel] & (self.messages > 0)]] = True
-        return out
-
-    def counts(self, chunks: BoolArray) -> dict[int, int]:
-        """Messages per channel in some of the chunks."""
-        inside = chunks[self.chunk]
-        channel, count = self.channel[inside], self.messages[inside]
-        totals = np.zeros(int(channel.max(initial=-1)) + 1, np.int64)
-        np.add.at(totals, channel, count)
-        return {int(n): int(totals[n]) for n in totals.nonzero()[0]}
+    channels: Mapping[int, Channel]
+    counts: Mapping[int, int]
+    span_ns: tuple[int, int]
+    chunks: list[tuple[int, int, frozenset[int]]]
+    distrusted: str
+    checked: bool
+    start: int
 
 
 class ChunkedLog(ABC):
-    """One log in chunks. BEHIND: bytes read behind a chunk to find its end."""
+    """One log in chunks. CHECKED: whether the format has checksums of its index."""
 
-    BEHIND = 0
+    CHECKED = True
 
     def __init__(self, path: LogPath) -> None:
         self.path = path
 
+    @property
     @abstractmethod
-    def _chunks(self) -> ChunkIndex | str:
-        """The contents of each chunk by the file's index, or why there is none."""
+    def index(self) -> Index | None:
+        """The file's index, None if it has none or a damaged one."""
 
     @abstractmethod
-    def _scan(self, source: Source, channels: Channels, findings: Findings, by_index: bool) -> Scan:
-        """A new scan of the file; what its index describes is registered with the channels.
+    def _scan(self, source: Source, channels: Channels, findings: Findings) -> Scan:
+        """A new scan of the file."""
 
-        by_index: whether it is believed.
-        """
+    def survey(self, exact: bool = False) -> Survey | None:
+        """Message counts by the index."""
+        found = self.index
+        if found is None or not found.counts or not found.counts.keys() <= found.channels.keys():
+            return None
+        counts: dict[Channel, int] = {}
+        for number, channel in found.channels.items():
+            counts[channel] = counts.get(channel, 0) + found.counts.get(number, 0)
+        return Survey(counts, *found.span_ns, found.checked)
 
-    def _ranges(self, index: ChunkIndex, needed: BoolArray) -> tuple[IntArray, IntArray]:
-        return index.begin[needed], index.end[needed] + self.BEHIND
+    def _needed(self, channels: Channels) -> Ranges | str:
+        """The chunks that hold what is wanted, or why they are not known."""
+        found = self.index
+        if found is None:
+            return "it has no index, or a damaged one"
+        if found.distrusted:
+            return found.distrusted
+        if not (found.checked or isinstance(self.path, RemotePath)):
+            return "its index has no checksum"  # all is read, which is quick here
+        wanted = {number for number in found.channels if channels.wanted(number)}
+        return [(begin, end) for begin, end, held in found.chunks if held & wanted]
+
+    def _requests(self, needed: Ranges | str, size: int) -> Ranges:
+        if isinstance(needed, str):
+            return [(0, size)]
+        return needed
 
     def cost(self, want: Want) -> int:
         """Number of bytes of a remote file to be fetched for what is wanted."""
         assert isinstance(self.path, RemotePath)
-        index, source = self._chunks(), RemoteSource(self.path)
-        begin, end = np.array([0]), np.array([source.size])
-        if isinstance(index, ChunkIndex):
-            channels = Channels(want, Findings())
-            self._scan(source, channels, Findings(), by_index=True)
-            begin, end = self._ranges(index, index.needed(channels.wanted()))
-        return self.path.file.cost(begin, np.minimum(end, source.size))
+        file = self.path.file
+        channels = Channels(want, Findings())
+        if self.index is not None:
+            channels.take_index(self.index.channels)
+        needed = self._needed(channels)
+        return file.cost(self._requests(needed, file.size))
 
     def blocks(
         self,
@@ -146,68 +171,50 @@ class ChunkedLog(ABC):
         """
         keep_freed_memory()
         with open_source(self.path, progress) as source:
-            remote = source if isinstance(source, RemoteSource) else None
-            index = self._chunks() if by_index or remote else "it is not believed"
-            if remote is not None and isinstance(index, str):
-                remote.check_scan(index)
-            channels = Channels(want, findings)
-            with self._scan(source, channels, findings, by_index) as scan:
-                if isinstance(index, ChunkIndex):
-                    yield from self._chosen(scan, source, index, channels)
-                elif remote is not None:
-                    with remote.reading(np.array([0]), np.array([source.size])):
-                        yield from scan.all()
+            channels, index = Channels(want, findings), self.index
+            if index is not None:
+                channels.take_index(index.channels)
+            remote = isinstance(source, RemoteSource)
+            needed = self._needed(channels) if by_index or remote else "it is not believed"
+            if isinstance(source, RemoteSource) and isinstance(needed, str):
+                source.check_scan(needed)
+            scan = self._scan(source, channels, findings)
+            with source.ahead(self._requests(needed, source.size)):
+                if isinstance(needed, str):
+                    yield from scan.blocks(scan.all())
                 else:
-                    yield from scan.all()
+                    yield from scan.blocks(scan.some(needed))
+            declared = index.counts if index is not None else {}
+            chosen = not isinstance(needed, str)
+            if not (self.CHECKED or chosen or scan.broken) and channels.lacks(declared):
+                findings.note("the index counts other numbers of messages than there are")
+                declared = {}
+            channels.finish(declared, by_index=chosen)
             source.passed(source.size)
-
-    def _chosen(
-        self, scan: Scan, source: Source, index: ChunkIndex, channels: Channels
-    ) -> Iterator[Block]:
-        """Read the chunks that hold wanted messages; of the others the index gives the counts."""
-        needed = index.needed(channels.wanted())
-        for number, count in index.counts(~needed).items():
-            channels.passed(number, count)
-        filled = ~needed & (index.first_ns <= index.last_ns)
-        if filled.any():
-            scan.findings.span(int(index.first_ns[filled].min()), int(index.last_ns[filled].max()))
-        begin, end = index.begin[needed].tolist(), index.end[needed].tolist()
-        if isinstance(source, RemoteSource):
-            with source.reading(*self._ranges(index, needed)):
-                yield from scan.some(begin, end)
-        else:
-            yield from scan.some(begin, end)
 
 
 class Scan(ABC):
-    """One scan over the records of a chunked log."""
+    """One scan over the records of a chunked log. broken: whether anything was left out."""
 
     def __init__(self, source: Source, channels: Channels, findings: Findings) -> None:
         self.findings = findings
+        self.broken = False
         self._source = source
         self._channels = channels
         self._allowance = Allowance()
-        self._pool: ThreadPoolExecutor | None = None
-        self._ahead: deque[tuple[Chunk, Future[Bytes | bytes]]] = deque()
-        self._ahead_bytes = 0
-        self._small: list[bytes] = []
-        self._small_bytes = 0
-        self._broken: list[Chunk] = []
-        self._last: Chunk | None = None
-        self._packed = self._at_least = False
-
-    def __enter__(self) -> Scan:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+        self._tries = TRIES
+        self._held: list[bytes] = []
+        self._held_bytes = 0
 
     # What a format tells
 
     @abstractmethod
-    def _walk(self, position: int, stop: int) -> Iterator[Block]:
-        """The messages of all records, in chunks or not, from a position on."""
+    def all(self) -> Iterator[Chunk]:
+        """All chunks of the file."""
+
+    @abstractmethod
+    def _chunk_at(self, position: int) -> Chunk | None:
+        """The chunk whose record begins at a position."""
 
     @abstractmethod
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
@@ -226,136 +233,67 @@ class Scan(ABC):
     def _next_record(self, read: Read, position: int, stop: int) -> int | None:
         """The next position from which on records follow each other, None if there is none."""
 
-    @abstractmethod
-    def _plausible(self, position: int) -> bool:
-        """Whether a record may begin at a position of the file."""
-
-    @abstractmethod
-    def _declared(self) -> Mapping[int, int]:
-        """Messages per channel by the file's index, empty without one."""
-
     # What is the same
 
-    def all(self) -> Iterator[Block]:
-        """All messages of the file."""
-        yield from self._walk(0, self._source.size)
-        yield from self._finish()
+    def some(self, ranges: Ranges) -> Iterator[Chunk]:
+        """The chunks at some places of the index."""
+        for begin, end in ranges:
+            chunk = self._chunk_at(begin)
+            if chunk is None or chunk.at + chunk.packed > end:
+                self._fault("damaged chunk", "skipped: it is not where the index says")
+            else:
+                yield chunk
 
-    def some(self, begin: list[int], end: list[int]) -> Iterator[Block]:
-        """All messages in some ranges of the file."""
-        for first, stop in zip(begin, end, strict=True):
-            yield from self._walk(first, stop)
-            self._source.passed(stop)
-        yield from self._finish()
-
-    def _finish(self) -> Iterator[Block]:
-        yield from self._caught_up()
-        declared = self._declared()
-        for chunk in self._broken:
-            for number, count in chunk.listed.items():
-                self._channels.lost(number, count)
-            self._at_least |= not chunk.listed
-        # The file's own counts tell exactly what is missing.
-        self.findings.lost_at_least |= self._at_least and not declared
-        self._channels.finish(declared)
-
-    def _around_damage(self, position: int, stop: int) -> Walking:
-        """Go on at the next record behind one that cannot be read; returns its position."""
-        yield from self._caught_up()
-        found = self._next_record(self._source.copy, position + 1, stop)
-        self.findings.truncated |= found is None and stop == self._source.size
-        if found is None and self._plausible(position):
-            return stop
-        found = stop if found is None else found
-        self.findings.unreadable_bytes += found - position
-        self._at_least = True
-        if self._packed:
-            # The index of a chunk that is not found counts its messages.
-            self._last = Chunk("", position, 0, 0, 0, {})
-            self._skip(self._last, DamageError("its head is damaged"))
-        return found
-
-    def _take(self, chunk: Chunk) -> Iterator[Block]:
-        """Queue a chunk, and use those that are ready."""
-        self._last = chunk
-        self._packed |= chunk.compression != ""
-        if max(chunk.size, chunk.data_size) > WHOLE_BYTES:
-            yield from self._caught_up()
-            yield from self._guarded(chunk, self._piecewise(chunk))
-        elif chunk.compression in SLOW and chunk.size > SMALL_BYTES:
-            yield from self._used_together()
-            yield from self._begin(chunk)
-        else:
-            yield from self._caught_up(small=chunk.size > SMALL_BYTES)
-            yield from self._guarded(chunk, self._whole(chunk))
-
-    def _begin(self, chunk: Chunk) -> Iterator[Block]:
-        """Decompress a chunk on another thread."""
+    def blocks(self, chunks: Iterator[Chunk]) -> Iterator[Block]:
+        """The messages of chunks, which are decompressed ahead; damaged ones are skipped."""
+        pool = ThreadPoolExecutor(THREADS)
+        waiting: deque[tuple[Chunk, Callable[[], bytes]]] = deque()
+        ahead = 0
         try:
-            self._allowance.take(chunk.compression, chunk.data_size, chunk.size)
-        except DamageError as damage:
-            yield from self._caught_up()
-            self._skip(chunk, damage)
-            return
-        if self._pool is None:
-            self._pool = ThreadPoolExecutor(THREADS)
-        task = partial(_inflated, chunk, self._source.copy)
-        self._ahead.append((chunk, self._pool.submit(task)))
-        self._ahead_bytes += chunk.data_size + chunk.size
-        while self._ahead_bytes > AHEAD_BYTES:
-            yield from self._next()
-
-    def _next(self) -> Iterator[Block]:
-        chunk, future = self._ahead.popleft()
-        self._ahead_bytes -= chunk.data_size + chunk.size
-
-        def used() -> Iterator[Block]:
-            yield from self._used(np.frombuffer(future.result(), np.uint8))
-
-        yield from self._guarded(chunk, used())
-
-    def _caught_up(self, small: bool = True) -> Iterator[Block]:
-        """The messages of all chunks so far; small: also of the small ones, which are kept to be
-        used together."""
-        while self._ahead:
-            yield from self._next()
-        if small:
+            for chunk in chunks:
+                task = partial(_inflated, chunk, self._source.read)
+                slow = chunk.compression in SLOW and chunk.size > SMALL_BYTES
+                slow &= not _in_parts(chunk)
+                waiting.append((chunk, pool.submit(task).result if slow else task))
+                ahead += chunk.packed + chunk.size
+                while ahead > AHEAD_BYTES or len(waiting) > AHEAD:
+                    ahead -= waiting[0][0].packed + waiting[0][0].size
+                    yield from self._of_chunk(*waiting.popleft())
+            while waiting:
+                yield from self._of_chunk(*waiting.popleft())
             yield from self._used_together()
+        finally:
+            pool.shutdown(cancel_futures=True)
 
-    def _guarded(self, chunk: Chunk, blocks: Iterator[Block]) -> Iterator[Block]:
-        """Blocks of a chunk, which is skipped if it is damaged."""
+    def _of_chunk(self, chunk: Chunk, inflated: Callable[[], bytes]) -> Iterator[Block]:
+        """The messages of a chunk, which is skipped if it is damaged."""
         try:
-            yield from blocks
+            self._allowance.take(chunk.compression, chunk.packed, chunk.size)
+            if _in_parts(chunk):
+                yield from self._used_together()
+                yield from self._streamed(chunk)
+            else:
+                raw = inflated()
+                if chunk.size > SMALL_BYTES:
+                    yield from self._used_together()
+                self._held.append(raw)
+                self._held_bytes += max(len(raw), 64)  # an empty one takes memory as well
+                if self._held_bytes > 8 * SMALL_BYTES or chunk.size > SMALL_BYTES:
+                    yield from self._used_together()
+        except LimitError as damage:
+            self._fault("chunk", f"left out by a limit: {damage}")
         except DamageError as damage:
-            self._skip(chunk, damage)
+            self._fault("damaged chunk", f"skipped: {damage}")
+        self._source.passed(chunk.at + chunk.packed)
 
-    def _skip(self, chunk: Chunk, damage: DamageError) -> None:
-        """Count a chunk that cannot be used."""
-        if isinstance(damage, LimitError):
-            self.findings.beyond_limit[str(damage)] += 1
-        else:
-            self.findings.damaged_chunks[str(damage)] += 1
-        self._broken.append(chunk)
-
-    def _whole(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of a chunk that is decompressed on this thread; small ones are kept."""
-        if chunk.compression:
-            self._allowance.take(chunk.compression, chunk.data_size, chunk.size)
-        raw = _inflated(chunk, self._source.view)
-        if chunk.size > SMALL_BYTES:
-            yield from self._used(np.frombuffer(raw, np.uint8))
-            return
-        self._small.append(bytes(raw))
-        self._small_bytes += len(raw)
-        if self._small_bytes > 8 * SMALL_BYTES:
-            yield from self._used_together()
+    def _fault(self, noun: str, rest: str, count: int = 1) -> None:
+        self.findings.faults[noun, rest] += count
+        self.broken = True
 
     def _used_together(self) -> Iterator[Block]:
-        """The messages of small chunks."""
-        held, self._small, self._small_bytes = self._small, [], 0
-        if not held:
-            return
-        data = np.frombuffer(b"".join(held), np.uint8)
+        """The messages of the chunks held."""
+        held, self._held, self._held_bytes = self._held, [], 0
+        data = np.frombuffer(held[0] if len(held) == 1 else b"".join(held), np.uint8)
         where, stop = self._records(data)
         if stop == len(data):
             yield from self._blocks(data, where)
@@ -372,82 +310,77 @@ class Scan(ABC):
                 return
             found = self._next_record(reader_of(data), stop + 1, len(data))
             following = len(data) if found is None else found
-            self.findings.unreadable_bytes += following - stop
-            self._at_least = True
+            self._fault(*UNREADABLE, following - stop)
             data = data[following:]
 
-    def _cut(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of the last chunk of a file that is cut within it."""
-        yield from self._caught_up()
-        self.findings.truncated = True
-        data = self._source.copy(chunk.data_at, min(chunk.data_size, WHOLE_BYTES))
-        if chunk.compression:
-            most = min(self._allowance.limit(chunk.compression, len(data)), WHOLE_BYTES)
-            data = inflate_part(chunk.compression, data, most)
-        part = np.frombuffer(data, np.uint8)
-        where, stop = self._records(part)
-        yield from self._blocks(part[:stop], where)
+    def _streamed(self, chunk: Chunk) -> Iterator[Block]:
+        """The messages of a chunk too large for memory, or cut: what comes before its end is used.
 
-    def _piecewise(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of a chunk too large for memory, which is checked before any is used."""
-        found, crc, allowed = 0, 0, self._allowance.limit(chunk.compression, chunk.data_size)
-        for piece in self._stream(chunk) if chunk.compression or chunk.crc else ():
-            found += len(piece)
-            crc = checksum(piece, crc)
-            if found > allowed:
-                raise LimitError
-        if chunk.crc and crc != chunk.crc:
-            raise WrongChecksumError
-        if (found or chunk.data_size) != chunk.size:
-            raise WrongSizeError
-        if chunk.compression:
-            self._allowance.take(chunk.compression, chunk.data_size, 2 * chunk.size)
-        held, need, skip = bytearray(), 0, 0
-        for piece in self._stream(chunk):
-            held += piece[skip:]
-            skip = max(skip - len(piece), 0)
-            if len(held) < need:
-                continue
-            data = np.frombuffer(held, np.uint8)
-            where, stop = self._records(data)
-            yield from self._blocks(data[:stop], where)
-            rest = data[stop:]
-            need, number = self._head(rest)
-            if need == 0 and len(rest) > SLAB_BYTES:
-                break
-            if need > RECORD_BYTES and not self._channels.large(number, need):
-                need, skip, rest = 0, need - len(rest), rest[:0]
-            held = bytearray(rest)
-        if held or skip:
+        A record too large for memory is skipped, unless its channel may hold such messages.
+        """
+        held, need, skip, found, crc = bytearray(), 0, 0, 0, 0
+        try:
+            for piece in pieces(chunk.compression, self._reader(chunk)):
+                found, crc = found + len(piece), checksum(piece, crc)
+                if found > chunk.size:
+                    raise WrongSizeError
+                held += piece[skip:]
+                skip = max(skip - len(piece), 0)
+                if len(held) < need:
+                    continue
+                data = np.frombuffer(held, np.uint8)
+                where, stop = self._records(data)
+                yield from self._blocks(data[:stop], where)
+                rest = data[stop:]
+                need, number = self._head(rest)
+                if need == 0 and len(rest) > SLAB_BYTES:
+                    raise DamageError("the records of a chunk do not fill it")
+                if need > RECORD_BYTES and not self._channels.takes(number, need):
+                    need, skip, rest = 0, need - len(rest), rest[:0]
+                held = bytearray(rest)
+        except DamageError:
+            if not chunk.cut:
+                raise
+        if chunk.cut:
+            self.findings.faults[CUT] = 1
+            self.broken = True
+        elif held or skip:
             raise DamageError("the records of a chunk do not fill it")
+        elif chunk.crc and crc != chunk.crc:
+            self._fault("large chunk", "with a wrong checksum (CRC), used all the same")
 
-    def _stream(self, chunk: Chunk) -> Iterator[bytes]:
-        """The decompressed chunk, piece by piece."""
-        at, end = chunk.data_at, chunk.data_at + chunk.data_size
+    def _reader(self, chunk: Chunk) -> Callable[[int], bytes]:
+        at, end = chunk.at, chunk.at + chunk.packed
 
         def read(size: int) -> bytes:
             nonlocal at
-            data = self._source.copy(at, min(size, end - at))
+            data = self._source.read(at, min(size, end - at))
             at += len(data)
             return data
 
-        return pieces(chunk.compression, read)
+        return read
+
+    def _around_damage(self, position: int, stop: int) -> int:
+        """Where reading goes on behind a record that cannot be read; what is between is counted."""
+        found = self._next_record(self._source.read, position + 1, stop)
+        if found is None and stop == self._source.size:
+            self.findings.faults[CUT] = 1
+        found = stop if found is None else found
+        self._fault(*UNREADABLE, found - position)
+        return found
 
 
-class WrongChecksumError(DamageError):
-    """The data have another checksum than declared."""
-
-    def __init__(self) -> None:
-        super().__init__("checksum (CRC) is wrong")
+def _in_parts(chunk: Chunk) -> bool:
+    return chunk.cut or max(chunk.size, chunk.packed) > WHOLE_BYTES
 
 
-def _inflated(chunk: Chunk, read: Callable[[int, int], Bytes | bytes]) -> Bytes | bytes:
+def _inflated(chunk: Chunk, read: Read) -> bytes:
     """The records of a chunk; raises DamageError. Thread-safe if `read` is."""
-    data = read(chunk.data_at, chunk.data_size)
+    data = read(chunk.at, chunk.packed)
     if chunk.compression:
         data = inflate(chunk.compression, data, chunk.size)
     elif len(data) != chunk.size:
         raise WrongSizeError
-    if chunk.crc and checksum(np.frombuffer(data, np.uint8).data) != chunk.crc:
-        raise WrongChecksumError
+    if chunk.crc and checksum(data) != chunk.crc:
+        raise DamageError("checksum (CRC) is wrong")
     return data

@@ -59,9 +59,6 @@ class RowDecoder(OneByOne[list[Row]]):
         self.frames = Frames()
         super().__init__(lambda raw: parse(raw, self.frames))
 
-    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> None:
-        """None: messages may all have different shapes."""
-
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of a batch of messages."""
         parts = [

@@ -1,4 +1,4 @@
-"""Decompression without trust in declared sizes: bounded, checked, and able to recover a part."""
+"""Decompression without trust in declared sizes: bounded and checked."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import bz2
 import functools
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -23,8 +24,10 @@ WHOLE_BYTES = 1 << 24
 MiB."""
 
 PIECE_BYTES = 1 << 20
-INPUT_BYTES = 1 << 16
-"""Bytes decompressed, and read to be decompressed, at once."""
+"""Bytes decompressed at once."""
+
+INPUT_BYTES = 1 << 12
+"""Bytes read to be decompressed: of a stream that breaks off, all but so many are used."""
 
 WINDOW_BYTES = 1 << 26
 """Largest zstd window allocated when a stream is read piece by piece (zstd -19 uses 8 MiB, its
@@ -37,11 +40,13 @@ of zstd."""
 DEARER = {"bz2": 2}
 """Factor of the cost of a byte."""
 
-RATIOS = {"zstd": 1000, "bz2": 100}
-"""Plausible ratios, up to which decompression is unlimited: empty cost maps reach 500. lz4 cannot
-exceed 255."""
+RATIOS = {"bz2": 100}
+"""Plausible ratios, up to which decompression is unlimited: empty cost maps reach 500 with zstd.
+lz4 cannot exceed 255."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+
+_ZSTD_WORD = int.from_bytes(ZSTD_MAGIC, "little")
 
 SLOW = frozenset({"zstd", "bz2"})
 """Compressions worth another thread: lz4 decompresses faster than a chunk moves between cores."""
@@ -92,56 +97,79 @@ class Allowance:
             raise LimitError
         self._left -= excess
 
-    def limit(self, compression: str, packed: int) -> int:
-        """The largest size that `packed` bytes may decompress to."""
-        return RATIOS.get(compression, 1000) * packed + self._left // DEARER.get(compression, 1)
+
+@contextmanager
+def _translated(compression: str) -> Iterator[None]:
+    """Errors of the libraries as DamageErrors."""
+    import zstandard
+
+    broken = (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError)
+    try:
+        yield
+    except broken as error:
+        article = "an" if compression == "lz4" else "a"
+        raise DamageError(f"{article} {compression} chunk does not decompress") from error
 
 
-def inflate(compression: str, data: Any, size: int) -> bytes:
+def inflate(compression: str, data: bytes, size: int) -> bytes:
     """Exactly `size` bytes out of `data`, or DamageError. Never allocates more than `size`.
 
-    compression: "zstd", "lz4" or "bz2"; data: a buffer; size: at most WHOLE_BYTES.
+    compression: "zstd", "lz4" or "bz2"; size: at most WHOLE_BYTES.
     """
     if size > WHOLE_BYTES:
         raise WrongSizeError
-    out = _inflater(compression)(data, size)
+    with _translated(compression):
+        out = _inflater(compression)(data, size)
     if len(out) != size:
         raise WrongSizeError
     return out
 
 
-def inflate_part(compression: str, data: Any, limit: int = WHOLE_BYTES) -> bytes:
-    """As much as can be recovered of a truncated or damaged stream, at most `limit`; never
-    fails."""
-    out, done = [], 0
-    try:
-        # Small bites: what was decoded before the broken place is kept.
-        for piece in pieces(compression, _reader_of(data), 4096):
-            out.append(piece[: limit - done])
-            done += len(out[-1])
-            if done >= limit:
-                break
-    except DamageError:
-        pass
-    return b"".join(out)
+def _zstd(data: bytes, size: int) -> bytes:
+    import zstandard
+
+    context = getattr(_local, "zstd", None)
+    if context is None:
+        context = _local.zstd = zstandard.ZstdDecompressor()
+    if zstandard.frame_content_size(data) not in (-1, size):
+        raise WrongSizeError
+    # No size would mean any size to the library.
+    out: bytes = context.decompress(data, max_output_size=max(size, 1))
+    return out
+
+
+def _lz4(data: bytes, size: int) -> bytes:
+    import lz4.frame
+
+    declared = lz4.frame.get_frame_info(data)["content_size"]
+    if declared not in (0, size):
+        raise WrongSizeError
+    out: bytes = (
+        lz4.frame.decompress(data)
+        if declared
+        else lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
+    )
+    return out
+
+
+def _bz2(data: bytes, size: int) -> bytes:
+    return bz2.BZ2Decompressor().decompress(data, size + 1)
+
+
+_INFLATERS: dict[str, Callable[[bytes, int], bytes]] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+
+
+def _inflater(compression: str) -> Callable[[bytes, int], bytes]:
+    if compression not in _INFLATERS:
+        raise DamageError(f"compression {compression[:40]!r} is not known")
+    return _INFLATERS[compression]
 
 
 Read = Callable[[int], bytes]
 """Reads the next bytes of a source, at most so many; none at its end."""
 
 
-def _reader_of(data: Any) -> Read:
-    view, at = memoryview(data), 0
-
-    def read(size: int) -> bytes:
-        nonlocal at
-        at += size
-        return bytes(view[at - size : at])
-
-    return read
-
-
-def pieces(compression: str, read: Read, bite: int = INPUT_BYTES) -> Iterator[bytes]:
+def pieces(compression: str, read: Read) -> Iterator[bytes]:
     """A decompressed stream in pieces of at most PIECE_BYTES, up to its end or its data's.
 
     Raises DamageError at a broken place, after everything before it.
@@ -151,52 +179,47 @@ def pieces(compression: str, read: Read, bite: int = INPUT_BYTES) -> Iterator[by
             yield piece
         return
     _inflater(compression)
-    make = {"zstd": _zstd_pieces, "lz4": _lz4_pieces, "bz2": _bz2_pieces}[compression]
-    try:
-        yield from make(read, bite)
-    except _errors() as error:
-        raise DamageError(_BROKEN[compression]) from error
+    with _translated(compression):
+        yield from _zstd_pieces(read) if compression == "zstd" else _fed(compression, read)
 
 
-def _zstd_pieces(read: Read, bite: int) -> Iterator[bytes]:
+def _zstd_pieces(read: Read) -> Iterator[bytes]:
     import zstandard
 
     class Source:
         """What the library reads from."""
 
         def read(self, size: int) -> bytes:
-            return read(min(size, bite))
+            return read(min(size, INPUT_BYTES))
 
     # The buffer is filled as far as it goes before an error is raised.
     source: Any = Source()
     with zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(
-        source, read_size=bite
+        source, read_size=INPUT_BYTES
     ) as reader:
         while piece := reader.read1(PIECE_BYTES):
             yield piece
 
 
-def _lz4_pieces(read: Read, bite: int) -> Iterator[bytes]:
+def _fed(compression: str, read: Read) -> Iterator[bytes]:
+    """The output of a decompressor that takes its input in parts."""
     import lz4.frame
 
-    yield from _fed(lz4.frame.LZ4FrameDecompressor(), read, bite)
-
-
-def _bz2_pieces(read: Read, bite: int) -> Iterator[bytes]:
-    yield from _fed(bz2.BZ2Decompressor(), read, bite)
-
-
-def _fed(decompressor: Any, read: Read, bite: int) -> Iterator[bytes]:
-    """The output of a decompressor that takes its input in parts."""
+    decompressor: Any = (
+        lz4.frame.LZ4FrameDecompressor() if compression == "lz4" else bz2.BZ2Decompressor()
+    )
     while not decompressor.eof:
-        data = read(bite) if decompressor.needs_input else b""
+        data = read(INPUT_BYTES) if decompressor.needs_input else b""
         if decompressor.needs_input and not data:
             return
         if piece := decompressor.decompress(data, PIECE_BYTES):
             yield piece
 
 
-def inflate_message(data: Any, limit: int = MESSAGE_BYTES) -> bytes:
+# Messages that are compressed one by one
+
+
+def inflate_message(data: bytes, limit: int = MESSAGE_BYTES) -> bytes:
     """One zstd payload of unknown size, at most `limit` bytes; else DamageError."""
     import zstandard
 
@@ -218,94 +241,25 @@ def inflate_message(data: Any, limit: int = MESSAGE_BYTES) -> bytes:
 SLICE_BYTES = 1 << 22
 """Bytes of messages decompressed at once."""
 
-_MAGIC = int.from_bytes(ZSTD_MAGIC, "little")
-
 
 def unpacked(block: Block) -> Iterator[tuple[Block, int]]:
     """A block in CDR whose payloads may be zstd streams (ROS 2 can compress single messages), as
     blocks that are none, each with the number of messages left out that do not decompress."""
     packed = block.size >= 9
-    packed[packed] = words(block.data, "<u4", block.start[packed]) == _MAGIC
+    packed[packed] = words(block.data, "<u4", block.start[packed]) == _ZSTD_WORD
     if not packed.any():
         yield block, 0
         return
-    count = len(packed)
     held: list[bytes] = []
-    times: list[int] = []
+    rows: list[int] = []
     failed = held_bytes = 0
-    for k, (at, size) in enumerate(zip(block.start.tolist(), block.size.tolist(), strict=True)):
-        payload = block.data[at : at + size].tobytes()
+    for k, payload in enumerate(block.payloads()):
         try:
             held.append(inflate_message(payload) if packed[k] else payload)
-            times.append(int(block.log_time_ns[k]))
+            rows.append(k)
             held_bytes += len(held[-1])
         except DamageError:
             failed += 1
-        if held_bytes > SLICE_BYTES or k + 1 == count:
-            sizes = np.fromiter(map(len, held), np.int64, len(held))
-            data = np.frombuffer(b"".join(held), np.uint8)
-            log_ns = np.array(times, np.int64)
-            yield Block(data, block.sink, log_ns, np.cumsum(sizes) - sizes, sizes), failed
-            held, times, failed, held_bytes = [], [], 0, 0
-
-
-def _errors() -> tuple[type[BaseException], ...]:
-    import zstandard
-
-    return (zstandard.ZstdError, RuntimeError, OSError, EOFError, ValueError, MemoryError)
-
-
-def _inflater(compression: str) -> Callable[[Any, int], bytes]:
-    try:
-        return _INFLATERS[compression]
-    except KeyError:
-        raise DamageError(f"compression {compression[:40]!r} is not known") from None
-
-
-_BROKEN = {
-    "zstd": "a zstd chunk does not decompress",
-    "lz4": "an lz4 chunk does not decompress",
-    "bz2": "a bz2 chunk does not decompress",
-}
-
-
-def _zstd(data: Any, size: int) -> bytes:
-    import zstandard
-
-    context = getattr(_local, "zstd", None)
-    if context is None:
-        context = _local.zstd = zstandard.ZstdDecompressor()
-    try:
-        if zstandard.frame_content_size(data) not in (-1, size):
-            raise WrongSizeError
-        # No size would mean any size to the library.
-        out: bytes = context.decompress(data, max_output_size=max(size, 1))
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise DamageError(_BROKEN["zstd"]) from error
-    return out
-
-
-def _lz4(data: Any, size: int) -> bytes:
-    import lz4.frame
-
-    try:
-        declared = lz4.frame.get_frame_info(data)["content_size"]
-        if declared not in (0, size):
-            raise WrongSizeError
-        if declared:
-            out: bytes = lz4.frame.decompress(data)
-        else:
-            out = lz4.frame.LZ4FrameDecompressor().decompress(bytes(data), size + 1)
-    except (RuntimeError, ValueError, EOFError, MemoryError) as error:
-        raise DamageError(_BROKEN["lz4"]) from error
-    return out
-
-
-def _bz2(data: Any, size: int) -> bytes:
-    try:
-        return bz2.BZ2Decompressor().decompress(data, size + 1)
-    except (OSError, ValueError, EOFError, MemoryError) as error:
-        raise DamageError(_BROKEN["bz2"]) from error
-
-
-_INFLATERS: dict[str, Callable[[Any, int], bytes]] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
+        if held_bytes > SLICE_BYTES or k + 1 == len(packed):
+            yield Block.of(block.sink, block.log_time_ns[rows], held), failed
+            held, rows, failed, held_bytes = [], [], 0, 0

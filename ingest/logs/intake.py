@@ -21,9 +21,9 @@ from .foxglove import (
     protobuf_transforms,
 )
 from .inflate import unpacked
-from .messages import LATEST_NS, UNWANTED, Block, Bytes, Channel, DamageError
+from .messages import LATEST_NS, UNWANTED, Block, Channel, DamageError
 from .pose_wire import WireDecoder
-from .poses import Heads, PoseDecoder, Poses
+from .poses import PoseDecoder, Poses
 from .schema import as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
 
@@ -37,9 +37,6 @@ PENDING_BYTES = 1 << 20
 MOST_KEPT, BYTES_PER_POSE = 1 << 19, 40
 """Most poses of a topic that are kept in space, and bytes of a log for each further one: kept and
 sorted they take some 400 bytes, a message with four of them and its odometry far more than 160."""
-
-HEADS = 4096
-"""Regular messages decoded together, to make numpy's overhead negligible."""
 
 FARTHEST = 1e9
 """Larger coordinates [m] are invalid: no robot's odometry goes farther."""
@@ -160,10 +157,6 @@ class Sink:
     empty: int = 0
     _kept: int = 0
     _columns: tuple[Growing, ...] = ()
-    _heads: list[Heads] = field(default_factory=list)
-    _heads_ns: list[IntArray] = field(default_factory=list)
-    _heads_count: int = 0
-    _heads_bytes: int = 0
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
@@ -180,50 +173,23 @@ class Sink:
         return self.decoder.reason or full
 
     def add(self, block: Block) -> None:
-        """Process the messages of a block.
-
-        Of regular messages the first bytes are collected; others are decoded in place, or collected
-        whole if they are few. Collected ones are flushed first, to keep the order.
-        """
-        data, _, log_ns, start, size = block
+        """Process the messages of a block: many in place, few when enough are collected."""
         if self.whole and self._kept >= self.most:
-            self.messages += len(start)
-            self.undecoded += len(start)
+            self.messages += len(block.start)
+            self.undecoded += len(block.start)
             return
-        heads = self.decoder.heads(data, start, size)
-        if heads is not None:
-            self._add_heads(heads, log_ns)
-            return
-        self._flush_heads()
         for part, failed in unpacked(block) if self.channel.encoding == "cdr" else ((block, 0),):
             self.messages += failed
             self.undecoded += failed
-            self._add_whole(part)
-
-    def _add_whole(self, block: Block) -> None:
-        data, _, log_ns, start, size = block
-        if len(start) >= DENSE:
-            self._flush_pending()
-            self._decode(data, log_ns, start, size)
-        else:
-            raw = data.data
-            ends = (start + size).tolist()
-            self._pending += [bytes(raw[a:b]) for a, b in zip(start.tolist(), ends, strict=True)]
-            self._pending_bytes += int(size.sum())
-            self._pending_ns += log_ns.tolist()
-        if self._pending_bytes >= PENDING_BYTES:
-            self._flush_pending()
-
-    def _add_heads(self, heads: Heads, log_ns: IntArray) -> None:
-        self._flush_pending()
-        if self._heads and self._heads[0].poses != heads.poses:
-            self._flush_heads()
-        self._heads.append(heads)
-        self._heads_ns.append(log_ns)
-        self._heads_count += len(log_ns)
-        self._heads_bytes += heads.rows.nbytes
-        if self._heads_count >= HEADS or self._heads_bytes >= PENDING_BYTES:
-            self._flush_heads()
+            if len(part.start) >= DENSE:
+                self.flush()
+                self._decode(part)
+                continue
+            self._pending += part.payloads()
+            self._pending_ns += part.log_time_ns.tolist()
+            self._pending_bytes += int(part.size.sum())
+            if self._pending_bytes >= PENDING_BYTES:
+                self.flush()
 
     def columns(self) -> PoseColumns:
         """All poses; the sink is empty afterwards, so that they are held once."""
@@ -235,30 +201,15 @@ class Sink:
 
     def flush(self) -> None:
         """Decode what was collected."""
-        self._flush_heads()
-        self._flush_pending()
+        if self._pending:
+            block = Block.of(0, np.array(self._pending_ns, np.int64), self._pending)
+            self._pending, self._pending_ns, self._pending_bytes = [], [], 0
+            self._decode(block)
 
-    def _flush_heads(self) -> None:
-        if not self._heads:
-            return
-        heads, log_ns = self._heads, np.concatenate(self._heads_ns)
-        self._heads, self._heads_ns, self._heads_count, self._heads_bytes = [], [], 0, 0
-        rows = np.concatenate([part.rows for part in heads])
-        self._take(heads[0].poses(rows, np.arange(len(rows))), log_ns, failed=0)
-
-    def _flush_pending(self) -> None:
-        if not self._pending:
-            return
-        size = np.fromiter(map(len, self._pending), np.int64, len(self._pending))
-        data = np.frombuffer(b"".join(self._pending), np.uint8)
-        log_ns = np.array(self._pending_ns, np.int64)
-        self._pending, self._pending_ns, self._pending_bytes = [], [], 0
-        self._decode(data, log_ns, np.cumsum(size) - size, size)
-
-    def _decode(self, data: Bytes, log_ns: IntArray, start: IntArray, size: IntArray) -> None:
+    def _decode(self, block: Block) -> None:
         failed = self.decoder.failed
-        decoded = self.decoder.decode(data, start, size)
-        self._take(decoded, log_ns, self.decoder.failed - failed)
+        decoded = self.decoder.decode(block.data, block.start, block.size)
+        self._take(decoded, block.log_time_ns, self.decoder.failed - failed)
 
     def _take(self, decoded: Poses, log_ns: IntArray, failed: int) -> None:
         """Append the poses of further messages; log_ns: one time per message."""

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,6 @@ from ...topology.arrays import IntArray
 from ...topology.wording import legible, utc
 
 Bytes = NDArray[np.uint8]
-Key = TypeVar("Key")
 
 UNWANTED = -1
 """Sink number of a channel whose messages are not wanted."""
@@ -27,7 +26,6 @@ NAME_BYTES = 4096
 
 SCHEMA_BYTES = 1 << 20
 """Longest message definition accepted: twenty times the largest in use, of a thousand lines."""
-
 
 MESSAGE_BYTES = 1 << 24
 """Longest message that is decoded, 16 MiB: an odometry message has 700 bytes, an array of a
@@ -79,10 +77,23 @@ class Block(NamedTuple):
     start: IntArray
     size: IntArray
 
+    @classmethod
+    def of(cls, sink: int, log_time_ns: IntArray, payloads: Sequence[bytes]) -> Block:
+        """A block of separate payloads."""
+        size = np.fromiter(map(len, payloads), np.int64, len(payloads))
+        data = np.frombuffer(b"".join(payloads), np.uint8)
+        return cls(data, sink, log_time_ns, np.cumsum(size) - size, size)
+
     def rows(self, which: IntArray | slice) -> Block:
         """Some of its messages."""
         log_ns, start, size = self.log_time_ns[which], self.start[which], self.size[which]
         return self._replace(log_time_ns=log_ns, start=start, size=size)
+
+    def payloads(self) -> Iterator[bytes]:
+        """The payload of each message."""
+        raw = self.data.data
+        for at, size in zip(self.start.tolist(), self.size.tolist(), strict=True):
+            yield bytes(raw[at : at + size])
 
 
 Want = Callable[[Channel], int]
@@ -90,10 +101,6 @@ Want = Callable[[Channel], int]
 
 Progress = Callable[[int], None]
 """Called with the number of further bytes of the log that were processed."""
-
-
-Walking = Generator[Block, None, int]
-"""Yields blocks, and returns the position at which reading goes on."""
 
 
 class Survey(NamedTuple):
@@ -132,31 +139,31 @@ def several_that(count: int, noun: str, told: str) -> str:
     return f"{several(count, noun)} {verb}{space}{rest}"
 
 
+Fault = tuple[str, str]
+"""A noun that is counted and the rest of the sentence; the noun is empty where nothing is."""
+
+CUT: Fault = ("", "the log is cut short")
+UNREADABLE: Fault = ("byte", "could not be read as messages")
+MISDESCRIBED: Fault = (
+    "channel",
+    "described by the index otherwise than the data, which are believed",
+)
+UNKNOWN: Fault = ("message", "of channels that the log does not describe")
+
+
 @dataclass(slots=True)
 class Findings:
-    """What was found in a scan of a log: counts, and all faults.
+    """What was found in a scan of a log.
 
-    counts: messages per channel, wanted or not; lost: messages per topic known to be lost in
-    damaged places; lost_at_least: there may be more; unknown: messages of undescribed channels;
-    beyond_limit: chunks left out by a limit; too_large: records left out as too large, by topic
-    ("" if they are no messages of a known one) and limit [bytes]; misdescribed: channels that the
-    index describes differently from the data.
+    counts: messages per channel, wanted or not; faults: how often each was met; lost: messages per
+    topic known to be lost, by the file's own counts; first_ns, last_ns: log times.
     """
 
     counts: Counter[Channel] = field(default_factory=Counter)
+    faults: Counter[Fault] = field(default_factory=Counter)
     lost: Counter[str] = field(default_factory=Counter)
-    lost_at_least: bool = False
-    unknown: int = 0
-    truncated: bool = False
-    unreadable_bytes: int = 0
-    broken_rows: int = 0
-    damaged_chunks: Counter[str] = field(default_factory=Counter)
-    beyond_limit: Counter[str] = field(default_factory=Counter)
-    too_large: Counter[tuple[str, int]] = field(default_factory=Counter)
-    misdescribed: int = 0
     first_ns: int | None = None
     last_ns: int | None = None
-    notes: list[str] = field(default_factory=list)
 
     def seen(self, channel: Channel, count: int) -> None:
         """Count messages of a channel."""
@@ -170,75 +177,36 @@ class Findings:
 
     def note(self, sentence: str) -> None:
         """Keep a sentence, once."""
-        if sentence not in self.notes:
-            self.notes.append(sentence)
+        self.faults["", sentence] = 1
 
-    @property
-    def whole(self) -> bool:
-        """Whether nothing was left out."""
-        broken = (self.unreadable_bytes, self.too_large, self.truncated)
-        return not any((*broken, self.damaged_chunks, self.beyond_limit))
+    def too_large(self, topic: str, limit: int, count: int = 1) -> None:
+        """Count messages left out as longer than a limit [bytes]."""
+        self.faults["message", f"of {topic} above {limit >> 20} MiB left out"] += count
 
     def beyond(self, known: Sequence[Findings]) -> Findings:
-        """The faults that no other walk over the same log found, as far as their numbers tell."""
-
-        def more(own: int, others: Iterator[int]) -> int:
-            return max(own - max(others, default=0), 0)
-
-        def each(own: Counter[Key], others: list[Counter[Key]]) -> Counter[Key]:
-            return +Counter({k: more(n, (other[k] for other in others)) for k, n in own.items()})
-
-        return Findings(
-            lost=each(self.lost, [k.lost for k in known]),
-            lost_at_least=self.lost_at_least,
-            unknown=more(self.unknown, (k.unknown for k in known)),
-            truncated=self.truncated and not any(k.truncated for k in known),
-            unreadable_bytes=more(self.unreadable_bytes, (k.unreadable_bytes for k in known)),
-            broken_rows=more(self.broken_rows, (k.broken_rows for k in known)),
-            damaged_chunks=each(self.damaged_chunks, [k.damaged_chunks for k in known]),
-            beyond_limit=each(self.beyond_limit, [k.beyond_limit for k in known]),
-            too_large=each(self.too_large, [k.too_large for k in known]),
-            misdescribed=more(self.misdescribed, (k.misdescribed for k in known)),
-            notes=[note for note in self.notes if not any(note in k.notes for k in known)],
-        )
+        """The faults that no other scan of the same log found, as far as their numbers tell."""
+        faults, lost = self.faults.copy(), self.lost.copy()
+        for other in known:
+            faults -= Counter({fault: other.faults[fault] for fault in self.faults})
+            lost -= Counter({topic: other.lost[topic] for topic in self.lost})
+        return Findings(faults=faults, lost=lost)
 
     @property
     def messages(self) -> int:
         """All messages met."""
-        return self.counts.total() + self.unknown
+        return self.counts.total() + self.faults[UNKNOWN]
 
     @property
     def damage(self) -> list[str]:
         """Sentences about what is broken, empty for a whole log."""
-        out = list(self.notes)
-        for reason, count in sorted(self.damaged_chunks.items()):
-            out.append(f"{several(count, 'damaged chunk')} skipped: {reason}")
-        for reason, count in sorted(self.beyond_limit.items()):
-            out.append(f"{several(count, 'chunk')} left out by a limit: {reason}")
-        if self.misdescribed:
-            channels = several(self.misdescribed, "channel")
-            out.append(
-                f"the index describes {channels} otherwise than the data, which are believed"
-            )
-        lost = self.lost.copy()
-        for (topic, limit), count in sorted(self.too_large.items()):
-            what = f"{several(count, 'message')} of {topic}" if topic else several(count, "record")
-            out.append(f"{what} above {limit >> 20} MiB left out")
-            lost[topic] -= count
-        if self.unreadable_bytes:
-            out.append(f"{several(self.unreadable_bytes, 'byte')} could not be read as messages")
-        if self.broken_rows:
-            out.append(f"{several(self.broken_rows, 'row')} of the database without a message")
-        if self.truncated:
-            out.append("the log is cut short")
-        if self.unknown:
-            unknown = several(self.unknown, "message")
-            out.append(f"{unknown} of channels that the log does not describe")
-        damaged = self.damaged_chunks or self.unreadable_bytes or self.truncated
-        where = "what is left out" if self.beyond_limit and not damaged else "damaged places"
-        for topic, count in sorted((+lost).items()):
-            told = f"{'at least ' * self.lost_at_least}{several(count, 'message')} of {topic}"
-            out.append(f"{told} {'is' if count == 1 else 'are'} lost in {where}")
+        out = [
+            f"{several(count, noun)} {rest}" if noun else rest
+            for (noun, rest), count in self.faults.items()
+            if count
+        ]
+        for topic, count in sorted(self.lost.items()):
+            told = f"{several(count, 'message')} of {topic}"
+            out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(

@@ -10,7 +10,7 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from .columns import Shape
 from .messages import Bytes, DamageError
-from .poses import Frames, Heads, Poses, join
+from .poses import Frames, Poses, join
 from .wire import TemplateDecoder, WireParser, stamps_ns
 
 Kind = Literal[
@@ -59,10 +59,6 @@ class _Template(NamedTuple):
     def parts(self, rows: Bytes, message: IntArray) -> list[Poses]:
         """The poses of messages (rows) of this shape."""
         return [self._run(rows, message, run) for run in self.runs]
-
-    def poses(self, rows: Bytes, message: IntArray) -> Poses:
-        """The same in the order of the messages."""
-        return join(self.parts(rows, message))
 
     def _run(self, rows: Bytes, message: IntArray, run: _Run) -> Poses:
         stamp_ns = stamps_ns(rows, run.stamp_at, self.order, self.ros1)
@@ -118,11 +114,6 @@ class WireDecoder(TemplateDecoder[_Template, Poses]):
     def __init__(self, kind: Kind, ros1: bool) -> None:
         self.frames = Frames()
         super().__init__(partial(_parsed, kind, ros1, self.frames), _Template.parts)
-
-    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
-        """The needed fields of the messages, if all have one known shape, else None."""
-        found = self.fitting(data, start, size)
-        return None if found is None else Heads(found[1], found[0].poses)
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of a batch of messages."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
@@ -66,16 +66,6 @@ class Frames:
         return known
 
 
-class Heads(NamedTuple):
-    """The first bytes of messages of one shape, one row each.
-
-    poses: turns rows of this shape, (n, w) and the numbers of their messages, into poses.
-    """
-
-    rows: Bytes
-    poses: Callable[[Bytes, IntArray], Poses]
-
-
 class PoseDecoder(Protocol):
     """Decodes payloads to poses; what cannot be decoded is left out and counted in `failed`."""
 
@@ -90,9 +80,6 @@ class PoseDecoder(Protocol):
     @property
     def reason(self) -> str:
         """Why the first of them could not be."""
-
-    def heads(self, data: Bytes, start: IntArray, size: IntArray) -> Heads | None:
-        """The first bytes of the messages, if all have one known shape; else None."""
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
         """The poses of the messages at `start` with `size` in `data`."""

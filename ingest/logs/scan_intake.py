@@ -12,7 +12,7 @@ from .clouds import Cloud, json_cloud, object_cloud, protobuf_cloud, wire_cloud
 from .inflate import SLICE_BYTES, unpacked
 from .laser_wire import LaserDecoder
 from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
-from .scan_objects import ObjectScanDecoder, OneScan, json_scan, object_scan, protobuf_scan
+from .scan_objects import ObjectScanDecoder, json_scan, object_scan, protobuf_scan
 from .scan_rows import RawScans, ScanDecoder
 from .schema import as_expected, object_decoder
 from .topics import CLOUD_BYTES, CLOUD_KINDS, SCAN_KINDS
@@ -60,7 +60,7 @@ class CloudDecoder(ObjectScanDecoder):
 
     LONGEST = CLOUD_BYTES
 
-    def _parsed(self, message: Bytes) -> RawScans | OneScan:
+    def _parsed(self, message: Bytes) -> RawScans:
         return self._parse(message.data)
 
 

@@ -22,26 +22,20 @@ from .foxglove import (
     unit_quaternion,
 )
 from .messages import Bytes, DamageError, text
-from .scan_rows import Geometry, RawScans, checked_beams
-
-OneScan = tuple[int, Float32Array, Geometry]
-"""Stamp [ns], ranges (m,) [m] and geometry of one scan."""
+from .scan_rows import Geometry, RawScans, checked_beams, one_scan
 
 
-class ObjectScanDecoder(OneByOne[RawScans | OneScan]):
+class ObjectScanDecoder(OneByOne[RawScans]):
     """Decodes scans one by one, for encodings without fixed offsets."""
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> list[RawScans]:
         """The scans of a batch of messages; consecutive ones of one geometry are joined."""
-        return _together([_raw(scan, number) for number, scan in self.parsed(data, start, size)])
-
-
-def _raw(parsed: RawScans | OneScan, number: int) -> RawScans:
-    message = np.array([number], np.int64)
-    if isinstance(parsed, RawScans):
-        return parsed._replace(message=message)
-    stamp, ranges, geometry = parsed
-    return RawScans(message, np.array([stamp], np.int64), ranges[None], geometry)
+        return _together(
+            [
+                scan._replace(message=np.array([number], np.int64))
+                for number, scan in self.parsed(data, start, size)
+            ]
+        )
 
 
 def _together(found: list[RawScans]) -> list[RawScans]:
@@ -75,7 +69,7 @@ def _together(found: list[RawScans]) -> list[RawScans]:
 # double ranges, 7: repeated double intensities}
 
 
-def protobuf_scan(raw: bytes) -> OneScan:
+def protobuf_scan(raw: bytes) -> RawScans:
     """A foxglove.LaserScan; raises DamageError."""
     stamp, frame, pose = 0, "", (0.0, 0.0, 0.0)
     angles = [0.0, 0.0]
@@ -114,12 +108,12 @@ def _between(
     angles: list[float],
     ranges: Any,
     pose: tuple[float, float, float],
-) -> OneScan:
+) -> RawScans:
     """A scan with beams evenly spaced between two angles."""
     beams = checked_beams(len(ranges))
     step = (angles[1] - angles[0]) / max(beams - 1, 1)
     geometry = Geometry(frame.lstrip("/"), angles[0], step, angle_max=angles[1], pose=pose)
-    return stamp, _single(ranges), geometry
+    return one_scan(stamp, _single(ranges), geometry)
 
 
 def _single(ranges: Any) -> Float32Array:
@@ -128,12 +122,12 @@ def _single(ranges: Any) -> Float32Array:
         return np.asarray(ranges).astype(np.float32)
 
 
-def json_scan(raw: bytes) -> OneScan:
+def json_scan(raw: bytes) -> RawScans:
     """A scan in JSON, with the field names of Foxglove or ROS; raises DamageError."""
     return object_scan(load_json(raw))
 
 
-def object_scan(message: Any) -> OneScan:
+def object_scan(message: Any) -> RawScans:
     """A decoded scan by the names of its fields; raises DamageError.
 
     Supports sensor_msgs/LaserScan (`angle_min`), foxglove.LaserScan (`start_angle`), and multi-echo
@@ -157,7 +151,7 @@ def object_scan(message: Any) -> OneScan:
         _or(get(message, "range_max"), float("inf")),
         _or(get(message, "angle_max"), float("nan")),
     )
-    return stamp, ranges, geometry
+    return one_scan(stamp, ranges, geometry)
 
 
 def _or(value: Any, otherwise: float) -> float:

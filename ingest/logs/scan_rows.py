@@ -49,6 +49,11 @@ class RawScans(NamedTuple):
     blind: bool = False
 
 
+def one_scan(stamp_ns: int, ranges_m: Float32Array, geometry: Geometry) -> RawScans:
+    """One scan of ranges (m,)."""
+    return RawScans(np.zeros(1, np.int64), np.array([stamp_ns], np.int64), ranges_m[None], geometry)
+
+
 class ScanDecoder(Protocol):
     """Turns payloads into scans; failures are left out and counted in `failed`.
 

@@ -1,8 +1,7 @@
-"""Message definitions in logs: checking layouts, and decoding messages of any type."""
+"""Message definitions in logs, as rosbags reads them: layouts, and decoding of any type."""
 
 from __future__ import annotations
 
-import itertools
 import re
 from collections.abc import Callable, Iterator
 from functools import lru_cache
@@ -33,13 +32,6 @@ _POSE = ["float64"] * 7
 _LASER = ["float32"] * 7
 _ECHOES = ["[", "[", "float32", "]", "]"]
 
-_SHORT = {"Header": "std_msgs/Header", "time": "time", "duration": "duration"}
-_PRIMITIVE = frozenset(
-    f"{name}{bits}"
-    for name, sizes in (("int", (8, 16, 32, 64)), ("uint", (8, 16, 32, 64)), ("float", (32, 64)))
-    for bits in sizes
-) | {"bool", "byte", "char", "string", "wstring"}
-
 EXPECTED = {
     "odometry": [*_HEADER, "string", *_POSE],
     "pose": [*_HEADER, *_POSE],
@@ -67,102 +59,39 @@ def as_expected(channel: Channel, kind: str) -> bool:
     """Whether the definition begins with the fields expected of the kind.
 
     True also for a log without definitions, or with one that cannot be read: the type's name is
-    trusted then. Definitions other than `.msg` text that can be read give False, so that the
-    general decoder is used.
+    trusted then.
     """
     if not channel.schema:
         return True
-    if channel.schema_encoding in ("ros2msg", "ros1msg"):
-        short = len(channel.schema) <= REMEMBERED_BYTES
-        begins = _begins_with if short else _begins_with.__wrapped__
-        if begins(channel.schema, kind, channel.encoding == "ros1"):
-            return True
     try:
-        object_decoder(channel)
+        fielddefs = _checked_store(channel).fielddefs
     except UnreadableError:
         return True
     except DamageError:
-        pass
-    return False
-
-
-@lru_cache(64)
-def _begins_with(schema: bytes, kind: str, ros1: bool) -> bool:
-    expected = list(EXPECTED[kind])
-    if ros1 and not kind.startswith("foxglove"):
-        expected.insert(expected.index("int32"), "uint32")
-    sections = _sections(schema.decode("utf-8", "replace"))
-    found = _primitives(sections, "", 0, itertools.count())
-    try:
-        return all(next(found, None) == want for want in expected)
-    except DamageError:
         return False
+    expected = list(EXPECTED[kind])
+    if channel.encoding == "ros1" and not kind.startswith("foxglove"):
+        expected.insert(expected.index("int32"), "uint32")
+    found = _primitives(fielddefs, channel.type_name)
+    return all(next(found, None) == want for want in expected)
 
 
-def _sections(definition: str) -> dict[str, list[tuple[str, str]]]:
-    """Fields (type, name) of the main type, under "", and of every type that it uses."""
-    sections: dict[str, list[tuple[str, str]]] = {"": []}
-    current = sections[""]
-    for line in definition.splitlines():
-        words = line.split("#", 1)[0].split()
-        if line.startswith("=====") or not words:
-            continue
-        if words[0] == "MSG:" and len(words) > 1:
-            current = sections.setdefault(_short(words[1]), [])
-        elif len(words) > 1 and "=" not in words[1] and (len(words) < 3 or words[2][:1] != "="):
-            current.append((words[0], words[1]))
-    return sections
+def _primitives(fielddefs: Any, type_name: str) -> Iterator[str]:
+    """The primitive fields of a type in order, sequences in brackets."""
 
-
-def _short(name: str) -> str:
-    parts = name.split("/")
-    return f"{parts[0]}/{parts[-1]}"
-
-
-def _primitives(
-    sections: dict[str, list[tuple[str, str]]], name: str, depth: int, steps: Iterator[int]
-) -> Iterator[str]:
-    """The primitive fields of a type in order, sequences in brackets; raises DamageError."""
-    if depth > DEPTH or name not in sections or next(steps) > PARTS:
-        raise DamageError("a definition is missing or nested too deeply")
-    for type_name, _ in sections[name]:
-        bare, bracket, _ = type_name.partition("[")
-        if bracket:
+    def of_field(described: Any) -> Iterator[str]:
+        kind, content = described[0].name, described[1]
+        if kind == "NAME":
+            yield from _primitives(fielddefs, content)
+        elif kind == "BASE":
+            yield content[0]
+        else:
             yield "["
-        yield from _primitives_of(sections, bare, name, depth, steps)
-        if bracket:
+            yield from of_field(content[0])
             yield "]"
 
-
-def _primitives_of(
-    sections: dict[str, list[tuple[str, str]]],
-    bare: str,
-    outer: str,
-    depth: int,
-    steps: Iterator[int],
-) -> Iterator[str]:
-    if bare.split("<", maxsplit=1)[0] in _PRIMITIVE:
-        yield bare.split("<", maxsplit=1)[0]
-    elif bare in ("time", "duration") or _short(bare) in (
-        "builtin_interfaces/Time",
-        "builtin_interfaces/Duration",
-    ):
-        yield from _TIME
-    else:
-        yield from _primitives(sections, _resolve(sections, bare, outer), depth + 1, steps)
-
-
-def _resolve(sections: dict[str, list[tuple[str, str]]], bare: str, outer: str) -> str:
-    """Full name of a type used in `outer`, where the package may be omitted."""
-    if "/" in bare:
-        return _short(bare)
-    if bare in _SHORT:
-        return _SHORT[bare]
-    package = outer.split("/", maxsplit=1)[0]
-    if f"{package}/{bare}" in sections:
-        return f"{package}/{bare}"
-    named = [name for name in sections if name.endswith(f"/{bare}")]
-    return named[0] if len(named) == 1 else bare
+    for _, described in fielddefs[type_name][1]:
+        yield from of_field(described)
 
 
 def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
@@ -171,12 +100,8 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     Without a usable definition those bundled with rosbags are used. Raises DamageError if there is
     none; the function raises DamageError for a payload that cannot be decoded.
     """
-    ros1 = channel.encoding == "ros1"
-    store = _store(channel)
-    if channel.type_name not in store.types:
-        raise DamageError(f"no definition of {channel.type_name} is known")
-    _check_extent(store.fielddefs, channel.type_name)
-    read = store.deserialize_ros1 if ros1 else store.deserialize_cdr
+    store = _checked_store(channel)
+    read = store.deserialize_ros1 if channel.encoding == "ros1" else store.deserialize_cdr
 
     def decode(raw: bytes) -> Any:
         try:
@@ -188,31 +113,36 @@ def object_decoder(channel: Channel) -> Callable[[bytes], Any]:
     return decode
 
 
-def _store(channel: Channel) -> Any:
-    """rosbags' typestore with the embedded definition, or with ROS's own without one."""
-    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
-
-    if not channel.schema:
-        ros1 = channel.encoding == "ros1"
-        return get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_JAZZY)
-    definition = channel.schema.decode("utf-8", "replace")
-    _check_length(definition)
-    store = get_typestore(Stores.EMPTY)
-    try:
-        if channel.schema_encoding == "ros2idl":
-            store.register(get_types_from_idl(_BESIDE_IDL.sub("", definition)))
-        else:
-            store.register(get_types_from_msg(definition, channel.type_name))
-    # The parser raises its own and Python's exceptions on invalid text.
-    except (Exception, RecursionError) as error:
-        raise UnreadableError(f"the definition of {channel.type_name} cannot be read") from error
+def _checked_store(channel: Channel) -> Any:
+    """rosbags' typestore with the embedded definition, or with ROS's own without one; raises
+    DamageError if the type is not in it, or is implausible."""
+    short = len(channel.schema) <= REMEMBERED_BYTES
+    store = (_store if short else _store.__wrapped__)(*channel[1:])
+    if channel.type_name not in store.types:
+        raise DamageError(f"no definition of {channel.type_name} is known")
+    _check_extent(store.fielddefs, channel.type_name)
     return store
 
 
-def _check_length(definition: str) -> None:
-    """Reject definitions that are far larger than real ones before parsing."""
+@lru_cache(64)
+def _store(type_name: str, encoding: str, schema: bytes, schema_encoding: str) -> Any:
+    from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
+
+    if not schema:
+        return get_typestore(Stores.ROS1_NOETIC if encoding == "ros1" else Stores.ROS2_JAZZY)
+    definition = schema.decode("utf-8", "replace")
     if definition.count("\n") > LINES:
         raise DamageError("a message definition is implausibly long")
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if schema_encoding == "ros2idl":
+            store.register(get_types_from_idl(_BESIDE_IDL.sub("", definition)))
+        else:
+            store.register(get_types_from_msg(definition, type_name))
+    # The parser raises its own and Python's exceptions on invalid text.
+    except (Exception, RecursionError) as error:
+        raise UnreadableError(f"the definition of {type_name} cannot be read") from error
+    return store
 
 
 class _Extent(NamedTuple):

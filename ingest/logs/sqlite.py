@@ -17,15 +17,16 @@ from urllib.parse import quote
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, IntArray
+from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ...topology.wording import legible
 from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
 from .messages import (
+    CUT,
     NAME_BYTES,
     SCHEMA_BYTES,
-    UNWANTED,
+    UNKNOWN,
     Block,
     Channel,
     DamageError,
@@ -64,11 +65,10 @@ PATIENCE = 1000
 TOPICS = 1 << 15
 """Most topics that are read."""
 
-PROBED = 100
-"""Most topics that are searched for one by one if they are not among the first rows."""
-
 MOST_MISSING = 1 << 20
 """A larger step between the numbers of two rows counts as a wrong number."""
+
+_BROKEN_ROW = ("row", "of the database without a message")
 
 _Row = tuple[int, Any, Any, Any]
 """Number, topic, time, and the payload if it is wanted and not large, else its length."""
@@ -82,8 +82,8 @@ class SqliteFile:
 
     @cached_property
     def _write_ahead(self) -> WriteAhead | None:
-        """The write-ahead log beside the file, None without one or if the library reads all of
-        it."""
+        """The write-ahead log beside the file if it is damaged: the library would leave out what
+        follows, without a word."""
         found = read_write_ahead(self.path)
         return found if found is not None and found.damaged else None
 
@@ -103,7 +103,10 @@ class SqliteFile:
                 for key, count in present.items():
                     if key in channels:
                         counts[channels[key]] += count
-                first, last = _span(base)
+                ends = (
+                    "(SELECT min(timestamp) FROM messages), (SELECT max(timestamp) FROM messages)"
+                )
+                first, last = base.execute(f"SELECT {ends}").fetchone()
         except (*_ERRORS, DamageError):
             return None
         return Survey(counts, first or 0, last or 0)
@@ -138,7 +141,8 @@ class SqliteFile:
         """
         page, declared = _length(self.path)
         size = self.path.stat().st_size
-        findings.truncated |= size < declared
+        if size < declared:
+            findings.faults[CUT] = 1
         if self._write_ahead is None and size % page == 0:
             yield self.path
             return
@@ -148,8 +152,7 @@ class SqliteFile:
                 shutil.copyfile(self.path, copy)
                 os.truncate(copy, size // page * page)
                 if self._write_ahead is not None:
-                    self._write_ahead.report(findings)
-                    self._write_ahead.merge(copy)
+                    self._write_ahead.merge(copy, findings)
             except OSError as error:
                 reason = error.strerror
                 raise LogError(f"{self.path}: cannot be copied to be read ({reason})") from error
@@ -167,8 +170,8 @@ class _Reader:
         self._passed = passed
         self._channels = _channels(base)
         self._sink = {key: want(channel) for key, channel in self._channels.items()}
-        wanted = [key for key, sink in self._sink.items() if sink != UNWANTED]
-        chosen = f"topic_id IN ({','.join(map(str, wanted))}) AND length(data) <= {LARGE_BYTES}"
+        wanted = ",".join(str(key) for key, sink in self._sink.items() if sink >= 0)
+        chosen = f"topic_id IN ({wanted}) AND length(data) <= {LARGE_BYTES}"
         data = f"CASE WHEN {chosen} THEN data ELSE length(data) END"
         # The number of a row is its id, but in tables of other writers.
         columns = base.execute("PRAGMA table_info(messages)").fetchall()
@@ -203,7 +206,6 @@ class _Reader:
             behind = self._first_from(last + 1) or self._readable_after(last + 1)
             yield [*rows, behind] if behind is not None else rows
             if behind is None:
-                self._findings.lost_at_least = True
                 return
             last = behind[0]
         self._findings.note("the database is damaged in too many places: the rest is left out")
@@ -227,7 +229,6 @@ class _Reader:
         Doubles the step until a row can be read, then bisects: rows next to each other share their
         page.
         """
-        self._lost(bad)
         top, step, found = self._largest(), 1, None
         while found is None:
             if bad + step > top:
@@ -260,36 +261,27 @@ class _Reader:
         (pages,) = self._base.execute("PRAGMA page_count").fetchone()
         return int(pages) * 512
 
-    def _lost(self, number: int) -> None:
-        """Count a row whose payload alone is damaged."""
-        with suppress(*_ERRORS):
-            query = f"SELECT topic_id FROM messages WHERE {self._id} = ?"
-            found = self._base.execute(query, (number,)).fetchone()
-            if found is not None and found[0] in self._channels:
-                self._findings.lost[self._channels[found[0]].topic] += 1
-                self._last = max(self._last, number)
-
     def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted ones of some rows; columns may hold any type in SQLite."""
         if not rows:
             return
         numbers, topics, times, payloads = zip(*rows, strict=True)
-        number, topic, time = (np.array(column) for column in (numbers, topics, times))
+        topic, time = np.array(topics), np.array(times)
         if not topic.dtype == time.dtype == np.int64:
             good = [row for row in rows if type(row[1]) is type(row[2]) is int]
-            self._findings.broken_rows += len(rows) - len(good)
+            self._findings.faults[_BROKEN_ROW] += len(rows) - len(good)
             yield from self._block(good)
             return
-        once = self._once(number)
+        self._count_missing(np.array(numbers))
         self._findings.span(int(time.min()), int(time.max()))
         for key in sorted(set(topics)):
-            mine = once & (topic == key)
+            mine = topic == key
             channel, count = self._channels.get(key), int(mine.sum())
             if channel is None:
-                self._findings.unknown += count
-            elif self._sink[key] == UNWANTED:
+                self._findings.faults[UNKNOWN] += count
+            elif self._sink[key] < 0:
                 self._findings.seen(channel, count)
-            elif count:
+            else:
                 found = list(compress(payloads, mine.tolist()))
                 if set(map(type, found)) == {bytes}:
                     yield self._block_of(channel, self._sink[key], found, time[mine])
@@ -302,11 +294,10 @@ class _Reader:
     def _block_of(
         self, channel: Channel, sink: int, payloads: list[bytes], time_ns: IntArray
     ) -> Block:
-        size = np.fromiter(map(len, payloads), np.int64, len(payloads))
-        data = np.frombuffer(b"".join(payloads), np.uint8)
+        block = Block.of(sink, time_ns, payloads)
         self._findings.seen(channel, len(payloads))
-        self._read_bytes += len(data)
-        return Block(data, sink, time_ns, np.cumsum(size) - size, size)
+        self._read_bytes += len(block.data)
+        return block
 
     def _large(self, channel: Channel, number: int, size: Any) -> bytes | None:
         """A payload that is asked for by itself; None if it is too long or damaged.
@@ -315,47 +306,23 @@ class _Reader:
         """
         longest = longest_message(channel)
         if isinstance(size, int) and size > longest:
-            self._findings.lost[channel.topic] += 1
-            self._findings.too_large[channel.topic, longest] += 1
+            self._findings.too_large(channel.topic, longest)
             return None
-        payload = None
         with suppress(*_ERRORS):
             query = f"SELECT data FROM messages WHERE {self._id} = ?"
             (payload,) = self._base.execute(query, (number,)).fetchone()
             if isinstance(payload, bytes):
                 return payload
-        if payload is None:
-            self._findings.lost[channel.topic] += 1
-        else:
-            self._findings.broken_rows += 1
+            self._findings.faults[_BROKEN_ROW] += 1
+            return None
+        self._findings.lost[channel.topic] += 1
         return None
 
-    def _once(self, number: IntArray) -> BoolArray:
-        """(n,) each row once, and a count of those that are missing: a recorder numbers them from 1
-        on.
-
-        A damaged page may list a row twice, in place of another.
-        """
-        last = self._last
-        once = np.ones(len(number), bool)
-        if (number != np.arange(last + 1, last + 1 + len(number))).any():
-            number, first = np.unique(number, return_index=True)
-            once[:] = False
-            once[first] = True
-            self._missing += _missing(number, last)
+    def _count_missing(self, number: IntArray) -> None:
+        """Count the gaps in ascending numbers: a recorder counts from 1 on."""
+        step = np.diff(number, prepend=self._last)
+        self._missing += int((step[(step > 1) & (step <= MOST_MISSING)] - 1).sum())
         self._last = int(number[-1])
-        return once
-
-
-def _missing(number: IntArray, last: int) -> int:
-    """How many rows are missing between ascending numbers; last: the one before them.
-
-    A number that fits neither of its neighbours is wrong itself.
-    """
-    before = np.concatenate([[last], number[:-1]])
-    after = np.concatenate([number[1:], number[-1:] + 1])
-    step = np.diff(np.where(after == before + 2, before + 1, number), prepend=last)
-    return int((step[(step > 1) & (step <= MOST_MISSING)] - 1).sum())
 
 
 @contextmanager
@@ -493,33 +460,9 @@ def _counts(base: sqlite3.Connection) -> dict[int, int]:
 
 
 def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
-    """Topics with any message; most are among the first rows."""
-    early = base.execute("SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)")
-    present = {key for (key,) in early}
-    left, row = set(keys) - present, -(1 << 63)
-    if len(left) > PROBED:
-        present.update(key for (key,) in base.execute("SELECT DISTINCT topic_id FROM messages"))
-        left.clear()
-    while left:
-        # Each search goes on where the one before ended: all topics without messages take one pass.
-        marks = ",".join("?" * len(left))
-        probe = f"rowid >= ? AND topic_id IN ({marks}) ORDER BY rowid LIMIT 1"
-        query = f"SELECT rowid, topic_id FROM messages WHERE {probe}"
-        found = base.execute(query, (row, *left)).fetchone()
-        if found is None or found[1] not in left:
-            break
-        row = found[0]
-        present.add(found[1])
-        left.remove(found[1])
+    """Topics with any message; most are among the first rows, those that are not take one pass."""
+    early = "SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)"
+    present = {key for (key,) in base.execute(early)}
+    if not present.issuperset(keys):
+        present = {key for (key,) in base.execute("SELECT DISTINCT topic_id FROM messages")}
     return dict.fromkeys(present, 1)
-
-
-def _span(base: sqlite3.Connection) -> tuple[int | None, int | None]:
-    """First and last log time [ns], None without messages."""
-    query = "SELECT min(timestamp), max(timestamp) FROM messages"
-    if base.execute("PRAGMA index_list(messages)").fetchone():
-        # Asked for one by one, either is a look at one end of the recorder's index.
-        ends = ("(SELECT min(timestamp) FROM messages)", "(SELECT max(timestamp) FROM messages)")
-        query = f"SELECT {', '.join(ends)}"
-    first, last = base.execute(query).fetchone()
-    return first, last

@@ -138,14 +138,6 @@ class TemplateDecoder(Generic[T, P]):
         self.reason = ""
         self._templates: dict[int, list[T]] = {}
 
-    def fitting(self, data: Bytes, start: IntArray, size: IntArray) -> tuple[T, Bytes] | None:
-        """The template of messages that all have one that is known, and their rows; else None."""
-        known = self._templates.get(int(size[0]))
-        if not known or not (size == size[0]).all():
-            return None
-        rows = gather(data, start, known[0].width)
-        return (known[0], rows) if known[0].shape.misfits(rows) is None else None
-
     def parts(self, data: Bytes, start: IntArray, size: IntArray) -> list[P]:
         """What a batch of messages holds, in no order. O(bytes read) with few templates."""
         message = np.arange(len(start))

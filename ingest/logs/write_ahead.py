@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import BoolArray, IntArray
-from .messages import Bytes, Findings, several
+from .messages import CUT, Bytes, Findings, several
 
 HEAD_BYTES, FRAME_HEAD = 32, 24
 FRAMES_AT_ONCE = 1024
@@ -55,8 +55,9 @@ class WriteAhead(NamedTuple):
         broken = not (self.head_holds and self.holds.all())
         return broken or self.committed < len(self.page) or self.rest > 0
 
-    def report(self, findings: Findings) -> None:
-        """Say what is damaged, in bytes."""
+    def merge(self, copy: Path, findings: Findings) -> None:
+        """Write all frames that hold, up to the last commit, into a copy of the database, and tell
+        what is left out, in bytes."""
         wrong = int((~self.holds[: self.committed]).sum())
         frame = FRAME_HEAD + self.size
         if not self.head_holds:
@@ -69,10 +70,7 @@ class WriteAhead(NamedTuple):
         left = (len(self.page) - self.committed) * frame + self.rest
         if left:
             findings.note(f"the last {left} bytes of the database's write-ahead log are no whole")
-            findings.truncated = True
-
-    def merge(self, copy: Path) -> None:
-        """Write all frames that hold, up to the last commit, into a copy of the database."""
+            findings.faults[CUT] = 1
         log = _log_of(self.path)
         most = (self.path.stat().st_size + log.stat().st_size) // self.size
         with log.open("rb") as source, copy.open("r+b") as target:

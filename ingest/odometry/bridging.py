@@ -51,10 +51,10 @@ def bridged(
     covered = np.where(open_[:, None], [0.5, 0.25] * odometry.jump_sigma, odometry.jump_sigma)
     cases = _cases(replace(odometry, jump_sigma=covered), open_)
     found = [_steps(case, reckoning_of, close, open_) for case in cases]
-    told = {row: step for row in {*chain(*found)} if (step := _agreed(found, row))}
-    rows = np.array(sorted(told), np.int64)
+    agreed = {row: step for row in {*chain(*found)} if (step := _agreed(found, row))}
+    rows = np.array(sorted(agreed), np.int64)
     known = np.isin(odometry.jumps, rows) if len(rows) else np.zeros(len(open_), bool)
-    steps = np.array([told[row].step for row in rows.tolist()]).reshape(-1, 3)
+    steps = np.array([agreed[row].step for row in rows.tolist()]).reshape(-1, 3)
     bridged = _driven(odometry, known, steps)
     # The measured steps keep the sigma of their case, as far as it is usable, because the
     # identifications that they rest on are made again.
@@ -79,7 +79,7 @@ def confirmed(
     return replace(odometry, breaks=np.union1d(odometry.breaks, odometry.jumps[np.array(alone)]))
 
 
-def jumps_told(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
+def jump_records(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
     """For the document: time and size of the odometry's jumps, and whether it is split there.
 
     recorded: as read; odometry: `bridged`, with the same rows.
@@ -100,7 +100,7 @@ def jumps_told(recorded: Odometry, odometry: Odometry) -> list[dict[str, Any]]:
     ]
 
 
-def split_told(recorded: Odometry, odometry: Odometry) -> list[str]:
+def describe_splits(recorded: Odometry, odometry: Odometry) -> list[str]:
     """A warning on the jumps of unknown size, if there are any."""
     rows = recorded.jumps[_split(odometry)]
     if len(rows) == 0:
@@ -108,7 +108,7 @@ def split_told(recorded: Odometry, odometry: Odometry) -> list[str]:
     seconds = (recorded.time_ns[rows] - recorded.time_ns[0]) * 1e-9
     at = ", ".join(f"{second:.1f} s" for second in seconds)
     return [
-        f"{len(rows)} {'jump' if len(rows) == 1 else 'jumps'} of the odometry (at {at}) not told "
+        f"{len(rows)} {'jump' if len(rows) == 1 else 'jumps'} of the odometry (at {at}) not agreed "
         "by places seen before and after: the chain is split there"
     ]
 

@@ -8,6 +8,7 @@ steps, with an uncertainty of the size of the jump. At a reset the motion is unk
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -16,11 +17,12 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import between, compose, inverse, wrap
-from .step_bounds import StepBounds, blocks_of_steps, reach, turned, widest_turn
 
 SECOND_S = 1e-9
 MOST_TOLD = 5
 """Number of jumps that are listed one by one."""
+BLOCK_STEPS = 1 << 14
+"""Steps per block, to stay in the processor's cache without large temporary arrays."""
 BESIDE = np.array([-2, -1, 1, 2])
 """Offsets of the steps that a step is compared with."""
 
@@ -152,7 +154,7 @@ class Frequent(NamedTuple):
 
 
 def spikes(
-    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, impossible: BoolArray
+    time_ns: IntArray, pose: FloatArray, impossible: BoolArray
 ) -> tuple[BoolArray, Frequent]:
     """(n - 1,) steps that deviate from their neighbours more than others of the run; and the
     deviation that occurs too often to be told apart. The latter leaves out `impossible` steps
@@ -164,10 +166,12 @@ def spikes(
     passes over the rows in question.
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
-    if len(pose) <= JUMPS.few_steps or not _any_spike(pose, bounds):
+    if len(pose) <= JUMPS.few_steps:
         return found, Frequent(0.0, 0.0)
     # Including smaller deviations, which show what is normal.
     rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
+    if len(rows) == 0:
+        return found, Frequent(0.0, 0.0)
     steps = _Steps.of(pose, rows)
     usual = _Usual.of(time_ns, pose)
     way, turn = _excess(time_ns, pose, steps, usual)
@@ -197,21 +201,6 @@ def _beyond_usual(
     return frequent if frequent > max(least, _seldom(usual)) else 0.0
 
 
-def _any_spike(pose: FloatArray, bounds: StepBounds) -> bool:
-    """Whether any step leaves the range of its neighbours and of standing still far enough.
-
-    A quick test without times: considering them could only widen the range.
-    """
-    if bounds.within(JUMPS.least_m, JUMPS.least_rad):
-        return False
-    rows = _large(pose, JUMPS.least_m, JUMPS.least_rad)
-    if len(rows) == 0:
-        return False
-    steps = _Steps.of(pose, rows)
-    way, turn = steps.beyond(steps.around, 0.0)
-    return bool(((way > JUMPS.least_m) | (turn > JUMPS.least_rad)).any())
-
-
 def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
     """Steps that may leave the range of their neighbours by more than the given amounts.
 
@@ -221,17 +210,18 @@ def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
     """
     least_m, least_rad = 0.99 * least_m, 0.99 * least_rad
     found = [np.zeros(0, np.int64)]
-    for first, (x, y, turn) in blocks_of_steps(pose, beside=1):
-        far, widest = reach(x) + reach(y), widest_turn(turn)
+    for first, (x, y, turn) in _blocks_of_steps(pose):
+        far, widest = _reach(x) + _reach(y), _widest_turn(turn)
         if far <= least_m and widest <= least_rad:
             continue
         large = np.zeros(len(turn), bool)
         if widest > least_rad:
             k = 1 + np.flatnonzero(np.abs(turn[1:-1]) > least_rad)
             off = np.stack([turn[k], turn[k] - turn[k - 1], turn[k + 1] - turn[k]])
-            large[k] = (turned(off) > least_rad).all(axis=0)
+            large[k] = (_turned(off) > least_rad).all(axis=0)
         # A bound for the whole block is cheaper than testing its steps.
-        if far > least_m and reach(x[1:] - x[:-1]) + reach(y[1:] - y[:-1]) + far * widest > least_m:
+        change = _reach(x[1:] - x[:-1]) + _reach(y[1:] - y[:-1]) + far * widest
+        if far > least_m and change > least_m:
             large[1:-1] |= _far_off(x, y, turn, least_m)
         found.append(first + np.flatnonzero(large))
     return np.concatenate(found)
@@ -241,8 +231,37 @@ def _far_off(x: FloatArray, y: FloatArray, turn: FloatArray, least_m: float) -> 
     """(n - 2,) inner steps that may differ by more than `least_m` from those on either side."""
     far = np.abs(x) + np.abs(y)
     # Seen from the robot, a step is turned by what the one before it turned.
-    off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * turned(turn[:-1])
+    off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * _turned(turn[:-1])
     return np.asarray((np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m))
+
+
+def _blocks_of_steps(pose: FloatArray) -> Iterator[tuple[int, FloatArray]]:
+    """Differences (3, k) between consecutive poses (n, 3) in blocks, with the index of the first.
+
+    Blocks overlap by two steps. Each is valid until the next one.
+    """
+    count = len(pose) - 1
+    room = np.empty((3, min(count, BLOCK_STEPS + 2)))
+    for first in range(0, count - 2, BLOCK_STEPS):
+        rows = pose[first : first + BLOCK_STEPS + 3]
+        yield first, np.subtract(rows[1:].T, rows[:-1].T, out=room[:, : len(rows) - 1])
+
+
+def _reach(values: FloatArray) -> float:
+    """The largest absolute value."""
+    return max(float(values.max()), -float(values.min()))
+
+
+def _widest_turn(theta: FloatArray) -> float:
+    """The largest absolute difference of angles that are all in [-π, π)."""
+    size = _reach(theta)
+    return size if size <= np.pi else float(_turned(theta).max())
+
+
+def _turned(theta: FloatArray) -> FloatArray:
+    """Absolute rotations of differences of angles, the short way round."""
+    size = np.abs(theta)
+    return np.minimum(size, np.abs(size - 2 * np.pi))
 
 
 def _at_rank(values: FloatArray, rank: int) -> float:

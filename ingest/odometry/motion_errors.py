@@ -92,7 +92,7 @@ def _lever(metres: float, sigma: float) -> Shown:
     return Shown(rounded(metres, METRES), significant(sigma), rounded(applied, METRES))
 
 
-def scale_told(errors: MotionErrors | None) -> list[str]:
+def describe_scale(errors: MotionErrors | None) -> list[str]:
     """A warning on lengths that were corrected by much, or are off by too much to be, if any."""
     if errors is None:
         return []

@@ -17,13 +17,16 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.circular import cluster_angles
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
+from ...topology.ragged import numbered
 from ...topology.run import Detections
+from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise
-from .revisits import Repeats
-from .square_branches import SquareBranches
+from ...topology.track import stretch_of
+from ...topology.walk_means import WalkMeans
 from .within_passes import WITHIN, WithinPasses
 
 
@@ -193,3 +196,142 @@ def _along(thirds: WithinPasses, settings: NoiseSettings) -> tuple[float, float]
 
     found = minimize_scalar(cost, bounds=(centre - 3, centre + 3), method="bounded")
     return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SquareBranches:
+    """Pairs of branches of different passes.
+
+    residual: (k,) angle between them, to the nearest multiple of 90° [rad]; walked: (k, 2) distance
+    [m] and angle turned [rad] between both; worth: (k,) weight of each pair, in independent
+    observations.
+    """
+
+    residual: FloatArray
+    walked: FloatArray
+    worth: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        odometry: Odometry,
+        passes: Passes,
+        means: WalkMeans,
+        *,
+        reach_passes: int,
+        reach_m: float,
+        most_passes: int,
+    ) -> SquareBranches:
+        """Branches of `most_passes` passes paired with those of `reach_passes` passes before each,
+        at most `reach_m` back. means: over the messages of each pass."""
+        stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
+        stride = -(-len(passes) // most_passes)
+        b = np.flatnonzero(of % stride == 0)
+        # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then
+        # expand each by the branches of that pass.
+        lag = np.tile(np.arange(reach_passes) + 1, len(b))
+        b = np.repeat(b, reach_passes)
+        earlier = of[b] - lag
+        keep = earlier >= 0
+        b, earlier = b[keep], earlier[keep]
+        walked = means.between(earlier, of[b])
+        keep = (stretch[of[b]] == stretch[earlier]) & (walked[:, 0] <= reach_m)
+        b, earlier, walked = b[keep], earlier[keep], walked[keep]
+        counts = passes.branches.counts[earlier]
+        pair, local = numbered(counts)
+        there = passes.branches.offsets[earlier][pair] + local
+        turn = passes.branches.values[b][pair] - passes.branches.values[there]
+        return cls(
+            np.asarray(wrap(4 * turn) / 4),
+            walked[pair],
+            # Branches of one pass share the error of the heading, and the lags share the way:
+            # together they are one look.
+            1.0 / (passes.branches.counts[of[b]] * counts * reach_passes)[pair],
+        )
+
+    def cost(self, walk: FloatArray, sigma: float, square: float) -> float:
+        """Negative log-likelihood relative to a uniform distribution.
+
+        walk: (2,) variances of the heading [rad²] per metre and per radian; sigma: of one branch
+        [rad]; square: share of the pairs that are perpendicular or parallel. Each pair counts by
+        itself: taking only the best of several candidates would underestimate the drift.
+        """
+        quarter = np.pi / 2
+        variance = 2 * sigma**2 + self.walked @ walk
+        # Two images of the wrapped normal are enough up to a sigma of 45°.
+        density = sum(
+            np.exp(-0.5 * (self.residual + shift) ** 2 / variance)
+            for shift in (-quarter, 0, quarter)
+        ) / np.sqrt(2 * np.pi * variance)
+        return -float((self.worth * np.log((1 - square) + square * quarter * density)).sum())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Repeats:
+    """Branches of places that were passed at least twice.
+
+    Flat over sightings (pass, cluster): visit, cluster, off [rad] from the cluster's mean. Per
+    cluster: place, sightings. passes: (places,) number of passes of each.
+    """
+
+    visit: IntArray
+    cluster: IntArray
+    off: FloatArray
+    place: IntArray
+    sightings: IntArray
+    passes: IntArray
+
+    @classmethod
+    def of(
+        cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray, match_rad: float
+    ) -> Repeats:
+        """From the passes with a place (`vertex` >= 0) that was passed at least twice.
+
+        turn_rad: (p,) rotation from the odometry frame to the map frame; branches nearer than
+        `match_rad` are the same. O(b log b).
+        """
+        count = np.bincount(vertex[vertex >= 0], minlength=1)
+        owner = passes.branches.owner
+        home = vertex[owner]
+        rows = np.flatnonzero((home >= 0) & (count[np.maximum(home, 0)] >= 2))
+        heading = np.asarray(wrap(passes.branches.values[rows] + turn_rad[owner[rows]]))
+        clusters = cluster_angles(heading, home[rows], match_rad)
+        # A pass that has two branches in one cluster saw it once.
+        pairs, first = np.unique(np.stack([clusters.of, owner[rows]]), axis=1, return_index=True)
+        off = np.asarray(wrap(heading - clusters.mean[clusters.of]))[first]
+        sightings = np.bincount(pairs[0], minlength=len(clusters))
+        return cls(pairs[1], pairs[0], off, clusters.owner, sightings, count)
+
+    def faults(self) -> tuple[float, int]:
+        """Number of passes with a branch missing or invented, and number of passes considered.
+
+        The majority of a place's passes is right; of two passes that differ, one is wrong.
+        """
+        k = self.passes[self.place]
+        absent = k - self.sightings
+        # Of each cluster, the smaller side is at fault; a tie makes half of both.
+        wrong = np.minimum(self.sightings, absent).astype(np.float64)
+        judged = self.passes[self.passes >= 2]
+        by_place = np.bincount(self.place, wrong, len(self.passes))[self.passes >= 2]
+        # One pass with several wrong branches is one fault; fewer than half can be at fault.
+        return float(np.minimum(by_place, judged / 2).sum()), int(judged.sum())
+
+    def branch_sigma(self, prior: float, worth: float) -> float:
+        """1 sigma of a branch heading in one pass [rad]: residuals after fitting the direction of
+        every branch and the rotation of every pass.
+
+        Robust: from the median, scaled for the degrees of freedom of the two means. prior: 1 sigma,
+        with the weight `worth`.
+        """
+        visit = np.unique(self.visit, return_inverse=True)[1]
+        size = np.bincount(visit)
+        off = self.off - (np.bincount(visit, self.off) / np.maximum(size, 1))[visit]
+        k, c = self.sightings[self.cluster], size[visit]
+        free = (k >= 2) & (c >= 2)
+        if not free.any():
+            return prior
+        freedom = (1 - 1 / k[free]) * (1 - 1 / c[free])
+        scaled = np.abs(off[free]) / np.sqrt(freedom)
+        weight = float(freedom.sum())
+        found = float(np.median(scaled)) / 0.6745
+        return float(np.sqrt((weight * found**2 + worth * prior**2) / (weight + worth)))

@@ -6,7 +6,6 @@ import numpy as np
 
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
-from .step_bounds import StepBounds
 
 LONGEST_M = 1e6
 """Largest extent of a drive without a break, 1000 km, to bound memory."""
@@ -20,26 +19,21 @@ DOUBTED_M_PER_S = 25.0
 ELSE = "else stamps are in another unit than seconds and nanoseconds, or two robots share the topic"
 
 
-def check_plausible(odometry: Odometry, bounds: StepBounds, topic: str, log: str) -> str:
+def check_plausible(odometry: Odometry, topic: str, log: str) -> str:
     """Raise LogError if a drive is too wide or, in half of its steps, too fast; return a warning if
-    these are as fast as a car's, else "". O(n) at worst.
-
-    bounds: of all steps, which are usually sufficient.
+    these are as fast as a car's, else "". O(n).
     """
     position = odometry.pose[:, :2]
     if len(position) < 2:
         return ""
-    if bounds.way * len(position) > LONGEST_M:
-        starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
-        extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
-        widest = float(extent.max())
-        if widest > LONGEST_M:
-            raise LogError(
-                f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} "
-                "km; positions are expected in metres"
-            )
-    if bounds.way <= 0.99e-9 * DOUBTED_M_PER_S * bounds.shortest_ns:
-        return ""
+    starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
+    extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
+    widest = float(extent.max())
+    if widest > LONGEST_M:
+        raise LogError(
+            f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} km; "
+            "positions are expected in metres"
+        )
     way = np.hypot(*np.diff(position, axis=0).T)
     way[odometry.breaks - 1] = 0
     duration = np.diff(odometry.time_ns) / 1e9

@@ -82,7 +82,7 @@ def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
     # As recorded, but drive by drive: a reset may lead anywhere.
     resets = odometry.breaks
     drives = replace(track.odometry, breaks=resets) if len(resets) else track.odometry
-    doubt = check_plausible(drives, track.bounds, topic.choice.topic, read.log)
+    doubt = check_plausible(drives, topic.choice.topic, read.log)
     return Driven(track.odometry, odometry, (*track.warnings, *([doubt] if doubt else [])))
 
 

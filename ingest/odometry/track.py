@@ -10,7 +10,6 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
 from .jumps import JUMPS, Frequent, Jumps, measured_jumps, no_jumps, spikes, times
-from .step_bounds import StepBounds
 
 SECOND_NS = 10**9
 """A second in nanoseconds."""
@@ -45,12 +44,11 @@ class TrackSettings:
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A track in order, as recorded, its jumps (still in it), bounds of all its steps, and one
-    warning per kind of repair."""
+    """A track in order, as recorded, its jumps (still in it), and one warning per kind of
+    repair."""
 
     odometry: Odometry
     jumps: Jumps
-    bounds: StepBounds
     warnings: tuple[str, ...]
 
 
@@ -88,12 +86,12 @@ def sane_track(
     warnings: list[str] = []
     time_ns, pose = _forward(time_ns, pose, settings, warnings)
     time_ns, pose = _in_order(time_ns, pose, warnings)
-    time_ns, pose, jumps, bounds = _measured(time_ns, pose, settings, warnings)
+    time_ns, pose, jumps = _measured(time_ns, pose, settings, warnings)
     _report_gaps(time_ns, settings, warnings)
     for array in (time_ns, pose):
         array.flags.writeable = False
     unbroken = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
-    return Track(unbroken, jumps, bounds, tuple(warnings))
+    return Track(unbroken, jumps, tuple(warnings))
 
 
 def _forward(
@@ -161,17 +159,15 @@ def _in_order(
 
 def _measured(
     time_ns: IntArray, pose: FloatArray, settings: TrackSettings, warnings: list[str]
-) -> tuple[IntArray, FloatArray, Jumps, StepBounds]:
+) -> tuple[IntArray, FloatArray, Jumps]:
     """The track without glitches (single poses off it), and its jumps and resets."""
-    bounds = StepBounds.of(time_ns, pose)
-    leaps, frequent = _leaps(time_ns, pose, bounds, settings)
+    leaps, frequent = _leaps(time_ns, pose, settings)
     glitch = _glitches(time_ns, pose, leaps, settings)
     if glitch.any():
         count = int(glitch.sum())
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
-        bounds = StepBounds.of(time_ns, pose)
-        leaps, frequent = _leaps(time_ns, pose, bounds, settings)
+        leaps, frequent = _leaps(time_ns, pose, settings)
     if any(frequent):
         off = (
             f"{frequent.way_m:.2f} m"
@@ -184,24 +180,24 @@ def _measured(
             "noise, not for jumps; the map may be wrong"
         )
     if not leaps.any():
-        return time_ns, pose, no_jumps(), bounds
+        return time_ns, pose, no_jumps()
     duration = np.diff(time_ns)
     gap_ns = max(settings.gap_min_s * SECOND_NS, settings.gap_periods * float(np.median(duration)))
-    restarted = (duration > gap_ns) & _teleports(time_ns, pose, bounds, settings)
+    restarted = (duration > gap_ns) & _teleports(time_ns, pose, settings)
     jumps = measured_jumps(time_ns, pose, leaps, restarted)
     warnings += jumps.sentences(time_ns)
     keep = jumps.fresh(len(pose))
     time_ns, pose = time_ns[keep], pose[keep]
-    return time_ns, pose, jumps.among(keep), StepBounds.of(time_ns, pose)
+    return time_ns, pose, jumps.among(keep)
 
 
 def _leaps(
-    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
+    time_ns: IntArray, pose: FloatArray, settings: TrackSettings
 ) -> tuple[BoolArray, Frequent]:
     """(n - 1,) steps that cannot have been driven, or stand out from all others; and as `spikes`
     the deviation that occurs too often."""
-    impossible = _teleports(time_ns, pose, bounds, settings)
-    found, frequent = spikes(time_ns, pose, bounds, impossible)
+    impossible = _teleports(time_ns, pose, settings)
+    found, frequent = spikes(time_ns, pose, impossible)
     return impossible | found, frequent
 
 
@@ -212,13 +208,8 @@ def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray
     return way, turn, np.diff(time_ns) / SECOND_NS
 
 
-def _teleports(
-    time_ns: IntArray, pose: FloatArray, bounds: StepBounds, settings: TrackSettings
-) -> BoolArray:
+def _teleports(time_ns: IntArray, pose: FloatArray, settings: TrackSettings) -> BoolArray:
     """(n - 1,) whether a step cannot have been driven, or leads back to the origin exactly."""
-    least_m = min(settings.teleport_min_m, settings.reset_min_m)
-    if bounds.within(least_m, min(settings.teleport_min_rad, settings.reset_min_rad)):
-        return np.zeros(max(len(time_ns) - 1, 0), bool)
     way, turn, duration = _motion(time_ns, pose)
     zero = ~pose[1:].any(axis=1)
     away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)

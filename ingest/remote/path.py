@@ -20,12 +20,10 @@ from ...topology.errors import LogError, UsageError
 from .source import BLOCK_BYTES, RemoteFile
 from .store import (
     TAIL_MOST,
-    BadKeyError,
     Got,
     MissingObjectError,
     Stat,
     listed,
-    listed_here,
     requested,
     require_obstore,
 )
@@ -67,14 +65,10 @@ class Known:
 
 @dataclass(slots=True)
 class _Node:
-    """A node of a bucket's tree: an object, a folder with its entries, both, or nothing.
-
-    broken: why a folder cannot be listed.
-    """
+    """A node of a bucket's tree: an object, a folder with its entries, both, or nothing."""
 
     known: Known | None = None
     children: dict[str, _Node] = field(default_factory=dict)
-    broken: LogError | None = None
 
     def at(self, key: str) -> _Node:
         """The node below by its relative key, created if needed."""
@@ -99,7 +93,7 @@ class _Node:
     def flat(self) -> _Node:
         """A copy with the folder's direct entries only."""
         children = {name: _Node(node.known) for name, node in self.children.items()}
-        return _Node(self.known, children, self.broken)
+        return _Node(self.known, children)
 
 
 class RemotePath:
@@ -186,7 +180,7 @@ class RemotePath:
     def is_dir(self) -> bool:
         """Whether there is no object, but some below."""
         node = self._node
-        return node.known is None and bool(node.children or node.broken)
+        return node.known is None and bool(node.children)
 
     def is_symlink(self) -> bool:
         """False."""
@@ -198,8 +192,6 @@ class RemotePath:
 
     def iterdir(self) -> Iterator[RemotePath]:
         """The entries of a folder. An object and a folder of one name are both returned."""
-        if self._node.broken is not None:
-            raise self._node.broken
         for name, node in self._node.children.items():
             for each in node.kinds():
                 yield RemotePath(self.root, self._below(name), each, allow_scan=self.allow_scan)
@@ -224,7 +216,7 @@ class RemotePath:
         found, waiting = [], [self]
         while waiting:
             folder = waiting.pop()
-            for each in folder.iterdir() if folder._node.broken is None else ():
+            for each in folder.iterdir():
                 waiting += [each] if each.is_dir() else []
                 if each.name == name and each.is_file() and each.state.size <= SMALL_FILE_BYTES:
                     found.append(each)
@@ -321,10 +313,7 @@ class RemotePath:
             return alone
         if http:
             raise LogError(f"{self}: no such file on the server")
-        try:
-            folder = self._listed()
-        except BadKeyError:
-            return self._listed_one_by_one()
+        folder = self._listed()
         if folder.children or not named or _LOG.search(self.key) or not self._is_there(alone):
             return folder
         return alone
@@ -337,23 +326,6 @@ class RemotePath:
             if key[skip:]:
                 folder.at(key[skip:]).known = Known(stat)
         return folder
-
-    def _listed_one_by_one(self) -> _Node:
-        """The same by one request per folder; those with an unreadable key are marked as broken."""
-        top = _Node()
-        waiting = [(self.key.rstrip("/"), top)]
-        while waiting:
-            prefix, node = waiting.pop()
-            place = f"{_public(self.root)}/{prefix}".rstrip("/")
-            try:
-                objects, folders = listed_here(self.root, prefix, named=place)
-            except BadKeyError as error:
-                node.broken = error
-                continue
-            for key, stat in objects:
-                node.at(key.rpartition("/")[2]).known = Known(stat)
-            waiting += [(key, node.at(key.rpartition("/")[2])) for key in folders]
-        return top
 
     def _is_there(self, node: _Node) -> bool:
         self._found = node

@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 
-from ...topology.arrays import IntArray
 from .store import TAIL_MOST, Got
 
 BLOCK_BYTES = 1 << 12
@@ -29,6 +28,9 @@ than decoding needs, and short requests are dominated by latency."""
 
 HELD_BYTES = 1 << 26
 """Bytes kept of a log: more than its walk holds at a time (`logs.chunks.AHEAD_BYTES`)."""
+
+Ranges = list[tuple[int, int]]
+"""First bytes, and those after the last."""
 
 Ask = Callable[[tuple[int, int]], Future[Got]]
 """Starts a request for a range of bytes: the first one, and the one after the last."""
@@ -87,16 +89,16 @@ class RemoteFile:
         for got in known:
             self._keep(got.start, got.data)
 
-    def cost(self, begin: IntArray, end: IntArray) -> int:
+    def cost(self, ranges: Ranges) -> int:
         """Bytes that reading these ranges requests: in whole blocks, without those held."""
-        return sum(stop - start for start, stop in self._planned(begin, end))
+        return sum(stop - start for start, stop in self._planned(ranges))
 
-    def _planned(self, begin: IntArray, end: IntArray) -> list[tuple[int, int]]:
+    def _planned(self, ranges: Ranges) -> Ranges:
         """Requests for the blocks of some ranges that are not held."""
         with self._lock:
             held = sorted(self._held)
         out: list[tuple[int, int]] = []
-        for first, stop in _joined(begin // BLOCK_BYTES, -(-end // BLOCK_BYTES)):
+        for first, stop in _joined(ranges):
             at = first
             while at < stop:
                 k = bisect_left(held, at)
@@ -113,9 +115,9 @@ class RemoteFile:
         return first * BLOCK_BYTES, self._tail_at if known else end
 
     @contextmanager
-    def reading_ahead(self, begin: IntArray, end: IntArray) -> Iterator[ReadAhead]:
+    def reading_ahead(self, ranges: Ranges) -> Iterator[ReadAhead]:
         """Context in which these ranges are read ahead, in order."""
-        ahead = ReadAhead(self._planned(begin, end), self._ask)
+        ahead = ReadAhead(self._planned(ranges), self._ask)
         try:
             yield ahead
         except GeneratorExit:
@@ -163,10 +165,11 @@ class RemoteFile:
             self._held.popitem(last=False)
 
 
-def _joined(begin: IntArray, end: IntArray) -> list[tuple[int, int]]:
-    """Ranges in ascending order, those that touch or overlap as one."""
-    out: list[tuple[int, int]] = []
-    for first, stop in sorted(zip(begin.tolist(), end.tolist(), strict=True)):
+def _joined(ranges: Ranges) -> Ranges:
+    """The blocks of ranges of bytes, in ascending order, those that touch or overlap as one."""
+    out: Ranges = []
+    for begin, end in sorted(ranges):
+        first, stop = begin // BLOCK_BYTES, -(-end // BLOCK_BYTES)
         if out and first <= out[-1][1]:
             out[-1] = out[-1][0], max(out[-1][1], stop)
         else:

@@ -6,24 +6,21 @@ cut off; responses are checked for range, length, and an unchanged object.
 
 from __future__ import annotations
 
-import asyncio
 import re
-from collections.abc import Awaitable, Callable, Iterator, Sequence
+from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import lru_cache, partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ...topology.errors import LogError, UsageError
 from .threads import begun
 
 if TYPE_CHECKING:
-    from obstore import GetOptions, ListStream, ObjectMeta
+    from obstore import GetOptions
     from obstore.store import ObjectStore
-
-R = TypeVar("R")
 
 TAIL_MOST = 1 << 19
 """Limit on the end of an object that is requested without its size, or kept with its path."""
@@ -37,15 +34,13 @@ class Patience:
     """Timeouts and retries of requests.
 
     read_s: without any byte (botocore's default is 60 s); request_s: for one response, enough for 4
-    MiB at 14 kB/s; list_s: for the next keys of a listing, however many pages that takes (stores
-    send one in 0.1 to 1 s); retries, retry_s: attempts after the first one, and the time after
-    which none is started.
+    MiB at 14 kB/s; retries, retry_s: attempts after the first one, and the time after which none
+    is started.
     """
 
     connect_s: float = 10.0
     read_s: float = 30.0
     request_s: float = 300.0
-    list_s: float = 30.0
     retries: int = 6
     retry_s: float = 120.0
     first_pause_s: float = 0.2
@@ -74,10 +69,6 @@ class Got(NamedTuple):
 
 class MissingObjectError(LogError):
     """There is no such object, bucket or page."""
-
-
-class BadKeyError(LogError):
-    """A folder holds a key that is no valid path, so that it cannot be listed."""
 
 
 def requested(
@@ -144,55 +135,13 @@ def listed(root: str, prefix: str, *, named: str) -> Iterator[tuple[str, Stat]]:
     with _told(named):
         pages = obstore.list(store(root), prefix or None, chunk_size=1000)
         count = 0
-        while page := _in_time(partial(_next_page, pages), named):
+        while page := begun(partial(next, pages, ())).result():
             count += len(page)
             if count > MOST_KEYS:
                 raise LogError(f"{named}: holds more than {MOST_KEYS:,} keys; name prefixes in it")
             for meta in page:
                 if meta["path"].startswith(folder):
                     yield meta["path"], _stat(meta)
-
-
-def listed_here(
-    root: str, prefix: str, *, named: str
-) -> tuple[list[tuple[str, Stat]], Sequence[str]]:
-    """The objects directly in a folder, and its folders; others that a server sends are left
-    out."""
-    import obstore
-
-    folder = prefix and f"{prefix}/"
-    with _told(named):
-        call = partial(obstore.list_with_delimiter_async, store(root), prefix or None)
-        found = _in_time(call, named)
-        objects = [(meta["path"], _stat(meta)) for meta in found["objects"]]
-        folders = found["common_prefixes"]
-        return [(key, stat) for key, stat in objects if key.startswith(folder)], [
-            key for key in folders if key.startswith(folder) and key != prefix
-        ]
-
-
-async def _next_page(pages: ListStream[Sequence[ObjectMeta]]) -> Sequence[ObjectMeta]:
-    """The next part of a listing; empty after the last."""
-    try:
-        return await pages.__anext__()  # `anext` with a default fails on obstore's stream
-    except StopAsyncIteration:
-        return ()
-
-
-def _in_time(call: Callable[[], Awaitable[R]], named: str) -> R:
-    """The next part of a listing; LogError if there is none in `list_s`: obstore asks for pages
-    until one holds a key, and a server can send empty ones for ever."""
-    seconds = PATIENCE.list_s
-
-    async def waited() -> R:
-        return await asyncio.wait_for(call(), seconds)
-
-    try:
-        return begun(lambda: asyncio.run(waited())).result()
-    except TimeoutError as error:
-        raise LogError(
-            f"{named}: cannot be listed: no key came in {seconds:g} s, or pages without end"
-        ) from error
 
 
 def _stat(meta: Any) -> Stat:
@@ -265,7 +214,7 @@ def _told(named: str) -> Iterator[None]:
         raise MissingObjectError(f"{named}: {what}") from error
     except InvalidPathError as error:
         told = _first_line(str(error))
-        raise BadKeyError(
+        raise LogError(
             f"{named}: a key cannot be read by its name ({told}); name other prefixes"
         ) from error
     except (BaseError, ValueError, OSError) as error:

@@ -22,7 +22,7 @@ from ...topology.polyline import Ways
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import TopoMap
-from ...topology.turning_back import told_by_deepest
+from ...topology.turning_back import group_by_dead_end
 from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run, fused_of
 
@@ -74,12 +74,12 @@ def with_turning_ends(
     """The fused map with the turning points of its runs as its last vertices, and the corridors to
     them as its last edges. maps: of all runs, sorted by name. O(n log n).
 
-    Keeps those that `told_by_deepest` keeps, as in the maps of single runs.
+    Keeps those that `group_by_dead_end` keeps, as in the maps of single runs.
     """
     if not any(len(m.turning_points) for m in maps):
         return fused
     found = sorted(_ends(fused, components, maps), key=lambda e: -e.length)
-    kept, _ = told_by_deepest(
+    kept, _ = group_by_dead_end(
         enumerate(found),
         fused,
         _corridors(fused, DRAWING.sound_m / 4),

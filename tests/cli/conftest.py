@@ -19,6 +19,8 @@ from topobatch.simulation.writing import write_run
 from topobatch.topology.document import write_map
 from topobatch.topology.se2 import compose, inverse
 
+from ..conftest import command
+
 
 @dataclass(frozen=True)
 class Shown:
@@ -34,15 +36,6 @@ class Shown:
         (line,) = self.err.strip().splitlines()
         assert line.startswith("error: "), line
         return line
-
-
-def command(*arguments: object) -> None:
-    """The command, which must succeed, outside of any test."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["topobatch", *map(str, arguments), "-q"])
-        with pytest.raises(SystemExit) as ended:
-            main()
-    assert not ended.value.code
 
 
 def simulated_maps(folder: Path, *scenarios: ScenarioSettings) -> None:
@@ -90,12 +83,12 @@ def logs(once) -> dict[str, Path]:
 def ingested(logs, once) -> Path:
     """A workspace of run1 and run2, which overlap, not merged yet."""
     both = logs["mcap"], logs["other"]
-    return once("ingested", lambda folder: command("ingest", *both, "-j", 1, "-w", folder))
+    return once("ingested", lambda folder: command("ingest", *both, "-j", 1, "-q", "-w", folder))
 
 
 def _merged(maps: Path, folder: Path) -> None:
     shutil.copytree(maps, folder, dirs_exist_ok=True)
-    command("merge", "--all", "-j", 1, "-w", folder)
+    command("merge", "--all", "-j", 1, "-q", "-w", folder)
 
 
 @pytest.fixture(scope="session")

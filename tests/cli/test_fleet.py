@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from topobatch.cli.cluster import cluster
+from topobatch.cli.matching import cluster
 from topobatch.cli.unchanged import contents
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
@@ -150,8 +150,11 @@ def dask(tmp_path):
         process.stdin.close()
 
 
-def test_a_cluster_that_loses_a_worker(dask, workspace, fleet):
+def test_a_cluster_by_the_command_and_one_that_loses_a_worker(dask, topobatch, workspace, fleet):
     address, pids = dask
+    done = topobatch("merge", "--all", "--cluster", address, "-w", workspace)
+    assert done.code == 0, done
+    assert same(workspace, fleet)
     lost = []
 
     def lose_one(done, of):
@@ -168,28 +171,19 @@ def test_a_cluster_that_loses_a_worker(dask, workspace, fleet):
     assert done < of
 
 
-def test_a_cluster_by_the_command(dask, topobatch, workspace, fleet):
-    done = topobatch("merge", "--all", "--cluster", dask[0], "-w", workspace)
-    assert done.code == 0, done
-    assert same(workspace, fleet)
-
-
 def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr("topobatch.cli.cluster.CONNECT_S", 1)
+    monkeypatch.setattr("topobatch.cli.matching.CONNECT_S", 1)
     called = topobatch("merge", "--all", "--cluster", "tcp://127.0.0.1:1", "-w", workspace)
     assert called.code == 1
     assert "no scheduler answers" in called.err
 
 
-@pytest.mark.parametrize("address", ["nobody", "tcp://nobody", "tcp://127.0.0.1:0", "x://h:1", ""])
-def test_a_wrong_address_of_a_cluster_is_told_also_if_nothing_needs_it(
-    topobatch, workspace, address
-):
+def test_a_wrong_address_of_a_cluster_is_told_also_if_nothing_needs_it(topobatch, merged):
     pytest.importorskip("distributed")
-    assert topobatch("merge", "--all", "-j", 1, "-w", workspace).code == 0
-    again = topobatch("merge", "--all", "--cluster", address, "-w", workspace)
-    assert f"--cluster {address}: " in again.error(2)
+    for address in ("nobody", "tcp://nobody", "tcp://127.0.0.1:0", "x://h:1", ""):
+        again = topobatch("merge", "--all", "--cluster", address, "-w", merged)
+        assert f"--cluster {address}: " in again.error(2)
 
 
 @pytest.fixture

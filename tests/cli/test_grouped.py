@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 from typer.testing import CliRunner
 
-from topobatch.cli.grouped import grouped
+from topobatch.cli.options import grouped
 
 
 @dataclass(frozen=True)

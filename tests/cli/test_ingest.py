@@ -174,9 +174,8 @@ def test_several_processes_give_the_same_maps(topobatch, logs, tmp_path):
         assert one.read_bytes() == two.read_bytes()
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_what_an_interrupted_ingest_has_made_is_in_the_history(
-    topobatch, logs, tmp_path, monkeypatch, jobs
+def test_what_an_interrupted_ingest_has_told_is_in_the_history(
+    topobatch, logs, tmp_path, monkeypatch
 ):
     from topobatch.cli import ingest
 
@@ -187,20 +186,19 @@ def test_what_an_interrupted_ingest_has_made_is_in_the_history(
 
     def interrupted(outcome, screen):
         shown(outcome, screen)
-        monkeypatch.setattr(ingest, "_show", shown)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ingest, "_show", interrupted)
-    call = ("ingest", *files, "-j", jobs, "-w", tmp_path / "ws")
-    stopped = topobatch(*call)
+    call = ("ingest", *files, "-j", 2, "-w", tmp_path / "ws")
+    with monkeypatch.context() as patch:
+        patch.setattr(ingest, "_show", interrupted)
+        stopped = topobatch(*call)
     assert stopped.code == 130
-    assert " of 3 logs finished; run again to go on" in stopped.err
+    assert "1 of 3 logs finished; run again to go on" in stopped.err
     done = topobatch(*call)
     assert done.code == 0, done
     told = json.loads(topobatch("history", "--json", "-w", tmp_path / "ws").out)
     assert len(told) == 2
-    named = ", ".join(entry["text"].partition(": ")[2] for entry in told)
-    assert sorted(named.split(", ")) == ["a", "b", "c"]
+    assert told[0]["text"].startswith("1 log: ")
 
 
 def test_reading_is_half_of_the_work():
@@ -379,16 +377,6 @@ def test_a_log_with_colons_in_its_name_becomes_a_run_without(topobatch, logs, tm
     assert place.runs() == ["t10-15-00"]
     assert ": run t10-15-00, " in topobatch("info", log).out
     assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
-    # Earlier versions kept the colons.
-    path = place.maps / "t10:15:00.json"
-    path.write_text(place.map_json("t10-15-00").read_text().replace("t10-15-00", path.stem))
-    assert topobatch("discard", "t10-15-00", "-q", "-w", place.root).code == 0
-    assert topobatch("merge", path.stem, "-q", "-w", place.root).code == 0
-    assert topobatch("ingest", log, "-q", "-w", place.root).code == 0
-    assert place.runs() == [path.stem]
-    assert topobatch("rename", path.stem, "ten", "-q", "-w", place.root).code == 0
-    assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
-    assert place.runs() == ["ten"]
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
@@ -596,37 +584,22 @@ def test_what_is_broken_in_a_folder_costs_no_other_log(topobatch, logs, tmp_path
 
 
 class Deadly:
-    """In place of a path: whoever unpickles it is killed, if told so only the first time."""
-
-    def __init__(self, path, mark=None):
-        self.path, self.mark = path, mark
+    """In place of a path: whoever unpickles it is killed."""
 
     def __reduce__(self):
-        kill = "__import__('os').kill(__import__('os').getpid(), 9)"
-        mark = f"__import__('pathlib').Path({str(self.mark)!r})"
-        path = f"__import__('pathlib').Path({str(self.path)!r})"
-        once = f"({mark}.exists() or [{mark}.touch(), {kill}]) and {path}"
-        return eval, (once if self.mark else kill,)
-
-    def __getattr__(self, name):
-        return getattr(self.path, name)
-
-    def __fspath__(self):
-        return str(self.path)
+        return eval, ("__import__('os').kill(__import__('os').getpid(), 9)",)
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
-@pytest.mark.parametrize("again", [True, False])
-def test_a_process_that_dies_costs_no_other_log(logs, tmp_path, again):
+def test_a_process_that_dies_costs_no_other_log(logs, tmp_path):
     kinds = ("mcap", "bag", "other")
     place = Workspace(tmp_path / "ws")
     jobs = [
         IngestJob(logs[k], k, place, ReadSettings(), MappingSettings(), force=False) for k in kinds
     ]
-    deadly = Deadly(logs["bag"], None if again else tmp_path / "mark")
-    jobs[1] = replace(jobs[1], log=deadly)
+    jobs[1] = replace(jobs[1], log=Deadly())
     found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
-    assert found == {"mcap": "done", "bag": "failed" if again else "done", "other": "done"}
+    assert found == {"mcap": "done", "bag": "failed", "other": "done"}
 
 
 def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):

@@ -34,47 +34,47 @@ def one_line_error(done: subprocess.CompletedProcess[str], code: int) -> str:
 
 def test_help_and_version(topobatch):
     assert run("--version").stdout.startswith("topobatch 0.")
-    shown = run("--help")
-    assert shown.returncode == 0
+    shown = topobatch("--help")
+    assert shown.code == 0
     commands = (
         "ingest merge view draw report list info explain export transfer changes lock discard "
         "rename history simulate schema"
     )
     for command in commands.split():
-        assert f"  {command} " in shown.stdout
+        assert f"  {command} " in shown.out
         help_text = topobatch(command, "--help")
         assert help_text.code == 0
         assert "Usage: topobatch" in help_text.out
 
 
 @pytest.mark.parametrize(("name", "model"), [("map", MapDocument), ("merged", MergedDocument)])
-def test_schema_is_published(name, model):
-    assert json.loads(run("schema", name).stdout) == model.model_json_schema(by_alias=True)
+def test_schema_is_published(topobatch, name, model):
+    assert json.loads(topobatch("schema", name).out) == model.model_json_schema(by_alias=True)
 
 
 @pytest.mark.parametrize(
     "arguments", [["ingest"], ["merge", "--method", "guess"], ["schema", "x"], ["nonsense"]]
 )
-def test_wrong_calls_exit_with_2(arguments, tmp_path):
-    error = one_line_error(run(*arguments, TOPOBATCH_WORKSPACE=str(tmp_path)), 2)
+def test_wrong_calls_exit_with_2(topobatch, arguments):
+    error = topobatch(*arguments).error(2)
     assert "--help`" in error
 
 
-def test_view_without_a_recording(tmp_path):
-    assert "topobatch ingest" in one_line_error(run("view", "-w", tmp_path), 1)
-    assert "topobatch ingest" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
+def test_view_without_a_recording(topobatch, tmp_path):
+    assert "topobatch ingest" in topobatch("view", "-w", tmp_path).error(1)
+    assert "topobatch ingest" in topobatch("view", "r1", "-w", tmp_path).error(1)
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "r1.json").write_text("{}")
-    assert "merge --all" in one_line_error(run("view", "-w", tmp_path), 1)
-    assert "ingest the log" in one_line_error(run("view", "r1", "-w", tmp_path), 1)
+    assert "merge --all" in topobatch("view", "-w", tmp_path).error(1)
+    assert "ingest the log" in topobatch("view", "r1", "-w", tmp_path).error(1)
 
 
-def test_view_without_a_display_says_how(tmp_path):
+def test_view_without_a_display_says_how(topobatch, tmp_path):
     (tmp_path / "merged.rrd").write_bytes(b"")
-    done = run("view", "-w", tmp_path)
-    assert done.returncode == 0
-    assert "no display" in done.stdout
-    assert "rerun" in done.stdout
+    done = topobatch("view", "-w", tmp_path)
+    assert done.code == 0
+    assert "no display" in done.out
+    assert "rerun" in done.out
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of processes")

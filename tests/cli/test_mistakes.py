@@ -7,8 +7,6 @@ import gzip
 import re
 import shlex
 import shutil
-import subprocess
-import sys
 
 import pytest
 
@@ -16,41 +14,48 @@ from topobatch.cli.main import COMMANDS
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.simulation.writing import write_run
 
+from ..conftest import command as call_topobatch
+
 NAMES = tuple(name for name, _ in COMMANDS)
 
 
-@pytest.fixture(scope="module")
-def site(tmp_path_factory):
+@pytest.fixture(scope="session")
+def site(once):
     """A folder as the examples have it: logs of three overlapping runs, their merge, and docks."""
     settings = ScenarioSettings(
         runs=3, junctions_per_run=12, overlap=0.6, drift="low", odometry_hz=10, seed=5
     )
-    folder = tmp_path_factory.mktemp("site")
-    places = ("run1.mcap", "run2.bag", "rosbag2_folder")
-    simulated = simulate_scenario(settings).simulated
-    for name, kind, one in zip(places, ("mcap", "bag", "db3"), simulated, strict=True):
-        written = write_run(folder / kind, one, kind)
-        shutil.move(written, folder / name)
-        shutil.rmtree(folder / kind)
-    (folder / "logs").mkdir()
-    shutil.copy(folder / "run1.mcap", folder / "logs")
-    (folder / "docks.csv").write_text("name,x,y\nstart,0,0\n")
-    return folder
+
+    def make(folder):
+        places = ("run1.mcap", "run2.bag", "rosbag2_folder")
+        simulated = simulate_scenario(settings).simulated
+        for name, kind, one in zip(places, ("mcap", "bag", "db3"), simulated, strict=True):
+            written = write_run(folder / kind, one, kind)
+            shutil.move(written, folder / name)
+            shutil.rmtree(folder / kind)
+        (folder / "logs").mkdir()
+        shutil.copy(folder / "run1.mcap", folder / "logs")
+        (folder / "docks.csv").write_text("name,x,y\nstart,0,0\n")
+
+    return once("site", make)
 
 
-@pytest.fixture(scope="module")
-def merged_site(site, tmp_path_factory):
+@pytest.fixture(scope="session")
+def merged_site(site, once):
     """The same, with `topobatch-workspace` in it: run1, run2, run3."""
-    folder = tmp_path_factory.mktemp("merged") / "site"
-    shutil.copytree(site, folder)
-    for call in (
-        "ingest run1.mcap run2.bag -q",
-        "ingest rosbag2_folder --name run3 -q",
-        "merge --all -q",
-    ):
-        command = [sys.executable, "-m", "topobatch.cli", *call.split()]
-        subprocess.run(command, cwd=folder, check=True)
-    return folder
+
+    def make(folder):
+        shutil.copytree(site, folder, dirs_exist_ok=True)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            for call in (
+                "ingest run1.mcap run2.bag -q -j 1",
+                "ingest rosbag2_folder --name run3 -q",
+                "merge --all -q -j 1",
+            ):
+                call_topobatch(*call.split())
+
+    return once("merged-site", make)
 
 
 @pytest.fixture
@@ -174,8 +179,15 @@ def test_a_damaged_merge(topobatch, own_site, call):
     assert "3 runs" in shown.out
 
 
-@pytest.mark.parametrize("content", ["{", '{"schema": "topobatch.map/0"}'])
-@pytest.mark.parametrize("call", ["merge --all", "report", "list", "explain run1 run2"])
+@pytest.mark.parametrize(
+    ("call", "content"),
+    [
+        ("merge --all", "{"),
+        ("report", '{"schema": "topobatch.map/0"}'),
+        ("list", "{"),
+        ("explain run1 run2", '{"schema": "topobatch.map/0"}'),
+    ],
+)
 def test_what_makes_a_map_anew_is_said_once(topobatch, own_site, call, content):
     (own_site / "topobatch-workspace" / "maps" / "run1.json").write_text(content)
     done = topobatch(*call.split())

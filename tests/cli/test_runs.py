@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import sys
 from dataclasses import replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -233,20 +232,6 @@ def test_a_match_that_was_discarded_is_not_locked(topobatch, merged):
     assert topobatch("lock", b, a, "--never", "-w", merged).code == 0
     assert topobatch("discard", f"{a}:{b}", "--undo", "-q", "-w", merged).code == 0
     assert topobatch("lock", b, a, "--same", "-w", merged).code == 0
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="no file has a colon in its name there")
-def test_a_run_that_is_called_like_a_pair_is_not_discarded(topobatch, merged):
-    """Earlier versions gave such names."""
-    a, b = accepted_pair(merged)
-    path = merged / "maps" / f"{a}:{b}.json"
-    path.write_text((merged / "maps" / f"{a}.json").read_text().replace(f'"{a}"', f'"{a}:{b}"'))
-    told = topobatch("discard", f"{a}:{b}", "-w", merged).error(2)
-    assert f"topobatch rename {a}:{b} {a}-{b}" in told
-    assert path.exists()
-    assert topobatch("rename", f"{a}:{b}", f"{a}-{b}", "-q", "-w", merged).code == 0
-    assert topobatch("discard", f"{a}:{b}", "-q", "-w", merged).code == 0
-    assert (merged / "maps" / f"{a}-{b}.json").exists()
 
 
 def test_discards_that_are_none(topobatch, merged):

@@ -14,8 +14,8 @@ import pytest
 from case import read_of, writers
 from judge import print_of
 
-from topobatch.cli import places_file
-from topobatch.cli.places_file import read_places
+from topobatch.cli import transfer
+from topobatch.cli.transfer import read_places
 from topobatch.ingest.logs.fields import JunctionFields
 from topobatch.ingest.logs.foxglove import POSES, protobuf_rows, protobuf_transforms
 from topobatch.ingest.logs.messages import NAME_BYTES, DamageError
@@ -141,13 +141,13 @@ def test_mappings_that_lead_nowhere_are_refused(mapping):
 
 def test_tables_of_places_are_bounded(tmp_path, monkeypatch):
     path = tmp_path / "places.csv"
-    monkeypatch.setattr(places_file, "MOST_PLACES", 3)
+    monkeypatch.setattr(transfer, "MOST_PLACES", 3)
     path.write_text("name,x,y\n" + "a,1,2\n" * 3)
     assert len(read_places(path).rows) == 3
     path.write_text("name,x,y\n" + "a,1,2\n" * 4)
     with pytest.raises(DataError, match="more than 3 places of 3 columns"):
         read_places(path)
-    monkeypatch.setattr(places_file, "MOST_VALUES", 6)
+    monkeypatch.setattr(transfer, "MOST_VALUES", 6)
     path.write_text("name,x,y\n" + "a,1,2\n" * 3)
     with pytest.raises(DataError, match="more than 2 places of 3 columns"):
         read_places(path)

@@ -119,7 +119,8 @@ def test_messages_too_large_are_passed_over_and_counted(tmp_path, monkeypatch):
     monkeypatch.setattr(inflate, "PIECE_BYTES", 1000)
     case = logs_bombs.CASES["mcap-large-message"](Least(1), tmp_path)
     used, findings = used_of(case.log)
-    assert (used, findings.too_large, findings.lost["/odom"]) == (330, {("/odom", 1 << 24): 1}, 1)
+    assert (used, findings.lost["/odom"]) == (330, 0)
+    assert findings.faults == {("message", "of /odom above 16 MiB left out"): 1}
 
 
 LINE = "=" * 80

@@ -1,18 +1,16 @@
 """Fuzzing of log reading: mutated sample logs must be read, or refused in one line.
 
-    python tests/ingest/fuzz_logs.py --inputs 100000 [--seed 0] [--only bag] [--record]
+    python tests/ingest/fuzz_logs.py --inputs 100000 [--seed 0] [--only bag]
 
 Every input is a sample log with a few random mutations. A failure is: an exception outside the
 library's own family, a message of several lines, a read that takes longer than SLOW_S of CPU time,
-more memory than MEMORY_MB, or a run that lacks messages without saying so. `--record` notes
-the count of inputs and failures in fuzz_record.json.
+more memory than MEMORY_MB, or a run that lacks messages without saying so.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib.util
-import json
 import resource
 import shutil
 import signal
@@ -33,7 +31,6 @@ from topobatch.topology.errors import TopobatchError
 SLOW_S = 5.0
 HANG_S = 30.0
 MEMORY_MB = 1500
-RECORD = Path(__file__).with_name("fuzz_record.json")
 MESSAGES = 66
 EXTREMES = (0, 1, 0xFF, 0xFFFF, 0x7FFFFFFF, 0xFFFFFFFF, 1 << 40, (1 << 63) - 1, (1 << 64) - 1)
 
@@ -189,15 +186,6 @@ def failures(
             yield name, number, found, raw
 
 
-def record(seed: int, first: int, inputs: int, failed: int) -> None:
-    """Note what was tried in the record that stands beside this file."""
-    runs = json.loads(RECORD.read_text()) if RECORD.exists() else []
-    runs = [run for run in runs if (run["seed"], run["first"]) != (seed, first)]
-    runs.append({"seed": seed, "first": first, "inputs": inputs, "failures": failed})
-    runs.sort(key=lambda run: (run["seed"], run["first"]))
-    RECORD.write_text(json.dumps(runs, indent=1) + "\n")
-
-
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--inputs", type=int, default=10_000)
@@ -205,7 +193,6 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--only", default="")
     parser.add_argument("--keep", type=Path, help="folder for the inputs that fail")
-    parser.add_argument("--record", action="store_true")
     args = parser.parse_args()
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_MB << 20, MEMORY_MB << 20))
     kinds: Counter[str] = Counter()
@@ -226,8 +213,6 @@ def main() -> int:
     sys.stdout.write(
         f"{args.inputs} inputs of {len(samples)} samples, {kinds.total()} failures {dict(kinds)}\n"
     )
-    if args.record:
-        record(args.seed, args.first, args.inputs, kinds.total())
     return 1 if kinds else 0
 
 

@@ -234,7 +234,7 @@ def test_memory_is_bounded_and_what_was_dropped_is_read_again(
     (found,) = find_logs([bucket.path()])
     same_readings(read_run(found), read_run(path))
     file, random = found.fresh().file, np.random.default_rng(1)  # type: ignore[union-attr]
-    with file.reading_ahead(np.array([1000, 200_000]), np.array([150_000, 500_000])) as ahead:
+    with file.reading_ahead([(1000, 150_000), (200_000, 500_000)]) as ahead:
         for offset in random.integers(0, len(data) - 50_000, 40).tolist():
             length = int(random.integers(1, 50_000))
             assert file.read(offset, length, ahead) == data[offset : offset + length]

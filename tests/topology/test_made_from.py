@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import pytest
 
-from topobatch.topology.made_from import junctions_told
+from topobatch.topology.made_from import describe_junctions
 
 
 def test_what_is_said_of_sources():
-    assert junctions_told({}) == ""
-    assert junctions_told({"source": {"junctions": {"topic": "/junctions"}}}) == ""
+    assert describe_junctions({}) == ""
+    assert describe_junctions({"source": {"junctions": {"topic": "/junctions"}}}) == ""
     told = {"topic": "/junctions", "passed_over": ["/scan"]}
-    assert "from /junctions, not from /scan" in junctions_told({"source": {"junctions": told}})
+    assert "from /junctions, not from /scan" in describe_junctions({"source": {"junctions": told}})
     both = {"source": {"junctions": told, "views": {"from": "scan", "topic": "/scan"}}}
-    assert junctions_told(both).endswith("; walls around places from /scan")
+    assert describe_junctions(both).endswith("; walls around places from /scan")
     alone = {"from": "scan", "topic": "/s", "drift_after_m": 0.3, "covered": 0.5, "odometry": False}
     map_info = {"source": {"junctions": alone}}
     told = "junctions from /s, drift in 20 m 0.30 m, 50 % of the way covered"
-    assert junctions_told(map_info) == told
+    assert describe_junctions(map_info) == told
     driven = {"way_m": 100.0, "corridors": 0.68, "out_and_back": 0.3, "ends": 0.02}
-    assert junctions_told(map_info | {"driven": driven}) == (
+    assert describe_junctions(map_info | {"driven": driven}) == (
         told + ", 68 % of it along corridors or to turning points, "
         "30 % out of a junction and back to it"
     )
     all_there = {"way_m": 100.0, "corridors": 0.995, "out_and_back": 0.005, "ends": 0.0}
     assert (
-        junctions_told(map_info | {"driven": all_there})
+        describe_junctions(map_info | {"driven": all_there})
         == told + ", 100 % of it along corridors or to turning points"
     )
 
@@ -39,11 +39,11 @@ def test_what_is_said_of_sources():
     ],
 )
 def test_of_strange_sources_nothing_is_said(info):
-    assert junctions_told(info) == ""
+    assert describe_junctions(info) == ""
 
 
 def test_numbers_that_are_none_are_left_out():
     strange = {"from": "scan", "topic": ["x"], "drift_after_m": "0.3", "covered": float("nan")}
     driven = {"corridors": None, "out_and_back": 10**400}
-    told = junctions_told({"source": {"junctions": strange}, "driven": driven})
+    told = describe_junctions({"source": {"junctions": strange}, "driven": driven})
     assert told == "junctions from ['x']"

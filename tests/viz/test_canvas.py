@@ -6,7 +6,7 @@ import pytest
 from PIL import Image
 
 from topobatch.viz.canvas import SMALL_PT, Canvas, Key, fitting, folded, round_length, width_of
-from topobatch.viz.theme import DARK, LIGHT
+from topobatch.viz.palette import DARK, LIGHT
 
 SVG = "{http://www.w3.org/2000/svg}"
 HOSTILE = '<script>alert("1")</script> & $x_1$ --> _private \u202e\x1b[2J'

@@ -14,7 +14,7 @@ from topobatch.viz.draw import (
     draw_merged,
     draw_site,
 )
-from topobatch.viz.theme import DARK, LIGHT
+from topobatch.viz.palette import DARK, LIGHT
 
 from ..topology.floors import floor, views_at
 from .test_decision_recording import decision, placement, with_views

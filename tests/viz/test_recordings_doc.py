@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -14,20 +12,8 @@ ROOT = Path(__file__).parents[2]
 DOC = (ROOT / "docs" / "recordings.md").read_text(encoding="utf-8")
 
 
-@pytest.fixture(scope="session")
-def workspace(once) -> Path:
-    """The sample logs, ingested and merged."""
-
-    def make(place: Path) -> None:
-        code = "from topobatch.cli.main import main; main()"
-        for call in (["ingest", ROOT / "sample_logs", "-j", "1"], ["merge", "--all"]):
-            subprocess.run([sys.executable, "-c", code, *call, "--quiet"], cwd=place, check=True)
-
-    return once("sample-workspace", make)
-
-
-def test_its_queries_answer_as_shown(workspace, monkeypatch, capsys) -> None:
-    monkeypatch.chdir(workspace)
+def test_its_queries_answer_as_shown(samples, monkeypatch, capsys) -> None:
+    monkeypatch.chdir(samples)
     blocks = re.findall(r"```(python|text)\n(.*?)```", DOC, re.DOTALL)
     assert [kind for kind, _ in blocks] == ["python", "text"] * 2
     names: dict[str, object] = {}
@@ -84,10 +70,10 @@ def contents(path: Path) -> dict[str, set[str]]:
 
 
 @RECORDINGS
-def test_its_tables_name_everything(workspace, section: str, file: str, of_scans: bool) -> None:
+def test_its_tables_name_everything(samples, section: str, file: str, of_scans: bool) -> None:
     told = documented(section, of_scans)
     assert len(told) > 15
-    for entity, components in contents(workspace / "topobatch-workspace" / file).items():
+    for entity, components in contents(samples / "topobatch-workspace" / file).items():
         if components or entity.count("/") > 1:
             known = [told[e] for e in told if pattern(e).fullmatch(entity)]
             assert known, f"{entity} is not documented"
@@ -96,8 +82,8 @@ def test_its_tables_name_everything(workspace, section: str, file: str, of_scans
 
 
 @RECORDINGS
-def test_its_tables_name_nothing_else(workspace, section: str, file: str, of_scans: bool) -> None:
-    held = contents(workspace / "topobatch-workspace" / file)
+def test_its_tables_name_nothing_else(samples, section: str, file: str, of_scans: bool) -> None:
+    held = contents(samples / "topobatch-workspace" / file)
     absent = {
         e for e in documented(section, of_scans) if not any(pattern(e).fullmatch(h) for h in held)
     }
@@ -109,7 +95,4 @@ def test_its_tables_name_nothing_else(workspace, section: str, file: str, of_sca
         "/map/component_N/contradictions",
         "/undecided/pairs/A/B/best/…",
         "/undecided/pairs/A/B/runner-up/…",
-        "/legend/runs",
-        "/verdicts/runs",
-        "/verdicts/components",
     }

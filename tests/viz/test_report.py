@@ -18,7 +18,7 @@ from topobatch.topology.views import SIDE, WALL, Views
 from topobatch.viz.report import Report, answer, report_page
 from topobatch.viz.report_maps import HIDDEN, _upright
 from topobatch.viz.report_pairs import STANDING_COLOURS, shortened
-from topobatch.viz.verdicts import MergeLayers, merge_summary, runs_in_order
+from topobatch.viz.verdicts import merge_summary, runs_in_order
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\"'{{7*7}}`${1}"
 VERSIONS = [("topobatch", "1.2.3")]
@@ -227,7 +227,7 @@ def test_turning_points_are_told_apart(merge_of) -> None:
     assert "Here the robot turned round (a, b)" in told
     assert any(t.startswith("Way from junction 2 to where the robot turned round: ") for t in told)
     assert "4 junctions, 32 m of corridors, 1 way to turning points" in page.text
-    summary = merge_summary(result, MergeLayers())
+    summary = merge_summary(result)
     assert "**4** corridors, 32 m, 1 way to turning points or ends of the log, 6 m" in summary
 
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from topobatch.merge.result import Alignment, MergeResult, PairVerdict, Verdict
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.steps import first_steps, joining_steps
+from topobatch.viz.story import first_steps, joining_steps
 
 Merge = Callable[..., tuple[MergeResult, list[TopoMap]]]
 

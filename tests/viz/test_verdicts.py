@@ -8,13 +8,11 @@ from topobatch.merge.result import FusedMap, MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
 from topobatch.viz import verdicts
 from topobatch.viz.history import history, questions
-from topobatch.viz.map_summary import MapLayers, bulleted, map_summary
-from topobatch.viz.steps import joining_steps
+from topobatch.viz.map_summary import bulleted, map_summary
+from topobatch.viz.story import joining_steps, joining_told
 from topobatch.viz.verdicts import (
     CLASS,
     DIAGONAL,
-    MergeLayers,
-    joining_told,
     merge_summary,
     pairs_told,
     runs_in_order,
@@ -42,7 +40,6 @@ def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
     assert "all fits" in told
     assert "two ways" in told
     assert "to settle it: go on" in told
-    assert "runner-up: 38.0 bits, 1.0 behind, 2 junctions" in told
     assert "a - c" in told
     assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
 
@@ -57,7 +54,7 @@ def test_pairs_beyond_those_that_are_told_are_counted(merge_of: Merge, monkeypat
 
 def test_summaries_count(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
-    told = merge_summary(result, MergeLayers())
+    told = merge_summary(result)
     assert "**3** runs of **2** sites" in told
     assert "**10** junctions, 5 of them seen by several runs" in told
     assert "**1** merged, **0** ambiguous, **2** unrelated" in told
@@ -69,15 +66,13 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
     joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
     result = replace(result, verdicts=joined)
     assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == CLASS[Standing.JOINED]
-    assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(
-        result, MergeLayers()
-    )
+    assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(result)
     assert "Joined through others (2)" in pairs_told(result)
 
 
 def test_a_merge_of_nothing_is_told(no_fused: FusedMap) -> None:
     nothing = MergeResult((), no_fused, ())
-    assert "**0** runs" in merge_summary(nothing, MergeLayers())
+    assert "**0** runs" in merge_summary(nothing)
     assert "no pair" in pairs_told(nothing)
 
 
@@ -94,7 +89,7 @@ def test_the_story_has_a_page_for_every_step(merge_of: Merge) -> None:
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
     topomap = make_map("lab_2*")
     asked = questions(topomap, history(topomap).visit)
-    told = map_summary(topomap, asked, MapLayers(refused=True))
+    told = map_summary(topomap, asked)
     assert "# lab\\_2\\*" in told
     assert "**5** vertices (2 bends, 1 dead end, 2 junctions)" in told
     assert "**1** branch seen and never driven" in told
@@ -111,17 +106,15 @@ def test_a_map_is_told_with_what_it_was_corrected_by(make_map, told) -> None:
     applied = {"bias_rad_per_m": np.radians(0.5), "turn_scale": 0.0, "length_scale": 0.0428}
     known = {name: {"applied": value} for name, value in applied.items()}
     topomap = make_map("a")
-    page = map_summary(
-        replace(topomap, info={**topomap.info, "calibration": known}), [], MapLayers()
-    )
+    page = map_summary(replace(topomap, info={**topomap.info, "calibration": known}), [])
     assert "| heading, turned on per metre | 0.500 ° |\n| lengths, shorter by | 4.280 % |" in page
     assert "turns, larger" not in page
     foreign = replace(topomap, info={**topomap.info, "calibration": told})
-    assert "Corrected" not in map_summary(foreign, [], MapLayers())
+    assert "Corrected" not in map_summary(foreign, [])
 
 
 def test_an_empty_map_is_told(empty_map: TopoMap) -> None:
-    assert "The map is empty" in map_summary(empty_map, [], MapLayers())
+    assert "The map is empty" in map_summary(empty_map, [])
 
 
 def test_long_lists_are_cut() -> None:

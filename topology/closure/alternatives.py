@@ -4,7 +4,7 @@ Identifications are made one after the other. A wrong one, or a grid that is non
 astray, and not all of them are taken back: streets then stand twice, one across the other. Closed
 loops tell the noise of the run better than was known before. With it the run is closed again, by
 the same odds, by stricter ones, and without a grid; of all these closures the one that explains the
-run best stands (`marginal_likelihood.py`).
+run best stands (`log_marginal_likelihood`).
 """
 
 from __future__ import annotations
@@ -14,14 +14,22 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import FloatArray
+from ..posegraph.marginals import Marginals
+from .branches import ANYWHERE
 from .dead_reckoning import DeadReckoning, scale_noise
-from .estimate import optimise
+from .estimate import Estimate, optimise
 from .evidence import background
 from .incremental import Closed, RoundSettings, closure_without_grid, full_closure, map_state
-from .marginal_likelihood import log_marginal_likelihood
+from .variance_components import ComponentSettings
 
 _STRIP = 256
 """Corridors that are compared with all others at once, to bound memory."""
+
+_LN_2PI = float(np.log(2 * np.pi))
+
+_ZERO = 1e-13
+"""A factor measures nothing along eigenvectors of its information below this share of the largest
+eigenvalue: rounding leaves less, and positions to 1 km beside headings to 1 mrad have 1e-12."""
 
 
 def most_likely_closure(
@@ -67,6 +75,40 @@ def _log_likelihood(fitted: DeadReckoning, closed: Closed, settings: RoundSettin
     estimate = optimise(fitted, closed.place, closed.estimate.pose, settings=settings.estimate)
     density = background(fitted, fitted.noise, settings.candidates.evidence).density
     return log_marginal_likelihood(estimate, density)
+
+
+def log_marginal_likelihood(estimate: Estimate, density: float) -> float:
+    """Log density [nats] of the measurements given their places, up to a constant of the run.
+
+    Different identifications of one run are different models of the same measurements. Their
+    marginal likelihoods, with all positions integrated out, compare them (Kass, Raftery: Bayes
+    Factors, 1995): more places fit better, and each costs the density at which it might have been
+    anywhere. The integral is Laplace's approximation at the solved pose graph (MacKay: Information
+    Theory, Inference, and Learning Algorithms, 2003, chapter 27).
+
+    estimate: of the places, without a grid; density: of places per m². With n places of density ρ
+    and any heading, factors of information Ω, and the normal matrix H of d unknowns:
+    n ln(ρ / 2π) + ½ Σ ln |Ω / 2π| - ½ ln |H / 2π| - ½ f (ln s² + 1), f = Σ rank Ω - d. The level s²
+    of the noise is the most likely one, χ² / f, as wrong identifications look like noise; its prior
+    counts like `ComponentSettings.prior_freedom` more measurements that fit the stated noise.
+    """
+    solution = estimate.solution
+    factor = Marginals.of(estimate.graph, solution).factor
+    measured, numbers = _log_density_of_no_error(estimate.graph.information)
+    unknowns = factor.pattern.size
+    stated = ComponentSettings().prior_freedom
+    freedom = numbers - unknowns + stated
+    level = (solution.cost + stated) / freedom
+    anywhere = len(estimate.xy) * (np.log(density) - ANYWHERE)
+    integral = -0.5 * (factor.log_determinant() - unknowns * _LN_2PI)
+    return float(anywhere + measured + integral - 0.5 * freedom * (np.log(level) + 1.0))
+
+
+def _log_density_of_no_error(information: FloatArray) -> tuple[float, int]:
+    """½ Σ ln |Ω / 2π| of information matrices Ω (m, 3, 3), and how many numbers they measure."""
+    values = np.linalg.eigvalsh(information)
+    measured_values = values[values > _ZERO * values[:, -1:]]
+    return 0.5 * float((np.log(measured_values) - _LN_2PI).sum()), len(measured_values)
 
 
 def crossing_share(closed: Closed) -> float:

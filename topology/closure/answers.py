@@ -69,12 +69,13 @@ def note(answers: dict[Answer, Identification], given: Iterable[Identification])
 
 
 def revised_answers(
-    place: IntArray, answers: Iterable[Identification], asked: list[Identification]
+    place: IntArray, answers: Iterable[Identification], identifications: list[Identification]
 ) -> list[Identification]:
     """Refusals in whose place another answer stands: the last one of each reason, per pair of
     places.
 
-    asked: the answers that stand. Two passes that were later identified keep an entry of their own.
+    identifications: the answers that stand. Two passes that were later identified keep an entry of
+    their own.
     """
 
     def key(q: Identification) -> Answer:
@@ -83,7 +84,7 @@ def revised_answers(
         return *pair, a == b, q.reason, q.accepted_round
 
     last = {key(q): q for q in sorted(answers, key=lambda q: (q.round, q.first, q.second))}
-    for q in asked:
+    for q in identifications:
         last.pop(key(q), None)
     return list(last.values())
 

@@ -97,11 +97,11 @@ def align(
         ours, theirs = unit_a[rows], unit_b[rows] * trial[:, None]
         pairs = mutual_nearest(ours, theirs)
         rest = ours * np.take_along_axis(theirs, pairs.nearest, axis=1).conj()
-        told, turned_by = _turned(pairs, rest, trial, turn_sigma[rows], branches.variance)
-        told += missing(pairs, lack_a[rows], lack_b[rows])
-        better = told > score[rows]
+        odds, turned_by = _turned(pairs, rest, trial, turn_sigma[rows], branches.variance)
+        odds += missing(pairs, lack_a[rows], lack_b[rows])
+        better = odds > score[rows]
         hit = rows[better]
-        score[hit], turn[hit] = told[better], turned_by[better] + mean[hit]
+        score[hit], turn[hit] = odds[better], turned_by[better] + mean[hit]
         partner[hit] = np.where(pairs.paired, pairs.nearest, -1)[better]
     return Alignment(score - np.maximum(branches.common[a], branches.common[b]), turn, partner)
 
@@ -141,8 +141,8 @@ def _turned(
     turn = (np.angle(trial) + np.angle(rest.sum(axis=1))) * weight / (weight + sigma**-2)
     off = (rest * (trial * np.exp(-1j * turn))[:, None]).real
     fitted = BranchPairs(pairs.paired, pairs.nearest, 2 - 2 * off)
-    told = agreeing(fitted, np.array([variance]), ANYWHERE)
-    return told - 0.5 * (turn / sigma) ** 2, turn
+    odds = agreeing(fitted, np.array([variance]), ANYWHERE)
+    return odds - 0.5 * (turn / sigma) ** 2, turn
 
 
 def _commonness(
@@ -167,12 +167,12 @@ def _commonness(
         cosine = x[:, None, rows, None] * x[None, :, None, sample]
         cosine += y[:, None, rows, None] * y[None, :, None, sample]
         near, back = cosine.max(axis=1), cosine.max(axis=0)
-        told = log_density((2 - 2 * near) / wide, wide) + ANYWHERE
-        told = np.where(near > COS_GATE, told, cost[:, rows, None]).sum(axis=0)
-        told += np.where(back > COS_GATE, 0.0, cost[:, None, sample]).sum(axis=0)
-        told[np.arange(n)[rows, None] == sample] = -np.inf
-        top = np.maximum(told.max(axis=1), 0.0)
-        mean = np.exp(told - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
+        fit = log_density((2 - 2 * near) / wide, wide) + ANYWHERE
+        fit = np.where(near > COS_GATE, fit, cost[:, rows, None]).sum(axis=0)
+        fit += np.where(back > COS_GATE, 0.0, cost[:, None, sample]).sum(axis=0)
+        fit[np.arange(n)[rows, None] == sample] = -np.inf
+        top = np.maximum(fit.max(axis=1), 0.0)
+        mean = np.exp(fit - top[:, None]).sum(axis=1) / max(len(sample) - 1, 1)
         new = LIKELIHOOD.outlier_share
         out[rows] = np.log((1 - new) * mean + new * np.exp(-top)) + top
     return out

@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -25,7 +23,7 @@ from .evidence import (
 )
 from .growth import GrowthSettings, MapState, grow
 from .negative_information import DrivenGround, driven_ground
-from .places import NOWHERE, Places
+from .places import Places
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +113,8 @@ def candidates(
 ) -> Candidates:
     """All pairs of places that position and branches allow, with the terms of their evidence.
 
-    Cheap bounds come first: dead reckoning, the shortest known path, and the most that branches and
-    corridors could add at the best position. The remaining pairs get covariances of the solved pose
+    Cheap bounds come first: dead reckoning, and the most that branches and corridors could add at
+    the best position. The remaining pairs get covariances of the solved pose
     graph if `exact`; otherwise the bounds are used in their place.
     """
     common = state.common
@@ -178,8 +176,6 @@ def _known_apart(
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
     cov = _turned(dead_reckoning_covariance(reckoning, i, j), turn)
-    bounds = known_way_variance(state, a, b, _telling_way(state, reach_m), settings)
-    cov = _tighter(cov, *bounds)
     return _Apart(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 
@@ -264,65 +260,6 @@ def _surroundings(state: MapState, pairs: _Apart, settings: CandidateSettings) -
     cap = settings.growth.hops * settings.evidence.lead
     gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
     return _Surroundings(aligned.odds, gain, loss, aligned.turn)
-
-
-def _tighter(cov: FloatArray, position: FloatArray, turn: FloatArray) -> FloatArray:
-    """`cov` (k, 3, 3), or the isotropic one of the given variances [m²], [rad²] where that is
-    smaller."""
-    other = np.zeros_like(cov)
-    other[:, 0, 0] = other[:, 1, 1] = np.where(np.isfinite(position), 0.5 * position, 0.0)
-    other[:, 2, 2] = np.where(np.isfinite(turn), turn, 0.0)
-    better = position < cov[:, 0, 0] + cov[:, 1, 1]
-    out: FloatArray = np.where(better[:, None, None], other, cov)
-    return out
-
-
-def _telling_way(state: MapState, reach_m: float) -> float:
-    """Path length [m] from which on dead reckoning excludes nothing within `reach_m`."""
-    way = np.array(reach_m)
-    while LIKELIHOOD.gate_chi2(2) * _way_variance(state, way)[0] < reach_m**2:
-        way = 2.0 * way
-    return float(way)
-
-
-def known_way_variance(
-    state: MapState, a: IntArray, b: IntArray, far_m: float, settings: CandidateSettings
-) -> tuple[FloatArray, FloatArray]:
-    """(k,) each: upper bounds of the squared error [m²] and of the rotation's variance [rad²] of
-    place b relative to place a.
-
-    The error of dead reckoning along the shortest known path between the two bounds that of the
-    solved graph, and costs one Dijkstra search per place, in strips. Paths longer than `far_m` [m]
-    give no bound (inf).
-    """
-    places = state.places
-    source, slot = np.nonzero(places.next_place != NOWHERE)
-    n = len(places)
-    way = np.maximum(places.length[source, slot], state.common.centre_sigma)
-    graph = csr_matrix((way, (source, places.next_place[source, slot])), shape=(n, n))
-    length = np.full(len(a), np.inf)
-    order = np.argsort(a, kind="stable")
-    heads = np.unique(a)
-    cuts = np.searchsorted(a[order], np.append(heads, n))
-    strip = max(settings.most_tabled // max(n, 1), 1)
-    for begin in range(0, len(heads), strip):
-        end = min(begin + strip, len(heads))
-        rows = order[cuts[begin] : cuts[end]]
-        reach = dijkstra(graph, directed=False, indices=heads[begin:end], limit=far_m)
-        length[rows] = reach[np.searchsorted(heads[begin:end], a[rows]), b[rows]]
-    return _way_variance(state, length)
-
-
-def _way_variance(state: MapState, length: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Squared error [m²] and variance of the rotation [rad²] at the end of paths of these lengths
-    [m]."""
-    noise, extra = state.reckoning.noise, state.reckoning.systematic
-    # As if all of the path were as far away as its middle, with a corner after each leg.
-    corners = np.pi / 2 * (1.0 + length / state.common.leg_m)
-    turn = noise.heading_rad_per_sqrt_m**2 * length + noise.heading_rad_per_sqrt_rad**2 * corners
-    turn = turn + (extra.turn_rad_per_m * length) ** 2 + (extra.turn_rad_per_rad * corners) ** 2
-    position = 2 * noise.along_m_per_sqrt_m**2 * length + turn * (0.5 * length) ** 2
-    return 2.0 * position, 2.0 * turn
 
 
 def _nearest_in_time(

@@ -28,9 +28,6 @@ much."""
 class EstimateSettings:
     """How identifications and grid headings enter the estimate."""
 
-    slot_gap_rad: float = ONE_WAY_RAD
-    """Branch readings of several passes farther apart than this belong to different branches
-    [rad]."""
     grid_kernel: float = 2.0
     """Width [sigmas] of the Cauchy kernel of grid headings and grid corridors: 2.385 would be 95 %
     efficient with Gaussian errors (Holland, Welsch 1977) and found fewer places in rows, before
@@ -114,7 +111,7 @@ def optimise(
     node[several] = count + np.arange(len(several))
     legs, shared = (
         _legs(reckoning),
-        _sightings(reckoning, place, visits, start[:, 2] if turn is None else turn, settings),
+        _sightings(reckoning, place, visits, start[:, 2] if turn is None else turn),
     )
     guess = np.zeros((len(several), 3))
     for k in (0, 1):
@@ -157,6 +154,32 @@ def optimise(
         solution=solution,
         samples=settings.samples,
     )
+
+
+def set_apart(
+    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, gap_m: float = 20.0
+) -> Estimate:
+    """The estimate with its pieces side by side along x, `gap_m` apart [m]: where the odometry
+    broke, the relative poses of its pieces are unknown.
+
+    place: (p,) of each pass, numbered from 0. A piece are the passes of one unbroken piece of
+    odometry. Only `pose` and `xy` of the result are moved.
+    """
+    pieces = np.unique(reckoning.piece)
+    if len(pieces) < 2:
+        return estimate
+    pose, xy = estimate.pose.copy(), estimate.xy.copy()
+    piece_of = np.zeros(len(xy), np.int64)
+    piece_of[place[place >= 0]] = reckoning.piece[place >= 0]
+    edge = None
+    for piece in pieces.tolist():
+        mine = reckoning.piece == piece
+        low, high = pose[mine, 0].min(), pose[mine, 0].max()
+        shift = 0.0 if edge is None else edge + gap_m - low
+        pose[mine, 0] += shift
+        xy[piece_of == piece, 0] += shift
+        edge = high + shift
+    return replace(estimate, pose=pose, xy=xy)
 
 
 def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> FloatArray:
@@ -277,7 +300,6 @@ def _sightings(
     place: IntArray,
     visits: IntArray,
     turn: FloatArray,
-    settings: EstimateSettings,
 ) -> _Factors:
     """Observation factors of places with several passes: the centres coincide, the branches fix the
     rotation."""
@@ -285,7 +307,7 @@ def _sightings(
     branches = reckoning.passes.branches
     home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(reckoning)), place)
     slots = cluster_angles(
-        branches.values + turn[branches.owner], home[branches.owner], settings.slot_gap_rad
+        branches.values + turn[branches.owner], home[branches.owner], ONE_WAY_RAD
     )
     # Rotation of each pass that aligns its branches with the mean branches of its place.
     off = wrap(slots.mean[slots.of] - branches.values - turn[branches.owner])

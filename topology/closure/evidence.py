@@ -46,6 +46,10 @@ class EvidenceSettings:
     pattern: LatticeSettings = field(default_factory=LatticeSettings)
 
 
+PRIOR_PASSES = 25.0
+"""Weight of the prior of a detector's error rates, in passes."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Background:
     """Statistics of a run, the null model for evidence.
@@ -71,6 +75,32 @@ class Background:
     def density(self) -> float:
         """Places per m²: each is taken to be the centre of a cell as wide as a typical leg."""
         return 1.0 / self.leg_m**2
+
+
+def measured_rates(places: Places, noise: RunNoise) -> RunNoise:
+    """The noise, with the detector's error rates estimated on this run.
+
+    miss_rate: of traversals of a corridor that mostly leads to one place, the share that ended at
+    another one because of a missed or a spurious detection. branch_fault_rate: of observations of a
+    branch at places with three passes or more, the share that disagrees with the majority.
+    """
+    several = places.tried >= 2
+    torn = float((places.tried - places.driven)[several].sum())
+    legs = float((places.tried - 1)[several].sum())
+    known = places.visits >= 3
+    share = places.share[known]
+    odd = np.where(np.isfinite(places.heading[known]), np.minimum(share, 1 - share), 0.0)
+    faults = float((odd.sum(axis=1) * places.visits[known]).sum())
+    passes = float(places.visits[known].sum())
+
+    def rate(prior: float, count: float, of: float) -> float:
+        return (prior * PRIOR_PASSES + count) / (PRIOR_PASSES + of)
+
+    return replace(
+        noise,
+        miss_rate=rate(noise.miss_rate, torn, legs),
+        branch_fault_rate=rate(noise.branch_fault_rate, faults, passes),
+    )
 
 
 def background(

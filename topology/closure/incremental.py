@@ -36,11 +36,10 @@ from .answers import (
 from .branches import branches_of
 from .candidates import Candidates, CandidateSettings, candidates
 from .dead_reckoning import DeadReckoning, scale_noise
-from .detector_faults import RateSettings, measured_rates
 from .estimate import Estimate, EstimateSettings, optimise
-from .evidence import background, with_lattice
+from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
-from .joint_compatibility import JointSettings, agreeing
+from .joint_compatibility import agreeing
 from .manhattan import (
     GridCorridors,
     GridHeadings,
@@ -73,9 +72,7 @@ class RoundSettings:
     caution: float = 1.25
     """Factor on the estimated random errors: a dozen repeats estimate a sigma to a quarter."""
     candidates: CandidateSettings = field(default_factory=CandidateSettings)
-    rates: RateSettings = field(default_factory=RateSettings)
     estimate: EstimateSettings = field(default_factory=EstimateSettings)
-    joint: JointSettings = field(default_factory=JointSettings)
     grid: RectilinearSettings = field(default_factory=RectilinearSettings)
 
     def least_odds(self, passes: int) -> float:
@@ -92,15 +89,15 @@ class Closed:
 
     reckoning: the one given, with its noise raised by `caution` and by the residuals of the
     estimate; place: (p,) place of each pass, numbered by first visit; estimate: the optimised
-    positions; asked: all identifications made, and the refused ones that had some evidence; grid:
-    the headings of the building's grid, if it has one; revised: answers of earlier rounds that a
-    later round changed.
+    positions; identifications: all that were made, and the refused ones that had some evidence;
+    grid: the headings of the building's grid, if it has one; revised: answers of earlier rounds
+    that a later round changed.
     """
 
     reckoning: DeadReckoning
     place: IntArray
     estimate: Estimate
-    asked: list[Identification]
+    identifications: list[Identification]
     grid: GridHeadings | None
     revised: list[Identification] = field(default_factory=list)
 
@@ -205,9 +202,9 @@ class _Closure:
             # Straight corridors only help to identify; the map shows them as they were measured.
             self._corridors = None
             self._estimate = self._optimised(self._estimate.pose)
-        asked = self._links + standing_doubts(self._place, self._doubts)
-        revised = revised_answers(self._place, self._answers.values(), asked)
-        return Closed(self._reckoning, self._place, self._estimate, asked, self._grid, revised)
+        made = self._links + standing_doubts(self._place, self._doubts)
+        revised = revised_answers(self._place, self._answers.values(), made)
+        return Closed(self._reckoning, self._place, self._estimate, made, self._grid, revised)
 
     def _scene(self) -> MapState:
         """The state of the map at the present estimate.
@@ -248,9 +245,9 @@ def map_state(
     reckoning: DeadReckoning, place: IntArray, estimate: Estimate, settings: RoundSettings
 ) -> MapState:
     """The state of the map at an estimate of its places."""
-    places = tabulate(reckoning, place, estimate.pose[:, 2], settings.estimate.slot_gap_rad)
+    places = tabulate(reckoning, place, estimate.pose[:, 2])
     evidence = settings.candidates.evidence
-    noise = measured_rates(places, reckoning.noise, settings.rates)
+    noise = measured_rates(places, reckoning.noise)
     common = background(reckoning, noise, evidence)
     common = with_lattice(common, places, estimate.xy, evidence)
     return MapState(reckoning, places, estimate.xy, common, branches_of(places, common, evidence))
@@ -386,9 +383,7 @@ def _together(
     """The candidates that are certain only jointly; or, by their passes, why these were refused."""
     evidence = settings.candidates.evidence
     least = settings.least_odds(len(state.reckoning))
-    agreed = agreeing(
-        estimate, found, state.common, evidence, least_odds=least, settings=settings.joint
-    )
+    agreed = agreeing(estimate, found, state.common, evidence, least_odds=least)
     rows = agreed.rows.tolist()
     if agreed.reason:
         firsts = state.places.first

@@ -26,12 +26,8 @@ RIVALS = "sure together with others, but as many that exclude one of them are ne
 STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
 
 
-@dataclass(frozen=True, slots=True)
-class JointSettings:
-    """When jointly certain identifications are accepted."""
-
-    most: int = 30
-    """Number of candidates, the best, that are considered jointly; the time grows with its cube."""
+MOST = 30
+"""Number of candidates, the best, that are considered jointly; the time grows with its cube."""
 
 
 class Agreement(NamedTuple):
@@ -93,14 +89,13 @@ def agreeing(
     evidence: EvidenceSettings,
     *,
     least_odds: float,
-    settings: JointSettings = JointSettings(),
 ) -> Agreement:
     """The candidates that are jointly certain: their joint log odds reach `least_odds` [nats].
 
     Refused, with the reason, if another set that excludes one of them is nearly as likely, or if
     the map repeats itself and all might be one lattice step off.
     """
-    rows = np.sort(np.argsort(-found.total, kind="stable")[: settings.most])
+    rows = np.sort(np.argsort(-found.total, kind="stable")[:MOST])
     if len(rows) < 2:
         return _NOBODY
     a, b = found.a[rows], found.b[rows]

@@ -20,7 +20,7 @@ from ..track import way_along
 from ..visits import DrawnTrack, PassesAtPlaces, Visits, draw_track
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
-from .estimate import Estimate, EstimateSettings
+from .estimate import Estimate
 from .places import NOWHERE, ONE_WAY_RAD, Places, tabulate
 from .resolution import blurred, one_drive_by
 
@@ -48,11 +48,11 @@ class DrivenBySettings:
 class CorrectedPlaces(PassesAtPlaces):
     """The places without phantoms, and all visits to them, detected and undetected.
 
-    kept: (n,) previous number of each place; asked: identifications made.
+    kept: (n,) previous number of each place; identifications: identifications made.
     """
 
     kept: IntArray
-    asked: list[Identification]
+    identifications: list[Identification]
 
 
 def correct_detections(
@@ -69,7 +69,6 @@ def correct_detections(
 
     place: (p,) of each pass, numbered from 0 by first visit; resolution_m: of the detector [m].
     """
-    gap = EstimateSettings().slot_gap_rad
     one = blurred(reckoning, place, estimate, resolution_m)
     fair = one.place[place] == place
     kept, number = _renumbered(one.place == np.arange(len(estimate.xy)))
@@ -80,7 +79,7 @@ def correct_detections(
     place, turn = np.where(again, NOWHERE, place), estimate.pose[:, 2]
 
     def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, DrivenBy]:
-        places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn, gap)
+        places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn)
         visits = visits_of(reckoning, place, fair, estimate, xy)
         return places, visits, driven_by(odometry, visits, xy, places, settings)
 
@@ -90,7 +89,7 @@ def correct_detections(
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
     _, visits, found = driven(place, xy)
     visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
-    return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.asked)
+    return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.identifications)
 
 
 def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:

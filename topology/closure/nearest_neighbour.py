@@ -32,7 +32,7 @@ def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
     least = settings.least_odds(count)
     place = np.full(count, -1, np.int64)
     latest = np.zeros(count, np.int64)  # last pass by each place
-    asked: list[Identification] = []
+    identifications: list[Identification] = []
     places = 0
     for i in range(count):
         known = latest[:places]
@@ -46,20 +46,20 @@ def gated_closure(reckoning: DeadReckoning, settings: RoundSettings) -> Closed:
             enough = first >= least
             sure = first - others >= least
             reason = "nearest place" if sure else "a rival is as near" if enough else "weak"
-            asked.append(Identification(best, i, sure, first / BIT, reason))
+            identifications.append(Identification(best, i, sure, first / BIT, reason))
             if sure:
                 place[i] = place[best]
         if place[i] < 0:
             place[i] = places
             places += 1
         latest[place[i]] = i
-    return Closed(reckoning, place, optimise(reckoning, place), asked, None)
+    return Closed(reckoning, place, optimise(reckoning, place), identifications, None)
 
 
 def _scene(reckoning: DeadReckoning, settings: RoundSettings) -> MapState:
     """Every pass as a place of its own."""
     count, evidence = len(reckoning), settings.candidates.evidence
-    places = tabulate(reckoning, np.arange(count), np.zeros(count), settings.estimate.slot_gap_rad)
+    places = tabulate(reckoning, np.arange(count), np.zeros(count))
     common = background(reckoning, reckoning.noise, evidence)
     branches = branches_of(places, common, evidence)
     return MapState(reckoning, places, reckoning.passes.centre, common, branches)

@@ -15,16 +15,9 @@ NOWHERE = NO_BRANCH
 """Index of an unknown place."""
 
 
-@dataclass(frozen=True, slots=True)
-class PlaceSettings:
-    """When directions belong to one branch of a place."""
-
-    one_way_rad: float = 0.35
-    """Directions nearer to each other than this (20 degrees) are one branch: readings of one branch
-    are 14 degrees apart in one of 2,000 pairs with the usual noise of 0.05 rad."""
-
-
-ONE_WAY_RAD = PlaceSettings().one_way_rad
+ONE_WAY_RAD = 0.35
+"""Directions nearer to each other than this (20 degrees) are one branch: readings of one branch are
+14 degrees apart in one of 2,000 pairs with the usual noise of 0.05 rad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +48,11 @@ class Places:
         return len(self.visits)
 
 
-def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_rad: float) -> Places:
+def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Places:
     """The places of a partition of the passes.
 
     place: (p,) numbered from 0, every number in use; negative: none. turn: (p,) from the odometry
-    frame to the map frame [rad]; gap_rad: see `cluster_angles`. All places at once: one clustering
+    frame to the map frame [rad]. All places at once: one clustering
     of all readings, then tables by fancy indexing.
     """
     branches = reckoning.passes.branches
@@ -74,10 +67,10 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_ra
         np.concatenate([branches.values, reckoning.arriving[came], reckoning.leaving[went]])
         + turn[by]
     )
-    told = np.arange(len(by)) < len(owner)
+    reported = np.arange(len(by)) < len(owner)
     home = place[by]
     inside = home >= 0
-    clusters = cluster_angles(angle[inside], home[inside], gap_rad)
+    clusters = cluster_angles(angle[inside], home[inside], ONE_WAY_RAD)
     n = int(place.max(initial=-1)) + 1
     start = np.searchsorted(clusters.owner, np.arange(n + 1))
     width = int(np.diff(start).max(initial=1))
@@ -87,7 +80,7 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray, gap_ra
     local = np.arange(len(clusters)) - start[clusters.owner]
     heading[clusters.owner, local] = clusters.mean
     visits = np.bincount(place[place >= 0], minlength=n)
-    share[clusters.owner, local] = clusters.votes(by[inside], told[inside])
+    share[clusters.owner, local] = clusters.votes(by[inside], reported[inside])
     share /= np.maximum(visits, 1)[:, None]
     entry, exit_ = np.full(len(reckoning), NO_BRANCH), np.full(len(reckoning), NO_BRANCH)
     for ends, local_branch, extra in ((entry, passes.entry, 0), (exit_, passes.exit, len(came))):

@@ -29,12 +29,12 @@ class Blurred:
     """Places after joining.
 
     place: (n,) the place that each one became part of, mostly itself; xy: (n, 2) [m] weighted mean
-    position of the joined places; asked: the identifications made.
+    position of the joined places; identifications: the identifications made.
     """
 
     place: IntArray
     xy: FloatArray
-    asked: list[Identification] = field(default_factory=list)
+    identifications: list[Identification] = field(default_factory=list)
 
 
 def blurred(
@@ -49,8 +49,8 @@ def blurred(
     if resolution_m <= 0 or len(of) < 2:
         return Blurred(of, estimate.xy)
     near = cKDTree(estimate.xy).query_pairs(resolution_m, output_type="ndarray").astype(np.int64)
-    told = _told_apart(reckoning, place, resolution_m)
-    open_ = [k for k, pair in enumerate(near.tolist()) if frozenset(pair) not in told]
+    apart = _seen_apart(reckoning, place, resolution_m)
+    open_ = [k for k, pair in enumerate(near.tolist()) if frozenset(pair) not in apart]
     a, b = near[open_].T
     if len(a) == 0:
         return Blurred(of, estimate.xy)
@@ -62,18 +62,18 @@ def blurred(
     order = np.lexsort((b, a, -seen[b], -seen[a]))
     a, b = a[order], b[order]
     sigmas = _sigmas_within(reckoning, estimate, a, b, resolution_m)
-    asked = []
+    identifications = []
     for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
         if sure > LIKELIHOOD.gate_sigmas and of[u] == u and of[v] == v:
             of[v] = u
-            asked.append(_identified(reckoning, place, (u, v), sure))
+            identifications.append(_identified(reckoning, place, (u, v), sure))
     # Two places that one drive-by showed side by side may be the two forks of one crossing.
     for u, v, sure in zip(a.tolist(), b.tolist(), sigmas.tolist(), strict=True):
         parts = np.flatnonzero(of == u).tolist()
-        if of[u] == u and of[v] == v and any({v, part} in told for part in parts if part != u):
+        if of[u] == u and of[v] == v and any({v, part} in apart for part in parts if part != u):
             of[v] = u
-            asked.append(_identified(reckoning, place, (u, v), sure))
-    return Blurred(of, _amid(estimate.xy, of, seen), asked)
+            identifications.append(_identified(reckoning, place, (u, v), sure))
+    return Blurred(of, _amid(estimate.xy, of, seen), identifications)
 
 
 def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
@@ -85,7 +85,7 @@ def _amid(xy: FloatArray, of: IntArray, seen: FloatArray) -> FloatArray:
     return out
 
 
-def _told_apart(
+def _seen_apart(
     reckoning: DeadReckoning, place: IntArray, resolution_m: float
 ) -> set[frozenset[int]]:
     """Pairs of places that one drive-by showed both of."""

@@ -99,10 +99,12 @@ def fitted_noise(
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     for left in reversed(range(settings.rounds)):
-        energy, freedom = _told(estimate, legs, smoothed, variance, grid, samples=settings.samples)
+        energy, freedom = _energy_and_freedom(
+            estimate, legs, smoothed, variance, grid, samples=settings.samples
+        )
         step = _step(energy, freedom, variance / prior, settings.prior_freedom, 2 if left else 1)
         if len(reckoning.loops):
-            # The odometry was laid out by its loops: what is left does not tell how it errs.
+            # The odometry was laid out by its loops: what is left does not show how it errs.
             step[:_WALKS] = 1.0
         variance = variance * step
         reckoning = _with_variances(reckoning, units, variance)
@@ -135,45 +137,45 @@ def with_shown_spread(
     node = graph.priors.node[lines][some]
     left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
     stood = np.bincount(side, minlength=2) / np.maximum(np.bincount(side[some], minlength=2), 1)
-    told = stood * np.bincount(side[some], 1 - left / corridors.spread_rad[some] ** 2, 2)
+    freedom = stood * np.bincount(side[some], 1 - left / corridors.spread_rad[some] ** 2, 2)
     prior = settings.prior_freedom * grid.spread_rad**2
-    variance = (np.bincount(side, off**2, 2) + prior) / (told + settings.prior_freedom)
+    variance = (np.bincount(side, off**2, 2) + prior) / (freedom + settings.prior_freedom)
     return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
 
 def _step(
-    energy: FloatArray, freedom: FloatArray, ratio: FloatArray, told: float, power: int
+    energy: FloatArray, freedom: FloatArray, ratio: FloatArray, f: float, power: int
 ) -> FloatArray:
     """(c,) factors on the variances: squared errors over degrees of freedom, both including the
     prior's.
 
-    ratio: (c,) variances in units of the prior's, which has `told` degrees of freedom (inverse χ²):
+    ratio: (c,) variances in units of the prior's, which has f degrees of freedom (inverse χ²):
     those of the detector and of the grid each by itself, those of the odometry's random walks
     relative to their common level, which takes a step of its own, raised to `power`.
     """
     level = np.ones(len(ratio))
-    level[:_WALKS] = _odometry_level(ratio[:_WALKS], told)
-    expected = energy + told * level / ratio
-    out: FloatArray = expected / (freedom + told)
+    level[:_WALKS] = _odometry_level(ratio[:_WALKS], f)
+    expected = energy + f * level / ratio
+    out: FloatArray = expected / (freedom + f)
     t = level[0]
     common = (energy[:_WALKS].sum() + 1 / (1 + t)) / (freedom[:_WALKS].sum() + t / (1 + t))
-    out[:_WALKS] *= common**power * (freedom[:_WALKS] + told).sum() / expected[:_WALKS].sum()
+    out[:_WALKS] *= common**power * (freedom[:_WALKS] + f).sum() / expected[:_WALKS].sum()
     return out
 
 
-def _odometry_level(ratio: FloatArray, told: float) -> float:
+def _odometry_level(ratio: FloatArray, f: float) -> float:
     """The most likely level of an odometry's variances, in units of the prior's.
 
-    ratio: (k,) variances in the same units, each distributed about the level with `told` degrees of
-    freedom f (inverse χ²), because an odometry is taken to be equally good at distances and at
+    ratio: (k,) variances in the same units, each distributed about the level with f degrees of
+    freedom (inverse χ²), because an odometry is taken to be equally good at distances and at
     headings. The prior of the level t is weak and allows none at all: its sigma has the density 1 /
     (1 + t) (half-Cauchy; Gelman, Prior distributions for variance parameters, 2006), where an
     inverse χ² would exclude zero. With h = Σ 1 / ratio, the derivative by ln t vanishes where f (k
     - t h) + (1 - t) / (1 + t) = 0.
     """
     h, k = float((1 / ratio).sum()), len(ratio)
-    b = told * (k - h) - 1
-    return float(b + np.sqrt(b * b + 4 * told * h * (told * k + 1))) / (2 * told * h)
+    b = f * (k - h) - 1
+    return float(b + np.sqrt(b * b + 4 * f * h * (f * k + 1))) / (2 * f * h)
 
 
 def _unit_walks(reckoning: DeadReckoning, odometry: Odometry) -> list[DeadReckoning]:
@@ -234,7 +236,7 @@ class _Edges:
     weight: FloatArray
     kernel: FloatArray
 
-    def told(self, part: FloatArray) -> tuple[float, float]:
+    def shares(self, part: FloatArray) -> tuple[float, float]:
         """Squared error by one component, in units of its variance, and its degrees of freedom.
 
         part: (k, 3, 3) V, the covariance by the component. With e the error, Ω its information and
@@ -261,15 +263,15 @@ class _Edges:
             return np.ones(len(self.kernel))
         from scipy.special import gammaincinv
 
-        told = np.linalg.matrix_rank(self.information[0])
-        redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / told
-        chi2 = 2 * gammaincinv(told / 2, (np.arange(64) + 0.5) / 64)
+        rank = np.linalg.matrix_rank(self.information[0])
+        redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / rank
+        chi2 = 2 * gammaincinv(rank / 2, (np.arange(64) + 0.5) / 64)
         weighted = chi2 / (1 + redundancy[:, None] * chi2 / self.kernel[:, None] ** 2)
         out: FloatArray = weighted.mean(axis=1) / chi2.mean()
         return out
 
 
-def _told(
+def _energy_and_freedom(
     estimate: Estimate,
     units: FloatArray,
     smoothed: FloatArray,
@@ -282,20 +284,20 @@ def _told(
     freedom."""
     less = smoothed[estimate.sighting] @ variance[1:_WALKS]
     legs, sightings, headings = _sorts(estimate, units.shape[1], less, samples)
-    told = [legs.told(variance[k] * units[k]) for k in range(_WALKS)]
+    found = [legs.shares(variance[k] * units[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
         part = np.zeros_like(sightings.information)
         for axis in axes:
             part[:, axis, axis] = 1.0 / sightings.information[:, axis, axis]
-        told.append(sightings.told(part))
+        found.append(sightings.shares(part))
     if grid is not None:
         spread, read = np.zeros((2, len(headings.error), 3, 3))
         spread[:, 2, 2] = variance[_GRID]
         read[:, 2, 2] = grid.sigma**2 - variance[_GRID]
-        told.append(headings.told(spread))
+        found.append(headings.shares(spread))
         # Reading errors of branches show in both observations and grid headings.
-        told[_BRANCH] = tuple(np.add(told[_BRANCH], headings.told(read)).tolist())
-    energy, freedom = np.array(told).T
+        found[_BRANCH] = tuple(np.add(found[_BRANCH], headings.shares(read)).tolist())
+    energy, freedom = np.array(found).T
     return energy, freedom
 
 
@@ -344,8 +346,8 @@ def _sorts(
     return walked, seen, headings
 
 
-def _stiffness(chi2: FloatArray, kernel: FloatArray, told: int) -> float:
-    """Mean derivative of w(χ²) e by e over the `told` directions of e, for a Cauchy kernel.
+def _stiffness(chi2: FloatArray, kernel: FloatArray, rank: int) -> float:
+    """Mean derivative of w(χ²) e by e over the `rank` directions of e, for a Cauchy kernel.
 
     It is the stiffness of the edges against small changes, where the weights w say how much of
     their errors count.
@@ -353,4 +355,4 @@ def _stiffness(chi2: FloatArray, kernel: FloatArray, told: int) -> float:
     if not np.isfinite(kernel).any():
         return 1.0
     share = chi2 / kernel**2
-    return float(np.mean(1 / (1 + share) - 2 * share / told / (1 + share) ** 2))
+    return float(np.mean(1 / (1 + share) - 2 * share / rank / (1 + share) ** 2))

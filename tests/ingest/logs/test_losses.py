@@ -505,8 +505,8 @@ def test_a_damaged_page_costs_one_cloud_of_a_database(logs, sensors, tmp_path):
     database.write_bytes(raw)
     run = read_run(path)
     assert run.source["junctions"]["messages"] == 9
-    assert "1 message of /points is lost in damaged places" in run.warnings
-    refused(path, "1 message of /points is lost")
+    assert "the numbers of the rows have gaps: 1 row missing" in run.warnings
+    refused(path, "1 row missing")
 
 
 def test_clouds_of_a_database_that_is_cut_short_are_read(logs, sensors, tmp_path):

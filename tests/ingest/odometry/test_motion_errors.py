@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.odometry.calibration import MotionErrors
-from topobatch.ingest.odometry.motion_errors import motion_errors, refine_scale, scale_told
+from topobatch.ingest.odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from topobatch.ingest.odometry.noise import estimate_noise
 from topobatch.ingest.passes import fuse_passes
 from topobatch.simulation import ScenarioSettings, simulate_scenario
@@ -69,7 +69,7 @@ def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
     errors = found(1.0, feet)
     assert errors is not None
     assert errors.length_scale.applied == 0.0
-    (told,) = scale_told(errors)
+    (told,) = describe_scale(errors)
     assert "nothing is corrected" in told
     passes = fuse_passes(track, feet)
     assert refine_scale(track, feet, passes, noise, USUAL) > 0.2

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.odometry.plausible import check_plausible
-from topobatch.ingest.odometry.step_bounds import StepBounds
 from topobatch.topology.errors import LogError
 from topobatch.topology.odometry import Odometry
 
@@ -15,7 +14,7 @@ def check(x_m, step_s: float, breaks=()) -> str:
     pose = np.column_stack([x_m, np.zeros(len(x_m)), np.zeros(len(x_m))])
     time_ns = (np.arange(len(x_m)) * step_s * 1e9).astype(np.int64)
     odometry = Odometry(time_ns, pose, np.array(breaks, np.int64))
-    return check_plausible(odometry, StepBounds.of(time_ns, pose), "/odom", "log")
+    return check_plausible(odometry, "/odom", "log")
 
 
 def test_millimetres_are_too_fast() -> None:

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
+from topobatch.cli.ingest_pool import announce
 from topobatch.cli.ingest_worker import IngestJob, ingest_one
 from topobatch.cli.output import Screen
-from topobatch.cli.remote import announce
 from topobatch.cli.workspace import Workspace
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings, find_logs

@@ -55,9 +55,8 @@ def test_announced_ranges_are_read_in_few_requests_and_no_byte_twice(
 ) -> None:
     server, stat = Server(), Stat(SIZE, "", 0)
     file = RemoteFile(SIZE, [Got(SIZE - tail, DATA[SIZE - tail :], stat)], server)
-    begin, end = np.array(ranges).T
-    cost = file.cost(begin, end)
-    with file.reading_ahead(begin, end) as ahead:
+    cost = file.cost(ranges)
+    with file.reading_ahead(ranges) as ahead:
         for first, stop in sorted(ranges):
             assert file.read(first, stop - first, ahead) == DATA[first:stop]
     assert sum(stop - first for first, stop in server.asked) == cost

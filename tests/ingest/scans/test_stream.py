@@ -121,7 +121,7 @@ def test_columns_are_what_rosbags_decodes(sensors: ModuleType, encoding: str) ->
     read = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
     for scans in found:
         for row, number in enumerate(scans.message.tolist()):
-            stamp, ranges, geometry = object_scan(read(payloads[number], sensors.SCAN))
+            _, (stamp,), (ranges,), geometry, _ = object_scan(read(payloads[number], sensors.SCAN))
             assert stamp == scans.stamp_ns[row]
             assert ranges.tolist() == scans.ranges_m[row].tolist()
             assert geometry == scans.geometry
@@ -155,11 +155,11 @@ def test_of_echoes_the_strongest_else_the_first(sensors: ModuleType, encoding: s
 def test_foxglove_scans_in_json_and_protobuf(sensors: ModuleType) -> None:
     ranges = [1.0, 2.5, 3.0, INF, 5.0]
     for raw in (sensors.foxglove_protobuf(ranges), sensors.foxglove_protobuf(ranges, whole=False)):
-        stamp, found, geometry = protobuf_scan(raw)
+        _, (stamp,), (found,), geometry, _ = protobuf_scan(raw)
         assert (stamp, found.tolist()) == (sensors.START_NS, ranges)
         assert (geometry.angle_min, geometry.angle_increment) == (-1.0, 0.5)
         assert geometry.pose == (0.5, 0.0, 0.0)
-    stamp, found, geometry = json_scan(sensors.foxglove_json([1.0, NAN, 3.0, 4.0, 5.0]))
+    _, (stamp,), (found,), geometry, _ = json_scan(sensors.foxglove_json([1.0, NAN, 3.0, 4.0, 5.0]))
     np.testing.assert_array_equal(found, [1, NAN, 3, 4, 5])
     assert geometry.pose == (0.5, 0.0, 0.0)
 

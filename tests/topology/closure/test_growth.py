@@ -23,7 +23,7 @@ def test_blocks_between_the_same_two_streets_count_once():
     odometry, passes, truth = record(world, wander(world[1], 150, rng), rng)
     reckoning, place = dead_reckoning(odometry, passes, NOISE), partition(truth)
     estimate = optimise(reckoning, place)
-    places = tabulate(reckoning, place, estimate.pose[:, 2], 0.35)
+    places = tabulate(reckoning, place, estimate.pose[:, 2])
     common = background(reckoning, reckoning.noise)
     state = MapState(
         reckoning, places, estimate.xy, common, branches_of(places, common, EvidenceSettings())

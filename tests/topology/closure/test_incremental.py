@@ -78,7 +78,7 @@ def test_every_identification_keeps_its_evidence():
     world = grid_world(4, 4, rng)
     odometry, passes, truth = record(world, wander(world[1], 50, rng), rng)
     closed = full_closure(dead_reckoning(odometry, passes, NOISE))
-    made = [q for q in closed.asked if q.accepted]
+    made = [q for q in closed.identifications if q.accepted]
     # A tree of links joins the passes of every place.
     assert len(made) >= len(truth) - (closed.place.max() + 1)
     assert all(truth[q.first] == truth[q.second] and q.first < q.second for q in made)
@@ -102,9 +102,9 @@ def test_a_second_lap_closes_that_position_alone_speaks_against():
 
 def revisions(closed):
     """Standing and revised answers, after checking what must hold of any."""
-    made = [q for q in closed.asked if q.accepted]
-    refused = [q for q in closed.asked if not q.accepted]
-    assert all(q.round >= 1 for q in closed.asked + closed.revised)
+    made = [q for q in closed.identifications if q.accepted]
+    refused = [q for q in closed.identifications if not q.accepted]
+    assert all(q.round >= 1 for q in closed.identifications + closed.revised)
     assert all(q.accepted_round is None for q in made)
     assert not any(q.accepted for q in closed.revised)
     place = closed.place
@@ -188,7 +188,7 @@ def test_doubts_are_kept_with_what_became_of_them():
     loud = replace(NOISE, heading_rad_per_sqrt_m=0.08)
     odometry, passes, _ = record(world, wander(world[1], 40, rng), rng, noise=loud)
     closed = closure_without_grid(dead_reckoning(odometry, passes, loud))
-    doubts = [q for q in closed.asked if not q.accepted]
+    doubts = [q for q in closed.identifications if not q.accepted]
     assert doubts
     pairs = [tuple(sorted((closed.place[q.first], closed.place[q.second]))) for q in doubts]
     assert all(a != b for a, b in pairs)  # what was joined after all is no doubt
@@ -227,7 +227,7 @@ def test_a_loop_of_one_junction_to_itself():
     closed = full_closure(reckoning)
     assert truth == ["a", "a"]
     assert closed.place.tolist() == [0, 0]
-    places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2], 0.35)
+    places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2])
     assert places.next_place[0][:2].tolist() == [0, 0]
 
 
@@ -239,7 +239,7 @@ def test_settings_are_the_gate_keeper():
     strict = RoundSettings(wrong_share=1e-300)
     closed = full_closure(reckoning, strict)
     assert closed.place.tolist() == list(range(len(truth)))
-    assert any(not q.accepted and q.bits > 0 for q in closed.asked)
+    assert any(not q.accepted and q.bits > 0 for q in closed.identifications)
 
 
 def test_a_grid_that_bends_on_its_way_is_found_out():

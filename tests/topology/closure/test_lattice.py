@@ -18,7 +18,7 @@ def test_a_lattice_is_found_by_its_steps():
     reckoning = dead_reckoning(odometry, passes, NOISE)
     place = partition(truth)
     estimate = optimise(reckoning, place)
-    places = tabulate(reckoning, place, estimate.pose[:, 2], 0.35)
+    places = tabulate(reckoning, place, estimate.pose[:, 2])
     lattice = lattice_of(places, estimate.xy, core_m=2.0, typical_m=3.0)
     order = np.argsort(lattice.steps[:, 0])
     found = [-9.0, -6.0, -3.0, 3.0, 6.0, 9.0]
@@ -43,7 +43,7 @@ def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
     reckoning = dead_reckoning(odometry, passes, NOISE)
     place = np.arange(len(truth))
     estimate = optimise(reckoning, place)
-    places = tabulate(reckoning, place, estimate.pose[:, 2], 0.35)
+    places = tabulate(reckoning, place, estimate.pose[:, 2])
     turn = np.repeat([0.0, 0.7, 1.4], 24)
     at = 3.0 * np.tile(np.arange(24), 3)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     lattice = lattice_of(places, at, core_m=2.0, typical_m=3.0)

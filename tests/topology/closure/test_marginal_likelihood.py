@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from topobatch.topology.closure.alternatives import log_marginal_likelihood
 from topobatch.topology.closure.dead_reckoning import dead_reckoning, dead_reckoning_covariance
 from topobatch.topology.closure.estimate import optimise
-from topobatch.topology.closure.marginal_likelihood import log_marginal_likelihood
 from topobatch.topology.closure.variance_components import ComponentSettings
 
 from .walks import NOISE, grid_world, partition, record, wander

@@ -58,5 +58,5 @@ def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
     assert corrected.place[truth.index("ghost")] == -1
     assert len(corrected.xy) == 3
     # Once is not enough for a place with a side branch.
-    places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2], 0.35)
+    places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2])
     assert not phantoms(reckoning, places, np.zeros(len(places), int)).any()

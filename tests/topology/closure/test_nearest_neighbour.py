@@ -16,7 +16,7 @@ def test_the_gated_closure_is_honest_and_finds_less():
     world = grid_world(5, 5, rng)
     odometry, passes, truth = record(world, wander(world[1], 80, rng), rng)
     closed = gated_closure(dead_reckoning(odometry, passes, NOISE), RoundSettings())
-    place, asked = closed.place, closed.asked
+    place, asked = closed.place, closed.identifications
     groups = [{truth[i] for i in np.flatnonzero(place == k)} for k in range(place.max() + 1)]
     assert all(len(group) == 1 for group in groups)
     assert len(set(truth)) <= len(groups) < len(truth)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
+from topobatch.topology.closure.estimate import set_apart
 from topobatch.topology.closure.incremental import full_closure
-from topobatch.topology.closure.pieces import set_apart
 
 from .walks import NOISE, grid_world, partition, record
 

@@ -50,10 +50,10 @@ def test_two_forks_in_place_of_a_crossing_are_the_crossing_that_was_seen_better(
     assert corrected.visits.vertex.tolist() == [0, 2, 1, 2, 0, 2, 3]
     assert corrected.xy[2] - corrected.xy[0] == pytest.approx([6.0, 0.0], abs=0.1)
     assert corrected.fair.tolist() == [True, False, False, *[True] * 5]
-    assert [q.reason for q in corrected.asked] == [resolution.REASON] * 2
+    assert [q.reason for q in corrected.identifications] == [resolution.REASON] * 2
     # It lies amid all looks: the three here, of which two are a little aside.
     assert np.hypot(*(corrected.xy[2] - corrected.xy[0] - [6.0, 0.0])) < 0.01
-    assert all(q.accepted and q.bits > 0 for q in corrected.asked)
+    assert all(q.accepted and q.bits > 0 for q in corrected.identifications)
 
 
 def test_two_forks_that_were_seen_better_are_no_crossing():
@@ -70,7 +70,7 @@ def test_what_a_detector_tells_apart_stays_apart():
     assert len(corrected_by_sight(route, 0.3)[0].xy) == 5
     told, number = corrected_by_sight([*THERE, *THERE[-2::-1]], 1.3)
     assert number["left"] != number["right"]
-    assert told.asked == []
+    assert told.identifications == []
 
 
 def test_places_that_may_well_be_farther_apart_stay_two():

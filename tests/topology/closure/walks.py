@@ -152,7 +152,7 @@ def partition(labels):
 
 def scene_of(reckoning, estimate):
     """Dead reckoning laid out, every pass a place of its own."""
-    places = tabulate(reckoning, np.arange(len(reckoning)), estimate.pose[:, 2], 0.35)
+    places = tabulate(reckoning, np.arange(len(reckoning)), estimate.pose[:, 2])
     common = background(reckoning, reckoning.noise)
     return MapState(
         reckoning, places, estimate.xy, common, branches_of(places, common, EvidenceSettings())
