@@ -194,7 +194,7 @@ def test_what_gives_no_map_tells_the_faults_of_its_log(mapped):
     with pytest.raises(DataError, match=r"does not move: .*; half of it is gone"):
         mapped(Run("parked", still, seen, {}, faults))
     closed = Grid(np.zeros((9, 9), bool), np.zeros((9, 9), bool), 0.05, (0.0, 0.0, 0.0), "map")
-    with pytest.raises(DataError, match=r"shows no junction; .*; half of it is gone"):
+    with pytest.raises(DataError, match=r"shows no junction and no room; .*; half of it is gone"):
         mapped(GridLog("floor", closed, {}, faults))
 
 
