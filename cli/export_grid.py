@@ -158,7 +158,7 @@ def _grid(
     from ..ingest.scans.occupancy import Occupancy
     from ..topology.grids import layered, resampled
     from ..topology.se2 import compose
-    from ..viz.walls import moved, walls_of
+    from ..viz.walls import walls_of
 
     done = 0
 
@@ -186,7 +186,7 @@ def _grid(
             by_scans.append(run)
     others = sorted(seen.keys() - saved.keys() - set(by_scans))
     views = {run: seen[run].views for run in others}
-    laid = [moved(v, placed[run](v.pose[:, :2])) for run, v in views.items()]
+    laid = [v.moved(placed[run](v.pose[:, :2])) for run, v in views.items()]
     pictures = [resampled(g, placed[run], cast.cell_m, frame) for run, g in saved.items()]
     pictures.sort(key=lambda g: 0 if g is None else -int((~g.unknown).sum()))
     found = [cast.grid(frame), *pictures, walls_of(laid, frame, cast.cell_m)]
@@ -220,7 +220,7 @@ def _placements(source: Exported) -> dict[str, Placed]:
     import numpy as np
 
     from ..merge.document import result_from_document
-    from ..viz.walls import placed_at
+    from ..merge.result import placed_at
 
     if source.document is None:
         return {run: lambda xy: np.zeros((len(xy), 3)) for run in source.maps}

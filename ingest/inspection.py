@@ -140,15 +140,11 @@ def _uses(
     chosen = [topic for topic, (use, _) in uses.items() if use == "odometry"]
     for topic in odometry_topics(counts) if chosen else []:
         uses.setdefault(topic, ("", f"not used; --odometry-topic {topic} takes it for odometry"))
-    for topic, way in sensor_topics(counts):
-        uses[topic] = (NAMES[way], f"not used; --junctions-from {way} finds junctions in it")
     shown = views_source(counts, settings, log) if source and source.way == "topic" else None
-    for choice in (shown.choice, *shown.beside) if shown else ():
-        use, why = uses[choice.topic]
-        uses[choice.topic] = (
-            use,
-            f"shows the walls around places; {why.removeprefix('not used; ')}",
-        )
+    walls = {choice.topic for choice in (shown.choice, *shown.beside)} if shown else set()
+    for topic, way in sensor_topics(counts):
+        use = "shows the walls around places" if topic in walls else "not used"
+        uses[topic] = (NAMES[way], f"{use}; --junctions-from {way} finds junctions in it")
     if source is not None:
         beside = source.beside if source.way in ("scan", "cloud") else ()
         for choice in (source.choice, *beside):

@@ -17,6 +17,7 @@ from ..topology.closure.incremental import Closed, closure_without_grid, full_cl
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.variance_components import Fitted, fitted_noise
+from ..topology.columns import take
 from ..topology.digits import significant
 from ..topology.errors import DataError
 from ..topology.mapbuilding import build_topomap
@@ -308,8 +309,8 @@ def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: Corrected
     if not len(views):
         return topomap
     pose = in_map_frame(odometry, places.visits, places.xy, views.time_ns, views.pose)
-    known = np.isfinite(pose).all(axis=1)
-    return replace(topomap, views=Views(views.time_ns[known], pose[known], views.cells[known]))
+    known = np.flatnonzero(np.isfinite(pose).all(axis=1))
+    return replace(topomap, views=take(replace(views, pose=pose), known))
 
 
 def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:

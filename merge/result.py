@@ -17,6 +17,7 @@ from ..topology.digits import BITS
 from ..topology.frozen import freeze
 from ..topology.map_pose_graph import NO_MEASUREMENTS, Measurements
 from ..topology.quadratic_forms import ONE_SIGMA, quadratic_quantile
+from ..topology.se2 import apply, fit_groups
 from ..topology.topomap import (
     EDGE_COLUMNS,
     MAP_EDGE_COLUMNS,
@@ -25,6 +26,7 @@ from ..topology.topomap import (
     Graph,
     TopoMap,
 )
+from ..topology.views import Views
 
 T = TypeVar("T")
 
@@ -407,3 +409,61 @@ def shown_lead(bits: float, other: float, digits: int = 1) -> float:
     """The lead over another placement's evidence: the difference of the two as they are shown."""
     one, two = (float(shown_bits(b, digits)) for b in (bits, other))
     return round(one - two, digits) + 0.0
+
+
+NEAR_M = 5.0
+"""Distance of a matched junction from a view at which its weight has fallen to a quarter: corridors
+between junctions are as long."""
+
+RIGID_M, RIGID_WEIGHT = 10.0, 0.2
+"""The pose of the whole run counts as four junctions at this distance, which weigh this much
+together: for shifts a tenth of what junctions near a view weigh, for turns as much."""
+
+
+def site_views(fused: FusedMap, component: Component, maps: Mapping[str, TopoMap]) -> list[Views]:
+    """The views of the runs of a component, posed in its frame, by run.
+    maps: as they were merged; runs that are not among them, or without views, are left out."""
+    return [
+        maps[run].views.moved(placed_at(fused, component, maps[run], maps[run].views.pose[:, :2]))
+        for run in sorted(component.poses)
+        if run in maps and len(maps[run].views)
+    ]
+
+
+def placed_at(
+    fused: FusedMap, component: Component, topomap: TopoMap, xy: FloatArray
+) -> FloatArray:
+    """(k, 3) T_component_run near points (k, 2) of a run's map [m].
+
+    A run's map bends as it is fused with others: each point moves as the junctions near it do, by a
+    rigid fit with weights (moving least squares: Schaefer, McPhail, Warren, 2006). The pose of the
+    whole run counts as well, which two junctions near each other hardly turn.
+    """
+    own, common = _members(fused, component, topomap)
+    k, n = len(xy), len(own) + len(AROUND)
+    around = xy[:, None] + RIGID_M * AROUND
+    here = np.concatenate([np.broadcast_to(topomap.xy[own], (k, len(own), 2)), around], axis=1)
+    T = component.poses[topomap.run]
+    there = np.broadcast_to(fused.xy[common], (k, len(own), 2))
+    there = np.concatenate([there, apply(T, around)], axis=1)
+    away = np.hypot(*(topomap.xy[own][None] - xy[:, None]).transpose(2, 0, 1))
+    weight = np.full((k, n), RIGID_WEIGHT / len(AROUND))
+    weight[:, : len(own)] = (1 + (away / NEAR_M) ** 2) ** -2
+    group = np.arange(k).repeat(n)
+    return fit_groups(there.reshape(-1, 2), here.reshape(-1, 2), group, weight.ravel())
+
+
+AROUND = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
+"""Directions of the four points by which the pose of the whole run counts."""
+
+
+def _members(fused: FusedMap, component: Component, topomap: TopoMap) -> tuple[IntArray, IntArray]:
+    """Vertices of a run's map, and the fused vertices that they are part of."""
+    pairs = [
+        (vertex, row)
+        for row in np.flatnonzero(fused.component == component.id).tolist()
+        for vertex in fused.members[row].get(topomap.run, ())
+        if vertex < len(topomap)
+    ]
+    own, common = np.array(pairs, np.int64).reshape(-1, 2).T
+    return own, common

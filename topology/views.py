@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .arrays import FloatArray, IntArray
 from .frozen import freeze
+from .se2 import compose
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 """States of a cell of a view."""
@@ -50,6 +51,11 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.time_ns)
+
+    def moved(self, T: FloatArray) -> Views:
+        """The same views in another frame: their poses moved by one transform (3,), or by one each
+        (n, 3)."""
+        return replace(self, pose=compose(T, self.pose))
 
 
 NO_VIEWS = Views(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, SIDE, SIDE), np.uint8))

@@ -14,6 +14,7 @@ from ..merge.result import (
     FusedMap,
     MergeResult,
     of_site,
+    site_views,
 )
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
@@ -37,7 +38,7 @@ from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
 from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
-from .walls import FINE_M, map_walls, moved, site_views, site_walls, strokes, wall_points, walls_of
+from .walls import FINE_M, map_walls, site_walls, strokes, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
 
@@ -95,7 +96,7 @@ def _walls(
     cell_m = FINE_M
     while cell_m * canvas.points_per_m < LEAST_CELL_PT:
         cell_m *= 2
-    grid = walls_of([moved(v, T) for v in views], "", cell_m)
+    grid = walls_of([v.moved(T) for v in views], "", cell_m)
     lines = [] if grid is None else strokes(grid)
     width_pt = width * cell_m * canvas.points_per_m
     canvas.lines(lines, colour, width_pt, order=Order.WALL)

@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 import rerun as rr
 
-from ..merge.result import FusedMap, MergeResult
+from ..merge.result import FusedMap, MergeResult, site_views
 from ..topology.arrays import IntArray
 from ..topology.columns import take
 from ..topology.driven_branches import driven_branches
@@ -26,7 +26,7 @@ from .placements import Spot, contradiction_spots
 from .recording import UP, PathParts, Recording, placed, strips
 from .sheet import Cell
 from .story import Step, first_steps, shared_from
-from .walls import FINE_M, site_views, walls_of
+from .walls import FINE_M, walls_of
 
 FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
 """Entity roots of the three views of the components, and of the key to the runs' colours."""

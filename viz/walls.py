@@ -3,30 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Component, FusedMap
+from ..merge.result import Component, FusedMap, site_views
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.grids import cell_for, cropped, grid_at
 from ..topology.run import Grid
-from ..topology.se2 import apply, compose, fit_groups
+from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.views import CELL_M, FREE, REACH_M, SIDE, UNKNOWN, WALL, Views
-
-NEAR_M = 5.0
-"""Distance of a matched junction from a view at which its weight has fallen to a quarter: corridors
-between junctions are as long."""
 
 FINE_M = CELL_M / 2
 """Side of a cell: several views of a wall, each in a lattice of its own, show it finer than one
 does."""
-
-RIGID_M, RIGID_WEIGHT = 10.0, 0.2
-"""The pose of the whole run counts as four junctions at this distance, which weigh this much
-together: for shifts a tenth of what junctions near a view weigh, for turns as much."""
 
 WALL_SHARE = 0.5
 """Share of the views of a cell that show a wall there, from which on it is one."""
@@ -43,59 +34,6 @@ def site_walls(
     """The walls and the free space of all runs of a component, in its frame; None if no run has
     views. maps: as they were merged; runs that are not among them are left out."""
     return walls_of(site_views(fused, component, maps), component.name, cell_m)
-
-
-def site_views(fused: FusedMap, component: Component, maps: Mapping[str, TopoMap]) -> list[Views]:
-    """The views of the runs of a component, posed in its frame; see `site_walls`."""
-    return [
-        moved(maps[run].views, placed_at(fused, component, maps[run], maps[run].views.pose[:, :2]))
-        for run in sorted(component.poses)
-        if run in maps and len(maps[run].views)
-    ]
-
-
-def moved(views: Views, T: FloatArray) -> Views:
-    """Views with their poses moved by one transform (3,), or by one each (n, 3)."""
-    return replace(views, pose=compose(T, views.pose))
-
-
-def placed_at(
-    fused: FusedMap, component: Component, topomap: TopoMap, xy: FloatArray
-) -> FloatArray:
-    """(k, 3) T_component_run near points (k, 2) of a run's map [m].
-
-    A run's map bends as it is fused with others: each point moves as the junctions near it do, by a
-    rigid fit with weights (moving least squares: Schaefer, McPhail, Warren, 2006). The pose of the
-    whole run counts as well, which two junctions near each other hardly turn.
-    """
-    own, common = _members(fused, component, topomap)
-    k, n = len(xy), len(own) + len(AROUND)
-    around = xy[:, None] + RIGID_M * AROUND
-    here = np.concatenate([np.broadcast_to(topomap.xy[own], (k, len(own), 2)), around], axis=1)
-    T = component.poses[topomap.run]
-    there = np.broadcast_to(fused.xy[common], (k, len(own), 2))
-    there = np.concatenate([there, apply(T, around)], axis=1)
-    away = np.hypot(*(topomap.xy[own][None] - xy[:, None]).transpose(2, 0, 1))
-    weight = np.full((k, n), RIGID_WEIGHT / len(AROUND))
-    weight[:, : len(own)] = (1 + (away / NEAR_M) ** 2) ** -2
-    group = np.arange(k).repeat(n)
-    return fit_groups(there.reshape(-1, 2), here.reshape(-1, 2), group, weight.ravel())
-
-
-AROUND = np.array([(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)])
-"""Directions of the four points by which the pose of the whole run counts."""
-
-
-def _members(fused: FusedMap, component: Component, topomap: TopoMap) -> tuple[IntArray, IntArray]:
-    """Vertices of a run's map, and the fused vertices that they are part of."""
-    pairs = [
-        (vertex, row)
-        for row in np.flatnonzero(fused.component == component.id).tolist()
-        for vertex in fused.members[row].get(topomap.run, ())
-        if vertex < len(topomap)
-    ]
-    own, common = np.array(pairs, np.int64).reshape(-1, 2).T
-    return own, common
 
 
 def walls_of(views: Sequence[Views], frame: str, cell_m: float = FINE_M) -> Grid | None:

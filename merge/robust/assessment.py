@@ -40,6 +40,11 @@ SHOWN = (0.25, 1.9)
 """How much more often a map shows, or does not show, a copy of a large part of itself, if its
 building does not repeat itself: .1 of tunnels, .4 and more of offices and rows; .95 and .5."""
 
+BEFORE = (0.5, 3.0)
+"""Buildings without and with copies that are taken to have been seen before: two runs alone tell
+nothing of their kind. With 1.5 in place of 3 two offices of one design are merged, 10.0 of 9.97
+bits."""
+
 ThresholdOf = Callable[[Sequence[int], PairCount], Threshold]
 """Gives the threshold for some maps (a pair, or the runs of two components) in a batch with a given
 count of pairs."""
@@ -61,8 +66,9 @@ def thresholds(
     """
     own = with_themselves or list(self_matches(prepared, settings))
     like = _like_buildings(len(own), linked, settings)
-    copied = _copied(own, like, settings)
-    unrepeated = _unrepeated_bits(prepared, own, linked or {}, settings)
+    beyond = [list(filter(_beyond_chance, found)) for found in own]
+    copied = _copied(beyond, like, settings)
+    unrepeated = _unrepeated_bits(prepared, beyond, linked or {}, settings)
 
     @cache
     def copies(of: frozenset[int]) -> CopyModel:
@@ -98,14 +104,13 @@ def _like_buildings(
 
 
 def _copied(
-    with_themselves: Sequence[tuple[Candidate, ...]],
+    beyond: Sequence[Sequence[Candidate]],
     like: Sequence[int],
     settings: RobustSettings,
 ) -> list[float]:
     """Number of junctions of every map's largest copy of a part of itself, at least the
     `copied_share` quantile of the maps of like buildings; inf where the copy may extend beyond the
-    map. like: as by `_like_buildings`."""
-    beyond = [list(filter(_beyond_chance, own)) for own in with_themselves]
+    map. beyond: copies of parts of each map, better than chance; like: as by `_like_buildings`."""
     seen: dict[int, list[int]] = defaultdict(list)
     for building, own in zip(like, beyond, strict=True):
         for of in {building, ANY}:
@@ -120,7 +125,7 @@ def _copied(
 
 def _unrepeated_bits(
     prepared: Sequence[Prepared],
-    with_themselves: Sequence[tuple[Candidate, ...]],
+    beyond: Sequence[Sequence[Candidate]],
     linked: Mapping[Pair, float],
     settings: RobustSettings,
 ) -> list[float]:
@@ -129,30 +134,25 @@ def _unrepeated_bits(
 
     Buildings are the groups of maps with alignments that chance does not explain. A map that finds
     no copy of a large part of itself speaks for it, by `SHOWN`; one that does speaks against it. So
-    do other buildings of few lengths: their share is estimated by Krichevsky and Trofimov's rule,
-    with a few more that do repeat themselves.
+    do other buildings of few lengths: their share is estimated as if `BEFORE` had been seen.
+    beyond: as in `_copied`.
     """
     need = needed_bits(pairs_of(len(prepared)), settings)
     sure = [pair for pair, bits in linked.items() if bits >= need]
     one, other = np.array(sure, np.int64).reshape(-1, 2).T
     building = connected(one, other, len(prepared))
-    shows = np.array([_shows(own, m) for own, m in zip(with_themselves, prepared, strict=True)])
-    large = np.array([len(m) >= SHOWING for m in prepared])
+    size = np.array([len(m) for m in prepared])
+    copy = np.array([max(map(len, own), default=0) for own in beyond])
+    shows, large = copy >= LARGE_PART * size, size >= SHOWING
     told = np.where(large, np.log2(np.where(shows, *SHOWN)), 0.0)
     own = np.bincount(building, told)
     runs = [np.flatnonzero(building == g).tolist() for g in range(len(own))]
     uniform = np.array([uniformity(*(prepared[k] for k in of)) for of in runs])
     repeats = uniform * (np.bincount(building, shows & large) > 0)
     others, repeating = uniform.sum() - uniform, repeats.sum() - repeats
-    bits = own + np.log2((others - repeating + 0.5) / (repeating + 3))
+    bits = own + np.log2((others - repeating + BEFORE[0]) / (repeating + BEFORE[1]))
     out: list[float] = np.maximum(bits, 0.0)[building].tolist()
     return out
-
-
-def _shows(own: Sequence[Candidate], m: Prepared) -> bool:
-    """Whether a map matches another part of itself, better than chance, in a large share of its
-    junctions."""
-    return max(map(len, filter(_beyond_chance, own)), default=0) >= LARGE_PART * len(m)
 
 
 def _goes_on(copy: Candidate, need_bits: float) -> bool:

@@ -7,15 +7,22 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
-from ...topology.arrays import FloatArray, IntArray
-from ...topology.se2 import apply, compose
+from ...topology.columns import joined, take
 from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import NO_VIEWS, Views
 from ..fusion.fuse import component_digest, fuse
 from ..kept import Kept, Kind
-from ..result import Alignment, FusedMap, PairVerdict, Verdict, fused_confidence, graph_part
+from ..result import (
+    Alignment,
+    Component,
+    FusedMap,
+    PairVerdict,
+    Verdict,
+    fused_confidence,
+    graph_part,
+    site_views,
+)
 from .alignment import Candidate, match
 from .mirror import mirrored
 from .prepare import Prepared, prepare
@@ -54,10 +61,10 @@ class MergedMap:
         return component_digest(list(self.maps.values()), self._inside, self._kept)
 
     @cached_property
-    def _laid_out(self) -> tuple[Mapping[str, FloatArray], FusedMap]:
-        """The poses of the runs, and their fused map."""
-        (component, *_), fused = fuse(list(self.maps.values()), self._inside, kept=self._kept)
-        return component.poses, fused
+    def _laid_out(self) -> tuple[Component, FusedMap]:
+        """The runs as one component, and their fused map."""
+        (component,), fused = fuse(list(self.maps.values()), self._inside, kept=self._kept)
+        return component, fused
 
     @property
     def _fused(self) -> FusedMap:
@@ -158,10 +165,11 @@ def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
     return (pair for pair in sorted(accepted) if those.issuperset(pair))
 
 
-def _as_map(poses: Mapping[str, FloatArray], fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
+def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
     """A fused map as the map of one run that saw everything, with the noise of the worst run."""
     observations = np.array([len(seen) for seen in fused.observations])
     times = np.arange(int(observations.sum()), dtype=np.int64)
+    maps = {m.run: m for m in own}
     fields = RunNoise.__dataclass_fields__
     noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
     return TopoMap(
@@ -171,8 +179,8 @@ def _as_map(poses: Mapping[str, FloatArray], fused: FusedMap, own: Sequence[Topo
         observation_time_ns=times,
         noise=noise,
         shows_bends=any(m.shows_bends for m in own),
-        confidence=fused_confidence(fused.members, {m.run: m for m in own}),
-        views=_views(poses, fused, own),
+        confidence=fused_confidence(fused.members, maps),
+        views=_thinned(site_views(fused, component, maps)),
         **graph_part(fused, np.ones(len(fused), np.bool_)),
     )
 
@@ -182,32 +190,14 @@ VIEWS_APART_M = 2.0
 run has left out another may fill in, and no place counts for each of its runs."""
 
 
-def _views(poses: Mapping[str, FloatArray], fused: FusedMap, own: Sequence[TopoMap]) -> Views:
-    """The views of all runs in the frame of their merged map, each as its nearest junction lies."""
-    vertex = {
-        (run, v): k for k, of in enumerate(fused.members) for run, some in of.items() for v in some
-    }
-    pose, cells, times = [], [], []
-    for m in own:
-        if not len(m.views) or not len(m):
-            continue
-        nearest = np.asarray(cKDTree(m.xy).query(m.views.pose[:, :2])[1], np.int64)
-        there = compose(poses[m.run], m.views.pose)
-        rows = np.array([vertex[m.run, v] for v in nearest.tolist()])
-        there[:, :2] += fused.xy[rows] - apply(poses[m.run], m.xy[nearest])
-        pose.append(there)
-        cells.append(m.views.cells)
-        times.append(m.views.time_ns)
-    if not pose:
+def _thinned(views: Sequence[Views]) -> Views:
+    """Views of several runs as those of one: each is `VIEWS_APART_M` from all before it that are
+    kept."""
+    if not views:
         return NO_VIEWS
-    at = np.concatenate(pose)
-    kept = _apart(at[:, :2])
-    return Views(np.concatenate(times)[kept], at[kept], np.concatenate(cells)[kept])
-
-
-def _apart(xy: FloatArray) -> IntArray:
-    """Rows of (n, 2) points of which each is `VIEWS_APART_M` from all before it that are kept."""
+    every = joined(views)
+    xy = every.pose[:, :2]
     kept = np.zeros(len(xy), np.bool_)
     for k, at in enumerate(xy):
         kept[k] = not np.any(np.hypot(*(xy[:k][kept[:k]] - at).T) < VIEWS_APART_M)
-    return np.flatnonzero(kept)
+    return take(every, kept)

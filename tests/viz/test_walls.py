@@ -1,12 +1,11 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, compose, inverse
 from topobatch.topology.views import CELL_M
-from topobatch.viz.walls import map_walls, placed_at, site_walls, strokes, walls_of
+from topobatch.viz.walls import map_walls, site_walls, strokes, walls_of
 
 from ..topology.floors import CELL_M as TRUE_M
 from ..topology.floors import floor, views_at
@@ -81,22 +80,6 @@ def test_runs_of_a_site_show_its_walls_in_one_frame(merge_of) -> None:
     assert max(wrong(grid, T_floor_site)) < 0.01
     one = site_walls(result.fused, component, {"a": seen["a"]})
     assert (~one.unknown).sum() < (~grid.unknown).sum()
-
-
-def test_points_move_as_the_junctions_near_them_do(merge_of) -> None:
-    result, maps = merge_of([["a", "b"]])
-    (component,) = result.components
-    m = next(m for m in maps if m.run == "b")
-    rigid = placed_at(result.fused, component, m, m.xy)
-    assert rigid == pytest.approx(np.tile(component.poses["b"], (len(m), 1)), abs=1e-6)
-    moved = np.array(result.fused.xy)
-    moved[4] += (0.5, 0.0)  # the end of the stub
-    fused = replace(result.fused, xy=moved)
-    bent = apply(placed_at(fused, component, m, m.xy), m.xy)
-    off = np.hypot(*(bent - result.fused.xy[:5]).T)
-    assert off.argmax() == 4
-    assert off[4] > 0.3
-    assert off[0] < 0.1
 
 
 def test_strokes_pass_through_every_wall_and_nothing_else() -> None:
