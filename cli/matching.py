@@ -33,7 +33,8 @@ if TYPE_CHECKING:
 
 
 WORTH_PROCESSES = 4000
-"""Pairs to match from which on processes are started, each of which reads the maps."""
+"""Pairs of maps without views to match from which on processes are started, each of which reads the
+maps."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ TRIES = 4
 @dataclass(frozen=True, slots=True)
 class Workers:
     """Where tasks run. start: makes an executor, to be entered, and again if it breaks; worth:
-    fewer pairs than this are matched without it."""
+    less work than so many pairs of maps without views is done without it."""
 
     start: Callable[[], AbstractContextManager[Executor]]
     worth: int = 0

@@ -129,7 +129,7 @@ class Pairwise:
         """New results: positions of pairs, and the result of each."""
         tasks = list(self._tasks(kind, wanted, missing))
         workers = self.means.workers
-        if workers is None or len(tasks) < 2 or len(missing) < workers.worth:
+        if workers is None or len(tasks) < 2 or self._work(wanted[missing]) < workers.worth:
             yield from ((at, match_task(task, self._ready)) for at, task in tasks)
             return
         era = era_of(self.settings)
@@ -140,6 +140,11 @@ class Pairwise:
                     "process: install the same on all machines"
                 )
             yield tasks[k][0], results
+
+    def _work(self, wanted: IntArray) -> int:
+        """How long (k, 2) pairs take to match, in pairs of maps without views."""
+        has_views = np.array([len(m.views) > 0 for m in self.maps])
+        return len(wanted) + TASKS.of_views * int(has_views[wanted].all(axis=1).sum())
 
     def _ready(self, digest: bytes, image: bool) -> Prepared:
         k = self._row[digest]  # of several maps that are the same but for their names any will do

@@ -50,6 +50,8 @@ class TaskSettings:
     """Maps per side of the tiles in which pairs are taken; a task is at most one tile: a map that
     is read serves a row of it, and the overhead of a task is small beside a second of work. Even
     few pairs are divided into as many tasks, for the sake of several workers."""
+    of_views: int = 50
+    """Pairs of maps without views that take as long as one with views: some .1 s of CPU time."""
     at_hand: int = 256
     """Maps that a worker caches, and that the index searches at once: some 100 kB each."""
 

@@ -50,9 +50,10 @@ SAME_M, SAME_PER_M, SAME_RAD = 1.2, 0.05, 0.2
 """Stretches that are placed alike within so much, and per metre between them, support each other:
 three pixels and 3° of drift."""
 
-KEPT = 17
+KEPT = 18
 """Prepared pictures that are kept: a tile of tasks has 16 maps a side, with each of which one map
-is matched in turn. Of 70 views each 10 MB."""
+is matched in turn; with one fewer, the next map would push out the first of them just before it is
+needed, and so on. Of 70 views each 10 MB."""
 
 
 @dataclass(frozen=True, eq=False)
