@@ -12,12 +12,12 @@ import numpy as np
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
-from .conflicts import Conflicts, conflicts
+from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import Prepared
 from .settings import MATCH, RobustSettings
-from .support import Support, supports
+from .support import NO_SUPPORT, Support, supports
 from .view_evidence import (
     MOST,
     NO_VIEW_EVIDENCE,
@@ -87,6 +87,20 @@ class Candidate:
         x, y, theta = self.transform.tolist()
         return complex(x + 1j * y + np.exp(1j * theta) * z)
 
+
+NO_JUNCTIONS = Candidate(
+    np.zeros(3),
+    np.zeros(0, np.int64),
+    np.zeros(0, np.int64),
+    np.zeros(0, np.complex128),
+    NO_SUPPORT,
+    NO_CONFLICTS,
+    0.0,
+    0.0,
+    0.0,
+    by_views=True,
+)
+"""A placement that views propose and that lays no junctions over each other."""
 
 Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
 """Two maps, hypotheses of their alignment, and the number of links that these were chosen from."""
@@ -350,9 +364,9 @@ def _same_poses(one: FloatArray, two: FloatArray) -> bool:
 def _placed(
     a: Prepared, b: Prepared, T_a_b: FloatArray, settings: RobustSettings
 ) -> Candidate | None:
-    """The candidate of a placement: junctions that it lays over each other, grown if they grow;
-    None if there are none. That views chose it from many is part of what theirs is held against
-    (`judged`); the junctions had no choice."""
+    """The candidate of a placement: junctions that it lays over each other, grown if they grow, or
+    none; None if they contradict it. That views chose it from many is part of what theirs is held
+    against (`judged`); the junctions had no choice."""
     x, y, theta = T_a_b.tolist()
     there = np.exp(1j * theta) * b.z + (x + 1j * y)
     gap = np.abs(a.z[:, None] - there)
@@ -361,7 +375,7 @@ def _placed(
         (second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m)
     )
     if not len(pairs):
-        return None
+        return replace(NO_JUNCTIONS, transform=T_a_b)
     seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)
     lanes = _lanes([(a, b, [seed], 0)])
     (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), all_searched=True)
@@ -389,7 +403,7 @@ def _points(z: ComplexArray) -> FloatArray:
 
 
 def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
-    """Whether two candidates place b alike, as seen from where each of them matches."""
+    """Whether two candidates place b alike, as seen from where each of them matches, if it does."""
     if abs(float(wrap(x.transform[2] - y.transform[2]))) > MATCH.turn_rad:
         return False
     partner = np.full(len(b), -1)
@@ -398,7 +412,7 @@ def same_placement(x: Candidate, y: Candidate, b: Prepared) -> bool:
     both = np.count_nonzero(mine >= 0)
     if both:
         return bool(np.count_nonzero(mine == y.a) >= 0.5 * both)
-    one, two = complex(b.z[x.b].mean()), complex(b.z[y.b].mean())
+    one, two = (complex(b.z[c.b if len(c) else slice(None)].mean()) for c in (x, y))
     slack = MATCH.place_m + MATCH.drift_per_m * abs(one - two)
     return abs(x.move(one) - y.move(one)) < slack and abs(x.move(two) - y.move(two)) < slack
 

@@ -40,6 +40,11 @@ class Support:
     bits: float
 
 
+_NONE, _NO_BITS = np.zeros(0, np.int64), np.zeros(0)
+NO_SUPPORT = Support(_NONE.reshape(0, 2), _NONE.reshape(0, 2), _NONE, _NO_BITS, _NO_BITS, 0.0)
+"""Of a placement without a matched junction."""
+
+
 def supports(grown: Grown) -> list[Support]:
     """For each lane the evidence of the branches of all matched junctions and of the best forest of
     links between them.

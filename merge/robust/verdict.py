@@ -67,11 +67,17 @@ class Threshold:
     def may_be_copy(self, best: Candidate) -> float:
         """0 to 1: how likely an alignment is a copy, by its size.
 
-        1 if it has no more junctions than the largest repetition within a map, 0 from twice as many
-        on. Without this tunnels are merged wrongly (`benchmarks/aliasing.py --without "small
-        copies"`).
+        1 if it has no more witnesses than the largest repetition within a map has junctions, 0 from
+        twice as many on. Without this tunnels are merged wrongly (`benchmarks/aliasing.py --without
+        "small copies"`).
         """
-        return _share(2.0 - len(best) / self.copied) if self.copied else 0.0
+        return _share(2.0 - best.witnesses / self.copied) if self.copied else 0.0
+
+    def looks_repeated(self, c: Candidate) -> float:
+        """0 to 1: how likely an alignment is a copy, by its views; 0 where the junctions alone
+        suffice and no junctions of either map stand twice."""
+        by_junctions = c.bits - c.views.total >= self.need_bits and not self.copied
+        return 0.0 if by_junctions else c.views.repeated
 
 
 @dataclass(frozen=True, slots=True)
@@ -253,7 +259,8 @@ def falls_short(c: Candidate) -> float:
     Two runs of one place agree in nearly everything. Places built after the same plan, or of the
     same parts, do not, however far they are beyond chance.
     """
-    return _share(2.0 - counted_bits(c) / (MATCH.least_told * MATCH.junction_bits * len(c)))
+    least = MATCH.least_told * MATCH.junction_bits * len(c)
+    return _share(2.0 - counted_bits(c) / least) if least else 0.0
 
 
 def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
@@ -309,7 +316,8 @@ def _repetitions(
     """0 to 1 for each alignment: how likely it is a copy."""
     uniform = threshold.few_lengths(a, b) if odd else 0.0
     shares = [
-        max(uniform, threshold.may_be_copy(c), misfits(a, b, c), c.views.repeated) for c in odd
+        max(uniform, threshold.may_be_copy(c), misfits(a, b, c), threshold.looks_repeated(c))
+        for c in odd
     ]
     if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
         shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
@@ -386,7 +394,8 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
         return "chance offers as much too often"
     if best.rival:
         return MAYBE_COPY
-    if best.witnesses - len(best.conflicts) < threshold.settings.min_matches:
+    few = best.witnesses - len(best.conflicts) < threshold.settings.min_matches
+    if few and best.views.total < threshold.need_bits:
         fewest = f"{threshold.settings.min_matches} junctions at least must agree"
         return f"{fewest}, one more for every contradiction" if len(best.conflicts) else fewest
     if margin is not None and margin < MATCH.lead_bits:
