@@ -18,7 +18,7 @@ from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Start, Term, TermKind, rounded_terms
 from .discards import REASON, discarded
 from .result import PairVerdict, Verdict, shown_bits, shown_lead
-from .wording import decimals
+from .wording import AGREES_BITS, decimals, what_agrees
 
 WIDTH, HEIGHT = 79, 22
 """Columns and lines of the smallest usual terminal, minus two lines for the file and the prompt;
@@ -157,11 +157,10 @@ def _given_up(said: PairVerdict, start: Start, shown: Placement) -> str:
 
 
 def agreement(placement: Placement) -> str:
-    """How many junctions and corridors agree, and what contradicts."""
-    alignment = placement.alignment
-    junctions = counted(len(placement.of("branches")), "junction")
-    corridors = counted(alignment.corridors, "corridor")
-    return f"{junctions} and {corridors} agree, {_contradicted(placement)}"
+    """What agrees, and what contradicts."""
+    views = sum(t.bits > AGREES_BITS for t in placement.of("views"))
+    junctions, corridors = len(placement.of("branches")), placement.alignment.corridors
+    return f"{what_agrees(junctions, corridors, views)}, {_contradicted(placement)}"
 
 
 def _contradicted(placement: Placement) -> str:

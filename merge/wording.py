@@ -5,10 +5,13 @@ from __future__ import annotations
 import math
 
 from ..topology.digits import BITS
+from ..topology.wording import counted
 from .result import shown_bits
 
 LEAST = 0.1
 """Metres and degrees of which one decimal tells something."""
+AGREES_BITS = 1.0
+"""Where the walls of a part of the overlap say more, they agree: odds of 2 to 1."""
 
 
 def decimals(bits: float, need_bits: float) -> int:
@@ -21,6 +24,14 @@ def told_bits(bits: float, need_bits: float) -> str:
     """ "4.1 bits, 12.6 needed", with enough decimals to distinguish the two."""
     digits = decimals(bits, need_bits)
     return f"{shown_bits(bits, digits)} bits, {shown_bits(need_bits, digits)} needed"
+
+
+def what_agrees(junctions: int, corridors: int, views: int) -> str:
+    """ "5 junctions and 3 corridors agree", and the walls, in how many parts of the overlap."""
+    told = [counted(junctions, "junction"), counted(corridors, "corridor")]
+    if views:
+        told.append(f"the walls in {counted(views, 'part')} of the overlap")
+    return f"{', '.join(told[:-1])} and {told[-1]} agree"
 
 
 def told_placement(sigma_m: float, sigma_rad: float) -> str:

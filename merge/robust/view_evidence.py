@@ -18,6 +18,7 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
 from ...topology.se2 import between, compose
+from ..wording import AGREES_BITS
 from .settings import MATCH
 from .view_search import KEPT, Picture, placements
 
@@ -43,8 +44,6 @@ APART_M = 20.0
 """Way between two passes that do not share scans."""
 AT_HAND_M = 1.5
 """Passes of one run by one place lie within as much."""
-LEAST_BITS = 1.0
-"""A part with more speaks for a placement: odds of 2 to 1."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +84,7 @@ class ViewEvidence:
     @property
     def agreeing(self) -> int:
         """Parts of the overlap that speak for the placement."""
-        return int(np.count_nonzero(self.bits > LEAST_BITS))
+        return int(np.count_nonzero(self.bits > AGREES_BITS))
 
 
 NO_VIEW_EVIDENCE = ViewEvidence(

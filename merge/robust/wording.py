@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from ...topology.wording import counted
 from ..result import shown_bits, shown_lead
-from ..wording import decimals, told_bits
+from ..wording import decimals, told_bits, what_agrees
 from .alignment import Candidate
 from .conflicts import Contradiction, one_by_one
 from .prepare import Prepared
@@ -14,7 +14,7 @@ from .verdict import Faint
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
     """What agrees, what contradicts, the evidence, and how far the next alignment is behind or
     ahead."""
-    agree = f"{counted(len(best), 'junction')} and {counted(len(best.corridors), 'corridor')} agree"
+    agree = what_agrees(len(best), len(best.corridors), best.views.agreeing)
     against = len(best.conflicts)
     contradicted = f"{against} {'contradicts' if against == 1 else 'contradict'}"
     if not best.searched:

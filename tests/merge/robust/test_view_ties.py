@@ -6,6 +6,7 @@ import numpy as np
 
 from topobatch.merge.fusion.fuse import fuse_component
 from topobatch.merge.kept import Kept
+from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust.merged_maps import MergedMaps
 from topobatch.merge.robust.prepare import prepare
@@ -73,3 +74,21 @@ def test_a_merged_map_has_the_views_of_its_runs() -> None:
     of_b = MergedMaps([apart, b], Kept()).of((0, 1), {(0, 1): best}).as_map.views
     assert np.abs(of_b.pose[:, :2] - a.views.pose[:, :2]).max() < 0.8  # their ends differ by 1 m
     assert np.array_equal(of_b.cells, b.views.cells)
+
+
+def test_maps_without_a_common_junction_are_merged_by_their_views() -> None:
+    walls, places = walls_of(1), line((5, 20), (35, 20), 14)
+    a = straight_map("a", [(5, 20), (20, 20)], [(0, 1)])
+    b = straight_map("b", [(27, 20), (35, 20)], [(0, 1)], T=T_B_WORLD)
+    a = replace(a, views=views_of(walls, places))
+    b = replace(b, views=views_of(walls, places, T_B_WORLD))
+    merged = merge_maps([a, b])
+    (verdict,), (component,) = merged.verdicts, merged.components
+    assert verdict.verdict is Verdict.MERGED
+    assert verdict.best is not None
+    assert len(verdict.best.matched) == 0
+    off = compose(component.poses["b"], T_B_WORLD)
+    assert np.hypot(*off[:2]) < 0.8
+    assert abs(wrap(off[2])) < 0.05
+    elsewhere = replace(b, views=views_of(walls_of(2), places, T_B_WORLD))
+    assert len(merge_maps([a, elsewhere]).components) == 2

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from topobatch.merge.robust.conflicts import Conflicts
+from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE
 from topobatch.merge.robust.wording import contradictions, summary
 
 
@@ -31,6 +32,8 @@ def test_every_contradiction_names_its_junctions() -> None:
 
 
 class Alignment(SimpleNamespace):
+    views = NO_VIEW_EVIDENCE
+
     def __len__(self) -> int:
         return 5
 
