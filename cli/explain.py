@@ -11,6 +11,7 @@ import typer
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.wording import counted, listed
+from .matching import kept_results
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
@@ -166,7 +167,8 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     else:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
         poses = poses_from_document(document)
-        merge = Merge(read, len(poses), said, settings, place.locks(), poses)
+        kept = kept_results(place, settings, warn)
+        merge = Merge(read, len(poses), said, settings, place.locks(), poses, kept)
         new = changed_since(place, document.graph.maps or {}, pair)
         notes = [f"{told_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
@@ -187,19 +189,23 @@ def _before_a_merge(
     settings are."""
     from ..merge.merging import MOST_LISTED, MergeSettings, merge_maps
     from ..merge.result import pairs_of
+    from ..merge.robust import Means
     from ..merge.robust.explained import Merge
 
     locks, gone = place.locks(), place.discards()
     if pairs_of(len(runs)) <= MOST_LISTED:
         maps, lost = _readable(runs, read, pair)
-        result = merge_maps(maps, MergeSettings(robust=settings), locks=locks, discarded=gone)
+        means = Means(kept=kept_results(place, settings, warn))
+        result = merge_maps(
+            maps, MergeSettings(robust=settings), locks=locks, discarded=gone, means=means
+        )
         said = {(v.a, v.b): v for v in result.verdicts}
         poses = {run: pose for c in result.components for run, pose in c.poses.items()}
         notes = [f"this is what a merge of {counted(len(maps), 'map')} would say{own}"]
         if lost:
             what = f"the map{'' if len(lost) == 1 else 's'} of {listed(lost, 3)}"
             notes.append(f"{what} cannot be read: the merge is told without")
-        return Merge(read, len(maps), said, settings, locks, poses), notes
+        return Merge(read, len(maps), said, settings, locks, poses, means.kept), notes
     notes = [
         f"this is what the two maps say by themselves, asked as one pair of "
         f"{counted(len(runs), 'map')}{own}; a merge also counts what the others say"

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Annotated
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from ..merge.kept import Kept
     from ..merge.merging import MergeSettings
-    from ..merge.robust import Means
+    from ..merge.robust import Means, RobustSettings
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
 
@@ -97,6 +97,19 @@ def read_maps(
     return maps, broken
 
 
+def kept_results(
+    place: Workspace,
+    settings: RobustSettings,
+    say: Callable[[str], None],
+    held: Callable[[], AbstractContextManager[object]] = nullcontext,
+) -> Kept:
+    """The results of earlier merges of a workspace, as by these settings; parameters as `Kept`."""
+    from ..merge.kept import Kept
+    from ..merge.robust import era_of
+
+    return Kept(place.kept, era_of(settings), say, held)
+
+
 @contextmanager
 def matching(
     place: Workspace,
@@ -159,12 +172,11 @@ def match_share(
 ) -> None:
     """Match a share of all pairs and keep the results in the cache. Other shares may run at the
     same time: the workspace is locked only to write."""
-    from ..merge.kept import Kept
     from ..merge.result import pairs_of
-    from ..merge.robust import era_of, match_shard
+    from ..merge.robust import match_shard
 
     held = partial(place.held, lambda _: None, make=False)
-    kept = Kept(place.kept, era_of(settings.robust), screen.warn, held)
+    kept = kept_results(place, settings.robust, screen.warn, held)
     maps, broken = read_maps(place, place.chosen_runs([], True), screen)
     pairs = pairs_of(len(maps)) // share[1]
     with matching(place, pairs, kept, workers, screen) as means:

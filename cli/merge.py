@@ -16,7 +16,7 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
 from .draw import read_result
 from .journal import note
-from .matching import MatchOptions, match_share, matching, read_maps, share_of
+from .matching import MatchOptions, kept_results, match_share, matching, read_maps, share_of
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
@@ -329,12 +329,10 @@ def _merged(
     everything: bool,
     screen: Screen,
 ) -> MergeResult:
-    from ..merge.kept import Kept
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
-    from ..merge.robust import era_of
 
-    kept = Kept(place.kept, era_of(settings.robust), screen.warn)
+    kept = kept_results(place, settings.robust, screen.warn)
     with matching(place, pairs_of(len(maps)), kept, workers, screen) as means:
         result = merge_maps(
             maps, settings, locks=place.locks(), discarded=place.discards(), means=means

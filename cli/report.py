@@ -10,6 +10,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from .draw import read_result
 from .explain import settings_of
+from .matching import kept_results
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
 from .output import checked_output, complain, say
 from .version import VERSION
@@ -124,7 +125,8 @@ def _decisions(
     poses = {run: pose for c in result.components for run, pose in c.poses.items()}
     said = {(v.a, v.b): v for v in result.verdicts}
     settings = settings_of(place, document)
-    merge = Merge(maps.__getitem__, len(poses), said, settings, place.locks(), poses)
+    kept = kept_results(place, settings, complain)
+    merge = Merge(maps.__getitem__, len(poses), said, settings, place.locks(), poses, kept)
     return {(v.a, v.b): explain(merge, v.a, v.b) for v in [*open_, *merged][:MOST_EXPLAINED]}
 
 

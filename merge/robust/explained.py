@@ -22,6 +22,7 @@ from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Start, Term, TermKind
 from ..discards import discarded
+from ..kept import Kept
 from ..locks import Lock, lock_table
 from ..result import Alignment, CopyTest, PairVerdict, Verdict, pairs_of, shown_bits
 from ..through import joined_through
@@ -32,7 +33,8 @@ from .decide import decide
 from .entries import alignment_of
 from .forced import forced_alignment
 from .growth import given_up
-from .prepare import Prepared, prepare
+from .pairing import Means, Pairwise
+from .prepare import Prepared
 from .rematching import linked_junctions, matches_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .shown_views import most_telling
@@ -40,6 +42,8 @@ from .verdict import counted_bits, in_steps, needed_bits
 
 SAME_BITS, SAME_M, SAME_RAD = 0.02, 0.01, 0.001
 """Verdicts that differ by less are the same up to the rounding of documents."""
+BOTH = np.array([(0, 1)])
+"""The pair of the two maps of a `_Pair`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +52,7 @@ class Merge:
 
     read: gives the map of a run; runs: number of all its runs; said: its verdicts, none if these
     runs were not merged; settings: of the merge; locks: present ones; poses: (3,) of every run in
-    its component.
+    its component; kept: results of matching that need not be computed again.
     """
 
     read: Callable[[str], TopoMap]
@@ -57,6 +61,7 @@ class Merge:
     settings: RobustSettings = DEFAULT_ROBUST
     locks: Sequence[Lock] = ()
     poses: Mapping[str, FloatArray] = field(default_factory=dict)
+    kept: Kept = field(default_factory=Kept)
 
     def pairs(self, told: PairVerdict) -> int:
         """The pairs that shared the false-merge rate, or those that still did when components
@@ -73,31 +78,41 @@ class _Pair:
     """Two maps of a merge, prepared."""
 
     merge: Merge
-    maps: tuple[TopoMap, TopoMap]
-    a: Prepared
-    b: Prepared
+    matcher: Pairwise
 
     @classmethod
     def of(cls, merge: Merge, a: str, b: str) -> _Pair:
         """Two runs of a merge."""
         maps = merge.read(a), merge.read(b)
-        return cls(merge, maps, *map(prepare, maps))
+        return cls(merge, Pairwise(maps, merge.settings, Means(kept=merge.kept)))
+
+    @property
+    def a(self) -> Prepared:
+        """The map of the first run."""
+        return self.matcher.prepared[0]
+
+    @property
+    def b(self) -> Prepared:
+        """The map of the second run."""
+        return self.matcher.prepared[1]
 
     def alone(self) -> PairVerdict:
         """What the two maps say by themselves, as one of all pairs of the merge."""
         settings, pairs = self.merge.settings, in_steps(pairs_of(self.merge.runs))
         one_of = replace(settings, false_merge_rate=settings.false_merge_rate / pairs)
-        return decide(self.maps, one_of)[0]
+        return decide(self.matcher.maps, one_of)[0]
 
     @cached_property
     def plain(self) -> tuple[Candidate, ...]:
         """The candidates of the two maps."""
-        return match(self.a, self.b, self.merge.settings)
+        (beyond,) = self.matcher.candidates(BOTH)
+        return beyond or match(self.a, self.b, self.merge.settings)
 
     @cached_property
     def beside_rivals(self) -> tuple[Candidate, ...]:
         """The same including all other hypotheses beyond chance."""
-        return match(self.a, self.b, self.merge.settings, rivals=True)
+        (beyond,) = self.matcher.beside_rivals(BOTH)
+        return beyond or match(self.a, self.b, self.merge.settings, rivals=True)
 
     def candidates(self, told: PairVerdict) -> Iterator[Candidate]:
         """All of them, first those that the verdict is about: a pair is merged by itself only
