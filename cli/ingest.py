@@ -246,9 +246,11 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     done = [outcome.size for outcome in outcomes if outcome.status == "done"]
     if len(done) > 1:
-        length, junctions, corridors = map(sum, zip(*done, strict=True))
-        found = f"{counted(junctions, 'junction')}, {counted(corridors, 'corridor')}"
-        screen.line(f"{counted(len(done), 'log')}, {length:,.0f} m → {found}")
+        length_m = sum(length for length, _, _ in done)
+        way = f", {length_m:,.0f} m" if length_m else ""
+        junctions = counted(sum(number for _, number, _ in done), "junction")
+        corridors = counted(sum(number for _, _, number in done), "corridor")
+        screen.line(f"{counted(len(done), 'log')}{way} → {junctions}, {corridors}")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
         logs = counted(len(outcomes), "log")

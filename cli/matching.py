@@ -109,7 +109,8 @@ def matching(
     the command is interrupted."""
     from ..merge.robust import Means
 
-    kept_before, all_done = None, False
+    kept_before: int | None = None
+    all_done = False
     with screen.progress("matching", pairs, "pairs") as advance:
 
         def on_pair(done: int, total: int) -> None:

@@ -72,15 +72,16 @@ def test_the_calls_of_the_viewer_are_as_a_shell_takes_them(topobatch, logs, tmp_
     assert words[1] == ["topobatch", "view", "it's; $x", "--web", "-w", str(ws)]
 
 
-def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, merged) -> None:
-    call = [sys.executable, "-m", "topobatch.cli", "view", "--web", "-w", str(merged)]
+def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, workspace) -> None:
+    view = ("view", "run1", "-w", str(workspace))
+    call = [sys.executable, "-m", "topobatch.cli", *view, "--web"]
     with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as served:
         try:
             address = served.stdout.readline().split()[0]
             with urlopen(address) as page:
                 assert "Rerun" in page.read().decode()
             port = urlsplit(address).port
-            error = topobatch("view", "--web", "--port", port, "-w", merged).error(2)
+            error = topobatch(*view, "--web", "--port", port).error(2)
             assert f"port {port}: " in error
         finally:
             served.send_signal(signal.SIGINT)
@@ -88,4 +89,4 @@ def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, merged) ->
     assert served.returncode == 0
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
-    assert "--port goes with --web" in topobatch("view", "--port", 9, "-w", merged).error(2)
+    assert "--port goes with --web" in topobatch(*view, "--port", 9).error(2)
