@@ -22,8 +22,7 @@ if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
 
 WHOLE_BYTES = 64_000_000
-"""Logs up to this size are read whole: a fraction of a second or, if junctions are found in scans,
-some minutes at most, with a progress bar."""
+"""Logs up to this size are read whole, without their scans: a fraction of a second."""
 
 
 @grouped
@@ -37,6 +36,14 @@ def info(
         ),
     ] = None,
     read: ReadOptions = ReadOptions(),  # noqa: B008 - frozen
+    try_all: Annotated[
+        bool,
+        typer.Option(
+            "--try",
+            help="Read logs as ingest does, whatever their size, and match their scans: takes as "
+            "long as ingest.",
+        ),
+    ] = False,
     as_json: JsonOption = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
@@ -44,10 +51,10 @@ def info(
 
     Their topics, types and counts, how long they are, which topics would be used and why. Exits
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
-    hold, as where no junction shows. To find out, and what ingest would warn of, logs of up to 64
-    MB on this machine are read whole; of others that have an index only the index is read, and a
-    line says so. Options about reading are those of ingest, also those that the workspace remembers
-    (topobatch init), which are shown first.
+    hold. For that, logs of up to 64 MB on this machine are read whole, except for scans and clouds:
+    --try reads these as well, and tells where no junction shows in them. Of others that have an
+    index only the index is read, and a line says so. Options about reading are those of ingest,
+    also those that the workspace remembers (topobatch init), which are shown first.
 
     \b
       topobatch info run1.mcap
@@ -72,14 +79,17 @@ def info(
             complain(str(error))
             failed = True
             continue
-        if _read_whole(found):
-            found = _tried(found, each, replace(settings, strict=not found.problems))
+        how = _trial(found, settings, try_all)
+        if how is not None:
+            found = _tried(found, each, replace(how, strict=not found.problems))
         if as_json:
             told.append(_as_json(found))
         else:
             for line in described(found):
                 say(line)
             _show_faults(found)
+            if how is None:
+                say("not read whole, so ingest may still refuse it: --try tells, and takes as long")
         failed |= bool(found.problems)
     if as_json:
         say_lines(json.dumps(told))
@@ -98,12 +108,17 @@ def _show_faults(found: LogInfo) -> None:
         say(f"problem: {problem}")
     for warning in found.warnings:
         say(f"warning: {warning}")
-    if not _read_whole(found):
-        say("not read whole: messages may still be damaged, or be refused by ingest")
 
 
-def _read_whole(found: LogInfo) -> bool:
-    return isinstance(found.path, Path) and found.bytes <= WHOLE_BYTES
+def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSettings | None:
+    """How a log is read to find out what ingest would refuse; None if it is not. Scans take minutes
+    and are left out, unless all is wanted."""
+    if not isinstance(found.path, Path) or try_all:
+        return settings if try_all else None
+    uses = {topic.use for topic in found.topics}
+    if found.bytes > WHOLE_BYTES or (uses & {"scans", "clouds"} and "junctions" not in uses):
+        return None
+    return replace(settings, junctions_from="topic") if "junctions" in uses else settings
 
 
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:

@@ -204,7 +204,10 @@ def _run_all(
             nonlocal so_far
             so_far = max(so_far, read)
             # Reading is faster than the rest: the first log tells how long the others take.
-            advance(*_done(so_far, finished, sizes), sure=bool(finished) or len(jobs) == 1)
+            known = [o.run for o in outcomes if o.status == "unchanged"]
+            kept = sum(2 * sizes.get(run, 0) for run in known)
+            sure = len(finished) > len(known) or len(jobs) == 1
+            advance(*_done(so_far, finished, sizes), sure=sure, kept=kept)
 
         workers = _workers(asked, len(jobs), total)
         with closing(outcomes_of(jobs, workers, on_bytes)) as known:
@@ -241,6 +244,13 @@ def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) 
     failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
     unchanged = sum(outcome.maps for outcome in outcomes if outcome.status == "unchanged")
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
+    done = [outcome.size for outcome in outcomes if outcome.status == "done"]
+    if len(done) > 1:
+        length_m = sum(length for length, _, _ in done)
+        way = f", {length_m:,.0f} m" if length_m else ""
+        junctions = counted(sum(number for _, number, _ in done), "junction")
+        corridors = counted(sum(number for _, _, number in done), "corridor")
+        screen.line(f"{counted(len(done), 'log')}{way} → {junctions}, {corridors}")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
         logs = counted(len(outcomes), "log")

@@ -22,7 +22,7 @@ from ..ingest.scans.slicing import SliceSettings
 from ..topology.document import map_to_document
 from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
-from ..topology.made_from import describe_junctions
+from ..topology.made_from import describe_junctions, describe_unusual
 from ..topology.odometry import Odometry
 from ..topology.topomap import TopoMap
 from ..topology.view_file import view_writes
@@ -61,6 +61,8 @@ class IngestOutcome:
     """Number of maps from the log."""
     details: tuple[str, ...] = ()
     """What was read and how, for --verbose."""
+    size: tuple[float, int, int] = (0.0, 0, 0)
+    """Length driven [m], numbers of junctions and of corridors."""
 
 
 def job_size(job: IngestJob) -> int:
@@ -143,12 +145,20 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     doc |= {"version": VERSION, "bytes": job_size(job) if own is None else own}
     record = partial(write_json, doc=doc)
     write_together({job.place.ingest_record(name): record for name in reversed(runs)})
-    text = f"{_summary(maps, beside.get('odometry'))} ({time.monotonic() - started:.1f} s)"
-    if source := describe_junctions(maps[0].info):
-        text += f"; {source}"
+    odometry = beside.get("odometry")
+    text = f"{_summary(maps, odometry)} ({time.monotonic() - started:.1f} s)"
+    if unusual := describe_unusual(maps[0].info):
+        text += f"; {unusual}"
     told = maps[0].info.get("warnings", ())
-    details = _details(job, topomap)
-    return IngestOutcome(job.run, "done", text, tuple(told), maps=len(maps), details=details)
+    size = (
+        0.0 if odometry is None else float(odometry.step_m.sum()),
+        sum(map(len, maps)),
+        sum(len(m.source) for m in maps),
+    )
+    return IngestOutcome(
+        job.run, "done", text, tuple(told),
+        maps=len(maps), details=_details(job, topomap), size=size,
+    )  # fmt: skip
 
 
 def is_unchanged(job: IngestJob) -> bool:
@@ -178,7 +188,8 @@ def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
     ]
     closed = sum(closure.accepted for closure in topomap.closures)
     closures = f"{closed} of {counted(len(topomap.closures), 'closure')} accepted"
-    return (f"from {job.log}, {job_size(job):,} bytes", *read, closures)
+    made_from = filter(None, [describe_junctions(topomap.info)])
+    return (f"from {job.log}, {job_size(job):,} bytes", *read, closures, *made_from)
 
 
 def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:

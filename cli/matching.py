@@ -122,13 +122,30 @@ def matching(
     the command is interrupted."""
     from ..merge.robust import Means
 
+    kept_before: int | None = None
+    all_done = False
     with screen.progress("matching", pairs, "pairs") as advance:
+
+        def on_pair(done: int, total: int) -> None:
+            nonlocal kept_before, all_done
+            kept_before = done if kept_before is None else kept_before
+            all_done = done == total
+            advance(done, doing="joining" if all_done else "", kept=kept_before)
+
+        def tell(text: str) -> None:
+            screen.detail(text)
+            step, *_ = text.partition(", of which")
+            if all_done:
+                advance(pairs, doing=f"joining: {step}")
+            elif kept_before is None:
+                advance(0, doing=step)
+
         means = Means(
             workers=workers(pairs),
             maps=replace(place, root=place.root.resolve()),
             kept=kept,
-            on_pair=lambda done, _: advance(done, doing="" if done < pairs else "joining"),
-            tell=screen.detail,
+            on_pair=on_pair,
+            tell=tell,
         )
         try:
             yield means

@@ -40,8 +40,9 @@ if TYPE_CHECKING:
     from ..topology.topomap import TopoMap
     from .unchanged import Line, Said
 
-MOST_LINES, MOST_JOINED = 20, 5
-"""Limits of printed lines: for all pairs, and for those only joined through others."""
+MOST_AMBIGUOUS, MOST_SITES, MOST_RUNS = 5, 12, 8
+"""Limits of what is printed: ambiguous pairs, sites, runs of a site. The end of a merge fits on a
+screen of 24 lines: what was found stays in sight, and `list`, `explain` and --verbose tell more."""
 
 GARBAGE = 50_000
 """Threshold of new objects for the garbage collector. Maps and verdicts are hundreds of thousands
@@ -123,7 +124,7 @@ def merge(
 
     Every pair of runs gets a verdict: merged (the same place, and the evidence says so), ambiguous
     (an alignment fits, but the evidence falls short, or another fits nearly as well) or unrelated.
-    Only merged pairs join. The order of the runs does not matter.
+    Only merged pairs join; --verbose lists them. The order of the runs does not matter.
 
     \b
       topobatch merge --all
@@ -365,44 +366,79 @@ def _write(
 
 
 def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
-    """The printed summary of a merge."""
+    """The printed summary of a merge: the pairs first, and the answer last, where it stays on the
+    screen."""
+    home = {run: component.id for component in result.components for run in component.poses}
+    yield from (("warning", text) for text in _warnings(result, home))
+    yield from _pair_lines(result)
+    yield "line", f"{place.merged_json}"
+    yield "line", _counts(result)
+    yield from _site_lines(result, place)
+    name = () if place.merge == MERGED else (place.merge,)
+    yield "line", f"{place.merged_rrd}  (look at it: {place.call('view', *name)})"
+    yield from (("line", text) for text in _next_steps(result, place))
+
+
+def _pair_lines(result: MergeResult) -> Iterator[Line]:
+    """Pairs of runs: the ambiguous ones, strongest first, with advice on the first of them; those
+    that are merged if they are asked for."""
     from ..merge.merging import ALONE
     from ..merge.result import Standing
 
     def of(standing: Standing) -> list[PairVerdict]:
         return [pair for pair in result.verdicts if pair.standing is standing]
 
-    home = {run: component.id for component in result.components for run in component.poses}
-    for component in result.components:
-        if len(component.poses) > 1:
-            yield "folded", f"site {component.name}: {listed(sorted(component.poses))}"
+    for pair in of(Standing.MERGED):
+        yield "verbose", f"  {pair.a} + {pair.b}: {pair.reason}"
+    for pair in of(Standing.JOINED):
+        yield "verbose", f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}"
+    ambiguous = sorted(of(Standing.AMBIGUOUS), key=lambda pair: -pair.evidence_bits)
+    for pair in ambiguous[:MOST_AMBIGUOUS]:
+        yield "folded", f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}"
+    for pair in ambiguous[MOST_AMBIGUOUS:]:
+        yield "verbose", f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}"
+    advice = next((pair for pair in ambiguous[:MOST_AMBIGUOUS] if pair.advice), None)
+    if advice is not None:
+        yield "folded", f"  to settle {advice.a} ? {advice.b}: {advice.advice}"
+
+
+def _open_because(pair: PairVerdict) -> str:
+    """Why an ambiguous pair is not merged, in brief if its own evidence is what falls short."""
+    from ..merge.wording import told_bits
+
+    if not pair.lacks or pair.locked or pair.threshold_bits is None:
+        return pair.reason
+    return f"{told_bits(pair.evidence_bits, pair.threshold_bits)}; {pair.lacks}"
+
+
+def _site_lines(result: MergeResult, place: Workspace) -> Iterator[Line]:
+    """A line for each site of several runs, the largest first, and one for runs that stand
+    alone."""
+    sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
+    for site in sites[:MOST_SITES]:
+        names = listed(sorted(site.poses), MOST_RUNS)
+        yield "folded", f"site {site.name}: {counted(len(site.poses), 'run')}: {names}"
+    if len(sites) > MOST_SITES:
+        yield "line", f"and {counted(len(sites) - MOST_SITES, 'more site')}: {place.call('list')}"
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
-        yield "folded", f"alone: {listed(alone)}"
-    yield from (("warning", text) for text in _warnings(result, home))
-    merged, joined, ambiguous = map(of, (Standing.MERGED, Standing.JOINED, Standing.AMBIGUOUS))
-    others = result.standings()[Standing.JOINED]
-    for pair in merged[:MOST_LINES]:
-        yield "folded", f"  {pair.a} + {pair.b}: {pair.reason}"
-    if len(merged) > MOST_LINES:
-        more = len(merged) - MOST_LINES
-        yield "line", f"  … and {counted(more, 'more merged pair')}, in {place.merged_json}"
-    for pair in joined[:MOST_JOINED]:
-        yield "folded", f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}"
-    if others > min(len(joined), MOST_JOINED):
-        more = others - min(len(joined), MOST_JOINED)
-        yield "line", f"  … and {counted(more, 'more pair')} joined through others"
-    for pair in ambiguous[:MOST_LINES]:
-        yield "folded", f"  {pair.a} ? {pair.b}: ambiguous: {pair.reason}"
-        if pair.advice:
-            yield "folded", f"    to settle it: {pair.advice}"
-    if len(ambiguous) > MOST_LINES:
-        more = len(ambiguous) - MOST_LINES
-        yield "line", f"  … and {counted(more, 'more ambiguous pair')}"
-    yield "line", _counts(result)
-    yield "line", f"{place.merged_json}"
-    name = () if place.merge == MERGED else (place.merge,)
-    yield "line", f"{place.merged_rrd}  (look at it: {place.call('view', *name)})"
+        yield "folded", f"alone: {listed(sorted(alone), MOST_RUNS)}"
+
+
+def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
+    """What to do next: give names to sites that have none but a run's; record what joins more."""
+    from ..merge.result import Standing
+
+    given = place.sites()
+    for site in result.components:
+        run = site.name.removeprefix("site-")
+        if site.name not in given and site.name != run and run in site.poses:
+            yield f"name a site: {place.call('site', run, 'NAME')}"
+            break
+    if open_ := result.standings()[Standing.AMBIGUOUS]:
+        merge = () if place.merge == MERGED else ("--merge", place.merge)
+        pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
+        yield f"{pairs}; what to record to settle most: {place.call('next', *merge)}"
 
 
 def _told(place: Workspace) -> dict[str, Any]:

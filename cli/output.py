@@ -174,6 +174,11 @@ class Screen:
         """Print an error, also with --quiet."""
         self._emit(f"error: {message}", err=True)
 
+    def begin(self, text: str) -> None:
+        """Print that a long task begins, where no bar shows it."""
+        if not self.quiet and not sys.stderr.isatty():
+            say(text, err=True)
+
     def stopped(self, message: str) -> None:
         """Print what is done when the user stops the command."""
         if not self.quiet:
@@ -196,7 +201,7 @@ class Screen:
         drawn with --quiet or without a terminal.
         """
         if self.quiet or not sys.stderr.isatty():
-            yield lambda done, told="", doing="", sure=True: None
+            yield lambda done, told="", doing="", sure=True, kept=0: None
             return
         from rich.console import Console
         from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
@@ -205,13 +210,23 @@ class Screen:
         texts = [TextColumn(f"{{task.fields[{name}]}}", markup=False) for name in ("told", "left")]
         columns = [TextColumn("{task.description}", markup=False), *bar, *texts]
         progress = Progress(*columns, console=Console(stderr=True), transient=True)
-        task = progress.add_task(label, total=total or None, told="", left="")
         begun = time.monotonic()
+        first = "" if total else _Elapsed(begun)
+        task = progress.add_task(label, total=total or None, told="", left=first)
+        phase = _Elapsed(begun)
+        now = ""
 
-        def advance(done: int, told: str = "", doing: str = "", sure: bool = True) -> None:
-            known = told or (_amount(done, total, unit) if total and unit else "")
-            foretold = total and sure and not doing
-            left = _left(time.monotonic() - begun, done / total) if foretold else ""
+        def advance(
+            done: int, told: str = "", doing: str = "", sure: bool = True, kept: int = 0
+        ) -> None:
+            nonlocal phase, now
+            if doing != now:
+                phase, now = _Elapsed(time.monotonic()), doing
+            known = told or (_amount(done, total, unit) if total and unit and not doing else "")
+            known += f", {kept:,} of them kept" if kept and known and not told else ""
+            left: object = phase if doing or not total else ""
+            if total > kept and sure and not doing:
+                left = _left(time.monotonic() - begun, (done - kept) / (total - kept))
             progress.update(task, completed=done, told=known, left=left, description=doing or label)
 
         with progress:
@@ -222,11 +237,24 @@ class Screen:
                 self._progress = None
 
 
-class Advance(Protocol):
-    """Sets how much is done; told: in words, instead of counts; doing: what is done now; sure:
-    whether the time left follows from that."""
+class _Elapsed:
+    """The time since a moment, as a text that is made anew whenever the bar is drawn."""
 
-    def __call__(self, done: int, told: str = "", doing: str = "", sure: bool = True) -> None:
+    def __init__(self, since_s: float) -> None:
+        self.since_s = since_s
+
+    def __str__(self) -> str:
+        return _duration(time.monotonic() - self.since_s)
+
+
+class Advance(Protocol):
+    """Sets how much is done; told: in words, instead of counts; doing: what is done now, shown with
+    the time since it began; sure: whether the time left follows from what is done; kept: how much
+    of that was done before, and says nothing of the speed."""
+
+    def __call__(
+        self, done: int, told: str = "", doing: str = "", sure: bool = True, kept: int = 0
+    ) -> None:
         """Show it."""
 
 
@@ -244,5 +272,8 @@ def _left(spent_s: float, share: float) -> str:
     """The time left in words, after so many seconds and such a share of the work."""
     if spent_s < SURE_S or not SURE_SHARE <= share < 1:
         return ""
-    left_s = spent_s * (1 - share) / share
-    return f"about {left_s / 60:.0f} min" if left_s >= 90 else f"about {max(left_s, 1):.0f} s"
+    return f"about {_duration(max(spent_s * (1 - share) / share, 1))}"
+
+
+def _duration(seconds: float) -> str:
+    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

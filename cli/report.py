@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.wording import counted
 from .draw import read_result
 from .explain import settings_of
 from .matching import kept_results
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
-from .output import checked_output, complain, say
+from .output import Screen, checked_output, complain, say
 from .version import VERSION
 from .workspace import MERGED, Workspace
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from ..merge.decision import Decision
     from ..merge.result import MergeResult
     from ..topology.topomap import TopoMap
+    from .output import Advance
 
 MOST_DRIVES = 3
 """Drives to record next: after one of them all others are worth another look."""
@@ -66,24 +68,29 @@ def report(
     from ..viz.report import Report, report_page
     from .unchanged import changed_since, told_changed
 
-    maps, unread = _maps(place)
     result = read_result(place) if place.merged_json.is_file() else None
-    new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
-    same = result is not None and not new and not unread
-    html = report_page(
-        Report(
-            maps,
-            result,
-            [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])],
-            [str(lock) for lock in place.locks()],
-            _versions(),
-            drives(result, MOST_DRIVES) if result else (),
-            _changes(place, maps) if same else (),
-            decisions=_decisions(place, result, maps) if result and same else {},
-            where=place.where,
-            as_merged=same,
+    screen = Screen(quiet=False)
+    screen.begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
+    with screen.progress("reading maps", 0) as advance:
+        maps, unread = _maps(place)
+        new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
+        same = result is not None and not new and not unread
+        decisions = _decisions(place, result, maps, advance) if result and same else {}
+        advance(0, doing="drawing the page")
+        html = report_page(
+            Report(
+                maps,
+                result,
+                [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])],
+                [str(lock) for lock in place.locks()],
+                _versions(),
+                drives(result, MOST_DRIVES) if result else (),
+                _changes(place, maps) if same else (),
+                decisions=decisions,
+                where=place.where,
+                as_merged=same,
+            )
         )
-    )
     try:
         write_text(page, html)
     except PermissionError as error:
@@ -107,7 +114,7 @@ def _changes(place: Workspace, maps: Mapping[str, TopoMap]) -> list[Change]:
 
 
 def _decisions(
-    place: Workspace, result: MergeResult, maps: Mapping[str, TopoMap]
+    place: Workspace, result: MergeResult, maps: Mapping[str, TopoMap], advance: Advance
 ) -> dict[tuple[str, str], Decision]:
     """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
     the merged ones with the least evidence."""
@@ -127,7 +134,12 @@ def _decisions(
     settings = settings_of(place, document)
     kept = kept_results(place, settings, complain)
     merge = Merge(maps.__getitem__, len(poses), said, settings, place.locks(), poses, kept)
-    return {(v.a, v.b): explain(merge, v.a, v.b) for v in [*open_, *merged][:MOST_EXPLAINED]}
+    chosen = [*open_, *merged][:MOST_EXPLAINED]
+    out = {}
+    for done, v in enumerate(chosen):
+        advance(done, f"{done} of {counted(len(chosen), 'pair')}", "explaining")
+        out[v.a, v.b] = explain(merge, v.a, v.b)
+    return out
 
 
 def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:

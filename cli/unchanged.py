@@ -22,8 +22,8 @@ from ..topology.wording import listed
 from .output import Screen, folded
 from .workspace import Workspace
 
-Line = tuple[Literal["line", "folded", "warning"], str]
-"""A line of output and how it is printed."""
+Line = tuple[Literal["line", "folded", "verbose", "warning"], str]
+"""A line of output and how it is printed; verbose: folded, and with --verbose only."""
 
 FOLDERS = ("topology", "merge", "viz", "cli")
 LIBRARIES = ("numpy", "scipy", "pydantic", "rerun-sdk", "pyarrow")
@@ -42,8 +42,8 @@ class Said:
         for kind, text in self.lines:
             if kind == "warning":
                 screen.warn(text)
-            else:
-                for line in folded(text) if kind == "folded" else [text]:
+            elif kind != "verbose" or screen.verbose:
+                for line in [text] if kind == "line" else folded(text):
                     screen.line(line)
 
 

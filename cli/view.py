@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 import shlex
+import shutil
+import socket
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
+from urllib.parse import quote
 
 import typer
 
@@ -17,6 +22,12 @@ from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
 from .workspace import Workspace, pair_named
+
+if TYPE_CHECKING:
+    import subprocess
+
+HOST = "127.0.0.1"
+"""Where the viewer is served: to this machine alone."""
 
 ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
 
@@ -38,6 +49,21 @@ def view(
             "--with-log", help="Open the raw log of the run beside its map (MCAP logs only)."
         ),
     ] = False,
+    web: Annotated[
+        bool,
+        typer.Option(
+            "--web", help="Serve the viewer to browsers of this machine instead, until Ctrl-C."
+        ),
+    ] = False,
+    port: Annotated[
+        int,
+        typer.Option(
+            metavar="N",
+            min=0,
+            max=65534,
+            help="With --web: port of the page, N + 1 that of the data; 0: free ones.",
+        ),
+    ] = 0,
 ) -> None:
     """Open the merged map, a run's, or the explanation of a pair, in the rerun viewer.
 
@@ -45,23 +71,30 @@ def view(
     were joined. With --with-log a page for every topic of the raw log stands beside it, at the same
     time: speeds, laser echoes, pictures, tables of messages.
 
+    --web serves rerun's viewer on 127.0.0.1, also where there is no display, and prints the page's
+    address. From another machine: ssh -L 9090:127.0.0.1:9090 -L 9091:127.0.0.1:9091.
+
     \b
       topobatch view
       topobatch view run1 --with-log
+      topobatch view --web --port 9090
       topobatch explain run1 run2
       topobatch view run1:run2
     """
     place = Workspace(workspace)
     if with_log and run is None:
         raise UsageError(ONE_RUN)
+    if port and not web:
+        raise UsageError("--port goes with --web")
     recording = _recording(place, run)
+    show = partial(_serve, port=port) if web else partial(_open, place=place, run=run)
     if not with_log or run is None:
-        _open([recording])
+        show([recording])
         return
     if recording != place.map_rrd(run):
         raise UsageError(ONE_RUN)
     with _raw_log(place, run, recording) as both:
-        _open(both)
+        show(both)
 
 
 def _recording(place: Workspace, run: str | None) -> Path:
@@ -109,19 +142,90 @@ def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]
         yield [views, both]
 
 
-def _open(recordings: list[Path]) -> None:
+def _open(recordings: list[Path], *, place: Workspace, run: str | None) -> None:
     """Open recordings in the viewer, or print how to without a display."""
     if not _has_display():
         names = shlex.join(r.name for r in recordings)
-        paths = shlex.join(map(str, recordings))
+        named = [] if run is None else [run]
+        with_log = ["--with-log"] if len(recordings) > 1 else []
         say(f"{recordings[0]}: there is no display here. To look at it:")
         say(f"  on a machine with a screen:  rerun {names}   (pip install rerun-sdk)")
-        say(f"  in a browser, served by this machine:  rerun --web-viewer {paths}")
+        say(f"  in a browser:  {place.call('view', *named, *with_log, '--web')}")
         return
     import subprocess
 
     call = [sys.executable, "-m", "rerun", *map(str, recordings)]
     raise typer.Exit(subprocess.call(call))
+
+
+def _serve(recordings: list[Path], *, port: int) -> None:
+    """Serve recordings and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
+    taken."""
+    import subprocess
+
+    page, data = _ports(port)
+    ports = ("--bind", HOST, "--web-viewer-port", str(page), "--port", str(data))
+    call = [_viewer(), "--serve-web", *ports, *map(str, recordings)]
+    # Rerun reports its use over the network unless it runs for CI.
+    server = subprocess.Popen(call, env={**os.environ, "CI": "1", "RUST_LOG": "error"})
+    try:
+        if _answers(server, page):
+            source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
+            say(f"http://{HOST}:{page}/?url={source}  (Ctrl-C ends it)")
+            sys.stdout.flush()
+        code = server.wait()
+    except KeyboardInterrupt:
+        code = 0
+    finally:
+        server.terminate()
+        server.wait()
+    if code:
+        raise typer.Exit(1)
+
+
+def _viewer() -> str:
+    """The program of the viewer, without the Python process around it, which would outlive this
+    one."""
+    from importlib.resources import files
+
+    folder = Path(str(files("rerun_cli")))
+    places = (folder, folder / "Rerun.app" / "Contents" / "MacOS")
+    found = shutil.which("rerun", path=os.pathsep.join(map(str, places)))
+    if found is None:
+        raise DataError(f"{folder}: rerun's viewer is not there; install rerun-sdk again")
+    return found
+
+
+def _ports(port: int) -> tuple[int, int]:
+    """Ports of the page and of its data; UsageError if those asked for are taken."""
+    wanted = (port, port + 1) if port else (0, 0)
+    with ExitStack() as bound:
+        found = []
+        for number in wanted:
+            probe = bound.enter_context(socket.socket())
+            if os.name == "posix":  # a port on which nobody listens any more is free at once
+                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HOST, number))
+            except OSError as error:
+                reason = error.strerror or error
+                raise UsageError(f"port {number}: {reason}; name another --port") from error
+            found.append(probe.getsockname()[1])
+    return found[0], found[1]
+
+
+def _answers(server: subprocess.Popen[bytes], port: int) -> bool:
+    """Wait until the server answers; False if it ended before."""
+    while server.poll() is None:
+        with socket.socket() as probe:
+            if probe.connect_ex((HOST, port)) == 0:
+                return True
+        time.sleep(POLL_S)
+    return False
+
+
+POLL_S = 0.1
+"""Between looks whether the server is there."""
 
 
 def _has_display() -> bool:

@@ -104,7 +104,7 @@ class Case:
             found = (said.alignment, None, said.view.margin)
             return self._joined(said.reason, found, by="components")
         if self.corroborated is not None:
-            told = "{}; other runs place the two in the same way"
+            told = "joined with the help of other runs, which place the two in the same way: {}"
             return self._accepted(self.corroborated, by="runs", reason=told)
         says = self._says()
         return self._not_joined(view.verdict, f"{says}; {view.why}" if view.why else says)

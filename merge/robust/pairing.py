@@ -39,8 +39,8 @@ class Means:
     """How the pairs of a batch are matched, without influence on the results.
 
     workers: executors, this process if None; maps: where they find the maps, None to send them
-    along; kept: known results, of the era of the settings; on_pair(done, total): progress; tell:
-    called with one line of text per event.
+    along; kept: known results, of the era of the settings; on_pair(done, total): progress, first
+    with what is known already; tell: called with one line of text per event.
     """
 
     workers: Workers | None = None
@@ -106,7 +106,7 @@ class Pairwise:
         def tell(more: int) -> None:
             nonlocal done
             done += more
-            if kind is Kind.PAIR and said and more and self.means.on_pair is not None:
+            if kind is Kind.PAIR and said and self.means.on_pair is not None:
                 self.means.on_pair(done, len(wanted))
 
         known = (None if data is None else read(data) for data in kept.find(kind, keys))

@@ -158,7 +158,7 @@ def test_a_cluster_by_the_command_and_one_that_loses_a_worker(dask, topobatch, w
     lost = []
 
     def lose_one(done, of):
-        if not lost:
+        if done and not lost:
             os.kill(pids[0], signal.SIGKILL)
             lost.append((done, of))
 

@@ -5,13 +5,16 @@ from __future__ import annotations
 import json
 import shutil
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from topobatch.cli.matching import _executor
-from topobatch.cli.merge import _counts
-from topobatch.merge.result import Standing
+from topobatch.cli.merge import MOST_AMBIGUOUS, _counts, _summary
+from topobatch.cli.workspace import Workspace
+from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
 from topobatch.simulation import ScenarioSettings
 
 from .conftest import simulated_maps
@@ -455,3 +458,39 @@ def test_many_pairs_are_counted_with_commas():
         "5,995 pairs: 1,200 merged, 1,200 joined through others, 1,200 ambiguous, 1,200 unrelated"
     )
     assert _counts(many) == f"{told}, 1,200 kept out; 1 site"
+
+
+def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    bits = [3.0, 9.0, 5.0, 4.0, 8.0, 6.0, 7.0]
+    pairs = [
+        PairVerdict(
+            "b", f"c{k}", Verdict.AMBIGUOUS, False, found, "long", advice=f"drive {k}",
+            threshold_bits=12.0, lacks="too little",
+        )
+        for k, found in enumerate(bits)
+    ]  # fmt: skip
+    best = Alignment(np.zeros(3), 20.0, np.zeros((1, 2), np.int64), 0.1)
+    pairs.append(PairVerdict(a, "run9", Verdict.MERGED, True, 20.0, "helped", best))
+    sites = [("north", [f"n{k:02}" for k in range(16)]), ("site-run1", [a, "run9"]), ("b", ["b"])]
+    merge = SimpleNamespace(
+        components=[
+            SimpleNamespace(id=k, name=name, poses=dict.fromkeys(runs))
+            for k, (name, runs) in enumerate(sites)
+        ],
+        verdicts=pairs,
+        info={},
+        standings=lambda: dict.fromkeys(Standing, 0) | {Standing.AMBIGUOUS: len(bits)},
+    )
+    lines = list(_summary(merge, Workspace(Path("topobatch-workspace"))))
+    shown = [text for kind, text in lines if kind != "verbose"]
+    assert shown[0] == "  b ? c1: ambiguous: 9.0 bits, 12.0 needed; too little"
+    assert shown[MOST_AMBIGUOUS] == "  to settle b ? c1: drive 1"
+    assert shown[-7].startswith("171 pairs: 0 merged, 7 ambiguous")
+    assert shown[-6] == "site north: 16 runs: n00, n01, n02, n03, n04, n05, n06, n07 and 8 more"
+    assert shown[-5:-3] == ["site site-run1: 2 runs: run1, run9", "alone: b"]
+    assert shown[-2:] == [
+        "name a site: topobatch site run1 NAME",
+        "7 pairs are open; what to record to settle most: topobatch next",
+    ]
+    assert ("verbose", "  run1 + run9: helped") in lines

@@ -103,6 +103,25 @@ def test_a_bar_tells_how_much_is_done_and_how_long_it_takes(monkeypatch, capsys)
     assert re.search(r"about \d+ min", err)  # the bar looks at the clock when it likes
 
 
+def test_a_bar_tells_the_speed_of_fresh_work_and_the_time_of_a_phase(monkeypatch, capsys):
+    now = [0.0]
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("topobatch.cli.output.time.monotonic", lambda: now[0])
+    monkeypatch.setenv("COLUMNS", "120")
+    with Screen(quiet=False).progress("matching", 190, "pairs") as advance:
+        advance(96, kept=96)
+        now[0] = 60.0
+        advance(100, kept=96)
+    assert "100 of 190 pairs, 96 of them kept about 22 min" in capsys.readouterr().err
+    with Screen(quiet=False).progress("matching", 190, "pairs") as advance:
+        advance(190, doing="joining")
+        now[0] += 75
+    assert re.search("joining .* 75 s", capsys.readouterr().err)
+    with Screen(quiet=False).progress("writing", 0):
+        now[0] += 20
+    assert re.search("writing .* 20 s", capsys.readouterr().err)
+
+
 def test_the_time_left_is_told_once_it_can_be_known():
     assert _left(1.0, 0.5) == ""
     assert _left(10.0, 0.01) == ""

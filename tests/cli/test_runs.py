@@ -330,13 +330,17 @@ def test_verbose(topobatch, merged, logs, tmp_path):
     topobatch("merge", "--all", "-w", merged)
     done = topobatch("merge", "--all", "-v", "-w", merged)
     assert "nothing is new" in done.err
+    assert " agree, 0 contradict: " in done.out
     (merged / "cache" / "merged" / "merged.json").unlink()
     done = topobatch("merge", "--all", "-v", "-w", merged)
     assert "pairs of maps: 21, of which 21 are known already" in done.err
     assert "s] 7 maps, 21 of 21 pairs to match" in done.err
     done = topobatch("ingest", logs["mcap"], "-v", "-w", tmp_path / "other")
     assert "nav_msgs/msg/Odometry on /odom" in done.err
-    assert "known already" not in topobatch("merge", "--all", "-w", merged).err
+    brief = topobatch("merge", "--all", "-w", merged)
+    assert "known already" not in brief.err
+    assert " agree, " not in brief.out
+    assert "\nsite site-s0000-00: 6 runs: s0000-00, " in brief.out
 
 
 def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):

@@ -34,7 +34,7 @@ def test_info_says_that_scans_stand_in_for_odometry(guided):
 def test_a_base_frame_that_is_not_there_leaves_no_odometry_out(topobatch, tmp_path):
     told = "/odom holds no usable pose to r2/base_link (--base-frame); it has odom → base_link"
     frame = "--base-frame", "r2/base_link"
-    done = topobatch("info", OFFICE, *frame)
+    done = topobatch("info", OFFICE, "--try", *frame)
     assert done.code == 1
     assert told in done.out
     assert told in topobatch("ingest", OFFICE, *frame, "-w", tmp_path / "ws").error(1)
@@ -66,11 +66,9 @@ def test_simulated_lasers(topobatch, tmp_path):
 def test_a_log_with_scans_becomes_a_map_and_says_how(samples):
     said = (samples / "said.txt").read_text().splitlines()
     (line,) = (line for line in said if line.startswith("office-1: "))
-    assert "junctions from /scan, drift in 20 m " in line
-    assert " corridors, 11 ways to turning points or ends of the log (" in line
-    assert " before, " in line
-    assert "% of the way covered, " in line
-    assert line.endswith("% of it along corridors or to turning points")
+    assert re.search(
+        r" corridors, 11 ways to turning points or ends of the log \([0-9.]+ s\)$", line
+    )
     doc = read_json(samples / "topobatch-workspace" / "maps" / "office-1.json")
     ends = [node for node in doc["nodes"] if node["kind"] in ("turning_point", "track_end")]
     assert ends == doc["nodes"][-11:]
@@ -109,14 +107,16 @@ def test_info_does_not_pass_scans_that_ingest_refuses(topobatch, tmp_path, far_m
     error = topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
     assert f"{path}: " in error
     assert why in error
-    told = topobatch("info", path, sound, "--json")
+    told = topobatch("info", path, sound, "--json", "--try")
     assert told.code == 1, told
     refused, passed = json.loads(told.out)
     assert error.endswith(refused["problems"][0].removeprefix(f"{path}: "))
     assert passed["problems"] == []
-    out = topobatch("info", path, sound).out
-    assert "problem: " in out
-    assert "run maze-1" in out
+    done = topobatch("info", path, sound)
+    assert done.code == 0
+    (untried,) = (line for line in done.out.splitlines() if line.startswith("not read whole"))
+    assert untried.endswith("--try tells, and takes as long")
+    assert done.out.index("run ring") < done.out.index(untried) < done.out.index("run maze-1")
 
 
 def test_info_does_not_pass_saved_maps_without_a_junction(topobatch, tmp_path):
@@ -160,11 +160,11 @@ def test_a_saved_map_is_a_map_like_any_other(topobatch, tmp_path):
     (found,) = json.loads(topobatch("info", tmp_path / "floor.yaml", "--json").out)
     assert (found["start_ns"], found["duration_s"]) == (None, None)
     assert "grid: 300 x 300 cells of 0.05 m" in out
-    done = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws")
+    done = topobatch("ingest", tmp_path / "floor.yaml", "-v", "-w", tmp_path / "ws")
     assert done.code == 0, done
     nodes = json.loads((tmp_path / "ws" / "maps" / "floor.json").read_text())["nodes"]
     assert sum(node["kind"] == "junction" for node in nodes) == 8, "one is a corner"
-    assert "junctions from the grid floor.png" in done.out
+    assert "junctions from the grid floor.png" in done.err
     assert (tmp_path / "ws" / "maps" / "floor.rrd").is_file()
     (listed,) = json.loads(topobatch("list", "--json", "-w", tmp_path / "ws").out)
     assert listed["stale"] == []

@@ -5,6 +5,12 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
+import signal
+import socket
+import subprocess
+import sys
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
 
@@ -21,7 +27,7 @@ def test_the_log_is_opened_beside_the_map(topobatch, place) -> None:
     assert done.code == 0, done
     for name in ("mcap.views.rrd", "mcap.log.rrd"):
         raw = place / "cache" / "log" / name
-        assert str(raw) in done.out
+        assert name in done.out
         assert raw.is_file()
 
 
@@ -63,4 +69,24 @@ def test_the_calls_of_the_viewer_are_as_a_shell_takes_them(topobatch, logs, tmp_
     calls = topobatch("view", "it's; $x", "-w", ws).out.splitlines()[1:]
     words = [shlex.split(line.partition(":  ")[2], comments=False) for line in calls]
     assert words[0][:2] == ["rerun", "it's; $x.rrd"]
-    assert words[1] == ["rerun", "--web-viewer", str(ws / "maps" / "it's; $x.rrd")]
+    assert words[1] == ["topobatch", "view", "it's; $x", "--web", "-w", str(ws)]
+
+
+def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, workspace) -> None:
+    view = ("view", "run1", "-w", str(workspace))
+    call = [sys.executable, "-m", "topobatch.cli", *view, "--web"]
+    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as served:
+        try:
+            address = served.stdout.readline().split()[0]
+            with urlopen(address) as page:
+                assert "Rerun" in page.read().decode()
+            port = urlsplit(address).port
+            error = topobatch(*view, "--web", "--port", port).error(2)
+            assert f"port {port}: " in error
+        finally:
+            served.send_signal(signal.SIGINT)
+    assert address.startswith("http://127.0.0.1:")
+    assert served.returncode == 0
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
+    assert "--port goes with --web" in topobatch(*view, "--port", 9).error(2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from topobatch.topology.made_from import describe_junctions
+from topobatch.topology.made_from import describe_junctions, describe_unusual
 
 
 def test_what_is_said_of_sources():
@@ -47,3 +47,14 @@ def test_numbers_that_are_none_are_left_out():
     driven = {"corridors": None, "out_and_back": 10**400}
     told = describe_junctions({"source": {"junctions": strange}, "driven": driven})
     assert told == "junctions from ['x']"
+
+
+def test_what_is_worse_than_usual():
+    usual = {"from": "scan", "topic": "/s", "drift_after_m": 0.05, "covered": 1.0}
+    info = {"source": {"junctions": usual}, "driven": {"corridors": 0.99}}
+    assert describe_unusual(info) == describe_unusual({}) == describe_unusual({"source": 3}) == ""
+    worse = usual | {"drift_after_m": 0.5, "covered": 0.8}
+    assert describe_unusual({"source": {"junctions": worse}, "driven": {"corridors": 0.5}}) == (
+        "drift in 20 m 0.50 m after matching scans (usually 0.12 m at most), "
+        "scans cover 80% of the way, 50% of the way is on the map"
+    )
