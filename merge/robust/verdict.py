@@ -67,11 +67,12 @@ class Threshold:
     def may_be_copy(self, best: Candidate) -> float:
         """0 to 1: how likely an alignment is a copy, by its size.
 
-        1 if it has no more witnesses than the largest repetition within a map has junctions, 0 from
-        twice as many on. Without this tunnels are merged wrongly (`benchmarks/aliasing.py --without
-        "small copies"`).
+        1 if it has no more junctions than the largest repetition within a map, 0 from twice as many
+        on; parts of the overlap that agree count as junctions where views proposed it. Without this
+        tunnels are merged wrongly (`benchmarks/aliasing.py --without "small copies"`).
         """
-        return _share(2.0 - best.witnesses / self.copied) if self.copied else 0.0
+        size = best.witnesses if best.by_views else len(best)
+        return _share(2.0 - size / self.copied) if self.copied else 0.0
 
     def looks_repeated(self, c: Candidate) -> float:
         """0 to 1: how likely an alignment is a copy, by its views; 0 where the junctions alone
