@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import Float32Array, FloatArray, IntArray
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
-from ...topology.run import Anchored, Scanned, ScanPasses, ScanPicture
+from ...topology.run import Scanned, ScanPasses
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,10 +109,8 @@ class ScanResult:
 
 
 __all__ = [
-    "Anchored",
     "ScanBatch",
     "ScanPasses",
-    "ScanPicture",
     "ScanResult",
     "ScanStatistics",
     "Scanned",

@@ -64,20 +64,16 @@ WINDOWS = WindowSettings()
 
 MOST_HELD = 800
 """Keyframes held for later windows, 50 kB each."""
-SHOWN_M = 4.0
-"""Distance from the centre of a window up to which its skeleton is kept for the picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
     """The contents of one window: its position [m driven], forks (variant, distance driven,
-    crossing), skeleton points (k, 2) near it, and the view (`topology.views`) from `place` (2,)
-    [m]."""
+    crossing), and the view (`topology.views`) from `place` (2,) [m]."""
 
     number: int
     way: float
     forks: tuple[tuple[int, float, Crossing], ...]
-    skeleton: FloatArray
     place: FloatArray
     view: NDArray[np.uint8]
 
@@ -177,7 +173,6 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     span = _near(held, middle, 1.5 * WINDOWS.every_m)
     middles = (corner + 0.5) * cell
     forks: list[tuple[int, float, Crossing]] = []
-    skeleton: FloatArray = np.zeros((0, 2))
     for k, (variant, view) in enumerate(zip(variants, views, strict=True)):
         graph = traced(view.lines, variant.skeleton)
         nodes = [
@@ -194,11 +189,7 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
                 fork = crossing(graph, place, cell, variant.skeleton)
                 turn = bends(graph, fork, cell, variant.skeleton)
                 forks.append((k, found, replace(fork, xy=xy, bends=turn)))
-        if k == 0:
-            skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
-            skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
-    skeleton = skeleton.astype(np.float32)
-    return Seen(number, middle, tuple(forks), skeleton, *_around(held, middle))
+    return Seen(number, middle, tuple(forks), *_around(held, middle))
 
 
 def _around(held: _Rolling, middle: float) -> tuple[FloatArray, NDArray[np.uint8]]:
