@@ -161,7 +161,7 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     odometry = odometry_topic(read)
     junctions = _junctions(read, junction.choice)
     clock = choose_clock(odometry.poses, junctions, settings.time, warnings)
-    clock = clock_without_jumps(odometry.poses, clock, settings.track.backward_min_s, warnings)
+    clock = clock_without_jumps(odometry.poses, clock, warnings)
     about: dict[str, Any] = {
         "odometry": described(odometry.choice, odometry.poses),
         "junctions": described(junction.choice, junctions),
@@ -259,7 +259,6 @@ def _sightings(
         frames,
         odometry,
         fixed=transforms_about(read.recording, frames, odometry, read.faults.add),
-        settings=read.settings.sightings,
     )
     warnings = [*poses.warnings(choice.topic), *sightings.warnings]
     if len(sightings.detections) == 0:

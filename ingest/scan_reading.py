@@ -262,7 +262,7 @@ def _clock(
     if odometry is None:
         return choose_clock(first.times, first.times, wanted, warnings, "scan")
     clock = choose_clock(odometry.poses, first.times, wanted, warnings, "scan")
-    return clock_without_jumps(odometry.poses, clock, read.settings.track.backward_min_s, warnings)
+    return clock_without_jumps(odometry.poses, clock, warnings)
 
 
 def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:

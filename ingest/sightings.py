@@ -20,22 +20,17 @@ from .logs.messages import several, several_that
 Side = Literal["robot", "odometry", "foreign"]
 
 
-@dataclass(frozen=True, slots=True)
-class SightingSettings:
-    """What is a valid detection of one junction.
-
-    max_branches: more are implausible, and would take memory; outside_s: how far beyond the
-    odometry's first and last time a detection may lie [s]; centre_m: distance between the poses of
-    one message above which there is a warning; steepest: sine of the largest elevation of a branch
-    after applying a sensor's mount, 45 degrees; farthest_m: largest distance from the robot, beyond
-    the range of any sensor, as for points of lasers (`scans/slicing.py`).
-    """
-
-    max_branches: int = 32
-    outside_s: float = 1.0
-    centre_m: float = 0.5
-    steepest: float = 0.71
-    farthest_m: float = 1000.0
+MAX_BRANCHES = 32
+"""More are implausible, and would take memory."""
+OUTSIDE_S = 1.0
+"""How far beyond the odometry's first and last time a detection may lie."""
+CENTRE_M = 0.5
+"""Distance between the poses of one message above which there is a warning."""
+STEEPEST = 0.71
+"""Sine of the largest elevation of a branch after applying a sensor's mount, 45 degrees."""
+FARTHEST_M = 1000.0
+"""Largest distance from the robot, beyond the range of any sensor, as for points of lasers
+(`scans/slicing.py`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +55,6 @@ def robot_frame_sightings(
     odometry: Odometry,
     *,
     fixed: FixedTransforms = NO_TRANSFORMS,
-    settings: SightingSettings = SightingSettings(),
 ) -> Sightings:
     """One detection per junction of a message, in the robot's frame at the message's time, by time.
 
@@ -77,22 +71,22 @@ def robot_frame_sightings(
     first = new.nonzero()[0]
     rows = Ragged(np.append(first, len(message)), pose[:, 2])
     counts = rows.counts
-    centre = _centres(pose[:, :2], first, counts, settings, warnings)
+    centre = _centres(pose[:, :2], first, counts, warnings)
     time = time_ns[first]
     frame = columns.frame[first]
 
-    outside = settings.outside_s * 1e9
+    outside = OUTSIDE_S * 1e9
     steep = np.maximum.reduceat(mounted.rise, first) if len(first) else np.zeros(0)
     within = (time >= odometry.time_ns[0] - outside) & (time <= odometry.time_ns[-1] + outside)
     keep = np.ones(len(first), bool)
     for good, why in (
         (~mounted.on("foreign")[frame], mounted.expected(odometry, fixed)),
         (
-            steep <= settings.steepest,
+            steep <= STEEPEST,
             f"point a branch up or down, seen from {odometry.child_frame!r} (angles turn about the "
             "z axis of their frame)",
         ),
-        (counts <= settings.max_branches, f"have more than {settings.max_branches} branches"),
+        (counts <= MAX_BRANCHES, f"have more than {MAX_BRANCHES} branches"),
         (within, "lie outside the time of the odometry"),
     ):
         keep = _leave_out(keep, good, warnings, why)
@@ -111,9 +105,9 @@ def robot_frame_sightings(
     near = np.flatnonzero(
         _leave_out(
             np.ones(len(centre), bool),
-            np.hypot(*centre.T) <= settings.farthest_m,
+            np.hypot(*centre.T) <= FARTHEST_M,
             warnings,
-            f"lie more than {settings.farthest_m:.0f} m from the robot (are positions in metres?)",
+            f"lie more than {FARTHEST_M:.0f} m from the robot (are positions in metres?)",
         )
     )
     seen = Detections(time[near], centre[near], branches.take(near))
@@ -190,7 +184,6 @@ def _centres(
     xy: FloatArray,
     first: IntArray,
     counts: IntArray,
-    settings: SightingSettings,
     warnings: list[str],
 ) -> FloatArray:
     """(m, 2) mean position of every message's poses, which should coincide."""
@@ -200,11 +193,11 @@ def _centres(
     origin = xy[first]
     away = xy - np.repeat(origin, counts, axis=0)
     spread = np.maximum.reduceat(np.abs(away).max(axis=1), first)
-    apart = int((spread > settings.centre_m).sum())
+    apart = int((spread > CENTRE_M).sum())
     if apart:
         warnings.append(
             f"the branches of {several(apart, 'detection')} spread over more than "
-            f"{settings.centre_m} m; their mean is taken as the centre"
+            f"{CENTRE_M} m; their mean is taken as the centre"
         )
     return np.asarray(origin + np.add.reduceat(away, first, axis=0) / counts[:, None])
 

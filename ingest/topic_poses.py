@@ -204,14 +204,12 @@ def choose_clock(
     return "header"
 
 
-def clock_without_jumps(
-    odometry: TopicPoses, clock: Clock, min_s: float, warnings: list[str]
-) -> Clock:
+def clock_without_jumps(odometry: TopicPoses, clock: Clock, warnings: list[str]) -> Clock:
     """Log time instead of header time if the header's clock was set back."""
-    jumps = backward_jumps(odometry.time_ns(clock), min_s)
+    jumps = backward_jumps(odometry.time_ns(clock))
     if not jumps:
         return clock
-    if clock == "header" and not backward_jumps(odometry.time_ns("log"), min_s):
+    if clock == "header" and not backward_jumps(odometry.time_ns("log")):
         warnings.append(f"the header clock goes back {times(jumps)}; log time is used")
         return "log"
     return clock

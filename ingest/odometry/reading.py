@@ -21,7 +21,7 @@ from ..topic_poses import (
 )
 from .jumps import without_jumps
 from .plausible import check_plausible
-from .track import Track, TrackSettings, sane_track
+from .track import Track, sane_track
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
 
     Raises LogError if no robot can have moved like that.
     """
-    track = _track(topic, clock, read.settings.track)
+    track = _track(topic, clock)
     odometry = without_jumps(track.odometry, track.jumps)
     # As recorded, but drive by drive: a reset may lead anywhere.
     resets = odometry.breaks
@@ -111,7 +111,7 @@ def described(choice: Choice, poses: TopicPoses) -> dict[str, Any]:
     return {"topic": choice.topic, "type": choice.type_name, "messages": poses.messages}
 
 
-def _track(topic: OdometryTopic, clock: Clock, settings: TrackSettings) -> Track:
+def _track(topic: OdometryTopic, clock: Clock) -> Track:
     poses, (frame, child) = topic.poses, topic.frames
     warnings = poses.warnings(topic.choice.topic)
     time_ns = poses.time_ns(clock)
@@ -124,5 +124,5 @@ def _track(topic: OdometryTopic, clock: Clock, settings: TrackSettings) -> Track
     pose = poses.columns.pose
     # Nothing else is needed of the columns: with a million poses they take 48 MB.
     poses.columns = no_columns()
-    track = sane_track(time_ns, pose, frame or "odom", child or "base_link", settings)
+    track = sane_track(time_ns, pose, frame or "odom", child or "base_link")
     return replace(track, warnings=(*warnings, *track.warnings))
