@@ -36,8 +36,9 @@ from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
-from .odometry.noise import refine_noise
+from .odometry.noise import NOISE, refine_noise
 from .pass_source import PassSource, pass_source, why_none
+from .passes import PASSES
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 
@@ -59,7 +60,7 @@ def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MA
         if isinstance(log, GridLog):
             _map_of_grid(log, settings)
         else:
-            _calibrated(log, pass_source(log, settings), settings)
+            _calibrated(log, pass_source(log, settings))
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 
@@ -97,7 +98,7 @@ def build_map_with_errors(
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
     measured, shared_m = _measure_hidden_errors(
-        fitted.reckoning, odometry, run, source, settings, too_long=calibration.too_long
+        fitted.reckoning, odometry, run, source, too_long=calibration.too_long
     )
     errors = place_errors(
         measured, fitted.estimate, closed.place, places.kept, fitted.grid, shared_m=shared_m
@@ -136,9 +137,9 @@ def dead_reckoned(
     """The run with detections seen from the point that its odometry refers to; its calibrated
     odometry, and its passes with the noise known before loop closure."""
     source = pass_source(run, settings)
-    odometry, passes, calibration = _calibrated(run, source, settings)
+    odometry, passes, calibration = _calibrated(run, source)
     noise = source.noise(odometry, passes)
-    motion = motion_errors(odometry, _telling(run), passes, noise, settings.noise.prior)
+    motion = motion_errors(odometry, _telling(run), passes, noise, NOISE.prior)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
@@ -157,9 +158,7 @@ def _telling(run: Run) -> Detections:
     return NO_DETECTIONS if run.misread else run.detections
 
 
-def _calibrated(
-    run: Run, source: PassSource, settings: MappingSettings
-) -> tuple[Odometry, Passes, Calibration]:
+def _calibrated(run: Run, source: PassSource) -> tuple[Odometry, Passes, Calibration]:
     """The odometry without the errors of headings and stamps that detections show, and the passes
     in its frame. Raises DataError if nothing can be mapped."""
     calibration = source.calibration()
@@ -167,21 +166,21 @@ def _calibrated(
     passes = source.passes(odometry)
     if len(passes) == 0:
         raise DataError(f"run {run.name}: {why_none(run)}")
-    _require_motion(run, settings.passes.reach_m)
+    _require_motion(run)
     return odometry, passes, calibration
 
 
-def _require_motion(run: Run, reach_m: float) -> None:
+def _require_motion(run: Run) -> None:
     """DataError if the robot never moved beyond one junction, not counting resets of its
     odometry."""
     xy, first = run.odometry.pose[:, :2], [0, *run.odometry.breaks.tolist()]
     if len(xy) == 0:
         return
     reached = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
-    if np.hypot(*reached.T).max() < reach_m:
+    if np.hypot(*reached.T).max() < PASSES.reach_m:
         resets = " between its resets" if len(first) > 1 else ""
         raise DataError(
-            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m"
+            f"run {run.name}: the odometry does not move: all of it lies within {PASSES.reach_m:g} m"
             f"{resets}; nothing can be mapped"
         )
 
@@ -245,7 +244,6 @@ def _measure_hidden_errors(
     odometry: Odometry,
     run: Run,
     source: PassSource,
-    settings: MappingSettings,
     *,
     too_long: float,
 ) -> tuple[DeadReckoning, FloatArray | None]:
@@ -253,9 +251,7 @@ def _measure_hidden_errors(
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
     none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
-    scale = refine_scale(
-        odometry, _telling(run), passes, noise, settings.noise.prior, too_long=too_long
-    )
+    scale = refine_scale(odometry, _telling(run), passes, noise, NOISE.prior, too_long=too_long)
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):
@@ -280,7 +276,7 @@ def _refine_noise(
             places.turn,
             noise,
             drive_bys=int(np.sum(~places.visits.seen)),
-            settings=source.expected(),
+            prior=source.expected(),
         )
         for noise in (closed.reckoning.noise, likely)
     )

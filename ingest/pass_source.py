@@ -5,7 +5,7 @@ All differences between the two in mapping are kept here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from ..topology.arrays import FloatArray
@@ -16,7 +16,7 @@ from ..topology.topomap import RunNoise
 from ..topology.wording import counted
 from .mapping_settings import MappingSettings
 from .odometry.calibration import Calibration, calibrate
-from .odometry.noise import NoiseSettings, estimate_noise
+from .odometry.noise import NOISE, estimate_noise
 from .passes import fuse_passes, scanned_passes
 
 
@@ -49,14 +49,14 @@ class PassSource(Protocol):
     def noise(self, odometry: Odometry, passes: Passes) -> RunNoise:
         """Noise of odometry and passes, as far as it is known before loop closure."""
 
-    def expected(self) -> NoiseSettings:
+    def expected(self) -> RunNoise:
         """Priors of the detector's error rates."""
 
 
 def pass_source(run: Run, settings: MappingSettings) -> PassSource:
     """The source of a run."""
     if run.scanned is None:
-        return _Detected(run, settings)
+        return _Detected(run)
     return _FromScans(run.scanned, settings)
 
 
@@ -79,24 +79,22 @@ def why_none(run: Run) -> str:
 @dataclass(frozen=True, slots=True)
 class _Detected:
     run: Run
-    settings: MappingSettings
     shows_bends = True
     resolution_m = 0.0
     askew_rad = 0.0
     shared_m = None
 
     def calibration(self) -> Calibration:
-        odometry, detections = self.run.odometry, self.run.detections
-        return calibrate(odometry, detections, self.settings.calibration, self.settings.passes)
+        return calibrate(self.run.odometry, self.run.detections)
 
     def passes(self, odometry: Odometry) -> Passes:
-        return fuse_passes(odometry, self.run.detections, self.settings.passes)
+        return fuse_passes(odometry, self.run.detections)
 
     def noise(self, odometry: Odometry, passes: Passes) -> RunNoise:
-        return estimate_noise(odometry, self.run.detections, passes, self.settings.noise)
+        return estimate_noise(odometry, self.run.detections, passes)
 
-    def expected(self) -> NoiseSettings:
-        return self.settings.noise
+    def expected(self) -> RunNoise:
+        return NOISE.prior
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,10 +121,10 @@ class _FromScans:
         return Calibration(sigma=(usual.turn_rad_per_m, usual.turn_rad_per_rad, 0.0))
 
     def passes(self, odometry: Odometry) -> Passes:
-        return scanned_passes(odometry, self.scanned.passes, self.settings.passes)
+        return scanned_passes(odometry, self.scanned.passes)
 
     def noise(self, odometry: Odometry, passes: Passes) -> RunNoise:
         return self.scanned.noise
 
-    def expected(self) -> NoiseSettings:
-        return replace(self.settings.noise, prior=self.scanned.noise)
+    def expected(self) -> RunNoise:
+        return self.scanned.noise

@@ -17,7 +17,7 @@ from .junction_source import JunctionSource, junction_source, views_source, walk
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import MISDESCRIBED, Findings
+from .logs.messages import MISDESCRIBED, Findings, Survey
 from .logs.recording import (
     Recording,
     log_exists,
@@ -38,7 +38,6 @@ from .remote.path import LogPath
 from .sightings import Sightings, robot_frame_sightings
 from .survey import (
     Faults,
-    Index,
     LogRead,
     OnKeyframes,
     Progress,
@@ -124,7 +123,7 @@ def read_log(
 
 
 def _kept(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
 ) -> tuple[Intake, Findings]:
     """The messages kept and the findings, by the index if it lists what is needed."""
     if index is not None:
@@ -142,7 +141,7 @@ def _kept(
 
 
 def _walked(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
 ) -> tuple[Intake, Findings]:
     """The messages kept and the findings of one pass over a recording; index: its claimed
     contents."""

@@ -19,12 +19,11 @@ from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import Driven, OdometryTopic, described, driven, odometry_topic
-from .scans.clock_lag import LaggingError, OtherClockError
 from .scans.detection import detect
-from .scans.handedness import MirroredError
 from .scans.mount_yaw import mount_yaw
 from .scans.scan import ScanResult, ScanStatistics
 from .scans.stream import InterleavedScans, Mounting, ScanStream
+from .scans.turns import LaggingError, MirroredError, OtherClockError
 from .survey import LogRead
 from .topic_poses import Clock, choose_clock, clock_without_jumps
 
@@ -82,19 +81,17 @@ def _run(
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        result, stream, told, used = _by_all_or_one(scans, way.odometry if way else None)
+        result, stream, told = _detected(scans, way.odometry if way else None)
     except DataError as error:
         named = ", ".join(laser.topic for laser in found.used)
-        raise DataError(f"{read.log}: {named}: {error}") from error
-    unfit = {laser.topic: ALONE for laser in found.used if laser not in used}
-    left_out = {**found.left_out, **unfit}
+        alone = f"; --scan-topic {first.topic} uses one alone" if len(found.used) > 1 else ""
+        raise DataError(f"{read.log}: {named}: {error}{alone}") from error
     warnings += [*told, *stream.warnings, *result.warnings]
     about["junctions"] |= {"messages": stream.messages, **_told(result.statistics)}
-    if len(used) > 1:
-        about["junctions"]["lasers"] = [laser.topic for laser in used]
-    if left_out:
-        about["left_out"] = left_out
-    about["junctions"] |= {"topic": used[0].topic, "type": used[0].choice.type_name}
+    if len(found.used) > 1:
+        about["junctions"]["lasers"] = [laser.topic for laser in found.used]
+    if found.left_out:
+        about["left_out"] = dict(found.left_out)
     return Run(
         read.run,
         result.odometry,
@@ -115,12 +112,12 @@ def views_beside(
     """
     found = lasers(read, source, body)
     scans = _Scans(read, found, clock, track.recorded)
-    result, stream, told, used = _by_all_or_one(scans, track.odometry)
-    assert result.scanned is not None
+    result, stream, told = _detected(scans, track.odometry)
     views = result.scanned.views
     body_pose = result.odometry.at(views.time_ns)
     views = replace(views, pose=between(body_pose, views.pose))
-    about = {"from": source.way, "topic": used[0].topic, "type": used[0].choice.type_name}
+    first = found.used[0]
+    about = {"from": source.way, "topic": first.topic, "type": first.choice.type_name}
     return views, about, [*found.warnings, *told, *stream.warnings, *result.warnings]
 
 
@@ -170,30 +167,6 @@ class _Scans:
             on_bytes=on_bytes,
             on_walked=self.read.faults.add,
         )
-
-
-ALONE = "together with the others it gives no map"
-
-
-def _by_all_or_one(
-    scans: _Scans, odometry: Odometry | None
-) -> tuple[ScanResult, InterleavedScans, list[str], tuple[Laser, ...]]:
-    """The result of all lasers or, if it is none, as where the log mounts one wrongly, that of the
-    first one that has one alone; the lasers used."""
-    lasers = scans.lasers
-    try:
-        return *_detected(scans, odometry), lasers.used
-    except DataError as error:
-        for laser in lasers.used if len(lasers.used) > 1 else ():
-            try:
-                alone = replace(scans, lasers=replace(lasers, used=(laser,)))
-                result, stream, told = _detected(alone, odometry)
-            except DataError:
-                continue  # the error of all is raised if none is left
-            topics = ", ".join(each.topic for each in lasers.used)
-            told.append(f"{topics} together: {error}; {laser.topic} is used alone")
-            return result, stream, told, (laser,)
-        raise
 
 
 def _detected(

@@ -63,7 +63,7 @@ def robot_frame_sightings(
     that point up or down, with implausibly many, or outside the odometry's time are left out.
     """
     warnings: list[str] = []
-    mounted = _mounted(columns, frames, odometry, fixed, warnings)
+    mounted = _mounted(columns, frames, odometry, fixed)
     pose = in_plane(mounted.pose)
     message, part = columns.message, columns.part
     new = np.ones(len(message), bool)
@@ -145,12 +145,8 @@ def _mounted(
     frames: Sequence[str],
     odometry: Odometry,
     fixed: FixedTransforms,
-    warnings: list[str],
 ) -> _Mounted:
-    """The poses as seen from the odometry's frames, where fixed transforms lead there.
-
-    Where these contradict each other, `warnings` gets a sentence.
-    """
+    """The poses as seen from the odometry's frames, where fixed transforms lead there."""
     pose, rise = columns.pose, np.zeros(len(columns.pose))
     sides: list[Side] = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
     # The robot's own frame comes last, so that it counts where a frame is fixed to both.
@@ -160,16 +156,12 @@ def _mounted(
         pose = pose.copy()
         for side, own in owns.items():
             joins |= {name: (side, T) for name, T in fixed.joined_to(own).items()}
-    joined = set()
     for number, name in enumerate(frames):
         if sides[number] == "foreign" and name in joins:
             sides[number], T_own_sensor = joins[name]
-            joined.add(owns[sides[number]])
             rows = columns.frame == number
             pose[rows] = seen_from(T_own_sensor, pose[rows])
             rise[rows] = _rise(pose[rows])
-    for own in sorted(joined):
-        warnings += fixed.contradictions(own)
     foreign = {name for name, side in zip(frames, sides, strict=True) if side == "foreign"}
     return _Mounted(pose, tuple(sides), rise, tuple(sorted(foreign)))
 

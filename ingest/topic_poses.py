@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -24,22 +24,17 @@ class TopicPoses:
     """The poses of one topic.
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: their
-    number; failed, not_finite, zero_quaternion, empty, elsewhere, vague: numbers of unusable ones;
-    foreign: messages of another type; reason: why the first of `failed` could not be decoded;
-    rivals: other frames that could be the odometry's.
+    number; failed: of these, not decoded; reason: why the first of them was not; unusable: numbers
+    of further messages and poses that cannot be used, by noun and reason; rivals: other frames that
+    could be the odometry's.
     """
 
     columns: PoseColumns
     frames: tuple[tuple[str, str], ...]
     messages: int
     failed: int = 0
-    not_finite: int = 0
-    zero_quaternion: int = 0
-    empty: int = 0
-    elsewhere: int = 0
-    vague: int = 0
-    foreign: int = 0
     reason: str = ""
+    unusable: dict[tuple[str, str], int] = field(default_factory=dict)
     rivals: tuple[tuple[str, str], ...] = ()
 
     @classmethod
@@ -60,16 +55,19 @@ class TopicPoses:
             before += sink.messages
         columns = _by_log_time(parts)
         vague = _vague(columns)
+        unusable = {
+            EMPTY: sum(sink.empty for sink in sinks),
+            VAGUE: int(vague.sum()),
+            NOT_FINITE: sum(sink.not_finite for sink in sinks),
+            NO_ROTATION: sum(sink.zero_quaternion for sink in sinks),
+        }
         return cls(
             take(columns, ~vague) if vague.any() else columns,
             tuple(frames),
             before,
             sum(sink.failed for sink in sinks),
-            sum(sink.not_finite for sink in sinks),
-            sum(sink.zero_quaternion for sink in sinks),
-            sum(sink.empty for sink in sinks),
-            vague=int(vague.sum()),
-            reason=next((sink.reason for sink in sinks if sink.reason), ""),
+            next((sink.reason for sink in sinks if sink.reason), ""),
+            unusable,
         )
 
     def __len__(self) -> int:
@@ -86,19 +84,13 @@ class TopicPoses:
 
     def warnings(self, topic: str) -> list[str]:
         """Warnings on messages that could not be used."""
-        out = []
         because = f" ({self.reason})" if self.reason else ""
-        for count, noun, told in (
-            (self.failed, "message", f"could not be decoded{because}"),
-            (self.foreign, "message", "are of another type"),
-            (self.empty, "message", "hold no pose"),
-            (self.elsewhere, "pose", "are between other frames"),
-            (self.vague, "pose", f"state an error of more than {VAGUE_M:g} m, unlike the others"),
-            (self.not_finite, "pose", "hold numbers that are not finite or absurdly large"),
-            (self.zero_quaternion, "pose", "have a quaternion of zero length"),
-        ):
-            if count:
-                out.append(f"{topic}: {several_that(count, noun, told)}; left out")
+        counts = {("message", f"could not be decoded{because}"): self.failed} | self.unusable
+        out = [
+            f"{topic}: {several_that(count, noun, why)}; left out"
+            for (noun, why), count in counts.items()
+            if count
+        ]
         if self.rivals:
             pairs = told_pairs(self.rivals)
             out.append(
@@ -111,6 +103,12 @@ class TopicPoses:
 VAGUE_M = 1.0
 """Stated 1 sigma of a position from which on a pose may be one of a localisation that is lost: it
 lies in another room then."""
+FOREIGN = "message", "are of another type"
+EMPTY = "message", "hold no pose"
+ELSEWHERE = "pose", "are between other frames"
+VAGUE = "pose", f"state an error of more than {VAGUE_M:g} m, unlike the others"
+NOT_FINITE = "pose", "hold numbers that are not finite or absurdly large"
+NO_ROTATION = "pose", "have a quaternion of zero length"
 VAGUER = 10.0
 """So many times the lower quartile of all stated sigmas: those of dead reckoning, which grow with
 the way or its root, reach 4 times."""

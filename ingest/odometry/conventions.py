@@ -33,7 +33,7 @@ class ConventionSettings:
     """Smaller lags are left to the calibration: three sigmas of its prior."""
     left: float = 0.67
     """A drive-by votes if one reading leaves at most this share of the other's residual (root mean
-    square): as for scans that may be late (`scans/clock_lag.py`)."""
+    square): as for scans that may be late (`scans/turns.py`)."""
     half: float = 0.5
     """If it leaves at most this share, the vote counts as one that chance gives more rarely."""
     half_chance: float = 0.05
@@ -41,7 +41,7 @@ class ConventionSettings:
     230,000 in 90 simulated logs. Short logs decide by such votes: five suffice."""
     share: float = 0.8
     """Least share of the votes for a reading that is told of: as for scans that may be mirror
-    images (`scans/handedness.py`)."""
+    images (`scans/turns.py`)."""
     false_rate: float = 1e-3
     """Bound on the probability that chance lets any reading of a log win the sign test."""
 

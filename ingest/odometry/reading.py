@@ -12,6 +12,8 @@ from ..logs.messages import several_that
 from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
 from ..survey import LogRead
 from ..topic_poses import (
+    ELSEWHERE,
+    FOREIGN,
     Clock,
     TopicPoses,
     other_odometries,
@@ -61,7 +63,7 @@ def odometry_topic(read: LogRead) -> OdometryTopic:
             if transforms:
                 poses.rivals = other_odometries(poses, pair)
             else:
-                poses.elsewhere = int((~chosen).sum())
+                poses.unusable[ELSEWHERE] = int((~chosen).sum())
             poses.keep(chosen)
             parent, child = poses.frames[pair]
             return OdometryTopic(choice, poses, (parent, child or base or ""))
@@ -93,7 +95,7 @@ def poses_of(read: LogRead, choice: Choice) -> TopicPoses:
     sinks = intake.of_topic(topic)
     alike = [sink for sink in sinks if decoded_alike(sink.channel.type_name, choice.type_name)]
     poses = TopicPoses.of(alike)
-    poses.foreign = sum(sink.messages for sink in sinks) - poses.messages
+    poses.unusable[FOREIGN] = sum(sink.messages for sink in sinks) - poses.messages
     refused = sum(read.counts.get(c, 0) for c in intake.refused if c.topic == topic)
     poses.messages += refused
     poses.failed += refused

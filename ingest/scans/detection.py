@@ -11,16 +11,16 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
+from ...topology.run import Scanned
 from ...topology.se2 import compose, inverse
-from .clock_lag import LaggingError, OtherClockError, clock_lag
-from .handedness import MirroredError, Turns
 from .junctions import Driven, junction_passes
 from .keyframes import Keyframes, join
 from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
-from .scan import ScanBatch, Scanned, ScanResult, ScanStatistics
+from .scan import ScanBatch, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
+from .turns import LaggingError, MirroredError, OtherClockError, Turns, clock_lag
 from .views import chosen_views, closed_by_views
 from .windows import WINDOWS, Seen, windows
 

@@ -18,7 +18,6 @@ from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
 from ..logs.recording import Recording
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
-from .field_of_view import LaserNumbers
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 
@@ -37,6 +36,9 @@ FAR = (
 
 LONGEST_SWEEP_S = 1.0
 """A longer sweep is not believed: scanners turn at 5 Hz or faster."""
+
+MOST_LASERS = 64
+"""Lasers of a topic that are told apart, to bound memory: further ones count as the last one."""
 
 UNMOUNTED = np.array(NOWHERE_ELSE)
 
@@ -126,7 +128,7 @@ class ScanStream:
 
     def __iter__(self) -> Iterator[ScanBatch]:
         self.tally = tally = Tally()
-        numbers, last_ns = LaserNumbers(), dict[int, int]()
+        numbers, last_ns = dict[str, int](), dict[int, int]()
         for timed in self._decoded():
             batch = self._batch(timed, numbers, last_ns)
             if batch is not None:
@@ -168,16 +170,19 @@ class ScanStream:
         return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
 
     def _batch(
-        self, timed: TimedScans, numbers: LaserNumbers, last_ns: Mapping[int, int]
+        self, timed: TimedScans, numbers: dict[str, int], last_ns: Mapping[int, int]
     ) -> ScanBatch | None:
-        """The usable scans of a batch, None if there are none; last_ns: each laser's last time."""
+        """The usable scans of a batch, None if there are none; numbers: of the lasers, by their
+        frames; last_ns: each laser's last time."""
         raw, tally = timed.scans, self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
         except _UnusableError as why:
             tally.left_out[str(why)] += len(raw.message)
             return None
-        laser = numbers.of(raw)
+        laser = numbers.get(raw.geometry.frame, min(len(numbers), MOST_LASERS - 1))
+        if len(numbers) < MOST_LASERS:
+            numbers[raw.geometry.frame] = laser
         after_ns = last_ns.get(laser, -1)
         sweep_s = _sweep_s(raw.geometry, len(angles))
         times_ns = self._times(timed, sweep_s)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.scans.detection import detect
-from topobatch.ingest.scans.handedness import MirroredError
 from topobatch.ingest.scans.scan import ScanBatch
+from topobatch.ingest.scans.turns import MirroredError
 from topobatch.topology.errors import DataError
 from topobatch.topology.se2 import between, compose
 
