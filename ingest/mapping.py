@@ -180,8 +180,8 @@ def _require_motion(run: Run) -> None:
     if np.hypot(*reached.T).max() < PASSES.reach_m:
         resets = " between its resets" if len(first) > 1 else ""
         raise DataError(
-            f"run {run.name}: the odometry does not move: all of it lies within {PASSES.reach_m:g} m"
-            f"{resets}; nothing can be mapped"
+            f"run {run.name}: the odometry does not move: all of it lies within "
+            f"{PASSES.reach_m:g} m{resets}; nothing can be mapped"
         )
 
 

@@ -21,7 +21,7 @@ from .mounting import mounting
 from .odometry.reading import Driven, OdometryTopic, described, driven, odometry_topic
 from .scans.detection import detect
 from .scans.mount_yaw import mount_yaw
-from .scans.scan import ScanResult, ScanStatistics
+from .scans.scan import ScanResult
 from .scans.stream import InterleavedScans, Mounting, ScanStream
 from .scans.turns import LaggingError, MirroredError, OtherClockError
 from .survey import LogRead
@@ -87,7 +87,11 @@ def _run(
         alone = f"; --scan-topic {first.topic} uses one alone" if len(found.used) > 1 else ""
         raise DataError(f"{read.log}: {named}: {error}{alone}") from error
     warnings += [*told, *stream.warnings, *result.warnings]
-    about["junctions"] |= {"messages": stream.messages, **_told(result.statistics)}
+    statistics = {
+        name: round(value, 4) if isinstance(value, float) else value
+        for name, value in asdict(result.statistics).items()
+    }
+    about["junctions"] |= {"messages": stream.messages, **statistics}
     if len(found.used) > 1:
         about["junctions"]["lasers"] = [laser.topic for laser in found.used]
     if found.left_out:
@@ -241,12 +245,3 @@ def _clock(
 def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:
     about: dict[str, Any] = {"topic": first.topic, "type": first.choice.type_name}
     return about | ({"passed_over": list(source.passed_over)} if source.passed_over else {})
-
-
-def _told(statistics: ScanStatistics) -> dict[str, Any]:
-    """Statistics of scan matching for the document; unknown values are None."""
-    told = asdict(statistics)
-    for name, value in told.items():
-        if isinstance(value, float):
-            told[name] = round(value, 4) if np.isfinite(value) else None
-    return told

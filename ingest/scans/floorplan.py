@@ -202,7 +202,7 @@ FINER = 3
 """The lattice's cells are at most so many times smaller than the grid's: there is no more in it."""
 
 MOST_CELLS = 1 << 22
-"""Most cells of the lattice, about as many as of the grid (`coarse_grid`)."""
+"""Most cells of the lattice, about as many as of the grid (`ingest/grid_map.py`)."""
 
 MOST_PEELED = 1 << 27
 """Thinning visits all cells for every layer of the widest open space. This many visits take half a
