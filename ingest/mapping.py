@@ -37,7 +37,7 @@ from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from .odometry.noise import NOISE, refine_noise
-from .pass_source import PassSource, pass_source, why_none
+from .pass_source import USUAL, PassSource
 from .passes import PASSES
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
@@ -60,7 +60,7 @@ def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MA
         if isinstance(log, GridLog):
             _map_of_grid(log, settings)
         else:
-            _calibrated(log, pass_source(log, settings))
+            _calibrated(PassSource(log))
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 
@@ -87,7 +87,7 @@ def build_map_with_errors(
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
     run, odometry, reckoning, calibration = dead_reckoned(run, settings)
-    source = pass_source(run, settings)
+    source = PassSource(run)
     odometry, reckoning, closed, fitted = _close_loops(odometry, reckoning, source, settings)
     places = correct_detections(
         closed.reckoning,
@@ -136,14 +136,14 @@ def dead_reckoned(
 ) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
     """The run with detections seen from the point that its odometry refers to; its calibrated
     odometry, and its passes with the noise known before loop closure."""
-    source = pass_source(run, settings)
-    odometry, passes, calibration = _calibrated(run, source)
+    source = PassSource(run)
+    odometry, passes, calibration = _calibrated(source)
     noise = source.noise(odometry, passes)
     motion = motion_errors(odometry, _telling(run), passes, noise, NOISE.prior)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
-        source = pass_source(run, settings)
+        source = PassSource(run)
         odometry = odometry.shortened(calibration.too_long)
         passes = source.passes(odometry)
         noise = source.noise(odometry, passes)
@@ -158,14 +158,14 @@ def _telling(run: Run) -> Detections:
     return NO_DETECTIONS if run.misread else run.detections
 
 
-def _calibrated(run: Run, source: PassSource) -> tuple[Odometry, Passes, Calibration]:
+def _calibrated(source: PassSource) -> tuple[Odometry, Passes, Calibration]:
     """The odometry without the errors of headings and stamps that detections show, and the passes
     in its frame. Raises DataError if nothing can be mapped."""
-    calibration = source.calibration()
+    run, calibration = source.run, source.calibration()
     odometry = apply_calibration(run.odometry, calibration)
     passes = source.passes(odometry)
     if len(passes) == 0:
-        raise DataError(f"run {run.name}: {why_none(run)}")
+        raise DataError(f"run {run.name}: {source.why_none()}")
     _require_motion(run)
     return odometry, passes, calibration
 
@@ -187,12 +187,11 @@ def _require_motion(run: Run) -> None:
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
     """Constant errors left by the calibration: its sigma, and what it did not apply."""
-    usual = settings.systematic
     left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
     left = settings.calibration_doubt * left
     return SystematicErrors(
-        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
-        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
+        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else USUAL.turn_rad_per_m,
+        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else USUAL.turn_rad_per_rad,
     )
 
 
@@ -276,7 +275,7 @@ def _refine_noise(
             places.turn,
             noise,
             drive_bys=int(np.sum(~places.visits.seen)),
-            prior=source.expected(),
+            prior=source.prior,
         )
         for noise in (closed.reckoning.noise, likely)
     )

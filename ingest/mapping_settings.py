@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from ..topology.closure.dead_reckoning import SystematicErrors
 from ..topology.closure.incremental import RoundSettings
 from ..topology.closure.missed_detections import DrivenBySettings
 from ..topology.errors import UsageError, check_choice
@@ -26,8 +25,6 @@ class MappingSettings:
     """Of the robot that drives the corridors of saved grids: a small one's."""
     calibration_doubt: float = 1.5
     """Factor on the calibration's own sigma, which assumes straight corridors."""
-    systematic: SystematicErrors = field(default_factory=SystematicErrors)
-    """Constant errors of an odometry that could not be calibrated."""
     rounds: RoundSettings = field(default_factory=RoundSettings)
     driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
     drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)

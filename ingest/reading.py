@@ -9,7 +9,7 @@ from typing import Any
 
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.odometry import Odometry
-from ..topology.run import Run
+from ..topology.run import Detections, Run
 from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
@@ -35,7 +35,7 @@ from .odometry.kidnapping import split_where_carried
 from .odometry.reading import Driven, because, described, driven, odometry_topic, poses_of
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
-from .sightings import Sightings, robot_frame_sightings
+from .sightings import robot_frame_sightings
 from .survey import (
     Faults,
     LogRead,
@@ -46,7 +46,7 @@ from .survey import (
     surveyed,
     walk,
 )
-from .topic_poses import Clock, TopicPoses, choose_clock, clock_without_jumps
+from .topic_poses import Clock, TopicPoses, choose_clock
 
 __all__ = [
     "LogInfo",
@@ -160,7 +160,6 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     odometry = odometry_topic(read)
     junctions = _junctions(read, junction.choice)
     clock = choose_clock(odometry.poses, junctions, settings.time, warnings)
-    clock = clock_without_jumps(odometry.poses, clock, warnings)
     about: dict[str, Any] = {
         "odometry": described(odometry.choice, odometry.poses),
         "junctions": described(junction.choice, junctions),
@@ -169,18 +168,18 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     if junction.passed_over:
         about["junctions"]["passed_over"] = list(junction.passed_over)
     track = driven(odometry, clock, read)
-    sightings = _sightings(read, junction.choice, junctions, clock, track.recorded)
-    warnings += [*track.warnings, *sightings.warnings]
+    detections, left_out = _sightings(read, junction.choice, junctions, clock, track.recorded)
+    warnings += [*track.warnings, *left_out]
     topics = odometry.choice.topic, junction.choice.topic
-    misread = disagreements(track.recorded, sightings.detections, *topics)
+    misread = disagreements(track.recorded, detections, *topics)
     warnings += misread
-    split, carried = split_where_carried(track.odometry, sightings.detections)
+    split, carried = split_where_carried(track.odometry, detections)
     if carried:
         warnings.append(
             f"the wheels stand while the junction in view changes {times(carried)}: the robot was "
             "carried; the chain is split there"
         )
-    run = Run(read.run, split, sightings.detections, about, tuple(warnings), misread=bool(misread))
+    run = Run(read.run, split, detections, about, tuple(warnings), misread=bool(misread))
     return _with_views(read, run, odometry.frames[1] or "base_link", clock, track)
 
 
@@ -249,20 +248,20 @@ def _junctions(read: LogRead, choice: Choice) -> TopicPoses:
 
 def _sightings(
     read: LogRead, choice: Choice, poses: TopicPoses, clock: Clock, odometry: Odometry
-) -> Sightings:
-    """The detections in the robot's frame; raises LogError if none is left."""
+) -> tuple[Detections, list[str]]:
+    """The detections in the robot's frame, and warnings; raises LogError if none is left."""
     frames = [frame for frame, _ in poses.frames]
-    sightings = robot_frame_sightings(
+    detections, warnings = robot_frame_sightings(
         poses.columns,
         poses.time_ns(clock),
         frames,
         odometry,
         fixed=transforms_about(read.recording, frames, odometry, read.faults.add),
     )
-    warnings = [*poses.warnings(choice.topic), *sightings.warnings]
-    if len(sightings.detections) == 0:
+    warnings = [*poses.warnings(choice.topic), *warnings]
+    if len(detections) == 0:
         raise LogError(f"{read.log}: no usable junction detection: {'; '.join(warnings)}")
-    return Sightings(sightings.detections, tuple(warnings))
+    return detections, warnings
 
 
 READERS: Mapping[str, Callable[[LogRead, JunctionSource], Run | GridLog]] = {

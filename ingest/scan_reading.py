@@ -25,7 +25,7 @@ from .scans.scan import ScanResult
 from .scans.stream import InterleavedScans, Mounting, ScanStream
 from .scans.turns import LaggingError, MirroredError, OtherClockError
 from .survey import LogRead
-from .topic_poses import Clock, choose_clock, clock_without_jumps
+from .topic_poses import Clock, choose_clock
 
 
 def with_scans(read: LogRead, source: JunctionSource) -> Run:
@@ -72,7 +72,8 @@ def _run(
     if odometry is None:
         found = found.widest()
     first = found.used[0]
-    clock = _clock(odometry, first, read, warnings)
+    poses = odometry.poses if odometry is not None else None
+    clock = choose_clock(poses, first.times, read.settings.time, warnings, "scan")
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source, first)}}
     about["time"] = clock
     if odometry is not None:
@@ -185,7 +186,8 @@ def _detected(
     while True:
         stream, told = scans.stream(overturned)
         try:
-            return _detect(odometry, stream, may_lag, scans.read), stream, told + found
+            result = detect(odometry, stream, may_lag=may_lag, on_keyframes=scans.read.on_keyframes)
+            return result, stream, told + found
         except MirroredError as error:
             if overturned:
                 raise DataError(f"turned over {error}: it fits neither way up") from error
@@ -207,18 +209,8 @@ def _detected(
             may_lag = False
             odometry = odometry.delayed(error.lag_s)
             found.append(f"{error}: the odometry was taken by the scans' clock")
-
-
-def _detect(
-    odometry: Odometry | None, stream: InterleavedScans, may_lag: bool, read: LogRead
-) -> ScanResult:
-    """`detect`, with the faults of the scans added to errors."""
-    try:
-        return detect(odometry, stream, may_lag=may_lag, on_keyframes=read.on_keyframes)
-    except (MirroredError, LaggingError, OtherClockError):
-        raise
-    except DataError as error:
-        raise DataError("; ".join((str(error), *stream.warnings))) from error
+        except DataError as error:
+            raise DataError("; ".join((str(error), *stream.warnings))) from error
 
 
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
@@ -230,16 +222,6 @@ def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
         if settings.odometry_topic is not None or settings.base_frame is not None:
             raise
         return None
-
-
-def _clock(
-    odometry: OdometryTopic | None, first: Laser, read: LogRead, warnings: list[str]
-) -> Clock:
-    wanted = read.settings.time
-    if odometry is None:
-        return choose_clock(first.times, first.times, wanted, warnings, "scan")
-    clock = choose_clock(odometry.poses, first.times, wanted, warnings, "scan")
-    return clock_without_jumps(odometry.poses, clock, warnings)
 
 
 def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:

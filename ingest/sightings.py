@@ -33,14 +33,6 @@ FARTHEST_M = 1000.0
 (`scans/slicing.py`)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Sightings:
-    """Detections, and warnings on messages that were left out."""
-
-    detections: Detections
-    warnings: tuple[str, ...]
-
-
 def side_of(frame: str, odometry_frame: str, child_frame: str) -> Side:
     """Which frame of the odometry a detection's frame is."""
     if frame in ("", child_frame):
@@ -55,8 +47,9 @@ def robot_frame_sightings(
     odometry: Odometry,
     *,
     fixed: FixedTransforms = NO_TRANSFORMS,
-) -> Sightings:
-    """One detection per junction of a message, in the robot's frame at the message's time, by time.
+) -> tuple[Detections, list[str]]:
+    """One detection per junction of a message, in the robot's frame at the message's time, by time;
+    and warnings on messages that were left out.
 
     columns: poses in space; time_ns: (k,) time of each pose's message; frames: name of every frame
     number. Messages in a frame that is neither of the odometry's nor fixed to one, with branches
@@ -110,8 +103,7 @@ def robot_frame_sightings(
             f"lie more than {FARTHEST_M:.0f} m from the robot (are positions in metres?)",
         )
     )
-    seen = Detections(time[near], centre[near], branches.take(near))
-    return Sightings(seen, tuple(warnings))
+    return Detections(time[near], centre[near], branches.take(near)), warnings
 
 
 @dataclass(frozen=True, slots=True)

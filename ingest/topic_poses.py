@@ -177,40 +177,33 @@ def pair_of_poses(poses: TopicPoses, base: str | None = None) -> int | None:
 
 
 def choose_clock(
-    odometry: TopicPoses,
-    junctions: TopicPoses,
+    odometry: TopicPoses | None,
+    others: TopicPoses,
     wanted: Clock,
     warnings: list[str],
     what: str = "junction",
 ) -> Clock:
-    """The clock to use: the wanted one, or log time if header stamps are unusable.
+    """The clock to use: the wanted one, or log time if header stamps are unusable, or were set
+    back.
 
-    what: the messages of `junctions`, for the warnings.
+    others: the messages beside the odometry; what: their name, for the warnings.
     """
-    if wanted == "log":
-        return "log"
-    for poses, name in ((odometry, "odometry"), (junctions, what)):
-        zero = poses.columns.stamp_ns == 0
-        if 2 * int(zero.sum()) > len(zero):
+    for poses, name in ((odometry, "odometry"), (others, what)) if wanted == "header" else ():
+        if poses is not None and 2 * int((poses.columns.stamp_ns == 0).sum()) > len(poses):
             warnings.append(f"{name} messages carry no header time; log time is used")
             return "log"
-    if _apart(odometry, junctions, "header") and not _apart(odometry, junctions, "log"):
+    if odometry is None or wanted == "log":
+        return wanted
+    if _apart(odometry, others, "header") and not _apart(odometry, others, "log"):
         warnings.append(
             f"header times of odometry and {what}s are of different clocks; log time is used"
         )
         return "log"
-    return "header"
-
-
-def clock_without_jumps(odometry: TopicPoses, clock: Clock, warnings: list[str]) -> Clock:
-    """Log time instead of header time if the header's clock was set back."""
-    jumps = backward_jumps(odometry.time_ns(clock))
-    if not jumps:
-        return clock
-    if clock == "header" and not backward_jumps(odometry.time_ns("log")):
+    jumps = backward_jumps(odometry.time_ns("header"))
+    if jumps and not backward_jumps(odometry.time_ns("log")):
         warnings.append(f"the header clock goes back {times(jumps)}; log time is used")
         return "log"
-    return clock
+    return "header"
 
 
 def _apart(a: TopicPoses, b: TopicPoses, clock: Clock) -> bool:

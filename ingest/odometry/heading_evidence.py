@@ -41,8 +41,6 @@ class EvidenceSettings:
     """Half the time over which the turning rate is measured."""
     parts: int = 6
     """Intervals over which the readings of one branch in one pass are averaged."""
-    most_passes: int = 600
-    """More passes are thinned out evenly, for speed."""
     grid_reach: int = 3
     """Branches are compared with those of so many passes before."""
     grid_reach_m: float = 40.0
@@ -66,9 +64,6 @@ class Rows:
     share: FloatArray
     visit: IntArray
 
-    def __len__(self) -> int:
-        return len(self.y)
-
     @property
     def owners(self) -> int:
         """Number of groups."""
@@ -78,12 +73,6 @@ class Rows:
     def visits(self) -> int:
         """One more than the last visit."""
         return int(self.visit.max(initial=-1)) + 1
-
-    def of_every(self, stride: int) -> Rows:
-        """The rows of every `stride`-th visit."""
-        kept = np.flatnonzero(self.visit % stride == 0)
-        owner = np.cumsum(np.diff(self.owner[kept], prepend=-1) != 0) - 1
-        return Rows(self.y[kept], self.a[kept], owner, self.share[kept], self.visit[kept] // stride)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,9 +132,7 @@ def heading_evidence(
         regressor - mean_regressor[reading.branch],
     )
     stretch = stretch_of(odometry, passes.time_ns)
-    parts = (within, _legs(passes, looks, stretch), _grid(looks, stretch))
-    stride = -(-len(passes) // EVIDENCE.most_passes)
-    return HeadingEvidence(*(rows.of_every(stride) if stride > 1 else rows for rows in parts))
+    return HeadingEvidence(within, _legs(passes, looks, stretch), _grid(looks, stretch))
 
 
 def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:

@@ -47,8 +47,6 @@ class NoiseSettings:
     reach_m: float = 60.0
     """Branches are compared with those of this many passes before, within this distance along the
     path."""
-    most_passes: int = 500
-    """Limit on passes that are compared; more are thinned evenly."""
 
 
 NOISE = NoiseSettings()
@@ -201,12 +199,11 @@ class SquareBranches:
 
     @classmethod
     def of(cls, odometry: Odometry, passes: Passes, means: WalkMeans) -> SquareBranches:
-        """Branches of `most_passes` passes paired with those of `reach_passes` passes before each,
-        at most `reach_m` back. means: over the messages of each pass."""
+        """Branches of all passes paired with those of `reach_passes` passes before each, at most
+        `reach_m` back. means: over the messages of each pass."""
         reach_passes = NOISE.reach_passes
         stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
-        stride = -(-len(passes) // NOISE.most_passes)
-        b = np.flatnonzero(of % stride == 0)
+        b = np.arange(len(of))
         # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then
         # expand each by the branches of that pass.
         lag = np.tile(np.arange(reach_passes) + 1, len(b))

@@ -134,13 +134,10 @@ def skeleton_graph(
 
     frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
     a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
-    farther than the disc around its junction. Loops without a junction are left out. Raises
-    ValueError on a grid that is not two-dimensional or a resolution that is not positive.
+    farther than the disc around its junction. Loops without a junction are left out.
     O(h w log(h w)).
     """
     free = np.asarray(free, bool)
-    if free.ndim != 2 or not resolution_m > 0:
-        raise ValueError("a grid of two dimensions and a positive resolution are needed")
     if not free.any():
         return Floorplan((), ())
     free = np.pad(free, 1)
@@ -251,13 +248,11 @@ class _Axes:
 
 
 def _openings(
-    frontier: BoolArray | None, clearance_m: FloatArray, cell_m: float, least_m: float
+    frontier: BoolArray, clearance_m: FloatArray, cell_m: float, least_m: float
 ) -> BoolArray:
     """(h, w) cells at most as far from a frontier of width `least_m` as from any wall: corridors
     that end there continue beyond. frontier: without the border that clearance_m has."""
     out = np.zeros(clearance_m.shape, bool)
-    if frontier is None:
-        return out
     label, _ = labelled(np.pad(frontier, 1))
     for number, part in enumerate(ndimage.find_objects(label), start=1):
         if max(s.stop - s.start for s in part) * cell_m >= least_m:

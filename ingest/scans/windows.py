@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 
@@ -163,9 +163,13 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     variants = WINDOWS.variants
     cell = WINDOWS.grid.cell_m
     half = round(WINDOWS.half_m / cell)
-    centre = held.at(middle)
-    masks, corner = _masks(held, middle, (centre, half), variants)
-    side = 2 * half + 1
+    # A view shows more than a window, but is made of the same.
+    around = _gathered(held, middle, WINDOWS.way_m, SIDE)
+    others = {variant.way_m for variant in variants} - {WINDOWS.way_m}
+    shown = {way_m: _gathered(held, middle, way_m, half) for way_m in others}
+    shown[WINDOWS.way_m] = around.inner(SIDE - half)
+    masks = _masks(shown, variants)
+    corner, side = shown[WINDOWS.way_m].corner, 2 * half + 1
     path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell)
     at = np.floor(path / cell).astype(np.int64) - corner
     at = at[((at >= 0) & (at < side)).all(axis=1)]
@@ -189,17 +193,9 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
                 fork = crossing(graph, place, cell, variant.skeleton)
                 turn = bends(graph, fork, cell, variant.skeleton)
                 forks.append((k, found, replace(fork, xy=xy, bends=turn)))
-    return Seen(number, middle, tuple(forks), *_around(held, middle))
-
-
-def _around(held: _Rolling, middle: float) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """The view around a position on the track, and the corner of the lattice that it is about."""
-    a, b = np.searchsorted(held.way, [middle - WINDOWS.way_m, middle + WINDOWS.way_m]).tolist()
-    rows = range(a, min(max(b, a + 1), len(held.way)))
-    # One cell more than a view has, as windows have a middle one.
-    window = gather(held.seen, rows, held.at(middle)[None], (held.at(middle), SIDE), WINDOWS.grid)
-    place = np.asarray((window.corner + SIDE) * WINDOWS.grid.cell_m, np.float64)
-    return place, view_cells(window.hit[:-1, :-1], window.free[:-1, :-1])
+    # One cell less than a window has, which has a middle one.
+    view = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
+    return Seen(number, middle, tuple(forks), (around.corner + SIDE) * cell, view)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,29 +246,24 @@ def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
     return np.asarray(mine[labels])
 
 
-def _masks(
-    held: _Rolling, middle: float, place: tuple[FloatArray, int], variants: tuple[Variant, ...]
-) -> tuple[list[BoolArray], IntArray]:
-    """Free space for every variant, the same array for those that differ in the skeleton only."""
-    gathered: dict[float, Window] = {}
-    known, inner = None, range(-1, -1)
-    for way_m in sorted({variant.way_m for variant in variants}):
-        begin, end = middle - way_m, middle + way_m
-        a, b = (int(k) for k in np.searchsorted(held.way, [begin, end]))
-        rows = range(a, min(max(b, a + 1), len(held.way)))
-        if inner.start < rows.start or inner.stop > rows.stop:
-            # A stretch without a keyframe is told by the next one, which lies beyond it.
-            known, inner = None, range(rows.start, rows.start)
-        beyond = [*range(rows.start, inner.start), *range(inner.stop, rows.stop)]
-        path = _dense(held, begin, end, variants[0].grid.cell_m)
-        known = gather(held.seen, beyond, path, place, variants[0].grid, known=known)
-        gathered[way_m], inner = known, rows
+def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
+    """What was seen on the way before and after a position, within `half` cells of it."""
+    begin, end = middle - way_m, middle + way_m
+    a, b = np.searchsorted(held.way, [begin, end]).tolist()
+    rows = range(a, min(max(b, a + 1), len(held.way)))
+    path = _dense(held, begin, end, WINDOWS.grid.cell_m)
+    return gather(held.seen, rows, path, (held.at(middle), half), WINDOWS.grid)
+
+
+def _masks(seen: Mapping[float, Window], variants: tuple[Variant, ...]) -> list[BoolArray]:
+    """Free space for every variant, the same array for those that differ in the skeleton only;
+    seen: by the way that a variant is made of."""
     made: dict[tuple[GridSettings, float], BoolArray] = {}
     for variant in variants:
         key = variant.grid, variant.way_m
         if key not in made:
-            made[key] = free_space(gathered[variant.way_m], variant.grid)
-    return [made[v.grid, v.way_m] for v in variants], gathered[variants[0].way_m].corner
+            made[key] = free_space(seen[variant.way_m], variant.grid)
+    return [made[v.grid, v.way_m] for v in variants]
 
 
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.odometry import heading_evidence
 from topobatch.ingest.odometry.calibration import (
     Calibration,
     apply_calibration,
@@ -162,14 +161,3 @@ def test_a_real_robot_is_straightened() -> None:
     found = calibrate(run.odometry, run.detections)
     assert found.bias_rad_per_m == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
     assert off(apply_calibration(run.odometry, found), true) < 0.4 * off(run.odometry, true)
-
-
-def test_thinned_evidence_tells_the_same_less_surely(monkeypatch: pytest.MonkeyPatch) -> None:
-    truth, detections = drive(5)
-    recorded = spoil(truth, 5, bias=0.05)
-    whole = calibrate(recorded, detections)
-    few = replace(heading_evidence.EVIDENCE, most_passes=25)
-    monkeypatch.setattr(heading_evidence, "EVIDENCE", few)
-    thinned = calibrate(recorded, detections)
-    assert thinned.bias_rad_per_m == pytest.approx(0.05, abs=0.005)
-    assert thinned.sigma[0] > whole.sigma[0]
