@@ -36,7 +36,7 @@ class FixedTransforms:
     moving: frozenset[Pair] = frozenset()
     unusable: frozenset[Pair] = frozenset()
 
-    def joined_to(self, target: str) -> dict[str, FloatArray]:
+    def connected_to(self, target: str) -> dict[str, FloatArray]:
         """(7,) T_target_source of every frame connected by fixed transforms, along the shortest
         chain.
 

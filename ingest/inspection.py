@@ -56,7 +56,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     is none."""
     recording = recording_at(path)
     if is_saved_map(recording.path):
-        return _of_saved_map(recording, recording.path)
+        return _saved_map_info(recording, recording.path)
     recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
@@ -94,7 +94,7 @@ def as_read(found: LogInfo, source: Mapping[str, Any]) -> LogInfo:
     return replace(found, topics=tuple(told(topic) for topic in found.topics))
 
 
-def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
+def _saved_map_info(recording: Recording, path: Path) -> LogInfo:
     """A saved map, as a log with one message."""
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

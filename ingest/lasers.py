@@ -14,7 +14,7 @@ from .junction_source import SENSORS, JunctionSource, namespace
 from .logs.intake import PoseColumns
 from .logs.scan_rows import RawScans
 from .logs.topics import Choice
-from .mounting import Joined, joined
+from .mounting import KnownMounting, known_mounting
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
 from .topic_poses import TopicPoses
@@ -80,7 +80,7 @@ class Lasers:
     topic; warnings: one for each that might be."""
 
     used: tuple[Laser, ...]
-    where: Joined
+    where: KnownMounting
     left_out: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -112,9 +112,9 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
     found = _distinct(ranked, left_out)
     frames = frozenset().union(*(laser.frames for laser in found))
     if read.settings.laser_pose is not None:
-        where = Joined({}, body or "")
+        where = KnownMounting({}, body or "")
     else:
-        where = joined(read.recording, frames, body, read.faults.add)
+        where = known_mounting(read.recording, frames, body, read.faults.add)
     known = [laser for laser in found if where.knows(laser.frames)]
     used = known or [laser for laser in found if laser.frames <= found[0].frames]
     for laser in (laser for laser in found if laser not in used):

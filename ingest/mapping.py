@@ -139,7 +139,7 @@ def dead_reckoned(
     source = PassSource(run)
     odometry, passes, calibration = _calibrated(source)
     noise = source.noise(odometry, passes)
-    motion = motion_errors(odometry, _telling(run), passes, noise, NOISE.prior)
+    motion = motion_errors(odometry, _usable_detections(run), passes, noise, NOISE.prior)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
@@ -153,7 +153,7 @@ def dead_reckoned(
     return run, odometry, reckoning, calibration
 
 
-def _telling(run: Run) -> Detections:
+def _usable_detections(run: Run) -> Detections:
     """The detections that tell of lengths and levers: none of those that are misread."""
     return NO_DETECTIONS if run.misread else run.detections
 
@@ -250,7 +250,9 @@ def _measure_hidden_errors(
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
     none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
-    scale = refine_scale(odometry, _telling(run), passes, noise, NOISE.prior, too_long=too_long)
+    scale = refine_scale(
+        odometry, _usable_detections(run), passes, noise, NOISE.prior, too_long=too_long
+    )
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):

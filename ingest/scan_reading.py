@@ -147,19 +147,21 @@ class _Scans:
         def yaw_of(odometry: Odometry, frame: str) -> float | None:
             if first.frames != {frame}:
                 return None
-            return mount_yaw(odometry, self._of(first, replace(ANYWHERE, overturned=overturned)))
+            return mount_yaw(
+                odometry, self._stream_of(first, replace(ANYWHERE, overturned=overturned))
+            )
 
         ask = partial(yaw_of, recorded) if recorded is not None else None
         mounts, told = mounting(self.lasers.where, first.frames, self.read.settings, ask)
         mounts = replace(mounts, overturned=overturned)
         # Every laser's stream reads all of the log: one reports the progress.
         streams = [
-            self._of(laser, mounts, self.read.progress if laser is first else None)
+            self._stream_of(laser, mounts, self.read.progress if laser is first else None)
             for laser in self.lasers.used
         ]
         return InterleavedScans(streams), told
 
-    def _of(
+    def _stream_of(
         self, laser: Laser, mounts: Mounting, on_bytes: Callable[[int], None] | None = None
     ) -> ScanStream:
         return ScanStream(

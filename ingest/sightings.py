@@ -147,7 +147,7 @@ def _mounted(
     if "foreign" in sides:
         pose = pose.copy()
         for side, own in owns.items():
-            joins |= {name: (side, T) for name, T in fixed.joined_to(own).items()}
+            joins |= {name: (side, T) for name, T in fixed.connected_to(own).items()}
     for number, name in enumerate(frames):
         if sides[number] == "foreign" and name in joins:
             sides[number], T_own_sensor = joins[name]

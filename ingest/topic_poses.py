@@ -92,7 +92,7 @@ class TopicPoses:
             if count
         ]
         if self.rivals:
-            pairs = told_pairs(self.rivals)
+            pairs = listed_pairs(self.rivals)
             out.append(
                 f"{topic}: also holds the odometry of another robot ({pairs}); left out; "
                 "--base-frame chooses"
@@ -123,7 +123,7 @@ def _vague(columns: PoseColumns) -> BoolArray:
     return np.asarray(sigma_m > max(VAGUE_M, VAGUER * usual))
 
 
-def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:
+def listed_pairs(pairs: Sequence[tuple[str, str]]) -> str:
     """Pairs of frames in one line."""
     return listed([f"{parent} → {child}" if child else parent for parent, child in pairs], 5)
 

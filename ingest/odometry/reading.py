@@ -18,10 +18,10 @@ from ..topic_poses import (
     FOREIGN,
     Clock,
     TopicPoses,
+    listed_pairs,
     other_odometries,
     pair_of_poses,
     pair_of_transforms,
-    told_pairs,
 )
 from .jumps import without_jumps
 from .track import Track, sane_track
@@ -70,7 +70,7 @@ def odometry_topic(read: LogRead) -> OdometryTopic:
             return OdometryTopic(choice, poses, (parent, child or base or ""))
         lack = "no transform from an odom frame" if transforms else "no usable pose"
         if base is not None and len(poses):
-            lack += f" to {base} (--base-frame); it has {told_pairs(poses.frames)}"
+            lack += f" to {base} (--base-frame); it has {listed_pairs(poses.frames)}"
         reasons.append(f"{choice.topic} holds {lack}" + because(poses, choice.topic))
     raise LogError(f"{read.log}: no odometry: {', '.join(reasons)}; {listing(read.counts)}")
 

@@ -20,7 +20,7 @@ from .noise import matched_noise
 from .scan import ScanBatch, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
-from .turns import LaggingError, MirroredError, OtherClockError, Turns, clock_lag
+from .turns import LaggingError, MirroredError, Turns, clock_lag
 from .views import chosen_views, closed_by_views
 from .windows import WINDOWS, Seen, windows
 
@@ -137,23 +137,11 @@ class _Track:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:
                 times, pieces = np.concatenate(self.time_ns), np.concatenate(self.piece)
-                try:
-                    lag_s = self.lag(times, np.concatenate(self.pose), pieces)
-                except OtherClockError:
-                    self.require_alike()
-                    raise
+                lag_s = self.lag(times, np.concatenate(self.pose), pieces)
                 if lag_s:
                     raise LaggingError(lag_s)
                 self.lag = None
             yield part
-
-    def require_alike(self) -> None:
-        """Raise OtherClockError if the scans turn neither with nor against the odometry."""
-        if self.turns.unlike:
-            raise OtherClockError(
-                f"the scans turn {self.turns}, as neither those of a laser upright nor upside down "
-                "do"
-            )
 
     def driven(self) -> Driven:
         """Rows by time; two lasers at one time make one row. Distance as in `windows`."""
@@ -169,7 +157,6 @@ def _result(
 ) -> ScanResult:
     if not track.pose:
         raise DataError(_nothing(counted))
-    track.require_alike()
     driven = track.driven()
     passes = junction_passes(seen, driven)
     noise = matched_noise(track.spans, passes, alone=recorded is None)

@@ -19,7 +19,7 @@ from .open_space import Lattice, OpenSpace, open_space, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
-from .ways import Drivable, Way, driven
+from .ways import Drivable, Way, drivable_way
 
 
 class Variant(NamedTuple):
@@ -318,12 +318,12 @@ def _floorplan(
         if target >= 0:
             target_branch = _take(graph, used, target, number)
             line[-1] = places[target].xy
-            way = driven(line, drivable, _reach(line, axes, drivable))
+            way = drivable_way(line, drivable, _reach(line, axes, drivable))
         else:
             kind, line = _ended(line, axes, drivable)
             if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
                 continue
-            way = _driven_in(line, axes, drivable, graph.nodes[source].clearance_m)
+            way = _drivable_part(line, axes, drivable, graph.nodes[source].clearance_m)
         if way is None:
             blocked += 1
             continue
@@ -352,10 +352,12 @@ def _reach(line: FloatArray, axes: _Axes, drivable: Drivable) -> FloatArray:
     return axes.space.clearance_m[drivable.at(line)]
 
 
-def _driven_in(line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: float) -> Way | None:
+def _drivable_part(
+    line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: float
+) -> Way | None:
     """The way to the end of a line, else as far as it can be driven straight along it, if that is
     beyond the disc around its junction."""
-    way = driven(line, drivable, _reach(line, axes, drivable))
+    way = drivable_way(line, drivable, _reach(line, axes, drivable))
     if way is not None:
         return way
     fits = drivable.cells[drivable.at(line)]
@@ -363,7 +365,7 @@ def _driven_in(line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: floa
     until = len(line) if fits.all() else int(np.argmin(fits))
     if until < 2 or way_of(line[:until])[-1] <= beyond_m:
         return None
-    return driven(line[:until], drivable, _reach(line[:until], axes, drivable))
+    return drivable_way(line[:until], drivable, _reach(line[:until], axes, drivable))
 
 
 HEADING_M = 1.0

@@ -24,7 +24,7 @@ TURN_RAD = 0.05
 ENOUGH = 20
 """Number of steps, about one full turn, after which chance alone gives 4 of 5 once in 170 times."""
 SAME_SHARE = 0.8
-"""Least share of the steps with one sign; with less, neither mounting fits."""
+"""Least share of the steps that turn against the odometry if the laser is upside down."""
 
 
 class MirroredError(DataError):
@@ -54,15 +54,6 @@ class Turns:
     def mirrored(self) -> bool:
         """Whether the scans turn against the odometry."""
         return self.enough and self.against >= SAME_SHARE * (self.alike + self.against)
-
-    @property
-    def unlike(self) -> bool:
-        """Whether the scans turn neither with nor against the odometry."""
-        return (
-            self.enough
-            and not self.mirrored
-            and self.alike < SAME_SHARE * (self.alike + self.against)
-        )
 
     def __str__(self) -> str:
         return f"against the odometry at {self.against} of {self.alike + self.against} turns"

@@ -220,7 +220,7 @@ def _views(
     open_ = np.zeros(clearance.shape, bool)
     for (mask, least_m), k in distinct.items():
         clearance[k, :side] = distances[mask]
-        open_[k, :side] = _driven(distances[mask] > least_m, at)
+        open_[k, :side] = _driven_through(distances[mask] > least_m, at)
     stacked = thin(open_.reshape(-1, side)).reshape(open_.shape)
     border = np.zeros((side + 1, side), bool)
     border[[0, side - 1]] = True
@@ -237,7 +237,7 @@ def _distances(mask: BoolArray, cell_m: float) -> FloatArray:
     return np.asarray(away, np.float64)[1:-1, 1:-1] * cell_m
 
 
-def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
+def _driven_through(open_: BoolArray, at: IntArray) -> BoolArray:
     """The components that contain cells `at` (c, 2), x and y."""
     labels, count = labelled(open_)
     mine = np.zeros(count + 1, bool)

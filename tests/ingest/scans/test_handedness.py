@@ -37,5 +37,5 @@ def test_what_fits_neither_way_up_is_refused() -> None:
     pose = [ROUND.pose[0]]
     for each in step:
         pose.append(compose(pose[-1], each))
-    with pytest.raises(DataError, match="neither those of a laser upright nor upside down"):
+    with pytest.raises(DataError, match="do not turn when the odometry does"):
         detect(replace(ROUND, pose=np.array(pose)), [scans(RING, ROUND)])
