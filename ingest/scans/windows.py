@@ -194,8 +194,9 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
                 turn = bends(graph, fork, cell, variant.skeleton)
                 forks.append((k, found, replace(fork, xy=xy, bends=turn)))
     # One cell less than a window has, which has a middle one.
-    view = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
-    return Seen(number, middle, tuple(forks), (around.corner + SIDE) * cell, view)
+    cells = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
+    place = np.asarray((around.corner + SIDE) * cell, np.float64)
+    return Seen(number, middle, tuple(forks), place, cells)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
