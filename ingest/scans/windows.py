@@ -195,8 +195,8 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
                 forks.append((k, found, replace(fork, xy=xy, bends=turn)))
     # One cell less than a window has, which has a middle one.
     cells = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
-    place = np.asarray((around.corner + SIDE) * cell, np.float64)
-    return Seen(number, middle, tuple(forks), place, cells)
+    corner_xy = np.asarray((around.corner + SIDE) * cell, np.float64)
+    return Seen(number, middle, tuple(forks), corner_xy, cells)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
