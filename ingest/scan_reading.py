@@ -88,10 +88,10 @@ def _run(
         alone = f"; --scan-topic {first.topic} uses one alone" if len(found.used) > 1 else ""
         raise DataError(f"{read.log}: {named}: {error}{alone}") from error
     warnings += [*told, *stream.warnings, *result.warnings]
-    statistics = {
-        name: round(value, 4) if isinstance(value, float) else value
-        for name, value in asdict(result.statistics).items()
-    }
+    statistics = asdict(result.statistics)
+    for name, value in statistics.items():
+        if isinstance(value, float):  # unknown values are None
+            statistics[name] = round(value, 4) if np.isfinite(value) else None
     about["junctions"] |= {"messages": stream.messages, **statistics}
     if len(found.used) > 1:
         about["junctions"]["lasers"] = [laser.topic for laser in found.used]

@@ -16,7 +16,7 @@ from ...topology.se2 import compose, inverse
 from .junctions import Driven, junction_passes
 from .keyframes import Keyframes, join
 from .matching import Matched, matched, posed
-from .noise import matched_noise
+from .noise import expected_drift, matched_noise, recorded_drift
 from .scan import ScanBatch, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
@@ -101,10 +101,12 @@ class _Counted:
 
 @dataclass(slots=True, eq=False)
 class _Track:
-    """Data kept of processed keyframes: rows (k, 3) of the robot's corrected pose."""
+    """Data kept of processed keyframes: rows (k, 3) of the robot's pose, corrected and as
+    recorded."""
 
     time_ns: list[IntArray] = field(default_factory=list)
     pose: list[FloatArray] = field(default_factory=list)
+    recorded: list[FloatArray] = field(default_factory=list)
     piece: list[IntArray] = field(default_factory=list)
     fit: list[FloatArray] = field(default_factory=list)
     laser: list[IntArray] = field(default_factory=list)
@@ -131,8 +133,8 @@ class _Track:
             self.spans.append(part.spans)
             self.searched += int(part.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])
-            recorded = compose(part.keyframes.odometry, off)
-            self.turns = self.turns.more(recorded, self.pose[-1], self.piece[-1])
+            self.recorded.append(compose(part.keyframes.odometry, off))
+            self.turns = self.turns.more(self.recorded[-1], self.pose[-1], self.piece[-1])
             if self.turns.mirrored:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:
@@ -164,6 +166,10 @@ def _result(
     statistics = ScanStatistics(
         scans=counted.scans,
         matched=int(np.sum(fit >= LEAST_FIT)),
+        drift_before_m=recorded_drift(
+            np.concatenate(track.recorded), driven.pose, driven.way, DRIFT_M
+        ),
+        drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
         covered=_covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser)),
         searched=track.searched,
@@ -203,6 +209,10 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
             "way on was found by searching"
         )
     return tuple(out)
+
+
+DRIFT_M = 20.0
+"""Distance after which drift is stated."""
 
 
 def _nothing(counted: _Counted) -> str:

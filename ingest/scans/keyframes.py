@@ -170,9 +170,11 @@ def prepared(part: Posed, rows: IntArray) -> Keyframes:
 def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, float]:
     """Columns of a scan of even spacing, at most `finest_rad` apart or its own spacing; its first
     bearing and their step [rad]."""
-    spacing = float(angles_rad[-1] - angles_rad[0]) / (len(angles_rad) - 1)
+    order = np.argsort(angles_rad, kind="stable").astype(np.int64)
+    first, last = angles_rad[order[[0, -1]]].tolist()
+    spacing = (last - first) / (len(order) - 1)
     stride = max(1, int(finest_rad / spacing + 0.01))
-    return np.arange(0, len(angles_rad), stride), float(angles_rad[0]), stride * spacing
+    return order[::stride], first, stride * spacing
 
 
 def _at_mid_sweep(

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import nnls
 
-from ...topology.arrays import FloatArray
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.digits import significant
 from ...topology.run import ScanPasses
+from ...topology.se2 import between, wrap
 from ...topology.topomap import RunNoise
 from .step_errors import LONG, SHORT, SpanErrors
 
@@ -90,3 +91,47 @@ def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> 
     # Spans begin `SHORT` apart: so many stand beside each other.
     spans = len(variance) * SHORT / LONG
     return np.asarray((USUAL_HEADING**2 + spans * walk) / (1 + spans))
+
+
+HALF = 0.6745
+"""Median of the absolute value of a standard normal: position errors are mostly across the
+track."""
+
+
+def expected_drift(noise: RunNoise, pose: FloatArray, way: FloatArray, way_m: float) -> float:
+    """Median position error [m] after `way_m`, by a run's noise, over all parts of the poses (n, 3)
+    of that length; NaN if the run is shorter. O(n) by prefix sums."""
+    first, last = _stretches(way, way_m)
+    if len(first) == 0:
+        return float("nan")
+    turned = np.abs(wrap(np.diff(pose[:, 2])))
+    q = noise.heading_rad_per_sqrt_m**2 * np.diff(way)
+    q = q + noise.heading_rad_per_sqrt_rad**2 * turned
+    xy = pose[:, :2] - pose[:, :2].mean(axis=0)
+    terms = np.column_stack([q, q[:, None] * xy[:-1], q * np.sum(xy[:-1] ** 2, axis=1)])
+    sums = np.concatenate([np.zeros((1, 4)), np.cumsum(terms, axis=0)])
+    (s0, sx, sy, s2), end = (sums[last] - sums[first]).T, xy[last]
+    across = s0 * np.sum(end**2, axis=1) - 2 * (sx * end[:, 0] + sy * end[:, 1]) + s2
+    along = noise.along_m_per_sqrt_m**2 * (way[last] - way[first])
+    return HALF * float(np.median(np.sqrt(np.maximum(across, 0.0) + along)))
+
+
+def _stretches(way: FloatArray, way_m: float) -> tuple[IntArray, IntArray]:
+    """First and last rows of all parts of the given length."""
+    last = np.searchsorted(way, way + way_m)
+    first = np.flatnonzero(last < len(way))
+    return first, last[first]
+
+
+def recorded_drift(
+    recorded: FloatArray, corrected: FloatArray, way: FloatArray, way_m: float
+) -> float:
+    """Median distance [m] between recorded (n, 3) and corrected odometry after `way_m`; NaN if the
+    run is shorter."""
+    first, last = _stretches(way, way_m)
+    if len(first) == 0:
+        return float("nan")
+    off = between(
+        between(corrected[first], corrected[last]), between(recorded[first], recorded[last])
+    )
+    return float(np.median(np.hypot(off[:, 0], off[:, 1])))

@@ -76,14 +76,18 @@ class ScanBatch:
 class ScanStatistics:
     """Statistics of scan matching.
 
-    scans: read; matched: of these, used and found to fit; bias_rad_per_m: heading bias of the
-    odometry that was removed; covered: share of the distance
+    scans: read; matched: of these, used and found to fit; drift_before_m, drift_after_m: median
+    position error after 20 m [m] of the odometry as recorded (relative to the corrected one) and as
+    corrected (by its own covariance, over the same parts), NaN if the run is shorter;
+    bias_rad_per_m: heading bias of the odometry that was removed; covered: share of the distance
     driven where the scans show enough of the surroundings; searched: number of steps found by
     searching; odometry: whether there was any beside the scans.
     """
 
     scans: int = 0
     matched: int = 0
+    drift_before_m: float = float("nan")
+    drift_after_m: float = float("nan")
     bias_rad_per_m: float = 0.0
     covered: float = 0.0
     searched: int = 0

@@ -255,6 +255,7 @@ def test_a_laser_that_looks_aside_is_found_to(
     assert "'laser' looks 90 degrees to the left" in told
     assert "--laser-pose" in told
     assert run.source["junctions"]["covered"] > 0.9
+    assert run.source["junctions"]["drift_after_m"] < 0.2
     assert run.scanned is not None
     assert straight.scanned is not None
     assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
@@ -282,6 +283,7 @@ def test_a_laser_upside_down_is_found_to_be(
     assert len(assumed) == (0 if placed else 1)
     assert "against the odometry" in told
     assert "upside down" in told
+    assert run.source["junctions"]["drift_after_m"] < 0.2
     assert run.scanned is not None
     assert straight.scanned is not None
     assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
@@ -308,6 +310,7 @@ def test_scans_that_are_stamped_late_are_found_to_be(
     assert straight.scanned is not None
     ours, true = run.scanned.passes, straight.scanned.passes
     assert abs(len(ours) - len(true)) <= 2
+    assert run.source["junctions"]["drift_after_m"] < 0.2
 
 
 def test_a_second_laser_that_the_log_does_not_place_is_named(

@@ -91,6 +91,7 @@ def better(
         found.append(run.source["junctions"])
     return {
         "covered": max(told["covered"] for told in found),
+        "drift_after_m": min(told["drift_after_m"] for told in found),
     }
 
 
@@ -114,6 +115,7 @@ def test_two_lasers_are_no_worse_than_the_better_one(
     assert told["scans"] == told["messages"]
     assert len(build_map(run)) == JUNCTIONS
     assert told["covered"] >= better["covered"] - 0.01
+    assert told["drift_after_m"] <= better["drift_after_m"] + 0.03
     uses = {topic.topic: topic.use for topic in as_read(inspect_log(log), run.source).topics}
     assert {uses[topic] for topic in topics} == {"scans"}
 
@@ -192,3 +194,4 @@ def test_two_sparse_clouds_give_the_same_map_in_any_order_and_no_worse_than_one(
     assert len(maps[0]) <= len(build_map(alone))
     told, of_one = both[0].source["junctions"], alone.source["junctions"]
     assert told["covered"] >= of_one["covered"]
+    assert told["drift_after_m"] <= of_one["drift_after_m"]

@@ -99,3 +99,4 @@ def test_a_refusal_of_another_clock_names_the_way_out(
         read_run(log)
     run = read_run(log, ReadSettings(time="log"))
     assert run.source["junctions"]["covered"] > 0.95
+    assert run.source["junctions"]["drift_after_m"] < 0.2

@@ -54,6 +54,8 @@ def true_centres(result: ScanResult, truth: Odometry) -> np.ndarray:
 def test_odometry_is_corrected() -> None:
     result = found()
     assert np.percentile(drift(result, ROUND, 20.0), 90) < 0.2
+    assert result.statistics.drift_before_m > 1.0
+    assert result.statistics.drift_after_m < 0.5
     assert result.statistics.bias_rad_per_m == pytest.approx(BIAS, abs=np.radians(0.3))
     assert result.statistics.covered > 0.95
     assert result.statistics.scans == len(seen())
@@ -178,6 +180,7 @@ def test_one_scan() -> None:
     result = detect(ROUND, [parts(seen(), 1)[0]])
     assert len(result.odometry) == 1
     assert len(result.scanned.passes) == 0
+    assert np.isnan(result.statistics.drift_before_m)
 
 
 @pytest.mark.parametrize("odometry", [ROUND, None])
