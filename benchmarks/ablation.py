@@ -148,11 +148,7 @@ def _evidence_without(part):
     return evidence
 
 
-def _without_lag(evidence, already, floor, settings):
-    return _fit(evidence, already, floor, replace(settings, prior_lag_s=1e-6))
-
-
-_fit, _motion = calibration._fit, motion_errors.motion_errors
+_motion = motion_errors.motion_errors
 _heading_evidence = calibration.heading_evidence
 
 
@@ -227,7 +223,11 @@ REPLACED = {
 
 WHOLE = {
     "calibration": (pass_source, "calibrate", lambda *args: calibration.Calibration()),
-    "calibration: lag": (calibration, "_fit", _without_lag),
+    "calibration: lag": (
+        calibration,
+        "CALIBRATION",
+        replace(calibration.CALIBRATION, prior_lag_s=1e-6),
+    ),
     "calibration: shared errors": (
         heading_likelihood.HeadingLikelihood,
         "scores",

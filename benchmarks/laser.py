@@ -30,7 +30,7 @@ Folders hold `logs/*.mcap` with odometry and a laser, `truth.json` with correcte
   speed       seconds of log per second of one core, for the chain and the map; peak memory
 
 --alone leaves the odometry out. --kiss runs KISS-ICP (no dependency of ours) on the same scans, one
-thread, the recorded motion as its prior. Pictures: walls, skeleton, junctions; the map beside it.
+thread, the recorded motion as its prior. Pictures: walls, junctions; the map beside it.
 """
 
 from __future__ import annotations
@@ -63,6 +63,7 @@ from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.track import way_at
 from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points
+from topobatch.topology.views import CELL_M, REACH_M, WALL
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -483,13 +484,14 @@ def judge(log: Log, *, alone: bool, pictures: Path | None) -> Log:
 
 
 def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
-    """Walls, skeleton and passes on the corrected track, and beside it the map."""
+    """Walls of views and passes on the corrected track, and beside it the map."""
     from PIL import Image, ImageDraw
 
-    layers = []
-    for layer in (result.scanned.picture.walls, result.scanned.picture.skeleton):
-        layers.append(apply(result.odometry.at(layer.anchor_ns)[layer.anchor], layer.xy))
-    low, high = layers[0].min(axis=0) - 1, layers[0].max(axis=0) + 1
+    views = result.scanned.views
+    view, row, column = np.nonzero(views.cells == WALL)
+    own = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
+    walls = apply(views.pose[view], own)
+    low, high = walls.min(axis=0) - 1, walls.max(axis=0) + 1
     scale = 1400 / float((high - low).max())
     width, height = ((high - low) * scale).astype(int).tolist()
     image = Image.new("RGB", (2 * width, height), "white")
@@ -499,8 +501,7 @@ def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
         x, y = ((np.atleast_2d(xy) - low) * scale).T
         return list(zip((x + offset).tolist(), (height - y).tolist(), strict=True))
 
-    pen.point(at(layers[0]), fill=(150, 150, 150))
-    pen.point(at(layers[1]), fill=(0, 150, 0))
+    pen.point(at(walls), fill=(150, 150, 150))
     pen.line(at(result.odometry.pose[:, :2]), fill=(90, 120, 230))
     pose = result.odometry.at(result.scanned.passes.time_ns)
     for k, centre in enumerate(apply(pose, result.scanned.passes.centre)):

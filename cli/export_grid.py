@@ -155,7 +155,7 @@ def _grid(
     """
     import numpy as np
 
-    from ..ingest.scans.occupancy import Occupancy
+    from ..ingest.run_scans import Occupancy
     from ..topology.grids import layered, resampled
     from ..topology.se2 import compose
     from ..viz.walls import walls_of

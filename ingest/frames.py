@@ -36,82 +36,38 @@ class FixedTransforms:
     moving: frozenset[Pair] = frozenset()
     unusable: frozenset[Pair] = frozenset()
 
-    def joined_to(self, target: str) -> dict[str, FloatArray]:
+    def connected_to(self, target: str) -> dict[str, FloatArray]:
         """(7,) T_target_source of every frame connected by fixed transforms, along the shortest
         chain.
 
         O(number of transforms).
         """
-        return {name: T for name, (T, _) in self._reached(target).items()}
-
-    def contradictions(self, target: str) -> list[str]:
-        """One sentence on the transforms that contradict the shortest chains from `target` to their
-        frames, by more than the rounding of all transforms in such a loop; none if all agree.
-
-        O(number of transforms).
-        """
-        reached, told = self._reached(target), []
-        for (parent, child), T_parent_child in sorted(self.value.items()):
-            if parent not in reached:
-                continue
-            (T_target_parent, before), (T_target_child, after) = reached[parent], reached[child]
-            again = seen_from(T_target_parent, T_parent_child[None])[0]
-            off_m, off_rad = _apart(T_target_child, again)
-            rounded = FIXED * (before + 1 + after)
-            reach_m = max(np.linalg.norm(T[:3]) for T in (T_target_parent, T_target_child))
-            if off_rad > 2 * rounded or off_m > rounded * (1 + 2 * reach_m):
-                told.append(f"{parent} → {child} by {off_m:.2f} m and {np.degrees(off_rad):.1f}°")
-        if not told:
-            return []
-        return [
-            "transforms contradict each other; the shortest chain counts, from which these differ: "
-            f"{listed(told, 3)}"
-        ]
-
-    def _reached(self, target: str) -> dict[str, tuple[FloatArray, int]]:
-        """(7,) T_target_source of every frame connected to `target` along the shortest chain, and
-        the number of transforms in it."""
         beside: dict[str, list[tuple[str, FloatArray]]] = {}
         for (parent, child), T_parent_child in sorted(self.value.items()):
             beside.setdefault(parent, []).append((child, T_parent_child))
             beside.setdefault(child, []).append((parent, _inverse(T_parent_child)))
-        reached = {target: (np.array(NOWHERE_ELSE), 0)}
+        reached = {target: np.array(NOWHERE_ELSE)}
         front = deque([target])
         while front:
             here = front.popleft()
-            T_target_here, steps = reached[here]
             for there, T_here_there in beside.get(here, ()):
                 if there not in reached:
-                    reached[there] = seen_from(T_target_here, T_here_there[None])[0], steps + 1
+                    reached[there] = seen_from(reached[here], T_here_there[None])[0]
                     front.append(there)
         return reached
 
-    @property
-    def groups(self) -> list[list[str]]:
-        """Connected components of frames, by name."""
-        from scipy.cluster.hierarchy import DisjointSet
-
-        joined = DisjointSet({name for pair in self.value for name in pair})
-        for pair in self.value:
-            joined.merge(*pair)
-        return sorted(sorted(names) for names in joined.subsets())
-
     def __str__(self) -> str:
-        if not (self.value or self.moving or self.unusable):
-            return "the log holds no transforms between frames; record /tf_static"
+        kinds = (
+            ("fixed", self.value),
+            ("moving", self.moving),
+            ("without usable numbers", self.unusable),
+        )
         told = [
-            f"fixed to each other are {listed([' = '.join(names) for names in self.groups], 6)}"
+            f"{kind}: {listed([f'{a} → {b}' for a, b in sorted(pairs)], 6)}"
+            for kind, pairs in kinds
+            if pairs
         ]
-        if not self.value:
-            told = ["no frames are fixed to each other"]
-        for pairs, one, several in (
-            (self.moving, "moves", "move"),
-            (self.unusable, "has no usable numbers", "have no usable numbers"),
-        ):
-            if pairs:
-                names = listed([f"{a} → {b}" for a, b in sorted(pairs)], 6)
-                told.append(f"{names} {one if len(pairs) == 1 else several}")
-        return "; ".join(told)
+        return "; ".join(told) or "the log holds no transforms between frames; record /tf_static"
 
 
 NO_TRANSFORMS = FixedTransforms()
@@ -132,14 +88,6 @@ def _inverse(T_a_b: FloatArray) -> FloatArray:
 
     back = Rotation.from_quat(T_a_b[3:]).inv()
     return np.concatenate([-back.apply(T_a_b[:3]), back.as_quat()])
-
-
-def _apart(a: FloatArray, b: FloatArray) -> tuple[float, float]:
-    """Distance [m] and relative rotation [rad] of two poses (7,)."""
-    from scipy.spatial.transform import Rotation
-
-    turn = Rotation.from_quat(a[3:]).inv() * Rotation.from_quat(b[3:])
-    return float(np.linalg.norm(a[:3] - b[:3])), float(turn.magnitude())
 
 
 class FixedCollector:

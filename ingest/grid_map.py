@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
@@ -18,9 +19,9 @@ from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
 from ..topology.turning_points import FRONTIER, NO_TURNING_POINTS, TurningPoints
 from ..topology.wording import counted
-from .coarse_grid import lattice
 from .grid_log import GridLog
 from .logs.messages import several_that
+from .logs.saved_map import coarser
 from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
 from .scans.views import grid_views
 
@@ -35,6 +36,12 @@ with those of one recording (.05, .03, .1, .1 m); of 113 other pairs the most is
 Three maps of one office, of three dates, merge from .25 m on.
 The accuracy of the grid itself is unknown: the defaults of odometry are used."""
 
+CELL_M = 0.05
+"""Cells that finer grids are joined to: most are saved in these. A robot's radius has five; finer
+ones show more of the walls' roughness, which is no part of the plan."""
+
+MOST_CELLS = 1 << 22
+"""Largest number of cells whose distance from walls is measured, 100 by 100 m at 5 cm."""
 
 FLOORPLAN = FloorplanSettings()
 
@@ -45,8 +52,8 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     It has no observations, and corridors without traversals. Where small obstacles hide all
     junctions, they make junctions. Raises DataError if there is no junction. O(cells log cells).
     """
-    grid, coarser = lattice(_cropped(log.grid))
-    warnings = (*log.warnings, *coarser)
+    grid, large = lattice(_cropped(log.grid))
+    warnings = (*log.warnings, *large)
     frontier = grid.free & binary_dilation(grid.unknown)
     # A room with pillars has junctions between these alone; the more rooms of a small home, the
     # narrower the doors that a robot fits through.
@@ -62,7 +69,7 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
             f"{int(grid.free.sum())} of them free, shows no junction and no room; "
-            + "; ".join((*coarser, "nothing can be mapped"))
+            + "; ".join((*large, "nothing can be mapped"))
             + f" (with --robot-radius {settings.skeleton.clearance_m:g}: smaller robots fit "
             "through narrower doors)"
         )
@@ -116,6 +123,25 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
             "warnings": list(warnings),
         },
     )
+
+
+def lattice(grid: Grid) -> tuple[Grid, list[str]]:
+    """The grid in cells of about `CELL_M`, or in larger ones if there are too many: then with a
+    warning.
+
+    A larger cell is free if all its parts are: walls stay, corridors get narrower by at most a
+    cell. O(cells).
+    """
+    factor = max(1, int(CELL_M / grid.resolution_m + 1e-6))
+    # With a cell around: a grid in one row is three of them.
+    while math.prod(2 - (-n // factor) for n in grid.free.shape) > MOST_CELLS:
+        factor += 1
+    found = coarser(grid, factor)
+    if found.resolution_m <= CELL_M * (1 + 1e-6) or factor == 1:
+        return found, []
+    height, width = grid.free.shape
+    large = f"the grid, {width} x {height} cells, is large"
+    return found, [f"{large}; cells of {found.resolution_m:g} m are taken"]
 
 
 _Rows = Mapping[int, tuple[FloatArray, IntArray]]

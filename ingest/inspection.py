@@ -11,13 +11,13 @@ from ..topology.errors import LogError, UsageError
 from .channels import check_mapping
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.intake import Intake
-from .logs.messages import Channel
+from .logs.messages import Channel, Survey
 from .logs.recording import Recording, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import JUNCTION_KINDS, choose_odometry, odometry_topics
 from .read_settings import DEFAULT_READ, ReadSettings, Way
 from .remote.path import LogPath
-from .survey import Index, damage_of, surveyed, walk
+from .survey import damage_of, surveyed, walk
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,13 +56,13 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     is none."""
     recording = recording_at(path)
     if is_saved_map(recording.path):
-        return _of_saved_map(recording, recording.path)
+        return _saved_map_info(recording, recording.path)
     recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
         findings = walk(recording, Intake(lambda _: False), None, by_index=False)
         problems = damage_of(recording, findings)
-        survey = Index(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
+        survey = Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
     uses = _uses(recording, survey.counts, settings, problems)
     topics: dict[tuple[str, str], int] = {}
     for channel, count in survey.counts.items():
@@ -94,7 +94,7 @@ def as_read(found: LogInfo, source: Mapping[str, Any]) -> LogInfo:
     return replace(found, topics=tuple(told(topic) for topic in found.topics))
 
 
-def _of_saved_map(recording: Recording, path: Path) -> LogInfo:
+def _saved_map_info(recording: Recording, path: Path) -> LogInfo:
     """A saved map, as a log with one message."""
     problems: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

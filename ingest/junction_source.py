@@ -56,12 +56,12 @@ def junction_source(
     If a kind is asked for, no other is tried. Raises LogError if there is none, UsageError if a
     topic must be named.
     """
-    asked = _asked(counts, settings)
-    for way in asked:
+    ways = _ways_to_try(counts, settings)
+    for way in ways:
         try:
             choice, *beside = _choices(way, counts, settings, log)
         except LogError:
-            if len(asked) == 1:
+            if len(ways) == 1:
                 raise
             continue
         return JunctionSource(way, choice, _others(way, counts), tuple(beside))
@@ -98,7 +98,7 @@ def views_source(
     return None
 
 
-def _asked(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple[Way, ...]:
+def _ways_to_try(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple[Way, ...]:
     if settings.junctions_from is not None:
         return (settings.junctions_from,)
     if settings.junction_topic is not None or settings.junction_fields is not None:

@@ -12,12 +12,19 @@ from ..topology.errors import LogError
 from .frames import NOWHERE_ELSE
 from .junction_source import SENSORS, JunctionSource, namespace
 from .logs.intake import PoseColumns
+from .logs.scan_rows import RawScans
 from .logs.topics import Choice
-from .mounting import Joined, joined
-from .scans.field_of_view import adds, directions
+from .mounting import KnownMounting, known_mounting
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
 from .topic_poses import TopicPoses
+
+SECTORS = 36
+"""Number of directions, 10 degrees each: wider than the spacing of any scanner's beams."""
+
+FURTHER = 3
+"""Directions that a laser must add to what another one in its frame sees: filters of scans cut off
+directions and add none; two are left for the rounding of both ends."""
 
 FIRST_SCANS = 50
 """Number of scans read to find out their frames and clock."""
@@ -70,10 +77,10 @@ class Laser:
 @dataclass(frozen=True, slots=True)
 class Lasers:
     """used: the main one first; where: the log's transforms; left_out: why others are not used, by
-    topic; warnings: one for each that might be, and on contradictory transforms."""
+    topic; warnings: one for each that might be."""
 
     used: tuple[Laser, ...]
-    where: Joined
+    where: KnownMounting
     left_out: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
 
@@ -105,11 +112,9 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
     found = _distinct(ranked, left_out)
     frames = frozenset().union(*(laser.frames for laser in found))
     if read.settings.laser_pose is not None:
-        where = Joined({}, body or "")
+        where = KnownMounting({}, body or "")
     else:
-        where = joined(read.recording, frames, body, read.faults.add)
-    if where.fixed is not None:
-        warnings += where.fixed.contradictions(where.body)
+        where = known_mounting(read.recording, frames, body, read.faults.add)
     known = [laser for laser in found if where.knows(laser.frames)]
     used = known or [laser for laser in found if laser.frames <= found[0].frames]
     for laser in (laser for laser in found if laser not in used):
@@ -165,4 +170,21 @@ def _distinct(ranked: list[Laser], left_out: dict[str, str]) -> list[Laser]:
 
 def _adds(laser: Laser, other: Laser) -> bool:
     """Whether a laser sees directions that another one does not see in the same frame."""
-    return any(adds(view, other.views.get(frame)) for frame, view in laser.views.items())
+    return any(
+        frame not in other.views or int((view & ~other.views[frame]).sum()) >= FURTHER
+        for frame, view in laser.views.items()
+    )
+
+
+def directions(scans: RawScans) -> BoolArray:
+    """(SECTORS,) directions of the frame that scans look in: of all beams or, in slices of a cloud,
+    which have beams all around, of those with a return."""
+    geometry, beams = scans.geometry, scans.ranges_m.shape[1]
+    with np.errstate(invalid="ignore", over="ignore"):  # a message may hold any numbers
+        angles = geometry.angle_min + geometry.angle_increment * np.arange(beams) + geometry.pose[2]
+    if scans.blind:
+        angles = angles[np.isfinite(scans.ranges_m).any(axis=0)]
+    out = np.zeros(SECTORS, np.bool_)
+    angles = angles[np.abs(angles) < 1e6]  # others are no angles
+    out[np.floor(angles / (2 * np.pi) * SECTORS).astype(np.int64) % SECTORS] = True
+    return out

@@ -36,8 +36,9 @@ from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
-from .odometry.noise import refine_noise
-from .pass_source import PassSource, pass_source, why_none
+from .odometry.noise import NOISE, refine_noise
+from .pass_source import USUAL, PassSource
+from .passes import PASSES
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 
@@ -59,7 +60,7 @@ def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MA
         if isinstance(log, GridLog):
             _map_of_grid(log, settings)
         else:
-            _calibrated(log, pass_source(log, settings), settings)
+            _calibrated(PassSource(log))
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 
@@ -86,7 +87,7 @@ def build_map_with_errors(
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
     run, odometry, reckoning, calibration = dead_reckoned(run, settings)
-    source = pass_source(run, settings)
+    source = PassSource(run)
     odometry, reckoning, closed, fitted = _close_loops(odometry, reckoning, source, settings)
     places = correct_detections(
         closed.reckoning,
@@ -97,7 +98,7 @@ def build_map_with_errors(
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
     measured, shared_m = _measure_hidden_errors(
-        fitted.reckoning, odometry, run, source, settings, too_long=calibration.too_long
+        fitted.reckoning, odometry, run, source, too_long=calibration.too_long
     )
     errors = place_errors(
         measured, fitted.estimate, closed.place, places.kept, fitted.grid, shared_m=shared_m
@@ -135,14 +136,14 @@ def dead_reckoned(
 ) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
     """The run with detections seen from the point that its odometry refers to; its calibrated
     odometry, and its passes with the noise known before loop closure."""
-    source = pass_source(run, settings)
-    odometry, passes, calibration = _calibrated(run, source, settings)
+    source = PassSource(run)
+    odometry, passes, calibration = _calibrated(source)
     noise = source.noise(odometry, passes)
-    motion = motion_errors(odometry, _telling(run), passes, noise, settings.noise.prior)
+    motion = motion_errors(odometry, _usable_detections(run), passes, noise, NOISE.prior)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
-        source = pass_source(run, settings)
+        source = PassSource(run)
         odometry = odometry.shortened(calibration.too_long)
         passes = source.passes(odometry)
         noise = source.noise(odometry, passes)
@@ -152,48 +153,45 @@ def dead_reckoned(
     return run, odometry, reckoning, calibration
 
 
-def _telling(run: Run) -> Detections:
+def _usable_detections(run: Run) -> Detections:
     """The detections that tell of lengths and levers: none of those that are misread."""
     return NO_DETECTIONS if run.misread else run.detections
 
 
-def _calibrated(
-    run: Run, source: PassSource, settings: MappingSettings
-) -> tuple[Odometry, Passes, Calibration]:
+def _calibrated(source: PassSource) -> tuple[Odometry, Passes, Calibration]:
     """The odometry without the errors of headings and stamps that detections show, and the passes
     in its frame. Raises DataError if nothing can be mapped."""
-    calibration = source.calibration()
+    run, calibration = source.run, source.calibration()
     odometry = apply_calibration(run.odometry, calibration)
     passes = source.passes(odometry)
     if len(passes) == 0:
-        raise DataError(f"run {run.name}: {why_none(run)}")
-    _require_motion(run, settings.passes.reach_m)
+        raise DataError(f"run {run.name}: {source.why_none()}")
+    _require_motion(run)
     return odometry, passes, calibration
 
 
-def _require_motion(run: Run, reach_m: float) -> None:
+def _require_motion(run: Run) -> None:
     """DataError if the robot never moved beyond one junction, not counting resets of its
     odometry."""
     xy, first = run.odometry.pose[:, :2], [0, *run.odometry.breaks.tolist()]
     if len(xy) == 0:
         return
     reached = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
-    if np.hypot(*reached.T).max() < reach_m:
+    if np.hypot(*reached.T).max() < PASSES.reach_m:
         resets = " between its resets" if len(first) > 1 else ""
         raise DataError(
-            f"run {run.name}: the odometry does not move: all of it lies within {reach_m:g} m"
-            f"{resets}; nothing can be mapped"
+            f"run {run.name}: the odometry does not move: all of it lies within "
+            f"{PASSES.reach_m:g} m{resets}; nothing can be mapped"
         )
 
 
 def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
     """Constant errors left by the calibration: its sigma, and what it did not apply."""
-    usual = settings.systematic
     left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
     left = settings.calibration_doubt * left
     return SystematicErrors(
-        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else usual.turn_rad_per_m,
-        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else usual.turn_rad_per_rad,
+        turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else USUAL.turn_rad_per_m,
+        turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else USUAL.turn_rad_per_rad,
     )
 
 
@@ -245,7 +243,6 @@ def _measure_hidden_errors(
     odometry: Odometry,
     run: Run,
     source: PassSource,
-    settings: MappingSettings,
     *,
     too_long: float,
 ) -> tuple[DeadReckoning, FloatArray | None]:
@@ -254,7 +251,7 @@ def _measure_hidden_errors(
     none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
     scale = refine_scale(
-        odometry, _telling(run), passes, noise, settings.noise.prior, too_long=too_long
+        odometry, _usable_detections(run), passes, noise, NOISE.prior, too_long=too_long
     )
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
@@ -280,7 +277,7 @@ def _refine_noise(
             places.turn,
             noise,
             drive_bys=int(np.sum(~places.visits.seen)),
-            settings=source.expected(),
+            prior=source.prior,
         )
         for noise in (closed.reckoning.noise, likely)
     )

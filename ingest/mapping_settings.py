@@ -5,14 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from ..topology.closure.dead_reckoning import SystematicErrors
 from ..topology.closure.incremental import RoundSettings
 from ..topology.closure.missed_detections import DrivenBySettings
 from ..topology.errors import UsageError, check_choice
 from ..topology.mapbuilding import MapBuildingSettings
-from .odometry.calibration import CalibrationSettings
-from .odometry.noise import NoiseSettings
-from .passes import PassSettings
 
 RADII_M = (0.05, 2.0)
 """Least and largest radius of a robot: a cell of a grid, and a large vehicle indoors."""
@@ -27,13 +23,8 @@ class MappingSettings:
     closure: ClosureMode = "full"
     robot_radius_m: float = 0.25
     """Of the robot that drives the corridors of saved grids: a small one's."""
-    calibration: CalibrationSettings = field(default_factory=CalibrationSettings)
     calibration_doubt: float = 1.5
     """Factor on the calibration's own sigma, which assumes straight corridors."""
-    systematic: SystematicErrors = field(default_factory=SystematicErrors)
-    """Constant errors of an odometry that could not be calibrated."""
-    passes: PassSettings = field(default_factory=PassSettings)
-    noise: NoiseSettings = field(default_factory=NoiseSettings)
     rounds: RoundSettings = field(default_factory=RoundSettings)
     driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
     drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)

@@ -54,7 +54,7 @@ def fixed_transforms(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Joined:
+class KnownMounting:
     """Sensors whose mounting the log states.
 
     known: (7,) T_body_sensor by frame; body: the robot's frame; fixed: all transforms of the log,
@@ -70,12 +70,12 @@ class Joined:
         return all(frame in self.known for frame in frames)
 
 
-def joined(
+def known_mounting(
     recording: Recording,
     frames: Collection[str],
     body: str | None,
     on_walked: Callable[[Findings], object] = lambda _: None,
-) -> Joined:
+) -> KnownMounting:
     """The mounting of sensors with these frames, by the transforms of a log.
 
     body: the robot's frame, the odometry's child; None: one of the usual names. The log is read
@@ -85,14 +85,14 @@ def joined(
     known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
     foreign = set(frames) - set(known)
     if not foreign:
-        return Joined(known, bodies[0])
+        return KnownMounting(known, bodies[0])
     fixed = fixed_transforms(recording, on_walked)
-    robot = next((b for b in bodies if foreign & set(fixed.joined_to(b))), bodies[0])
-    return Joined(known | fixed.joined_to(robot), robot, fixed)
+    robot = next((b for b in bodies if foreign & set(fixed.connected_to(b))), bodies[0])
+    return KnownMounting(known | fixed.connected_to(robot), robot, fixed)
 
 
 def mounting(
-    where: Joined,
+    where: KnownMounting,
     frames: Collection[str],
     settings: ReadSettings,
     yaw_of: Callable[[str], float | None] | None = None,
@@ -120,7 +120,7 @@ def mounting(
     yaws = {name: yaw_of(name) for name in lost if np.array_equal(mount_of_camera(name), AHEAD)}
     facing = {name: yaw for name, yaw in yaws.items() if yaw is not None}
     turned = {name: planar(0.0, 0.0, yaw) for name, yaw in facing.items()}
-    looks = "".join(f"; {name!r} looks {_told(yaw)}" for name, yaw in facing.items())
+    looks = "".join(f"; {name!r} looks {_looking(yaw)}" for name, yaw in facing.items())
     return Mounting(where.known, lambda name: turned.get(name, mount_of_camera(name))), [
         f"{unknown} ({where.body!r}); taken to be at its middle and to look "
         f"{'as its scans and the odometry show' if looks else 'ahead'}{looks}; "
@@ -133,7 +133,7 @@ def planar(x: float, y: float, yaw: float) -> FloatArray:
     return np.array([x, y, 0.0, 0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
 
 
-def _told(yaw_rad: float) -> str:
+def _looking(yaw_rad: float) -> str:
     degrees = round(float(np.degrees(yaw_rad)))
     if degrees == 0:
         return "ahead"

@@ -38,9 +38,10 @@ class PassSettings:
     """Largest angle between the branch driven and the track's direction."""
 
 
-def fuse_passes(
-    odometry: Odometry, detections: Detections, settings: PassSettings = PassSettings()
-) -> Passes:
+PASSES = PassSettings()
+
+
+def fuse_passes(odometry: Odometry, detections: Detections) -> Passes:
     """The passes of a run, in the odometry frame.
 
     Detections outside the time of the odometry, and without any branch, are left out; the result
@@ -60,8 +61,8 @@ def fuse_passes(
     time_ns = detections.time_ns[rows]
     pose = odometry.at(time_ns)
     centre = apply(pose, detections.centre[rows])
-    group = _group(odometry, time_ns, centre, settings)
-    keep, group = _without_flicker(group, settings)
+    group = _group(odometry, time_ns, centre)
+    keep, group = _without_flicker(group)
     rows, time_ns, pose, centre = rows[keep], time_ns[keep], pose[keep], centre[keep]
     return _fuse(
         odometry,
@@ -70,13 +71,10 @@ def fuse_passes(
         pose=pose,
         centre=centre,
         group=group,
-        settings=settings,
     )
 
 
-def scanned_passes(
-    odometry: Odometry, seen: ScanPasses, settings: PassSettings = PassSettings()
-) -> Passes:
+def scanned_passes(odometry: Odometry, seen: ScanPasses) -> Passes:
     """The passes detected in scans, in the odometry frame."""
     if len(odometry) == 0 or len(seen) == 0:
         return no_passes()
@@ -86,7 +84,7 @@ def scanned_passes(
     heading = np.asarray(wrap(seen.branches.values + pose[owner, 2]))
     order = np.lexsort((heading, owner))
     branches = Ragged(seen.branches.offsets, heading[order])
-    track = track_directions(odometry, seen.time_ns, centre, reach_m=settings.reach_m)
+    track = track_directions(odometry, seen.time_ns, centre, reach_m=PASSES.reach_m)
     return Passes(
         time_ns=seen.time_ns,
         start_ns=seen.start_ns,
@@ -94,8 +92,8 @@ def scanned_passes(
         centre=centre,
         branches=branches,
         support=Ragged(seen.support.offsets, seen.support.values[order]),
-        entry=nearest_branch(branches, track.arriving, settings.match_rad),
-        exit=nearest_branch(branches, track.leaving, settings.match_rad),
+        entry=nearest_branch(branches, track.arriving, PASSES.match_rad),
+        exit=nearest_branch(branches, track.leaving, PASSES.match_rad),
         messages=seen.windows,
         confidence=seen.confidence,
     )
@@ -118,24 +116,22 @@ def _within_break(odometry: Odometry, time_ns: IntArray) -> BoolArray:
     return result
 
 
-def _group(
-    odometry: Odometry, time_ns: IntArray, centre: FloatArray, settings: PassSettings
-) -> IntArray:
+def _group(odometry: Odometry, time_ns: IntArray, centre: FloatArray) -> IntArray:
     """(k,) index of the pass of each detection."""
     way = way_at(odometry, time_ns)
-    silence = np.diff(time_ns) > settings.gap_s * 1e9
-    moved = np.diff(way) > settings.gap_way_m
-    jump = np.hypot(*np.diff(centre, axis=0).T) > settings.jump_m
+    silence = np.diff(time_ns) > PASSES.gap_s * 1e9
+    moved = np.diff(way) > PASSES.gap_way_m
+    jump = np.hypot(*np.diff(centre, axis=0).T) > PASSES.jump_m
     cut = np.diff(stretch_of(odometry, time_ns)) != 0
     new = (silence & moved) | jump | cut
     return np.concatenate([[0], np.cumsum(new)])
 
 
-def _without_flicker(group: IntArray, settings: PassSettings) -> tuple[BoolArray, IntArray]:
+def _without_flicker(group: IntArray) -> tuple[BoolArray, IntArray]:
     """Drop groups far smaller than the median; returns the rows kept, and their groups
     renumbered."""
     counts = np.bincount(group)
-    keep = (counts >= settings.least_messages_share * np.median(counts))[group]
+    keep = (counts >= PASSES.least_messages_share * np.median(counts))[group]
     return keep, np.unique(group[keep], return_inverse=True)[1].astype(np.int64)
 
 
@@ -168,7 +164,6 @@ def _fuse(
     pose: FloatArray,
     centre: FloatArray,
     group: IntArray,
-    settings: PassSettings,
 ) -> Passes:
     counts = np.bincount(group)
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -177,10 +172,8 @@ def _fuse(
     distance = np.hypot(*(pose[:, :2] - fused[group]).T)
     nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]
     owner = seen.owner
-    branches, support = _cluster_branches(
-        seen.values + pose[owner, 2], owner, group[owner], counts, settings
-    )
-    track = track_directions(odometry, nearest, fused, reach_m=settings.reach_m)
+    branches, support = _cluster_branches(seen.values + pose[owner, 2], owner, group[owner], counts)
+    track = track_directions(odometry, nearest, fused, reach_m=PASSES.reach_m)
     return Passes(
         time_ns=nearest,
         start_ns=time_ns[offsets[:-1]],
@@ -188,8 +181,8 @@ def _fuse(
         centre=fused,
         branches=branches,
         support=support,
-        entry=nearest_branch(branches, track.arriving, settings.match_rad),
-        exit=nearest_branch(branches, track.leaving, settings.match_rad),
+        entry=nearest_branch(branches, track.arriving, PASSES.match_rad),
+        exit=nearest_branch(branches, track.leaving, PASSES.match_rad),
         messages=counts,
         confidence=np.ones(len(counts)),
     )
@@ -200,15 +193,14 @@ def _cluster_branches(
     message: IntArray,
     group: IntArray,
     messages: IntArray,
-    settings: PassSettings,
 ) -> tuple[Ragged, Ragged]:
     """Branches of each pass, ascending, and the share of its messages that reported each.
 
     A branch counts if enough of the messages report it; the most frequent one always does.
     """
-    clusters = cluster_angles(heading, group, settings.cluster_gap_rad)
+    clusters = cluster_angles(heading, group, PASSES.cluster_gap_rad)
     share = clusters.votes(message) / messages[clusters.owner]
-    keep = clusters.well_seen(share, settings.least_support)
+    keep = clusters.well_seen(share, PASSES.least_support)
     owner, count = clusters.owner[keep], len(messages)
     mean = Ragged.by_owner(owner, clusters.mean[keep], count)
     return mean, Ragged.by_owner(owner, share[keep], count)

@@ -9,9 +9,7 @@ import numpy as np
 
 from ..topology.errors import UsageError, check_choice
 from .logs.fields import JunctionFields
-from .odometry.track import TrackSettings
 from .scans.slicing import SliceSettings
-from .sightings import SightingSettings
 from .topic_poses import Clock
 
 Way = Literal["topic", "scan", "cloud", "grid"]
@@ -44,8 +42,6 @@ class ReadSettings:
     slices: SliceSettings = field(default_factory=SliceSettings)
     time: Clock = "header"
     strict: bool = False
-    track: TrackSettings = field(default_factory=TrackSettings)
-    sightings: SightingSettings = field(default_factory=SightingSettings)
 
     def __post_init__(self) -> None:
         check_choice("--time", self.time, get_args(Clock))

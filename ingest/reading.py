@@ -9,7 +9,7 @@ from typing import Any
 
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.odometry import Odometry
-from ..topology.run import Run
+from ..topology.run import Detections, Run
 from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
@@ -17,7 +17,7 @@ from .junction_source import JunctionSource, junction_source, views_source, walk
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import MISDESCRIBED, Findings
+from .logs.messages import MISDESCRIBED, Findings, Survey
 from .logs.recording import (
     Recording,
     log_exists,
@@ -35,10 +35,9 @@ from .odometry.kidnapping import split_where_carried
 from .odometry.reading import Driven, because, described, driven, odometry_topic, poses_of
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
-from .sightings import Sightings, robot_frame_sightings
+from .sightings import robot_frame_sightings
 from .survey import (
     Faults,
-    Index,
     LogRead,
     OnKeyframes,
     Progress,
@@ -47,7 +46,7 @@ from .survey import (
     surveyed,
     walk,
 )
-from .topic_poses import Clock, TopicPoses, choose_clock, clock_without_jumps
+from .topic_poses import Clock, TopicPoses, choose_clock
 
 __all__ = [
     "LogInfo",
@@ -124,7 +123,7 @@ def read_log(
 
 
 def _kept(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
 ) -> tuple[Intake, Findings]:
     """The messages kept and the findings, by the index if it lists what is needed."""
     if index is not None:
@@ -142,7 +141,7 @@ def _kept(
 
 
 def _walked(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Index | None
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
 ) -> tuple[Intake, Findings]:
     """The messages kept and the findings of one pass over a recording; index: its claimed
     contents."""
@@ -161,7 +160,6 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     odometry = odometry_topic(read)
     junctions = _junctions(read, junction.choice)
     clock = choose_clock(odometry.poses, junctions, settings.time, warnings)
-    clock = clock_without_jumps(odometry.poses, clock, settings.track.backward_min_s, warnings)
     about: dict[str, Any] = {
         "odometry": described(odometry.choice, odometry.poses),
         "junctions": described(junction.choice, junctions),
@@ -170,18 +168,18 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     if junction.passed_over:
         about["junctions"]["passed_over"] = list(junction.passed_over)
     track = driven(odometry, clock, read)
-    sightings = _sightings(read, junction.choice, junctions, clock, track.recorded)
-    warnings += [*track.warnings, *sightings.warnings]
+    detections, left_out = _sightings(read, junction.choice, junctions, clock, track.recorded)
+    warnings += [*track.warnings, *left_out]
     topics = odometry.choice.topic, junction.choice.topic
-    misread = disagreements(track.recorded, sightings.detections, *topics)
+    misread = disagreements(track.recorded, detections, *topics)
     warnings += misread
-    split, carried = split_where_carried(track.odometry, sightings.detections)
+    split, carried = split_where_carried(track.odometry, detections)
     if carried:
         warnings.append(
             f"the wheels stand while the junction in view changes {times(carried)}: the robot was "
             "carried; the chain is split there"
         )
-    run = Run(read.run, split, sightings.detections, about, tuple(warnings), misread=bool(misread))
+    run = Run(read.run, split, detections, about, tuple(warnings), misread=bool(misread))
     return _with_views(read, run, odometry.frames[1] or "base_link", clock, track)
 
 
@@ -250,21 +248,20 @@ def _junctions(read: LogRead, choice: Choice) -> TopicPoses:
 
 def _sightings(
     read: LogRead, choice: Choice, poses: TopicPoses, clock: Clock, odometry: Odometry
-) -> Sightings:
-    """The detections in the robot's frame; raises LogError if none is left."""
+) -> tuple[Detections, list[str]]:
+    """The detections in the robot's frame, and warnings; raises LogError if none is left."""
     frames = [frame for frame, _ in poses.frames]
-    sightings = robot_frame_sightings(
+    detections, warnings = robot_frame_sightings(
         poses.columns,
         poses.time_ns(clock),
         frames,
         odometry,
         fixed=transforms_about(read.recording, frames, odometry, read.faults.add),
-        settings=read.settings.sightings,
     )
-    warnings = [*poses.warnings(choice.topic), *sightings.warnings]
-    if len(sightings.detections) == 0:
+    warnings = [*poses.warnings(choice.topic), *warnings]
+    if len(detections) == 0:
         raise LogError(f"{read.log}: no usable junction detection: {'; '.join(warnings)}")
-    return Sightings(sightings.detections, tuple(warnings))
+    return detections, warnings
 
 
 READERS: Mapping[str, Callable[[LogRead, JunctionSource], Run | GridLog]] = {

@@ -19,14 +19,13 @@ from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
 from .odometry.reading import Driven, OdometryTopic, described, driven, odometry_topic
-from .scans.clock_lag import LaggingError, OtherClockError
 from .scans.detection import detect
-from .scans.handedness import MirroredError
 from .scans.mount_yaw import mount_yaw
-from .scans.scan import ScanResult, ScanStatistics
+from .scans.scan import ScanResult
 from .scans.stream import InterleavedScans, Mounting, ScanStream
+from .scans.turns import LaggingError, MirroredError, OtherClockError
 from .survey import LogRead
-from .topic_poses import Clock, choose_clock, clock_without_jumps
+from .topic_poses import Clock, choose_clock
 
 
 def with_scans(read: LogRead, source: JunctionSource) -> Run:
@@ -73,7 +72,8 @@ def _run(
     if odometry is None:
         found = found.widest()
     first = found.used[0]
-    clock = _clock(odometry, first, read, warnings)
+    poses = odometry.poses if odometry is not None else None
+    clock = choose_clock(poses, first.times, read.settings.time, warnings, "scan")
     about: dict[str, Any] = {"junctions": {"from": source.way, **_about(source, first)}}
     about["time"] = clock
     if odometry is not None:
@@ -82,19 +82,21 @@ def _run(
     warnings += [*(way.warnings if way else ()), *found.warnings]
     scans = _Scans(read, found, clock, way.recorded if way else None)
     try:
-        result, stream, told, used = _by_all_or_one(scans, way.odometry if way else None)
+        result, stream, told = _detected(scans, way.odometry if way else None)
     except DataError as error:
         named = ", ".join(laser.topic for laser in found.used)
-        raise DataError(f"{read.log}: {named}: {error}") from error
-    unfit = {laser.topic: ALONE for laser in found.used if laser not in used}
-    left_out = {**found.left_out, **unfit}
+        alone = f"; --scan-topic {first.topic} uses one alone" if len(found.used) > 1 else ""
+        raise DataError(f"{read.log}: {named}: {error}{alone}") from error
     warnings += [*told, *stream.warnings, *result.warnings]
-    about["junctions"] |= {"messages": stream.messages, **_told(result.statistics)}
-    if len(used) > 1:
-        about["junctions"]["lasers"] = [laser.topic for laser in used]
-    if left_out:
-        about["left_out"] = left_out
-    about["junctions"] |= {"topic": used[0].topic, "type": used[0].choice.type_name}
+    statistics = asdict(result.statistics)
+    for name, value in statistics.items():
+        if isinstance(value, float):  # unknown values are None
+            statistics[name] = round(value, 4) if np.isfinite(value) else None
+    about["junctions"] |= {"messages": stream.messages, **statistics}
+    if len(found.used) > 1:
+        about["junctions"]["lasers"] = [laser.topic for laser in found.used]
+    if found.left_out:
+        about["left_out"] = dict(found.left_out)
     return Run(
         read.run,
         result.odometry,
@@ -115,12 +117,12 @@ def views_beside(
     """
     found = lasers(read, source, body)
     scans = _Scans(read, found, clock, track.recorded)
-    result, stream, told, used = _by_all_or_one(scans, track.odometry)
-    assert result.scanned is not None
+    result, stream, told = _detected(scans, track.odometry)
     views = result.scanned.views
     body_pose = result.odometry.at(views.time_ns)
     views = replace(views, pose=between(body_pose, views.pose))
-    about = {"from": source.way, "topic": used[0].topic, "type": used[0].choice.type_name}
+    first = found.used[0]
+    about = {"from": source.way, "topic": first.topic, "type": first.choice.type_name}
     return views, about, [*found.warnings, *told, *stream.warnings, *result.warnings]
 
 
@@ -145,19 +147,21 @@ class _Scans:
         def yaw_of(odometry: Odometry, frame: str) -> float | None:
             if first.frames != {frame}:
                 return None
-            return mount_yaw(odometry, self._of(first, replace(ANYWHERE, overturned=overturned)))
+            return mount_yaw(
+                odometry, self._stream_of(first, replace(ANYWHERE, overturned=overturned))
+            )
 
         ask = partial(yaw_of, recorded) if recorded is not None else None
         mounts, told = mounting(self.lasers.where, first.frames, self.read.settings, ask)
         mounts = replace(mounts, overturned=overturned)
         # Every laser's stream reads all of the log: one reports the progress.
         streams = [
-            self._of(laser, mounts, self.read.progress if laser is first else None)
+            self._stream_of(laser, mounts, self.read.progress if laser is first else None)
             for laser in self.lasers.used
         ]
         return InterleavedScans(streams), told
 
-    def _of(
+    def _stream_of(
         self, laser: Laser, mounts: Mounting, on_bytes: Callable[[int], None] | None = None
     ) -> ScanStream:
         return ScanStream(
@@ -172,30 +176,6 @@ class _Scans:
         )
 
 
-ALONE = "together with the others it gives no map"
-
-
-def _by_all_or_one(
-    scans: _Scans, odometry: Odometry | None
-) -> tuple[ScanResult, InterleavedScans, list[str], tuple[Laser, ...]]:
-    """The result of all lasers or, if it is none, as where the log mounts one wrongly, that of the
-    first one that has one alone; the lasers used."""
-    lasers = scans.lasers
-    try:
-        return *_detected(scans, odometry), lasers.used
-    except DataError as error:
-        for laser in lasers.used if len(lasers.used) > 1 else ():
-            try:
-                alone = replace(scans, lasers=replace(lasers, used=(laser,)))
-                result, stream, told = _detected(alone, odometry)
-            except DataError:
-                continue  # the error of all is raised if none is left
-            topics = ", ".join(each.topic for each in lasers.used)
-            told.append(f"{topics} together: {error}; {laser.topic} is used alone")
-            return result, stream, told, (laser,)
-        raise
-
-
 def _detected(
     scans: _Scans, odometry: Odometry | None
 ) -> tuple[ScanResult, InterleavedScans, list[str]]:
@@ -208,7 +188,8 @@ def _detected(
     while True:
         stream, told = scans.stream(overturned)
         try:
-            return _detect(odometry, stream, may_lag, scans.read), stream, told + found
+            result = detect(odometry, stream, may_lag=may_lag, on_keyframes=scans.read.on_keyframes)
+            return result, stream, told + found
         except MirroredError as error:
             if overturned:
                 raise DataError(f"turned over {error}: it fits neither way up") from error
@@ -230,18 +211,8 @@ def _detected(
             may_lag = False
             odometry = odometry.delayed(error.lag_s)
             found.append(f"{error}: the odometry was taken by the scans' clock")
-
-
-def _detect(
-    odometry: Odometry | None, stream: InterleavedScans, may_lag: bool, read: LogRead
-) -> ScanResult:
-    """`detect`, with the faults of the scans added to errors."""
-    try:
-        return detect(odometry, stream, may_lag=may_lag, on_keyframes=read.on_keyframes)
-    except (MirroredError, LaggingError, OtherClockError):
-        raise
-    except DataError as error:
-        raise DataError("; ".join((str(error), *stream.warnings))) from error
+        except DataError as error:
+            raise DataError("; ".join((str(error), *stream.warnings))) from error
 
 
 def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
@@ -255,25 +226,6 @@ def _odometry_if_any(read: LogRead) -> OdometryTopic | None:
         return None
 
 
-def _clock(
-    odometry: OdometryTopic | None, first: Laser, read: LogRead, warnings: list[str]
-) -> Clock:
-    wanted = read.settings.time
-    if odometry is None:
-        return choose_clock(first.times, first.times, wanted, warnings, "scan")
-    clock = choose_clock(odometry.poses, first.times, wanted, warnings, "scan")
-    return clock_without_jumps(odometry.poses, clock, read.settings.track.backward_min_s, warnings)
-
-
 def _about(source: JunctionSource, first: Laser) -> dict[str, Any]:
     about: dict[str, Any] = {"topic": first.topic, "type": first.choice.type_name}
     return about | ({"passed_over": list(source.passed_over)} if source.passed_over else {})
-
-
-def _told(statistics: ScanStatistics) -> dict[str, Any]:
-    """Statistics of scan matching for the document; unknown values are None."""
-    told = asdict(statistics)
-    for name, value in told.items():
-        if isinstance(value, float):
-            told[name] = round(value, 4) if np.isfinite(value) else None
-    return told

@@ -20,30 +20,17 @@ from .logs.messages import several, several_that
 Side = Literal["robot", "odometry", "foreign"]
 
 
-@dataclass(frozen=True, slots=True)
-class SightingSettings:
-    """What is a valid detection of one junction.
-
-    max_branches: more are implausible, and would take memory; outside_s: how far beyond the
-    odometry's first and last time a detection may lie [s]; centre_m: distance between the poses of
-    one message above which there is a warning; steepest: sine of the largest elevation of a branch
-    after applying a sensor's mount, 45 degrees; farthest_m: largest distance from the robot, beyond
-    the range of any sensor, as for points of lasers (`scans/slicing.py`).
-    """
-
-    max_branches: int = 32
-    outside_s: float = 1.0
-    centre_m: float = 0.5
-    steepest: float = 0.71
-    farthest_m: float = 1000.0
-
-
-@dataclass(frozen=True, slots=True)
-class Sightings:
-    """Detections, and warnings on messages that were left out."""
-
-    detections: Detections
-    warnings: tuple[str, ...]
+MAX_BRANCHES = 32
+"""More are implausible, and would take memory."""
+OUTSIDE_S = 1.0
+"""How far beyond the odometry's first and last time a detection may lie."""
+CENTRE_M = 0.5
+"""Distance between the poses of one message above which there is a warning."""
+STEEPEST = 0.71
+"""Sine of the largest elevation of a branch after applying a sensor's mount, 45 degrees."""
+FARTHEST_M = 1000.0
+"""Largest distance from the robot, beyond the range of any sensor, as for points of lasers
+(`scans/slicing.py`)."""
 
 
 def side_of(frame: str, odometry_frame: str, child_frame: str) -> Side:
@@ -60,16 +47,16 @@ def robot_frame_sightings(
     odometry: Odometry,
     *,
     fixed: FixedTransforms = NO_TRANSFORMS,
-    settings: SightingSettings = SightingSettings(),
-) -> Sightings:
-    """One detection per junction of a message, in the robot's frame at the message's time, by time.
+) -> tuple[Detections, list[str]]:
+    """One detection per junction of a message, in the robot's frame at the message's time, by time;
+    and warnings on messages that were left out.
 
     columns: poses in space; time_ns: (k,) time of each pose's message; frames: name of every frame
     number. Messages in a frame that is neither of the odometry's nor fixed to one, with branches
     that point up or down, with implausibly many, or outside the odometry's time are left out.
     """
     warnings: list[str] = []
-    mounted = _mounted(columns, frames, odometry, fixed, warnings)
+    mounted = _mounted(columns, frames, odometry, fixed)
     pose = in_plane(mounted.pose)
     message, part = columns.message, columns.part
     new = np.ones(len(message), bool)
@@ -77,22 +64,22 @@ def robot_frame_sightings(
     first = new.nonzero()[0]
     rows = Ragged(np.append(first, len(message)), pose[:, 2])
     counts = rows.counts
-    centre = _centres(pose[:, :2], first, counts, settings, warnings)
+    centre = _centres(pose[:, :2], first, counts, warnings)
     time = time_ns[first]
     frame = columns.frame[first]
 
-    outside = settings.outside_s * 1e9
+    outside = OUTSIDE_S * 1e9
     steep = np.maximum.reduceat(mounted.rise, first) if len(first) else np.zeros(0)
     within = (time >= odometry.time_ns[0] - outside) & (time <= odometry.time_ns[-1] + outside)
     keep = np.ones(len(first), bool)
     for good, why in (
         (~mounted.on("foreign")[frame], mounted.expected(odometry, fixed)),
         (
-            steep <= settings.steepest,
+            steep <= STEEPEST,
             f"point a branch up or down, seen from {odometry.child_frame!r} (angles turn about the "
             "z axis of their frame)",
         ),
-        (counts <= settings.max_branches, f"have more than {settings.max_branches} branches"),
+        (counts <= MAX_BRANCHES, f"have more than {MAX_BRANCHES} branches"),
         (within, "lie outside the time of the odometry"),
     ):
         keep = _leave_out(keep, good, warnings, why)
@@ -111,13 +98,12 @@ def robot_frame_sightings(
     near = np.flatnonzero(
         _leave_out(
             np.ones(len(centre), bool),
-            np.hypot(*centre.T) <= settings.farthest_m,
+            np.hypot(*centre.T) <= FARTHEST_M,
             warnings,
-            f"lie more than {settings.farthest_m:.0f} m from the robot (are positions in metres?)",
+            f"lie more than {FARTHEST_M:.0f} m from the robot (are positions in metres?)",
         )
     )
-    seen = Detections(time[near], centre[near], branches.take(near))
-    return Sightings(seen, tuple(warnings))
+    return Detections(time[near], centre[near], branches.take(near)), warnings
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,12 +137,8 @@ def _mounted(
     frames: Sequence[str],
     odometry: Odometry,
     fixed: FixedTransforms,
-    warnings: list[str],
 ) -> _Mounted:
-    """The poses as seen from the odometry's frames, where fixed transforms lead there.
-
-    Where these contradict each other, `warnings` gets a sentence.
-    """
+    """The poses as seen from the odometry's frames, where fixed transforms lead there."""
     pose, rise = columns.pose, np.zeros(len(columns.pose))
     sides: list[Side] = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
     # The robot's own frame comes last, so that it counts where a frame is fixed to both.
@@ -165,17 +147,13 @@ def _mounted(
     if "foreign" in sides:
         pose = pose.copy()
         for side, own in owns.items():
-            joins |= {name: (side, T) for name, T in fixed.joined_to(own).items()}
-    joined = set()
+            joins |= {name: (side, T) for name, T in fixed.connected_to(own).items()}
     for number, name in enumerate(frames):
         if sides[number] == "foreign" and name in joins:
             sides[number], T_own_sensor = joins[name]
-            joined.add(owns[sides[number]])
             rows = columns.frame == number
             pose[rows] = seen_from(T_own_sensor, pose[rows])
             rise[rows] = _rise(pose[rows])
-    for own in sorted(joined):
-        warnings += fixed.contradictions(own)
     foreign = {name for name, side in zip(frames, sides, strict=True) if side == "foreign"}
     return _Mounted(pose, tuple(sides), rise, tuple(sorted(foreign)))
 
@@ -190,7 +168,6 @@ def _centres(
     xy: FloatArray,
     first: IntArray,
     counts: IntArray,
-    settings: SightingSettings,
     warnings: list[str],
 ) -> FloatArray:
     """(m, 2) mean position of every message's poses, which should coincide."""
@@ -200,11 +177,11 @@ def _centres(
     origin = xy[first]
     away = xy - np.repeat(origin, counts, axis=0)
     spread = np.maximum.reduceat(np.abs(away).max(axis=1), first)
-    apart = int((spread > settings.centre_m).sum())
+    apart = int((spread > CENTRE_M).sum())
     if apart:
         warnings.append(
             f"the branches of {several(apart, 'detection')} spread over more than "
-            f"{settings.centre_m} m; their mean is taken as the centre"
+            f"{CENTRE_M} m; their mean is taken as the centre"
         )
     return np.asarray(origin + np.add.reduceat(away, first, axis=0) / counts[:, None])
 

@@ -17,20 +17,7 @@ OnKeyframes = Callable[[Any], object]
 """Takes `scans.keyframes.Keyframes`, which most runs do without."""
 
 
-@dataclass(frozen=True, slots=True)
-class Index:
-    """The combined indexes of all files.
-
-    sure: whether they are reliable.
-    """
-
-    counts: dict[Channel, int]
-    start_ns: int
-    end_ns: int
-    sure: bool = False
-
-
-def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Index | None]:
+def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Survey | None]:
     """The files sorted by their start, and their combined indexes; None if some file has none.
 
     A file that is compressed as a whole is only decompressed if `exact`.
@@ -54,7 +41,7 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Inde
     end = max((survey.end_ns for survey in filled), default=0)
     by_start = replace(recording, files=tuple(recording.files[k] for k in order))
     sure = all(survey.sure for survey in surveys)
-    return by_start, Index(counts, start, end, sure)
+    return by_start, Survey(counts, start, end, sure)
 
 
 def walk(

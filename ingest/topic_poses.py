@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -24,22 +24,17 @@ class TopicPoses:
     """The poses of one topic.
 
     frames: pairs (frame_id, child_frame_id) by the number used in `columns.frame`; messages: their
-    number; failed, not_finite, zero_quaternion, empty, elsewhere, vague: numbers of unusable ones;
-    foreign: messages of another type; reason: why the first of `failed` could not be decoded;
-    rivals: other frames that could be the odometry's.
+    number; failed: of these, not decoded; reason: why the first of them was not; unusable: numbers
+    of further messages and poses that cannot be used, by noun and reason; rivals: other frames that
+    could be the odometry's.
     """
 
     columns: PoseColumns
     frames: tuple[tuple[str, str], ...]
     messages: int
     failed: int = 0
-    not_finite: int = 0
-    zero_quaternion: int = 0
-    empty: int = 0
-    elsewhere: int = 0
-    vague: int = 0
-    foreign: int = 0
     reason: str = ""
+    unusable: dict[tuple[str, str], int] = field(default_factory=dict)
     rivals: tuple[tuple[str, str], ...] = ()
 
     @classmethod
@@ -60,16 +55,19 @@ class TopicPoses:
             before += sink.messages
         columns = _by_log_time(parts)
         vague = _vague(columns)
+        unusable = {
+            EMPTY: sum(sink.empty for sink in sinks),
+            VAGUE: int(vague.sum()),
+            NOT_FINITE: sum(sink.not_finite for sink in sinks),
+            NO_ROTATION: sum(sink.zero_quaternion for sink in sinks),
+        }
         return cls(
             take(columns, ~vague) if vague.any() else columns,
             tuple(frames),
             before,
             sum(sink.failed for sink in sinks),
-            sum(sink.not_finite for sink in sinks),
-            sum(sink.zero_quaternion for sink in sinks),
-            sum(sink.empty for sink in sinks),
-            vague=int(vague.sum()),
-            reason=next((sink.reason for sink in sinks if sink.reason), ""),
+            next((sink.reason for sink in sinks if sink.reason), ""),
+            unusable,
         )
 
     def __len__(self) -> int:
@@ -86,21 +84,15 @@ class TopicPoses:
 
     def warnings(self, topic: str) -> list[str]:
         """Warnings on messages that could not be used."""
-        out = []
         because = f" ({self.reason})" if self.reason else ""
-        for count, noun, told in (
-            (self.failed, "message", f"could not be decoded{because}"),
-            (self.foreign, "message", "are of another type"),
-            (self.empty, "message", "hold no pose"),
-            (self.elsewhere, "pose", "are between other frames"),
-            (self.vague, "pose", f"state an error of more than {VAGUE_M:g} m, unlike the others"),
-            (self.not_finite, "pose", "hold numbers that are not finite or absurdly large"),
-            (self.zero_quaternion, "pose", "have a quaternion of zero length"),
-        ):
-            if count:
-                out.append(f"{topic}: {several_that(count, noun, told)}; left out")
+        counts = {("message", f"could not be decoded{because}"): self.failed} | self.unusable
+        out = [
+            f"{topic}: {several_that(count, noun, why)}; left out"
+            for (noun, why), count in counts.items()
+            if count
+        ]
         if self.rivals:
-            pairs = told_pairs(self.rivals)
+            pairs = listed_pairs(self.rivals)
             out.append(
                 f"{topic}: also holds the odometry of another robot ({pairs}); left out; "
                 "--base-frame chooses"
@@ -111,6 +103,12 @@ class TopicPoses:
 VAGUE_M = 1.0
 """Stated 1 sigma of a position from which on a pose may be one of a localisation that is lost: it
 lies in another room then."""
+FOREIGN = "message", "are of another type"
+EMPTY = "message", "hold no pose"
+ELSEWHERE = "pose", "are between other frames"
+VAGUE = "pose", f"state an error of more than {VAGUE_M:g} m, unlike the others"
+NOT_FINITE = "pose", "hold numbers that are not finite or absurdly large"
+NO_ROTATION = "pose", "have a quaternion of zero length"
 VAGUER = 10.0
 """So many times the lower quartile of all stated sigmas: those of dead reckoning, which grow with
 the way or its root, reach 4 times."""
@@ -125,7 +123,7 @@ def _vague(columns: PoseColumns) -> BoolArray:
     return np.asarray(sigma_m > max(VAGUE_M, VAGUER * usual))
 
 
-def told_pairs(pairs: Sequence[tuple[str, str]]) -> str:
+def listed_pairs(pairs: Sequence[tuple[str, str]]) -> str:
     """Pairs of frames in one line."""
     return listed([f"{parent} → {child}" if child else parent for parent, child in pairs], 5)
 
@@ -179,42 +177,33 @@ def pair_of_poses(poses: TopicPoses, base: str | None = None) -> int | None:
 
 
 def choose_clock(
-    odometry: TopicPoses,
-    junctions: TopicPoses,
+    odometry: TopicPoses | None,
+    others: TopicPoses,
     wanted: Clock,
     warnings: list[str],
     what: str = "junction",
 ) -> Clock:
-    """The clock to use: the wanted one, or log time if header stamps are unusable.
+    """The clock to use: the wanted one, or log time if header stamps are unusable, or were set
+    back.
 
-    what: the messages of `junctions`, for the warnings.
+    others: the messages beside the odometry; what: their name, for the warnings.
     """
-    if wanted == "log":
-        return "log"
-    for poses, name in ((odometry, "odometry"), (junctions, what)):
-        zero = poses.columns.stamp_ns == 0
-        if 2 * int(zero.sum()) > len(zero):
+    for poses, name in ((odometry, "odometry"), (others, what)) if wanted == "header" else ():
+        if poses is not None and 2 * int((poses.columns.stamp_ns == 0).sum()) > len(poses):
             warnings.append(f"{name} messages carry no header time; log time is used")
             return "log"
-    if _apart(odometry, junctions, "header") and not _apart(odometry, junctions, "log"):
+    if odometry is None or wanted == "log":
+        return wanted
+    if _apart(odometry, others, "header") and not _apart(odometry, others, "log"):
         warnings.append(
             f"header times of odometry and {what}s are of different clocks; log time is used"
         )
         return "log"
-    return "header"
-
-
-def clock_without_jumps(
-    odometry: TopicPoses, clock: Clock, min_s: float, warnings: list[str]
-) -> Clock:
-    """Log time instead of header time if the header's clock was set back."""
-    jumps = backward_jumps(odometry.time_ns(clock), min_s)
-    if not jumps:
-        return clock
-    if clock == "header" and not backward_jumps(odometry.time_ns("log"), min_s):
+    jumps = backward_jumps(odometry.time_ns("header"))
+    if jumps and not backward_jumps(odometry.time_ns("log")):
         warnings.append(f"the header clock goes back {times(jumps)}; log time is used")
         return "log"
-    return clock
+    return "header"
 
 
 def _apart(a: TopicPoses, b: TopicPoses, clock: Clock) -> bool:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from .arrays import BoolArray, Float32Array, FloatArray, IntArray
+from .arrays import BoolArray, FloatArray, IntArray
 from .frozen import freeze
 from .odometry import Odometry
 from .passes import check_passes
@@ -90,41 +90,6 @@ class ScanPasses:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Anchored:
-    """Points in the robot's frame at given times, so that they move with corrections of its poses.
-
-    anchor_ns: (k,) ascending times; anchor: (n,) index of each point's time; xy: (n, 2) float32 [m]
-    in the robot's frame at that time.
-    """
-
-    anchor_ns: IntArray
-    anchor: IntArray
-    xy: Float32Array
-
-    def __post_init__(self) -> None:
-        freeze(self, np.int64, anchor_ns=(None,), anchor=(None,))
-        freeze(self, np.float32, xy=(len(self), 2))
-        if len(self) and not 0 <= self.anchor.min() <= self.anchor.max() < len(self.anchor_ns):
-            raise ValueError("every point must hang on one of the times")
-
-    def __len__(self) -> int:
-        return len(self.anchor)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanPicture:
-    """The input of the scan detector, thinned out for drawing.
-
-    walls: points of scans, one per cell of the grid; skeleton: pixels of the skeleton nearest to
-    the track; window_m: half the side of the window around a junction [m].
-    """
-
-    walls: Anchored
-    skeleton: Anchored
-    window_m: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class SeenAgain:
     """Pairs of times at which the robot was near one place, as views show.
 
@@ -151,12 +116,13 @@ NOT_SEEN_AGAIN = SeenAgain(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zero
 @dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
     """Junctions detected in scans; noise: of the odometry corrected by scan matching and of the
-    passes; picture: the detector's input, if it was kept; views: around places of the track, posed
-    in the odometry frame; loops: where the track came by a place again."""
+    passes; window_m: half the side of the windows that junctions were found in [m]; views: around
+    places of the track, posed in the odometry frame; loops: where the track came by a place
+    again."""
 
     passes: ScanPasses
     noise: RunNoise
-    picture: ScanPicture | None = None
+    window_m: float
     views: Views = NO_VIEWS
     loops: SeenAgain = NOT_SEEN_AGAIN
 

@@ -37,8 +37,8 @@ at first): two junctions that were not taken for one.
 Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). **White**: the
 robot at the cursor, behind it its last minute (**bright green**). **Violet** dots: raw detections,
 a star of branches at the cursor; or junctions that scans show, dull where variants of the detector
-do not agree. Under the map: walls that the laser saw up to then (**slate**), the skeleton of the
-free space (**teal**), the window about the last junction; or the grid that the map was made from.
+do not agree. Under the map: walls that the laser saw up to then (**slate**), the window about the
+last junction; or the grid that the map was made from.
 
 Drag the time line below: the map grows as it was driven. Point at anything for what is known about
 it, or select it and open the panels at the top right; the left one shows and hides layers.

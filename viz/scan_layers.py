@@ -1,4 +1,4 @@
-"""A laser's view as layers below the map: walls, skeleton, junctions, windows."""
+"""A laser's view as layers below the map: walls, junctions, windows."""
 
 from __future__ import annotations
 
@@ -10,15 +10,14 @@ import rerun.blueprint as rrb
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.odometry import Odometry
-from ..topology.run import Anchored, Scanned, ScanPasses
+from ..topology.run import Scanned, ScanPasses
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
+from ..topology.views import CELL_M, REACH_M, WALL, Views
 from . import palette
 from .recording import CLOCKS, HAIR, PathParts, Recording, entity
 from .robot_track import RobotTrack
 
-CELL_M = 0.1
-"""Cell size of drawn walls, as in the detector's grid."""
 MOST_CELLS = 150_000
 """Limit on cells (8 bytes each), above which they are made larger."""
 MOST_STEPS = 400
@@ -32,15 +31,14 @@ agree."""
 class ScanLayers:
     """The layers in the map's frame.
 
-    walls: (n, 2) cell centres, in the order of time_ns (n,), when each was seen first; skeleton:
-    (m, 2); passes, their centres (p, 2) and closed window outlines (p, 5, 2); surest: for each
-    vertex of the map its pass of highest confidence, -1 for none.
+    walls: (n, 2) cell centres, in the order of time_ns (n,), when each was seen first; passes,
+    their centres (p, 2) and closed window outlines (p, 5, 2); surest: for each vertex of the map
+    its pass of highest confidence, -1 for none.
     """
 
     walls: FloatArray
     time_ns: IntArray
     cell_m: float
-    skeleton: FloatArray
     passes: ScanPasses
     centre: FloatArray
     windows: FloatArray
@@ -49,24 +47,19 @@ class ScanLayers:
 
 def scan_layers(
     scanned: Scanned, topomap: TopoMap, odometry: Odometry, track: RobotTrack
-) -> ScanLayers | None:
-    """The layers, placed on the map by the track; None if the scans kept no picture. Points outside
-    of the track's time range are left out."""
-    if scanned.picture is None:
-        return None
-    picture, passes = scanned.picture, scanned.passes
-    walls, seen_ns = _placed(picture.walls, track)
-    walls, seen_ns, cell_m = _cells(walls, seen_ns)
+) -> ScanLayers:
+    """The walls of the map's views, and the junctions, placed on the map by the track."""
+    passes = scanned.passes
+    walls, seen_ns, cell_m = _cells(*_walls_seen(topomap.views))
     pose = track.at(passes.time_ns)
     # Windows are aligned with the axes of the odometry's frame.
     turn = pose[:, 2] - odometry.at(passes.time_ns)[:, 2]
-    corners = picture.window_m * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]])
+    corners = scanned.window_m * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]])
     square = np.column_stack([pose[:, :2], turn])
     return ScanLayers(
         walls,
         seen_ns,
         cell_m,
-        _placed(picture.skeleton, track)[0],
         passes,
         apply(pose, passes.centre),
         np.stack([apply(square, np.tile(c, (len(square), 1))) for c in corners], axis=1),
@@ -87,12 +80,12 @@ def _surest(passes: ScanPasses, topomap: TopoMap) -> IntArray:
     return out
 
 
-def _placed(points: Anchored, track: RobotTrack) -> tuple[FloatArray, IntArray]:
-    """(n, 2) points in the map's frame, and the times (n,) of their anchors."""
-    when = points.anchor_ns[points.anchor]
-    rows = np.flatnonzero((when >= track.time_ns[0]) & (when <= track.time_ns[-1]))
-    pose = track.at(points.anchor_ns)[points.anchor[rows]]
-    return apply(pose, points.xy[rows].astype(np.float64)), when[rows]
+def _walls_seen(views: Views) -> tuple[FloatArray, IntArray]:
+    """(n, 2) centres of the walls' cells in all views, in the map's frame, and the times (n,) at
+    which the robot was at these views."""
+    view, row, column = np.nonzero(views.cells == WALL)
+    own = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
+    return apply(views.pose[view], own), views.time_ns[view]
 
 
 def _cells(xy: FloatArray, time_ns: IntArray) -> tuple[FloatArray, IntArray, float]:
@@ -112,14 +105,6 @@ def write_scans(recording: Recording, root: PathParts, layers: ScanLayers) -> No
     """Write the layers below `root`/scans."""
     here = (*root, "scans")
     _walls(recording, (*here, "walls"), layers)
-    if len(layers.skeleton):
-        points = rr.Points2D(
-            layers.skeleton.astype(np.float32),
-            radii=HAIR,
-            colors=palette.SKELETON,
-            draw_order=palette.Order.SKELETON,
-        )
-        recording.static((*here, "skeleton"), points)
     passes = layers.passes
     if len(passes) == 0:
         return

@@ -13,7 +13,7 @@ as well): the bias is scanned first, and the best few maxima are climbed.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
 from ...topology.se2 import wrap
-from ..passes import PassSettings, fuse_passes
-from .heading_evidence import TERMS, EvidenceSettings, HeadingEvidence, heading_evidence
+from ..passes import fuse_passes
+from .heading_evidence import TERMS, HeadingEvidence, heading_evidence
 from .heading_likelihood import HeadingLikelihood
 
 Terms = tuple[float, float, float]
@@ -56,7 +56,9 @@ class CalibrationSettings:
     """Corrections of the track, after each of which the passes are fused again."""
     looks_per_pass: float = 2.0
     """Weight of all readings of one branch in one pass, in independent observations."""
-    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
+
+
+CALIBRATION = CalibrationSettings()
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +131,7 @@ class Calibration:
         return self.applied[2]
 
 
-def calibrate(
-    odometry: Odometry,
-    detections: Detections,
-    settings: CalibrationSettings = CalibrationSettings(),
-    pass_settings: PassSettings | None = None,
-) -> Calibration:
+def calibrate(odometry: Odometry, detections: Detections) -> Calibration:
     """Estimate the systematic heading errors of a run from its detections alone.
 
     Never raises on poor data: without passes or turns the estimate is the prior and nothing is
@@ -143,47 +140,43 @@ def calibrate(
     result = Calibration()
     if len(odometry) < 2:
         return result
-    for _ in range(settings.rounds):
+    for _ in range(CALIBRATION.rounds):
         track = apply_calibration(odometry, result)
-        passes = fuse_passes(track, detections, pass_settings or PassSettings())
+        passes = fuse_passes(track, detections)
         if len(passes) < 2:
             return result
         nominal = odometry.delayed(-result.lag_s)
-        evidence = heading_evidence(track, nominal, detections, passes, settings.evidence)
-        before, result = (
-            result,
-            _fit(evidence, np.array(result.applied), _floor(odometry, settings), settings),
-        )
+        evidence = heading_evidence(track, nominal, detections, passes)
+        before, result = result, _fit(evidence, np.array(result.applied), _floor(odometry))
         if np.allclose(before.applied, result.applied, rtol=0, atol=1e-4):
             break
     return result
 
 
-def _floor(odometry: Odometry, settings: CalibrationSettings) -> FloatArray:
+def _floor(odometry: Odometry) -> FloatArray:
     """(3,) lower bounds of the sigmas."""
     spacing_s = float(np.median(np.diff(odometry.time_ns))) * 1e-9
     return np.array(
         [
-            settings.floor_bias_rad_per_m,
-            np.hypot(settings.floor_turn_scale, settings.floor_turn_scale_per_s * spacing_s),
-            np.hypot(settings.floor_lag_s, settings.floor_lag_per_s * spacing_s),
+            CALIBRATION.floor_bias_rad_per_m,
+            np.hypot(CALIBRATION.floor_turn_scale, CALIBRATION.floor_turn_scale_per_s * spacing_s),
+            np.hypot(CALIBRATION.floor_lag_s, CALIBRATION.floor_lag_per_s * spacing_s),
         ]
     )
 
 
-def _fit(
-    evidence: HeadingEvidence,
-    already: FloatArray,
-    floor: FloatArray,
-    settings: CalibrationSettings,
-) -> Calibration:
+def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> Calibration:
     """Calibration from evidence that was already corrected by `already` (3,)."""
-    sigma = (settings.prior_bias_rad_per_m, settings.prior_turn_scale, settings.prior_lag_s)
+    sigma = (
+        CALIBRATION.prior_bias_rad_per_m,
+        CALIBRATION.prior_turn_scale,
+        CALIBRATION.prior_lag_s,
+    )
     minus = tuple((-already).tolist())
     model = HeadingLikelihood.of(
-        evidence, prior_sigma=sigma, centre=minus, worth=settings.looks_per_pass
+        evidence, prior_sigma=sigma, centre=minus, worth=CALIBRATION.looks_per_pass
     )
-    starts = _scan(model, already, settings)
+    starts = _scan(model, already)
     every = np.ones(TERMS, bool)
     fitted, x = _best(model, starts, every)
     plain, shown_spread = fitted.sigma(x)
@@ -196,7 +189,7 @@ def _fit(
     # significance is also required of the likelihood ratio against zero.
     total = x + already
     likely = np.sqrt(2 * np.maximum(gain, 0.0)) * plain / spread
-    shown = np.minimum(np.abs(total) / spread, likely) >= settings.apply_at_z
+    shown = np.minimum(np.abs(total) / spread, likely) >= CALIBRATION.apply_at_z
     applied = total
     if not shown.all():
         applied = _without(model, [*starts, x], shown, already)[1] + already
@@ -221,19 +214,17 @@ def _terms(values: FloatArray) -> Terms:
     return a, b, c
 
 
-def _scan(
-    model: HeadingLikelihood, already: FloatArray, settings: CalibrationSettings
-) -> list[FloatArray]:
+def _scan(model: HeadingLikelihood, already: FloatArray) -> list[FloatArray]:
     """Starting points of the optimisation: the best local maxima over the bias, zero error, and no
     change."""
-    steps = int(np.ceil(settings.scan_bias_rad_per_m / settings.scan_step_rad_per_m))
-    bias = np.arange(-steps, steps + 1) * settings.scan_step_rad_per_m - already[0]
+    steps = int(np.ceil(CALIBRATION.scan_bias_rad_per_m / CALIBRATION.scan_step_rad_per_m))
+    bias = np.arange(-steps, steps + 1) * CALIBRATION.scan_step_rad_per_m - already[0]
     points = np.zeros((len(bias), TERMS))
     points[:, 0] = bias
     value = np.array([model.value(x) for x in points])
     padded = np.concatenate([[-np.inf], value, [-np.inf]])
     peaks = np.flatnonzero((value >= padded[:-2]) & (value >= padded[2:]))
-    best = peaks[np.argsort(-value[peaks], kind="stable")][: settings.starts]
+    best = peaks[np.argsort(-value[peaks], kind="stable")][: CALIBRATION.starts]
     return [*points[best], -already, np.zeros(TERMS)]
 
 

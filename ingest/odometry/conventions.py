@@ -33,7 +33,7 @@ class ConventionSettings:
     """Smaller lags are left to the calibration: three sigmas of its prior."""
     left: float = 0.67
     """A drive-by votes if one reading leaves at most this share of the other's residual (root mean
-    square): as for scans that may be late (`scans/clock_lag.py`)."""
+    square): as for scans that may be late (`scans/turns.py`)."""
     half: float = 0.5
     """If it leaves at most this share, the vote counts as one that chance gives more rarely."""
     half_chance: float = 0.05
@@ -41,7 +41,7 @@ class ConventionSettings:
     230,000 in 90 simulated logs. Short logs decide by such votes: five suffice."""
     share: float = 0.8
     """Least share of the votes for a reading that is told of: as for scans that may be mirror
-    images (`scans/handedness.py`)."""
+    images (`scans/turns.py`)."""
     false_rate: float = 1e-3
     """Bound on the probability that chance lets any reading of a log win the sign test."""
 
@@ -124,16 +124,16 @@ def disagreements(
         poses, sign = _headings(seen, fit.reading)
     else:
         poses, sign = _headings(seen, AS_READ, () if positions_tell else POSES)
-    told = [*_of_poses(poses, odometry_topic), *_of_positions(seen, fit, odometry_topic)]
+    told = [*_pose_findings(poses, odometry_topic), *_position_findings(seen, fit, odometry_topic)]
     sentences = [f"{junctions} {what}; {SEE}" for what in told]
     if sign in HEADINGS:
         sentences.append(f"{branches} their headings {HEADINGS[sign]}; {SEE}")
     if not sentences and positions_tell:
-        sentences += _of_turned_branches(seen, junction_topic)
+        sentences += _turned_branches(seen, junction_topic)
     return sentences
 
 
-def _of_turned_branches(seen: DriveBys, junction_topic: str) -> Iterator[str]:
+def _turned_branches(seen: DriveBys, junction_topic: str) -> Iterator[str]:
     squares = seen.off_the_way(TURNS_RAD)
     best = int(np.argmin([_size(s) for s in squares]))
     if _wins(squares[best], squares[0]):
@@ -216,7 +216,7 @@ def _differs_in_poses(reading: Reading) -> bool:
     return reading.yaw != 1.0 or abs(reading.lag_s) > CONVENTIONS.least_lag_s
 
 
-def _of_poses(reading: Reading, odometry_topic: str) -> Iterator[str]:
+def _pose_findings(reading: Reading, odometry_topic: str) -> Iterator[str]:
     if reading.yaw in YAW:
         yield f"the headings of {odometry_topic} {YAW[reading.yaw]}"
     if abs(reading.lag_s) > CONVENTIONS.least_lag_s:
@@ -228,7 +228,7 @@ def _of_poses(reading: Reading, odometry_topic: str) -> Iterator[str]:
         )
 
 
-def _of_positions(seen: DriveBys, fit: Fit | None, odometry_topic: str) -> Iterator[str]:
+def _position_findings(seen: DriveBys, fit: Fit | None, odometry_topic: str) -> Iterator[str]:
     if fit is None or abs(fit.reading.yaw) != 1.0:  # the headings are known up to a constant
         return
     if fit.reading.mirrored:

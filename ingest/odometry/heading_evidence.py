@@ -41,12 +41,13 @@ class EvidenceSettings:
     """Half the time over which the turning rate is measured."""
     parts: int = 6
     """Intervals over which the readings of one branch in one pass are averaged."""
-    most_passes: int = 600
-    """More passes are thinned out evenly, for speed."""
     grid_reach: int = 3
     """Branches are compared with those of so many passes before."""
     grid_reach_m: float = 40.0
     """They are not compared with passes farther back than this along the track."""
+
+
+EVIDENCE = EvidenceSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -63,9 +64,6 @@ class Rows:
     share: FloatArray
     visit: IntArray
 
-    def __len__(self) -> int:
-        return len(self.y)
-
     @property
     def owners(self) -> int:
         """Number of groups."""
@@ -75,12 +73,6 @@ class Rows:
     def visits(self) -> int:
         """One more than the last visit."""
         return int(self.visit.max(initial=-1)) + 1
-
-    def of_every(self, stride: int) -> Rows:
-        """The rows of every `stride`-th visit."""
-        kept = np.flatnonzero(self.visit % stride == 0)
-        owner = np.cumsum(np.diff(self.owner[kept], prepend=-1) != 0) - 1
-        return Rows(self.y[kept], self.a[kept], owner, self.share[kept], self.visit[kept] // stride)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +100,6 @@ def heading_evidence(
     nominal: Odometry,
     detections: Detections,
     passes: Passes,
-    settings: EvidenceSettings = EvidenceSettings(),
 ) -> HeadingEvidence:
     """The evidence from the detections of a run.
 
@@ -117,10 +108,10 @@ def heading_evidence(
     grid_reach).
     """
     reading = assign_readings(
-        odometry, detections, passes, settings.match_rad, settings.interpolated_rad
+        odometry, detections, passes, EVIDENCE.match_rad, EVIDENCE.interpolated_rad
     )
     time_ns = detections.time_ns[detections.branches.owner[reading.row]]
-    regressor = regressors(nominal, time_ns, settings.rate_window_s)
+    regressor = _regressors(nominal, time_ns)
     count = len(passes.branches.values)
     n = np.bincount(reading.branch, minlength=count)
     off = wrap(reading.heading - passes.branches.values[reading.branch])
@@ -139,17 +130,14 @@ def heading_evidence(
         reading.branch,
         off - mean_off[reading.branch],
         regressor - mean_regressor[reading.branch],
-        settings.parts,
     )
     stretch = stretch_of(odometry, passes.time_ns)
-    parts = (within, _legs(passes, looks, stretch), _grid(looks, stretch, settings))
-    stride = -(-len(passes) // settings.most_passes)
-    return HeadingEvidence(*(rows.of_every(stride) if stride > 1 else rows for rows in parts))
+    return HeadingEvidence(within, _legs(passes, looks, stretch), _grid(looks, stretch))
 
 
-def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray, parts: int) -> Rows:
-    """Readings relative to the mean of their branch, averaged over at most `parts` intervals of
-    time."""
+def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
+    """Readings relative to the mean of their branch, averaged over a few intervals of time."""
+    parts = EVIDENCE.parts
     order = np.argsort(branch, kind="stable")
     n = np.bincount(branch, minlength=len(looks.heading))
     owner = branch[order]
@@ -162,13 +150,16 @@ def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray, parts
     return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], looks.owner[home])
 
 
-def regressors(odometry: Odometry, time_ns: IntArray, window_s: float) -> FloatArray:
+def _regressors(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m, 3) distance driven [m], angle turned [rad] and turning rate [rad/s] at times (m,)."""
     origin = odometry.time_ns[0]
     t = (odometry.time_ns - origin) * 1e-9
     q = (np.asarray(time_ns, np.int64) - origin) * 1e-9
     way, turned = np.cumsum(odometry.step_m), np.cumsum(odometry.turn_rad)
-    before, after = np.maximum(q - window_s, t[0]), np.minimum(q + window_s, t[-1])
+    before, after = (
+        np.maximum(q - EVIDENCE.rate_window_s, t[0]),
+        np.minimum(q + EVIDENCE.rate_window_s, t[-1]),
+    )
     rise = np.interp(after, t, turned) - np.interp(before, t, turned)
     rate = rise / np.maximum(after - before, 1e-3)
     return np.column_stack([np.interp(q, t, way), np.interp(q, t, turned), rate])
@@ -250,11 +241,11 @@ def _legs(passes: Passes, looks: _Looks, stretch: IntArray) -> Rows:
     return Rows(y, a, np.arange(len(y)), np.ones(len(y)), k[both] + 1)
 
 
-def _grid(looks: _Looks, stretch: IntArray, settings: EvidenceSettings) -> Rows:
+def _grid(looks: _Looks, stretch: IntArray) -> Rows:
     """Every branch paired with those of a few passes before: alternatives that may be
     perpendicular."""
     first = np.searchsorted(looks.owner, np.arange(len(stretch) + 1))
-    begin = first[np.maximum(looks.owner - settings.grid_reach, 0)]
+    begin = first[np.maximum(looks.owner - EVIDENCE.grid_reach, 0)]
     here, nth = numbered(first[looks.owner] - begin)
     there = begin[here] + nth
     a = looks.regressor[here] - looks.regressor[there]
@@ -262,7 +253,7 @@ def _grid(looks: _Looks, stretch: IntArray, settings: EvidenceSettings) -> Rows:
         looks.seen[here]
         & looks.seen[there]
         & (stretch[looks.owner[here]] == stretch[looks.owner[there]])
-        & (np.abs(a[:, 0]) <= settings.grid_reach_m)
+        & (np.abs(a[:, 0]) <= EVIDENCE.grid_reach_m)
     )
     here, there, a = here[keep], there[keep], a[keep]
     owner = np.cumsum(np.diff(here, prepend=here[:1]) != 0)

@@ -8,9 +8,7 @@ steps, with an uncertainty of the size of the jump. At a reset the motion is unk
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +19,6 @@ from ...topology.se2 import between, compose, inverse, wrap
 SECOND_S = 1e-9
 MOST_TOLD = 5
 """Number of jumps that are listed one by one."""
-BLOCK_STEPS = 1 << 14
-"""Steps per block, to stay in the processor's cache without large temporary arrays."""
 BESIDE = np.array([-2, -1, 1, 2])
 """Offsets of the steps that a step is compared with."""
 
@@ -45,8 +41,6 @@ class JumpSettings:
     """A jump exceeds normal deviations by this factor."""
     margin: float = 1.2
     """A rotation is fast if it exceeds the 99 % quantile of the turning rate by this factor."""
-    least_rad_per_s: float = 2.0
-    """Frequent rotations are told of from here on: robots turn about as fast indoors."""
     few_steps: int = 100
     """Shorter tracks do not show what is normal."""
     samples: int = 20_000
@@ -61,61 +55,39 @@ class Jumps:
     """Steps that were not driven, from row - 1 to row.
 
     rows: (j,) ascending; way: (j,) [m] and turn: (j,) [rad] deviation from the motion predicted by
-    neighbouring steps; reset: (j,) whether the motion is unknown; late: (j,) whether the odometry
-    had stood still for so long that the robot can have driven the step; since: (j,) row from which
-    on it had.
+    neighbouring steps; reset: (j,) whether the motion is unknown.
     """
 
     rows: IntArray
     way: FloatArray
     turn: FloatArray
     reset: BoolArray
-    late: BoolArray
-    since: IntArray
-
-    def fresh(self, count: int) -> BoolArray:
-        """(count,) rows of the track without those that repeat a pose before a late step."""
-        keep = np.ones(count, bool)
-        for since, row in zip(self.since[self.late], self.rows[self.late], strict=True):
-            keep[since + 1 : row] = False
-        return keep
-
-    def among(self, keep: BoolArray) -> Jumps:
-        """The same jumps in a track reduced to the rows `keep`."""
-        number = np.cumsum(keep) - 1
-        return replace(self, rows=number[self.rows], since=number[self.since])
 
     def sentences(self, time_ns: IntArray) -> list[str]:
         """Warnings, one sentence per kind."""
-        jump = ~self.reset & ~self.late
-        told = (
-            (
-                jump,
-                "odometry jumps",
-                "steps of unknown size, for places seen before and after to tell",
-            ),
-            (self.late, "odometry stands still and leaps", "taken for late; steps of unknown size"),
+        kinds = (
+            (~self.reset, "odometry jumps", "steps of unknown size; places seen again measure it"),
             (self.reset, "odometry is reset", "the chain is split there"),
         )
         return [
-            f"{what} {times(int(of.sum()))} ({self._sizes(of, time_ns)}): {how}"
-            for of, what, how in told
-            if of.any()
+            f"{what} {times(int(rows.sum()))} ({self._sizes(rows, time_ns)}): {how}"
+            for rows, what, how in kinds
+            if rows.any()
         ]
 
-    def _sizes(self, of: BoolArray, time_ns: IntArray) -> str:
-        at = (time_ns[self.rows[of]] - time_ns[0]) * SECOND_S
+    def _sizes(self, rows: BoolArray, time_ns: IntArray) -> str:
+        at = (time_ns[self.rows[rows]] - time_ns[0]) * SECOND_S
         sizes = [
             f"{way:.2f} m and {np.degrees(turn):.0f} degrees at {second:.1f} s"
-            for way, turn, second in zip(self.way[of], self.turn[of], at, strict=True)
+            for way, turn, second in zip(self.way[rows], self.turn[rows], at, strict=True)
         ]
         return ", ".join(sizes[:MOST_TOLD]) + (", …" if len(sizes) > MOST_TOLD else "")
 
 
 def no_jumps() -> Jumps:
     """Without any jumps."""
-    none, false, zero = np.zeros(0, np.int64), np.zeros(0, bool), np.zeros(0)
-    return Jumps(none, zero, zero, false, false, none)
+    none = np.zeros(0)
+    return Jumps(np.zeros(0, np.int64), none, none, np.zeros(0, bool))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,60 +117,30 @@ def _seldom(values: FloatArray) -> float:
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 
 
-class Frequent(NamedTuple):
-    """A deviation that occurs too often to be told apart, where it exceeds all steps that deviate
-    little, else 0."""
-
-    way_m: float
-    turn_rad: float
-
-
-def spikes(
-    time_ns: IntArray, pose: FloatArray, impossible: BoolArray
-) -> tuple[BoolArray, Frequent]:
-    """(n - 1,) steps that deviate from their neighbours more than others of the run; and the
-    deviation that occurs too often to be told apart. The latter leaves out `impossible` steps
-    (n - 1,), which their speed shows.
+def spikes(time_ns: IntArray, pose: FloatArray) -> BoolArray:
+    """(n - 1,) steps that deviate from their neighbours more than others of the run.
 
     Because of its inertia a robot makes no large step between two small ones. What is normal for
     this robot and odometry (sparse rows, jerky drives) is estimated from the run. Light robots turn
-    on the spot by jerks: a rotation stands out only if it is also faster than usual. O(n), a few
-    passes over the rows in question.
+    on the spot by jerks: a rotation stands out only if it is also faster than usual. O(n).
     """
     found = np.zeros(max(len(pose) - 1, 0), bool)
     if len(pose) <= JUMPS.few_steps:
-        return found, Frequent(0.0, 0.0)
+        return found
     # Including smaller deviations, which show what is normal.
     rows = _large(pose, JUMPS.least_m / JUMPS.factor, JUMPS.least_rad / JUMPS.factor)
     if len(rows) == 0:
-        return found, Frequent(0.0, 0.0)
-    steps = _Steps.of(pose, rows)
+        return found
     usual = _Usual.of(time_ns, pose)
-    way, turn = _excess(time_ns, pose, steps, usual)
-    step_m = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
-    often = 1 + int(float(step_m.sum()) / JUMPS.usual_way_m)
+    way, turn = _excess(time_ns, pose, _Steps.of(pose, rows), usual)
+    driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
+    often = 1 + int(driven / JUMPS.usual_way_m)
     out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
-    turned_rad = np.abs(wrap(np.diff(pose[:, 2])))
-    duration = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
-    fast = turned_rad[rows] > JUMPS.margin * usual.rate * duration
+    turned_rad = np.abs(wrap(pose[rows + 1, 2] - pose[rows, 2]))
+    fast = turned_rad > JUMPS.margin * usual.rate * (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     out |= fast & (turn > max(JUMPS.least_rad, JUMPS.factor * _at_rank(turn, often)))
     found[rows[out]] = True
-    possible = ~impossible[rows]
-    hasty = possible & fast & (turned_rad[rows] > JUMPS.least_rad_per_s * duration)
-    return found, Frequent(
-        _beyond_usual(_at_rank(way[possible], often), way, step_m, rows, JUMPS.least_m),
-        _beyond_usual(_at_rank(turn[hasty], often), turn, turned_rad, rows, JUMPS.least_rad),
-    )
-
-
-def _beyond_usual(
-    frequent: float, off: FloatArray, step: FloatArray, rows: IntArray, least: float
-) -> float:
-    """A frequent deviation if it exceeds the steps (n - 1,) that deviate by less than `least`, else
-    0; off: the deviations of the steps `rows`."""
-    usual = step.copy()
-    usual[rows[off > least]] = 0.0
-    return frequent if frequent > max(least, _seldom(usual)) else 0.0
+    return found
 
 
 def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
@@ -208,60 +150,14 @@ def _large(pose: FloatArray, least_m: float, least_rad: float) -> IntArray:
     all three by at least as much, which is cheap to bound. The first and the last step are within
     their own range.
     """
-    least_m, least_rad = 0.99 * least_m, 0.99 * least_rad
-    found = [np.zeros(0, np.int64)]
-    for first, (x, y, turn) in _blocks_of_steps(pose):
-        far, widest = _reach(x) + _reach(y), _widest_turn(turn)
-        if far <= least_m and widest <= least_rad:
-            continue
-        large = np.zeros(len(turn), bool)
-        if widest > least_rad:
-            k = 1 + np.flatnonzero(np.abs(turn[1:-1]) > least_rad)
-            off = np.stack([turn[k], turn[k] - turn[k - 1], turn[k + 1] - turn[k]])
-            large[k] = (_turned(off) > least_rad).all(axis=0)
-        # A bound for the whole block is cheaper than testing its steps.
-        change = _reach(x[1:] - x[:-1]) + _reach(y[1:] - y[:-1]) + far * widest
-        if far > least_m and change > least_m:
-            large[1:-1] |= _far_off(x, y, turn, least_m)
-        found.append(first + np.flatnonzero(large))
-    return np.concatenate(found)
-
-
-def _far_off(x: FloatArray, y: FloatArray, turn: FloatArray, least_m: float) -> BoolArray:
-    """(n - 2,) inner steps that may differ by more than `least_m` from those on either side."""
-    far = np.abs(x) + np.abs(y)
+    x, y, turn = np.diff(pose, axis=0).T
+    turn, far = wrap(turn), np.abs(x) + np.abs(y)
     # Seen from the robot, a step is turned by what the one before it turned.
-    off = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * _turned(turn[:-1])
-    return np.asarray((np.minimum(off[:-1], off[1:]) > least_m) & (far[1:-1] > least_m))
-
-
-def _blocks_of_steps(pose: FloatArray) -> Iterator[tuple[int, FloatArray]]:
-    """Differences (3, k) between consecutive poses (n, 3) in blocks, with the index of the first.
-
-    Blocks overlap by two steps. Each is valid until the next one.
-    """
-    count = len(pose) - 1
-    room = np.empty((3, min(count, BLOCK_STEPS + 2)))
-    for first in range(0, count - 2, BLOCK_STEPS):
-        rows = pose[first : first + BLOCK_STEPS + 3]
-        yield first, np.subtract(rows[1:].T, rows[:-1].T, out=room[:, : len(rows) - 1])
-
-
-def _reach(values: FloatArray) -> float:
-    """The largest absolute value."""
-    return max(float(values.max()), -float(values.min()))
-
-
-def _widest_turn(theta: FloatArray) -> float:
-    """The largest absolute difference of angles that are all in [-π, π)."""
-    size = _reach(theta)
-    return size if size <= np.pi else float(_turned(theta).max())
-
-
-def _turned(theta: FloatArray) -> FloatArray:
-    """Absolute rotations of differences of angles, the short way round."""
-    size = np.abs(theta)
-    return np.minimum(size, np.abs(size - 2 * np.pi))
+    off_m = np.abs(np.diff(x)) + np.abs(np.diff(y)) + far[:-1] * np.abs(turn[:-1])
+    off_rad = np.abs(wrap(np.diff(turn)))
+    large = np.minimum(np.minimum(off_m[:-1], off_m[1:]), far[1:-1]) > 0.99 * least_m
+    off_rad = np.minimum(np.minimum(off_rad[:-1], off_rad[1:]), np.abs(turn[1:-1]))
+    return 1 + np.flatnonzero(large | (off_rad > 0.99 * least_rad))
 
 
 def _at_rank(values: FloatArray, rank: int) -> float:
@@ -318,31 +214,14 @@ def _excess(
     theirs = (time_ns[beside + 1] - time_ns[beside]) * SECOND_S
     per_second = (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
     span = np.concatenate([steps.around, steps.around * per_second], axis=1)
-    spare = np.maximum(_waited(time_ns, pose, rows) - usual.period, 0.0)
+    spare = np.maximum(own - usual.period, 0.0)
     return steps.beyond(span, spare[:, None] * np.array([usual.speed, usual.speed, usual.rate]))
-
-
-def _waited(time_ns: IntArray, pose: FloatArray, rows: IntArray) -> FloatArray:
-    """(k,) time [s] from the first row that held the pose before each step to the end of it."""
-    waited = time_ns[rows + 1] - time_ns[_first_alike(pose, rows)]
-    return np.asarray(waited * SECOND_S, np.float64)
-
-
-def _first_alike(pose: FloatArray, rows: IntArray) -> IntArray:
-    """(k,) first of the consecutive rows with the same pose as each."""
-    since = rows.copy()
-    stood = np.flatnonzero((rows > 0) & (pose[rows] == pose[rows - 1]).all(axis=1))
-    if len(stood):
-        changed = np.concatenate([[True], (pose[1:] != pose[:-1]).any(axis=1)])
-        first = np.maximum.accumulate(np.where(changed, np.arange(len(pose)), 0))
-        since[stood] = first[rows[stood]]
-    return since
 
 
 def measured_jumps(
     time_ns: IntArray, pose: FloatArray, leaps: BoolArray, restarted: BoolArray
 ) -> Jumps:
-    """Classify the given steps as jumps, late messages, or resets.
+    """Classify the given steps as jumps or resets.
 
     leaps: (n - 1,) steps that cannot have been driven; restarted: (n - 1,) those of them at which
     the clock jumps as well. A reset leads back to the origin or to the start of the track, or
@@ -358,12 +237,7 @@ def measured_jumps(
     reset = _near(pose, begin + 1, np.zeros(3), again, usual)
     reset |= _near(pose, begin + 1, pose[0], again, usual)
     reset |= restarted[begin] | (way > max(driven, JUMPS.least_m))
-    since, moved = _first_alike(pose, begin), _moved(pose, begin)
-    waited = (time_ns[begin + 1] - time_ns[since]) * SECOND_S
-    late = waited > 2 * usual.period
-    late &= np.hypot(moved[:, 0], moved[:, 1]) <= usual.speed * waited
-    late &= np.abs(moved[:, 2]) <= usual.rate * waited
-    return Jumps(begin + 1, way, turn, reset & ~late, late, since)
+    return Jumps(begin + 1, way, turn, reset)
 
 
 def _near(
@@ -413,8 +287,6 @@ def without_jumps(odometry: Odometry, jumps: Jumps) -> Odometry:
     leaps[jumps.rows - 1] = True
     step = _expected(time_ns, pose, leaps, rows - 1, usual)
     other = _moved(pose, rows - 1)
-    late = jumps.late[known]
-    step[late], other[late] = other[late], step[late]
     own = (time_ns[rows] - time_ns[rows - 1]) * SECOND_S
     sigma = np.column_stack(
         [

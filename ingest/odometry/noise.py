@@ -47,30 +47,25 @@ class NoiseSettings:
     reach_m: float = 60.0
     """Branches are compared with those of this many passes before, within this distance along the
     path."""
-    most_passes: int = 500
-    """Limit on passes that are compared; more are thinned evenly."""
 
 
-def estimate_noise(
-    odometry: Odometry,
-    detections: Detections,
-    passes: Passes,
-    settings: NoiseSettings = NoiseSettings(),
-) -> RunNoise:
+NOISE = NoiseSettings()
+
+
+def estimate_noise(odometry: Odometry, detections: Detections, passes: Passes) -> RunNoise:
     """Noise of odometry and detector before closure; fault rates are those of the prior.
 
     odometry: calibrated, in the frame of `passes`. O(readings); does not raise on little data.
     """
-    thirds = WithinPasses.of(odometry, detections, passes, settings.prior)
+    thirds = WithinPasses.of(odometry, detections, passes, NOISE.prior)
     if thirds is None:
-        return settings.prior
-    prior = settings.prior
-    walk_m, walk_rad = _heading_walk(odometry, passes, thirds, settings)
-    along, scale = _along(thirds, settings)
+        return NOISE.prior
+    walk_m, walk_rad = _heading_walk(odometry, passes, thirds)
+    along, scale = _along(thirds)
     # Half of the variance of a reading is assumed to be common to its pass (a junction is seen
     # askew from one side), which the scatter within a pass does not show.
     return _stated(
-        prior,
+        NOISE.prior,
         along_m_per_sqrt_m=along,
         heading_rad_per_sqrt_m=walk_m,
         heading_rad_per_sqrt_rad=walk_rad,
@@ -86,17 +81,17 @@ def refine_noise(
     turn_rad: FloatArray,
     noise: RunNoise,
     *,
+    prior: RunNoise = NOISE.prior,
     drive_bys: int = 0,
-    settings: NoiseSettings = NoiseSettings(),
 ) -> RunNoise:
     """Noise and fault rates after loop closure, from repeated passes of one place.
 
     vertex: (p,) place of each pass, negative for those removed as phantoms; turn_rad: (p,) rotation
     from the odometry's frame to the map's at each pass; noise: the estimate before, prior of
     `branch_rad`; drive_bys: number of times that the robot passed a known place without detecting
-    it. Every rate has a prior of weight `settings.prior_passes`. O(b log b) for b branch readings.
+    it. prior: of the rates, with a weight of `prior_passes`. O(b log b) for b branch readings.
     """
-    prior, worth = settings.prior, settings.prior_passes
+    worth = NOISE.prior_passes
     seen = int(np.sum(vertex >= 0))
     legs = max(seen + drive_bys - 1, 0)
     invented = len(passes) - seen
@@ -122,22 +117,13 @@ def _rate(events: float, trials: float, prior: float, worth: float) -> float:
     return (events + worth * prior) / (trials + worth)
 
 
-def _heading_walk(
-    odometry: Odometry, passes: Passes, thirds: WithinPasses, settings: NoiseSettings
-) -> tuple[float, float]:
+def _heading_walk(odometry: Odometry, passes: Passes, thirds: WithinPasses) -> tuple[float, float]:
     """Random walk of the heading per √m and per √rad: the maximum a posteriori estimate."""
     from scipy.optimize import minimize
 
-    prior = settings.prior
+    prior = NOISE.prior
     seen = np.isfinite(thirds.turn_variance)
-    pairs = SquareBranches.of(
-        odometry,
-        passes,
-        thirds.walks,
-        reach_passes=settings.reach_passes,
-        reach_m=settings.reach_m,
-        most_passes=settings.most_passes,
-    )
+    pairs = SquareBranches.of(odometry, passes, thirds.walks)
     centre = np.log([prior.heading_rad_per_sqrt_m, prior.heading_rad_per_sqrt_rad])
     branch = np.log(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages))
 
@@ -146,13 +132,13 @@ def _heading_walk(
         variance = thirds.turn_variance + thirds.walked @ walk
         out = _student_cost(thirds.turn[seen], variance[seen])
         out += pairs.cost(walk, float(np.exp(x[2])), float(1 / (1 + np.exp(-x[3]))))
-        pull = (x[:2] - centre) / settings.prior_spread
+        pull = (x[:2] - centre) / NOISE.prior_spread
         out += 0.5 * float(pull @ pull) + 2.0 * float((x[2] - branch) ** 2)
         return out + 0.05 * float(x[3] ** 2)
 
     start = np.array([*centre, branch, 0.0])
     # The default simplex has a relative step, almost none for a start of 0.
-    simplex = start + settings.prior_spread * np.vstack([np.zeros(4), np.eye(4)])
+    simplex = start + NOISE.prior_spread * np.vstack([np.zeros(4), np.eye(4)])
     found = minimize(
         cost,
         start,
@@ -174,7 +160,7 @@ def _student_cost(error: FloatArray, variance: FloatArray) -> float:
     return float(np.sum(0.5 * np.log(scale) + tails))
 
 
-def _along(thirds: WithinPasses, settings: NoiseSettings) -> tuple[float, float]:
+def _along(thirds: WithinPasses) -> tuple[float, float]:
     """Random walk along the path [m/√m], and the size of the constant relative error of lengths.
 
     If junctions appear to move along with the robot, lengths are wrong; but the detector may cause
@@ -185,13 +171,13 @@ def _along(thirds: WithinPasses, settings: NoiseSettings) -> tuple[float, float]
     from scipy.optimize import minimize_scalar
 
     along, variance, moved, walked = thirds.straight()
-    belief = moved @ (moved / variance) + settings.scale_prior**-2
+    belief = moved @ (moved / variance) + NOISE.scale_prior**-2
     scale = float(moved @ (along / variance) / belief)
-    centre = np.log(settings.prior.along_m_per_sqrt_m)
+    centre = np.log(NOISE.prior.along_m_per_sqrt_m)
 
     def cost(x: float) -> float:
         spread = variance + np.exp(2 * x) * walked
-        pull = (x - centre) / settings.prior_spread
+        pull = (x - centre) / NOISE.prior_spread
         return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
 
     found = minimize_scalar(cost, bounds=(centre - 3, centre + 3), method="bounded")
@@ -212,21 +198,12 @@ class SquareBranches:
     worth: FloatArray
 
     @classmethod
-    def of(
-        cls,
-        odometry: Odometry,
-        passes: Passes,
-        means: WalkMeans,
-        *,
-        reach_passes: int,
-        reach_m: float,
-        most_passes: int,
-    ) -> SquareBranches:
-        """Branches of `most_passes` passes paired with those of `reach_passes` passes before each,
-        at most `reach_m` back. means: over the messages of each pass."""
+    def of(cls, odometry: Odometry, passes: Passes, means: WalkMeans) -> SquareBranches:
+        """Branches of all passes paired with those of `reach_passes` passes before each, at most
+        `reach_m` back. means: over the messages of each pass."""
+        reach_passes = NOISE.reach_passes
         stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
-        stride = -(-len(passes) // most_passes)
-        b = np.flatnonzero(of % stride == 0)
+        b = np.arange(len(of))
         # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then
         # expand each by the branches of that pass.
         lag = np.tile(np.arange(reach_passes) + 1, len(b))
@@ -235,7 +212,7 @@ class SquareBranches:
         keep = earlier >= 0
         b, earlier = b[keep], earlier[keep]
         walked = means.between(earlier, of[b])
-        keep = (stretch[of[b]] == stretch[earlier]) & (walked[:, 0] <= reach_m)
+        keep = (stretch[of[b]] == stretch[earlier]) & (walked[:, 0] <= NOISE.reach_m)
         b, earlier, walked = b[keep], earlier[keep], walked[keep]
         counts = passes.branches.counts[earlier]
         pair, local = numbered(counts)

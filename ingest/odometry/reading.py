@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
 from ..logs.intake import no_columns
@@ -12,16 +14,17 @@ from ..logs.messages import several_that
 from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
 from ..survey import LogRead
 from ..topic_poses import (
+    ELSEWHERE,
+    FOREIGN,
     Clock,
     TopicPoses,
+    listed_pairs,
     other_odometries,
     pair_of_poses,
     pair_of_transforms,
-    told_pairs,
 )
 from .jumps import without_jumps
-from .plausible import check_plausible
-from .track import Track, TrackSettings, sane_track
+from .track import Track, sane_track
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,13 +64,13 @@ def odometry_topic(read: LogRead) -> OdometryTopic:
             if transforms:
                 poses.rivals = other_odometries(poses, pair)
             else:
-                poses.elsewhere = int((~chosen).sum())
+                poses.unusable[ELSEWHERE] = int((~chosen).sum())
             poses.keep(chosen)
             parent, child = poses.frames[pair]
             return OdometryTopic(choice, poses, (parent, child or base or ""))
         lack = "no transform from an odom frame" if transforms else "no usable pose"
         if base is not None and len(poses):
-            lack += f" to {base} (--base-frame); it has {told_pairs(poses.frames)}"
+            lack += f" to {base} (--base-frame); it has {listed_pairs(poses.frames)}"
         reasons.append(f"{choice.topic} holds {lack}" + because(poses, choice.topic))
     raise LogError(f"{read.log}: no odometry: {', '.join(reasons)}; {listing(read.counts)}")
 
@@ -77,7 +80,7 @@ def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
 
     Raises LogError if no robot can have moved like that.
     """
-    track = _track(topic, clock, read.settings.track)
+    track = _track(topic, clock)
     odometry = without_jumps(track.odometry, track.jumps)
     # As recorded, but drive by drive: a reset may lead anywhere.
     resets = odometry.breaks
@@ -93,7 +96,7 @@ def poses_of(read: LogRead, choice: Choice) -> TopicPoses:
     sinks = intake.of_topic(topic)
     alike = [sink for sink in sinks if decoded_alike(sink.channel.type_name, choice.type_name)]
     poses = TopicPoses.of(alike)
-    poses.foreign = sum(sink.messages for sink in sinks) - poses.messages
+    poses.unusable[FOREIGN] = sum(sink.messages for sink in sinks) - poses.messages
     refused = sum(read.counts.get(c, 0) for c in intake.refused if c.topic == topic)
     poses.messages += refused
     poses.failed += refused
@@ -111,7 +114,7 @@ def described(choice: Choice, poses: TopicPoses) -> dict[str, Any]:
     return {"topic": choice.topic, "type": choice.type_name, "messages": poses.messages}
 
 
-def _track(topic: OdometryTopic, clock: Clock, settings: TrackSettings) -> Track:
+def _track(topic: OdometryTopic, clock: Clock) -> Track:
     poses, (frame, child) = topic.poses, topic.frames
     warnings = poses.warnings(topic.choice.topic)
     time_ns = poses.time_ns(clock)
@@ -124,5 +127,55 @@ def _track(topic: OdometryTopic, clock: Clock, settings: TrackSettings) -> Track
     pose = poses.columns.pose
     # Nothing else is needed of the columns: with a million poses they take 48 MB.
     poses.columns = no_columns()
-    track = sane_track(time_ns, pose, frame or "odom", child or "base_link", settings)
+    track = sane_track(time_ns, pose, frame or "odom", child or "base_link")
     return replace(track, warnings=(*warnings, *track.warnings))
+
+
+LONGEST_M = 1e6
+"""Largest extent of a drive without a break, 1000 km, to bound memory."""
+
+FASTEST_M_PER_S = 100.0
+"""No ground robot is usually faster: autonomous race cars reach 80 m/s."""
+
+DOUBTED_M_PER_S = 25.0
+"""90 km/h: only cars are usually faster; robots in centimetres taken for metres seem to be."""
+
+ELSE = "else stamps are in another unit than seconds and nanoseconds, or two robots share the topic"
+
+
+def check_plausible(odometry: Odometry, topic: str, log: str) -> str:
+    """Raise LogError if a drive is too wide or, in half of its steps, too fast; return a warning if
+    these are as fast as a car's, else "". O(n).
+    """
+    position = odometry.pose[:, :2]
+    if len(position) < 2:
+        return ""
+    starts = np.concatenate([[0], odometry.breaks]).astype(np.int64)
+    extent = np.maximum.reduceat(position, starts) - np.minimum.reduceat(position, starts)
+    widest = float(extent.max())
+    if widest > LONGEST_M:
+        raise LogError(
+            f"{log}: {topic} spans {widest / 1000:.0f} km, more than {LONGEST_M / 1000:.0f} km; "
+            "positions are expected in metres"
+        )
+    way = np.hypot(*np.diff(position, axis=0).T)
+    way[odometry.breaks - 1] = 0
+    duration = np.diff(odometry.time_ns) / 1e9
+    moves = int((way > 0).sum())
+
+    def usual_speed(beyond: float) -> float | None:
+        """The median of the speeds beyond one that half of the steps exceed."""
+        fast = way > beyond * duration
+        return float(np.median(way[fast] / duration[fast])) if 2 * int(fast.sum()) > moves else None
+
+    if (speed := usual_speed(FASTEST_M_PER_S)) is not None:
+        raise LogError(
+            f"{log}: {topic} moves at {speed:.0f} m/s, more than {FASTEST_M_PER_S:.0f} m/s; "
+            f"positions are expected in metres; {ELSE}"
+        )
+    if (speed := usual_speed(DOUBTED_M_PER_S)) is not None:
+        return (
+            f"{topic} moves at {speed:.0f} m/s, as fast as a car: if it is none, are its positions "
+            f"in centimetres? Expected: metres; {ELSE}"
+        )
+    return ""

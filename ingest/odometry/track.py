@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import JUMPS, Frequent, Jumps, measured_jumps, no_jumps, spikes, times
+from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
 
 SECOND_NS = 10**9
 """A second in nanoseconds."""
@@ -42,6 +42,9 @@ class TrackSettings:
     backward_min_s: float = 1.0
 
 
+TRACK = TrackSettings()
+
+
 @dataclass(frozen=True, slots=True)
 class Track:
     """A track in order, as recorded, its jumps (still in it), and one warning per kind of
@@ -52,13 +55,13 @@ class Track:
     warnings: tuple[str, ...]
 
 
-def backward_jumps(time_ns: IntArray, min_s: float) -> int:
+def backward_jumps(time_ns: IntArray) -> int:
     """How often the clock itself went back: a step back that is not made up for immediately.
 
     Single reordered messages do not count. O(n).
     """
     starts, ends = _behind(time_ns)
-    return int((time_ns[ends - 1] - time_ns[starts] >= min_s * SECOND_NS).sum())
+    return int((time_ns[ends - 1] - time_ns[starts] >= TRACK.backward_min_s * SECOND_NS).sum())
 
 
 def _behind(time_ns: IntArray) -> tuple[IntArray, IntArray]:
@@ -76,7 +79,6 @@ def sane_track(
     pose: FloatArray,
     frame: str,
     child_frame: str,
-    settings: TrackSettings = TrackSettings(),
 ) -> Track:
     """Sort by time, drop duplicates, find glitches and jumps. `without_jumps` comes next.
 
@@ -84,10 +86,10 @@ def sane_track(
     log n) at worst, O(n) for times in order.
     """
     warnings: list[str] = []
-    time_ns, pose = _forward(time_ns, pose, settings, warnings)
+    time_ns, pose = _forward(time_ns, pose, warnings)
     time_ns, pose = _in_order(time_ns, pose, warnings)
-    time_ns, pose, jumps = _measured(time_ns, pose, settings, warnings)
-    _report_gaps(time_ns, settings, warnings)
+    time_ns, pose, jumps = _measured(time_ns, pose, warnings)
+    _report_gaps(time_ns, warnings)
     for array in (time_ns, pose):
         array.flags.writeable = False
     unbroken = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
@@ -95,48 +97,24 @@ def sane_track(
 
 
 def _forward(
-    time_ns: IntArray, pose: FloatArray, settings: TrackSettings, warnings: list[str]
+    time_ns: IntArray, pose: FloatArray, warnings: list[str]
 ) -> tuple[IntArray, FloatArray]:
     """Drop what was recorded after the clock was set back, until it has caught up.
 
-    Sorting would interleave two parts of the drive. A part that fills a gap is kept: the log was
-    then not written in the order of time.
+    Sorting would interleave two parts of the drive.
     """
     starts, ends = _behind(time_ns)
-    jumps = time_ns[ends - 1] - time_ns[starts] >= settings.backward_min_s * SECOND_NS
+    jumps = time_ns[ends - 1] - time_ns[starts] >= TRACK.backward_min_s * SECOND_NS
     if not jumps.any():
         return time_ns, pose
-    starts, ends = starts[jumps], ends[jumps]
-    woven = ~_fills_gaps(time_ns, starts, ends, settings)
     keep = np.ones(len(time_ns), bool)
-    for start, end in zip(starts[woven].tolist(), ends[woven].tolist(), strict=True):
+    for start, end in zip(starts[jumps].tolist(), ends[jumps].tolist(), strict=True):
         keep[start:end] = False
-    if woven.any():
-        warnings.append(
-            f"the clock goes back {times(int(woven.sum()))}; {int((~keep).sum())} odometry "
-            "messages until it catches up were dropped"
-        )
+    warnings.append(
+        f"the clock goes back {times(int(jumps.sum()))}; {int((~keep).sum())} odometry messages "
+        "until it catches up were dropped"
+    )
     return time_ns[keep], pose[keep]
-
-
-def _fills_gaps(
-    time_ns: IntArray, starts: IntArray, ends: IntArray, settings: TrackSettings
-) -> BoolArray:
-    """Whether rows [start, end) lie between two others in time, without a gap to either.
-
-    It is unlikely of a clock that was set back. O(n log n).
-    """
-    order = np.argsort(time_ns, kind="stable")
-    place = np.empty(len(order), np.int64)
-    place[order] = np.arange(len(order))
-    step = np.diff(time_ns[order], prepend=time_ns[order[0]], append=time_ns[order[-1]])
-    near = step <= settings.gap_min_s * SECOND_NS
-    fills = np.zeros(len(starts), bool)
-    for k, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
-        first, last = int(place[start:end].min()), int(place[start:end].max())
-        alone = last - first == end - start - 1
-        fills[k] = alone and near[first] and near[last + 1]
-    return fills
 
 
 def _in_order(
@@ -158,47 +136,29 @@ def _in_order(
 
 
 def _measured(
-    time_ns: IntArray, pose: FloatArray, settings: TrackSettings, warnings: list[str]
+    time_ns: IntArray, pose: FloatArray, warnings: list[str]
 ) -> tuple[IntArray, FloatArray, Jumps]:
     """The track without glitches (single poses off it), and its jumps and resets."""
-    leaps, frequent = _leaps(time_ns, pose, settings)
-    glitch = _glitches(time_ns, pose, leaps, settings)
+    leaps = _leaps(time_ns, pose)
+    glitch = _glitches(time_ns, pose, leaps)
     if glitch.any():
         count = int(glitch.sum())
         warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
         time_ns, pose = time_ns[~glitch], pose[~glitch]
-        leaps, frequent = _leaps(time_ns, pose, settings)
-    if any(frequent):
-        off = (
-            f"{frequent.way_m:.2f} m"
-            if frequent.way_m
-            else f"{np.degrees(frequent.turn_rad):.0f} degrees"
-        )
-        warnings.append(
-            f"odometry leaves its course by {off} or more, more than it ever moves in "
-            f"a step, and more often than once per {JUMPS.usual_way_m:.0f} m: taken for its usual "
-            "noise, not for jumps; the map may be wrong"
-        )
+        leaps = _leaps(time_ns, pose)
     if not leaps.any():
         return time_ns, pose, no_jumps()
     duration = np.diff(time_ns)
-    gap_ns = max(settings.gap_min_s * SECOND_NS, settings.gap_periods * float(np.median(duration)))
-    restarted = (duration > gap_ns) & _teleports(time_ns, pose, settings)
+    gap_ns = max(TRACK.gap_min_s * SECOND_NS, TRACK.gap_periods * float(np.median(duration)))
+    restarted = (duration > gap_ns) & _teleports(time_ns, pose)
     jumps = measured_jumps(time_ns, pose, leaps, restarted)
     warnings += jumps.sentences(time_ns)
-    keep = jumps.fresh(len(pose))
-    time_ns, pose = time_ns[keep], pose[keep]
-    return time_ns, pose, jumps.among(keep)
+    return time_ns, pose, jumps
 
 
-def _leaps(
-    time_ns: IntArray, pose: FloatArray, settings: TrackSettings
-) -> tuple[BoolArray, Frequent]:
-    """(n - 1,) steps that cannot have been driven, or stand out from all others; and as `spikes`
-    the deviation that occurs too often."""
-    impossible = _teleports(time_ns, pose, settings)
-    found, frequent = spikes(time_ns, pose, impossible)
-    return impossible | found, frequent
+def _leaps(time_ns: IntArray, pose: FloatArray) -> BoolArray:
+    """(n - 1,) steps that cannot have been driven, or stand out from all others."""
+    return _teleports(time_ns, pose) | spikes(time_ns, pose)
 
 
 def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -208,36 +168,34 @@ def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray
     return way, turn, np.diff(time_ns) / SECOND_NS
 
 
-def _teleports(time_ns: IntArray, pose: FloatArray, settings: TrackSettings) -> BoolArray:
+def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     """(n - 1,) whether a step cannot have been driven, or leads back to the origin exactly."""
     way, turn, duration = _motion(time_ns, pose)
     zero = ~pose[1:].any(axis=1)
-    away = (way > settings.reset_min_m) | (turn > settings.reset_min_rad)
+    away = (way > TRACK.reset_min_m) | (turn > TRACK.reset_min_rad)
     reset = zero & away
-    long_step = (way > settings.teleport_min_m) | (turn > settings.teleport_min_rad)
+    long_step = (way > TRACK.teleport_min_m) | (turn > TRACK.teleport_min_rad)
     if not (long_step | reset).any():
         return reset
-    speed_limit = _limit(way, duration, settings, settings.teleport_min_speed_m_per_s)
-    turn_limit = _limit(turn, duration, settings, settings.teleport_min_turn_rad_per_s)
-    far = (way > settings.teleport_min_m) & (way > speed_limit * duration)
-    far |= (turn > settings.teleport_min_rad) & (turn > turn_limit * duration)
+    speed_limit = _limit(way, duration, TRACK.teleport_min_speed_m_per_s)
+    turn_limit = _limit(turn, duration, TRACK.teleport_min_turn_rad_per_s)
+    far = (way > TRACK.teleport_min_m) & (way > speed_limit * duration)
+    far |= (turn > TRACK.teleport_min_rad) & (turn > turn_limit * duration)
     # Driving through the exact origin is a step like any other; a reset is far longer.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
     return far | (reset & sudden)
 
 
-def _limit(size: FloatArray, duration: FloatArray, settings: TrackSettings, least: float) -> float:
+def _limit(size: FloatArray, duration: FloatArray, least: float) -> float:
     """Speed above which a step is rejected: far above the robot's usual one."""
     moving = size > 0
     if int(moving.sum()) < FEW_STEPS:
         return least
     usual = float(np.quantile(size[moving] / duration[moving], 0.95))
-    return max(least, settings.teleport_speed_factor * usual)
+    return max(least, TRACK.teleport_speed_factor * usual)
 
 
-def _glitches(
-    time_ns: IntArray, pose: FloatArray, teleport: BoolArray, settings: TrackSettings
-) -> BoolArray:
+def _glitches(time_ns: IntArray, pose: FloatArray, teleport: BoolArray) -> BoolArray:
     """(n,) single poses between two teleports whose neighbours are consistent."""
     glitch = np.zeros(len(time_ns), bool)
     lone = np.flatnonzero(teleport[:-1] & teleport[1:]) + 1
@@ -245,19 +203,19 @@ def _glitches(
         return glitch
     way = np.hypot(*(pose[lone + 1, :2] - pose[lone - 1, :2]).T)
     turn = np.abs(wrap(pose[lone + 1, 2] - pose[lone - 1, 2]))
-    fits = (way <= settings.teleport_min_m) & (turn <= settings.teleport_min_rad)
+    fits = (way <= TRACK.teleport_min_m) & (turn <= TRACK.teleport_min_rad)
     glitch[lone[fits]] = True
     return glitch
 
 
-def _report_gaps(time_ns: IntArray, settings: TrackSettings, warnings: list[str]) -> None:
+def _report_gaps(time_ns: IntArray, warnings: list[str]) -> None:
     if len(time_ns) < 3:
         return
     step = np.diff(time_ns)
-    if step.max() <= settings.gap_min_s * SECOND_NS:
+    if step.max() <= TRACK.gap_min_s * SECOND_NS:
         return
     usual = float(np.median(step))
-    gaps = step[step > max(settings.gap_min_s * SECOND_NS, settings.gap_periods * usual)]
+    gaps = step[step > max(TRACK.gap_min_s * SECOND_NS, TRACK.gap_periods * usual)]
     if len(gaps):
         warnings.append(
             f"odometry is silent {times(len(gaps))} (longest {gaps.max() / SECOND_NS:.2f} s)"

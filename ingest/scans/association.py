@@ -19,7 +19,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import wrap
-from .surfaces import surfaces
+from .surfaces import Surfaces, surfaces
 
 POINT_RAD = 0.035
 """Least angle between beams of one scan that are matched: those between lie on the same lines
@@ -27,43 +27,21 @@ POINT_RAD = 0.035
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Points:
-    """Every `each`-th point of `k` scans: x, y in the laser's frame [m] and the normal nx, ny of
-    its surface, all 0 where there is none (`valid` is False). Row `each` i + j: scan i from beam j
-    on."""
-
-    x: Float32Array
-    y: Float32Array
-    nx: Float32Array
-    ny: Float32Array
-    valid: BoolArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Lines:
-    """Surfaces of all beams of `k` scans, concatenated (k m,): a point of each and its normal. A
-    beam without one has its neighbour's, or zeros."""
-
-    x: Float32Array
-    y: Float32Array
-    nx: Float32Array
-    ny: Float32Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Swept:
     """`k` scans in rows of `beams` beams, of which one in `each` counts as a point.
 
-    start, increment: (k,) bearing of the first beam and between beams [rad]; own_beams: (k,) beams
-    of each scan, beyond which its row is padded.
+    start, increment: (k,) bearing of the first beam and between beams [rad]; points: every
+    `each`-th point, row `each` i + j: scan i from beam j on, all 0 where there is no surface;
+    lines: surfaces of all beams, concatenated (k m,), of a beam without one its neighbour's;
+    own_beams: (k,) beams of each scan, beyond which its row is padded.
     """
 
     start: FloatArray
     increment: FloatArray
     beams: int
     each: int
-    points: Points
-    lines: Lines
+    points: Surfaces
+    lines: Surfaces
     own_beams: IntArray
 
     @classmethod
@@ -79,9 +57,10 @@ class Swept:
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
         x, y = (np.where(on.valid, xy[..., k], np.float32(0)) for k in (0, 1))
         x, y, nx, ny = (_every(values, each) for values in (x, y, on.nx, on.ny))
-        points = Points(x, y, nx, ny, _every(on.valid, each))
+        points = Surfaces(x, y, nx, ny, _every(on.valid, each))
         at = _with_neighbours(on.valid)
-        lines = Lines(*(values.take(at) for values in (on.x, on.y, on.nx, on.ny)))
+        x, y, nx, ny = (values.take(at) for values in (on.x, on.y, on.nx, on.ny))
+        lines = Surfaces(x, y, nx, ny, on.valid.take(at))
         own = np.full(len(xy), xy.shape[1]) if own_beams is None else own_beams
         return cls(start, increment, xy.shape[1], each, points, lines, own)
 
@@ -89,7 +68,7 @@ class Swept:
         """The same surfaces, with one in `every` of the points."""
         of = self.points
         kept = (_every(values, every) for values in (of.x, of.y, of.nx, of.ny, of.valid))
-        return replace(self, each=every * self.each, points=Points(*kept))
+        return replace(self, each=every * self.each, points=Surfaces(*kept))
 
 
 def _every(values: Any, each: int) -> Any:

@@ -11,16 +11,16 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
-from ...topology.se2 import apply, compose, inverse
-from .clock_lag import LaggingError, OtherClockError, clock_lag
-from .handedness import MirroredError, Turns
+from ...topology.run import Scanned
+from ...topology.se2 import compose, inverse
 from .junctions import Driven, junction_passes
 from .keyframes import Keyframes, join
 from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
-from .scan import Anchored, ScanBatch, Scanned, ScanPicture, ScanResult, ScanStatistics
+from .scan import ScanBatch, ScanResult, ScanStatistics
 from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
+from .turns import LaggingError, MirroredError, Turns, clock_lag
 from .views import chosen_views, closed_by_views
 from .windows import WINDOWS, Seen, windows
 
@@ -39,7 +39,7 @@ def detect(
 
     scans: in the order of time, several lasers interleaved; may_lag: whether they may be stamped by
     another clock than the odometry. The odometry of the result has a row per keyframe. Memory
-    follows the keyframes' poses and a thinned picture, not the scans, unless the keyframes are kept
+    follows the keyframes' poses, not the scans, unless the keyframes are kept
     to be handed to `on_keyframes` with the result. Raises MirroredError as soon
     as the scans turn against the odometry, LaggingError as soon as they turn earlier or later than
     it does, DataError where nothing can be made of them.
@@ -111,10 +111,8 @@ class _Track:
     fit: list[FloatArray] = field(default_factory=list)
     laser: list[IntArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
-    walls: list[Anchored] = field(default_factory=list)
     keyframes: list[Keyframes] | None = None
     """All of them, if they are wanted."""
-    every: int = 1
     searched: int = 0
     bias_rad_per_m: float = 0.0
     turns: Turns = field(default_factory=Turns)
@@ -127,41 +125,25 @@ class _Track:
             off = inverse(part.keyframes.mount)
             self.time_ns.append(part.keyframes.time_ns)
             self.pose.append(compose(part.pose, off))
-            self.recorded.append(compose(part.keyframes.odometry, off))
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
             self.laser.append(part.keyframes.laser)
             if self.keyframes is not None:
                 self.keyframes.append(part.keyframes)
             self.spans.append(part.spans)
-            self.walls.append(_thinned(_walls(part), self.every))
-            while sum(map(len, self.walls)) > MOST_POINTS:
-                self.every *= 2
-                self.walls = [_thinned(walls, 2) for walls in self.walls]
             self.searched += int(part.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])
+            self.recorded.append(compose(part.keyframes.odometry, off))
             self.turns = self.turns.more(self.recorded[-1], self.pose[-1], self.piece[-1])
             if self.turns.mirrored:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:
                 times, pieces = np.concatenate(self.time_ns), np.concatenate(self.piece)
-                try:
-                    lag_s = self.lag(times, np.concatenate(self.pose), pieces)
-                except OtherClockError:
-                    self.require_alike()
-                    raise
+                lag_s = self.lag(times, np.concatenate(self.pose), pieces)
                 if lag_s:
                     raise LaggingError(lag_s)
                 self.lag = None
             yield part
-
-    def require_alike(self) -> None:
-        """Raise OtherClockError if the scans turn neither with nor against the odometry."""
-        if self.turns.unlike:
-            raise OtherClockError(
-                f"the scans turn {self.turns}, as neither those of a laser upright nor upside down "
-                "do"
-            )
 
     def driven(self) -> Driven:
         """Rows by time; two lasers at one time make one row. Distance as in `windows`."""
@@ -172,32 +154,11 @@ class _Track:
         return Driven(np.concatenate(self.time_ns), pose, way)
 
 
-MOST_POINTS = 400_000
-"""Wall points kept for the picture, 10 MB; longer runs are thinned by powers of two."""
-
-
-def _thinned(points: Anchored, every: int) -> Anchored:
-    return Anchored(points.anchor_ns, points.anchor[::every], points.xy[::every])
-
-
-def _walls(part: Matched, cell_m: float = 0.1, reach_m: float = 8.0) -> Anchored:
-    """Points of a part, one per cell, in the robot's frame."""
-    distance = np.hypot(part.keyframes.xy[..., 0], part.keyframes.xy[..., 1])
-    row, beam = np.nonzero(distance < reach_m)
-    own = part.keyframes.xy[row, beam].astype(np.float64)
-    world = apply(part.pose[row], own)
-    cell = np.floor(world / cell_m).astype(np.int64)
-    keep = np.sort(np.unique(cell, axis=0, return_index=True)[1])
-    body = apply(part.keyframes.mount[row[keep]], own[keep])
-    return Anchored(part.keyframes.time_ns, row[keep], body.astype(np.float32))
-
-
 def _result(
     recorded: Odometry | None, counted: _Counted, track: _Track, seen: list[Seen]
 ) -> ScanResult:
     if not track.pose:
         raise DataError(_nothing(counted))
-    track.require_alike()
     driven = track.driven()
     passes = junction_passes(seen, driven)
     noise = matched_noise(track.spans, passes, alone=recorded is None)
@@ -224,9 +185,8 @@ def _result(
     )
     views = chosen_views(seen, passes, driven)
     odometry, views, loops = closed_by_views(odometry, views, noise)
-    picture = ScanPicture(_joined(track.walls), _skeleton(seen, driven), WINDOWS.half_m)
     warnings = (*counted.warnings(), *_warnings(statistics))
-    scanned = Scanned(passes, noise, picture, views, loops)
+    scanned = Scanned(passes, noise, WINDOWS.half_m, views, loops)
     return ScanResult(odometry, scanned, statistics, warnings)
 
 
@@ -280,30 +240,3 @@ def _covered(driven: Driven, good: BoolArray, laser: IntArray) -> float:
         inside = (following > 0) & (following < len(own))
         covered[inside] |= good[own[following[inside]]]
     return float(step[covered].sum()) / total if total > 0 else 0.0
-
-
-def _joined(parts: list[Anchored]) -> Anchored:
-    counts = np.cumsum([0, *(len(part.anchor_ns) for part in parts)])
-    return Anchored(
-        np.concatenate([part.anchor_ns for part in parts]),
-        np.concatenate([part.anchor + counts[k] for k, part in enumerate(parts)]),
-        np.concatenate([part.xy for part in parts]),
-    )
-
-
-def _skeleton(seen: list[Seen], driven: Driven) -> Anchored:
-    """Skeletons of the windows, each where it is nearer to its own centre than to the next
-    one's."""
-    rows = [min(int(np.searchsorted(driven.way, w.way)), len(driven.way) - 1) for w in seen]
-    middles = driven.pose[rows]
-    points, anchor = [np.zeros((0, 2))], [np.zeros(0, np.int64)]
-    for k, window in enumerate(seen):
-        away = np.hypot(*(window.skeleton - middles[k, :2]).T)
-        others = middles[max(k - 1, 0) : k + 2, :2]
-        nearest = np.hypot(*(window.skeleton[:, None] - others).transpose(2, 0, 1)).min(axis=1)
-        own = window.skeleton[away <= nearest + 1e-9]
-        points.append(apply(inverse(middles[k]), own))
-        anchor.append(np.full(len(own), k))
-    return Anchored(
-        driven.time_ns[rows], np.concatenate(anchor), np.concatenate(points).astype(np.float32)
-    )

@@ -19,7 +19,7 @@ from .open_space import Lattice, OpenSpace, open_space, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
-from .ways import Drivable, Way, driven
+from .ways import Drivable, Way, drivable_way
 
 
 class Variant(NamedTuple):
@@ -134,13 +134,10 @@ def skeleton_graph(
 
     frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
     a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
-    farther than the disc around its junction. Loops without a junction are left out. Raises
-    ValueError on a grid that is not two-dimensional or a resolution that is not positive.
+    farther than the disc around its junction. Loops without a junction are left out.
     O(h w log(h w)).
     """
     free = np.asarray(free, bool)
-    if free.ndim != 2 or not resolution_m > 0:
-        raise ValueError("a grid of two dimensions and a positive resolution are needed")
     if not free.any():
         return Floorplan((), ())
     free = np.pad(free, 1)
@@ -202,7 +199,7 @@ FINER = 3
 """The lattice's cells are at most so many times smaller than the grid's: there is no more in it."""
 
 MOST_CELLS = 1 << 22
-"""Most cells of the lattice, about as many as of the grid (`coarse_grid`)."""
+"""Most cells of the lattice, about as many as of the grid (`ingest/grid_map.py`)."""
 
 MOST_PEELED = 1 << 27
 """Thinning visits all cells for every layer of the widest open space. This many visits take half a
@@ -251,13 +248,11 @@ class _Axes:
 
 
 def _openings(
-    frontier: BoolArray | None, clearance_m: FloatArray, cell_m: float, least_m: float
+    frontier: BoolArray, clearance_m: FloatArray, cell_m: float, least_m: float
 ) -> BoolArray:
     """(h, w) cells at most as far from a frontier of width `least_m` as from any wall: corridors
     that end there continue beyond. frontier: without the border that clearance_m has."""
     out = np.zeros(clearance_m.shape, bool)
-    if frontier is None:
-        return out
     label, _ = labelled(np.pad(frontier, 1))
     for number, part in enumerate(ndimage.find_objects(label), start=1):
         if max(s.stop - s.start for s in part) * cell_m >= least_m:
@@ -323,12 +318,12 @@ def _floorplan(
         if target >= 0:
             target_branch = _take(graph, used, target, number)
             line[-1] = places[target].xy
-            way = driven(line, drivable, _reach(line, axes, drivable))
+            way = drivable_way(line, drivable, _reach(line, axes, drivable))
         else:
             kind, line = _ended(line, axes, drivable)
             if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
                 continue
-            way = _driven_in(line, axes, drivable, graph.nodes[source].clearance_m)
+            way = _drivable_part(line, axes, drivable, graph.nodes[source].clearance_m)
         if way is None:
             blocked += 1
             continue
@@ -357,10 +352,12 @@ def _reach(line: FloatArray, axes: _Axes, drivable: Drivable) -> FloatArray:
     return axes.space.clearance_m[drivable.at(line)]
 
 
-def _driven_in(line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: float) -> Way | None:
+def _drivable_part(
+    line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: float
+) -> Way | None:
     """The way to the end of a line, else as far as it can be driven straight along it, if that is
     beyond the disc around its junction."""
-    way = driven(line, drivable, _reach(line, axes, drivable))
+    way = drivable_way(line, drivable, _reach(line, axes, drivable))
     if way is not None:
         return way
     fits = drivable.cells[drivable.at(line)]
@@ -368,7 +365,7 @@ def _driven_in(line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: floa
     until = len(line) if fits.all() else int(np.argmin(fits))
     if until < 2 or way_of(line[:until])[-1] <= beyond_m:
         return None
-    return driven(line[:until], drivable, _reach(line[:until], axes, drivable))
+    return drivable_way(line[:until], drivable, _reach(line[:until], axes, drivable))
 
 
 HEADING_M = 1.0

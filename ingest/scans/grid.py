@@ -43,9 +43,6 @@ class Looks:
     hit: BoolArray
     corner: IntArray
 
-    def __len__(self) -> int:
-        return len(self.corner)
-
 
 @lru_cache(maxsize=4)
 def _patch(half: int, cell_m: float) -> tuple[Float32Array, Float32Array]:
@@ -130,6 +127,12 @@ class Window:
     driven: BoolArray
     corner: IntArray
 
+    def inner(self, cells: int) -> Window:
+        """The window without so many cells along its border."""
+        within = np.s_[cells:-cells, cells:-cells]
+        free, hit, driven = self.free[within], self.hit[within], self.driven[within]
+        return Window(free, hit, driven, self.corner + cells)
+
 
 def gather(
     seen: Looks,
@@ -137,17 +140,13 @@ def gather(
     way_xy: FloatArray,
     place: tuple[FloatArray, int],
     settings: GridSettings,
-    *,
-    known: Window | None = None,
 ) -> Window:
     """The observations by keyframes `rows` within `half` cells of a place ((2,), half); way_xy: (w,
-    2) the track meanwhile, densely sampled [m]; known: a window to add to."""
+    2) the track meanwhile, densely sampled [m]."""
     centre, half = place
     corner = np.floor(centre / settings.cell_m).astype(np.int64) - half
     side = 2 * half + 1
     free, hit = (np.zeros((side, side), np.int64) for _ in range(2))
-    if known is not None:
-        free, hit = known.free.copy(), known.hit.copy()
     patch = seen.free.shape[1]
     # Sums of bytes are several times as fast, and hold up to 255 observations.
     for begin in range(0, len(rows), 255):

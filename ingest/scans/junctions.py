@@ -13,8 +13,8 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.connected import connected
 from ...topology.digits import significant
 from ...topology.ragged import Ragged
+from ...topology.run import ScanPasses
 from ...topology.se2 import apply, inverse, wrap
-from .scan import ScanPasses
 from .windows import WINDOWS, Seen
 
 

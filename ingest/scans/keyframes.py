@@ -168,24 +168,13 @@ def prepared(part: Posed, rows: IntArray) -> Keyframes:
 
 
 def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, float]:
-    """Columns of a scan, ascending, on an even raster; its first bearing and step [rad].
-
-    Unevenly spaced beams are resampled to the nearest one for each position of the raster.
-    """
-    order = np.argsort(angles_rad, kind="stable")
-    angles = angles_rad[order]
-    if len(angles) < 2 or not angles[-1] > angles[0]:
-        return order[:1].astype(np.int64), float(angles[0]) if len(angles) else 0.0, finest_rad
-    spacing = (angles[-1] - angles[0]) / (len(angles) - 1)
-    even = np.abs(angles - angles[0] - spacing * np.arange(len(angles))).max() < 0.25 * spacing
-    if even:
-        stride = max(1, int(finest_rad / spacing + 0.01))
-        return order[::stride].astype(np.int64), float(angles[0]), float(stride * spacing)
-    step = max(finest_rad, float(np.median(np.diff(angles))))
-    places = angles[0] + step * np.arange(int((angles[-1] - angles[0]) / step) + 1)
-    after = np.clip(np.searchsorted(angles, places), 1, len(angles) - 1)
-    nearest = np.where(places - angles[after - 1] < angles[after] - places, after - 1, after)
-    return order[nearest].astype(np.int64), float(angles[0]), step
+    """Columns of a scan of even spacing, at most `finest_rad` apart or its own spacing; its first
+    bearing and their step [rad]."""
+    order = np.argsort(angles_rad, kind="stable").astype(np.int64)
+    first, last = angles_rad[order[[0, -1]]].tolist()
+    spacing = (last - first) / (len(order) - 1)
+    stride = max(1, int(finest_rad / spacing + 0.01))
+    return order[::stride], first, stride * spacing
 
 
 def _at_mid_sweep(

@@ -11,9 +11,9 @@ from scipy.optimize import nnls
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined
 from ...topology.digits import significant
+from ...topology.run import ScanPasses
 from ...topology.se2 import between, wrap
 from ...topology.topomap import RunNoise
-from .scan import ScanPasses
 from .step_errors import LONG, SHORT, SpanErrors
 
 PRIOR = RunNoise(centre_m=0.12, branch_rad=0.07, miss_rate=0.06, phantom_rate=0.03)

@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import Float32Array, FloatArray, IntArray
 from ...topology.frozen import frozen_array
 from ...topology.odometry import Odometry
-from ...topology.run import Anchored, Scanned, ScanPasses, ScanPicture
+from ...topology.run import Scanned
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,14 +106,3 @@ class ScanResult:
     scanned: Scanned
     statistics: ScanStatistics
     warnings: tuple[str, ...] = ()
-
-
-__all__ = [
-    "Anchored",
-    "ScanBatch",
-    "ScanPasses",
-    "ScanPicture",
-    "ScanResult",
-    "ScanStatistics",
-    "Scanned",
-]

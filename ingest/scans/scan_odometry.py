@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import chain, islice
 
 import numpy as np
 
@@ -18,10 +17,6 @@ from .scan import ScanBatch
 
 MOST_SCANS = 256
 """Scans matched at once."""
-
-FIRST_BATCHES = 8
-"""Batches among which that with the widest view is looked for: those of lasers that start at about
-the same time come in turns."""
 
 APART_S = 0.18
 """Least time between scans that are matched: at 40 Hz the errors of many short steps add up to
@@ -40,32 +35,21 @@ SPEED_M_PER_S, TURN_RAD_PER_S = 1.0, 1.0
 
 
 def scan_odometry(batches: Iterable[ScanBatch]) -> Iterator[Posed]:
-    """The robot's pose at scans of the laser with the widest view, each matched to one at least
-    `APART_S` before.
+    """The robot's pose at scans of the first laser, each matched to one at least `APART_S` before.
 
     It starts at (0, 0, 0). `usable` is False for scans of other lasers and skipped ones.
     """
     before: Keyframes | None = None
     pose = np.zeros(3)
-    source = iter(batches)
-    begin = list(islice(source, FIRST_BATCHES))
-    widest = max(begin, key=_view_deg, default=None)
-    for whole in chain(begin, source):
+    first: int | None = None
+    for whole in batches:
+        first = whole.laser if first is None else first
         for batch in _split(whole):
-            if widest is None or batch.laser != widest.laser:
+            if batch.laser != first:
                 yield _without_pose(batch, pose)
                 continue
             part, pose, before = _posed(batch, pose, before)
             yield part
-
-
-def _view_deg(batch: ScanBatch) -> int:
-    """The angle over which a scan has returns, on average."""
-    angles = batch.angles_rad
-    if len(angles) < 2 or len(batch) == 0:
-        return 0
-    step = abs(float(angles[-1] - angles[0])) / (len(angles) - 1)
-    return round(float(np.degrees(np.isfinite(batch.ranges_m).sum() / len(batch) * step)))
 
 
 def _split(batch: ScanBatch) -> Iterator[ScanBatch]:

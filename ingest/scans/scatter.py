@@ -37,7 +37,7 @@ give headings a tenth less and more noise."""
 BACK = 4
 """Every `BACK`-th point is matched the other way round as well: matching takes a twentieth longer,
 not a fifth. All points of every fourth scan cost as much, but errors of one scan are common to all
-of its pairs: over four simulated drives `TurnErrors.apart` over apart_alone is off by 0.20 (r.m.s.,
+of its pairs: over four simulated drives `SpanErrors.apart` over apart_alone is off by 0.20 (r.m.s.,
 all of all scans gave 1.2 to 2.1), with every fourth point by 0.14."""
 STRETCH = 16
 """Steps of odometry with common errors, 4 m: turns and bends last that long."""
@@ -59,23 +59,6 @@ NO_SCORES = Scores(_NONE, _NONE, _NONE, np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TurnErrors:
-    """Errors of rotations (q,).
-
-    walls, odometry: sums of squares [rad²] by patches of wall and by parts of odometry; absorbed:
-    share of the patches' errors that poses follow, so that it does not remain in the residuals;
-    apart: square [rad²] of the difference between both ways of matching scans; apart_alone: the sum
-    of every patch's own square.
-    """
-
-    walls: FloatArray
-    absorbed: FloatArray
-    odometry: FloatArray
-    apart: FloatArray
-    apart_alone: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
     """curvature: banded (lower form, 3 n columns); gradients by walls and odometry; back: by walls,
     with every `BACK`-th point of the earlier scan matched to the surfaces of the later one."""
@@ -85,9 +68,9 @@ class Scatter:
     back: Scores
     odometry: Scores
 
-    def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> TurnErrors:
+    def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> tuple[FloatArray, ...]:
         """Errors of the rotations from poses `first` (q,) to `last`, from the scatter of the
-        groups."""
+        groups: walls, absorbed, odometry, apart and apart_alone of `SpanErrors`."""
         q = np.arange(len(first))
         onto = np.zeros((3 * len(pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
@@ -96,7 +79,7 @@ class Scatter:
         walls, odometry, apart_by = (
             _pulls(pose, scores, moved) for scores in (self.walls, self.odometry, apart)
         )
-        return TurnErrors(
+        return (
             np.sum(walls**2, axis=0),
             np.full(len(first), _absorbed(self.walls)),
             np.sum(odometry**2, axis=0),

@@ -59,11 +59,10 @@ class Node:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonGraph:
-    """Nodes and the edges between them. pixels: of the remaining skeleton, row and column."""
+    """Nodes and the edges between them."""
 
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
-    pixels: IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -385,5 +384,4 @@ def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
         Node(net.centre[n], net.clearance[n], tuple(place[k] for k in net.incident[n]))
         for n in names
     ]
-    every = np.concatenate([lines.cells[:0], *(edge.cells for edge in edges)])
-    return SkeletonGraph(tuple(nodes), tuple(edges), every)
+    return SkeletonGraph(tuple(nodes), tuple(edges))

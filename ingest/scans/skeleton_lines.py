@@ -57,10 +57,10 @@ def lines_of(
     skeleton: BoolArray,
     clearance_m: Float32Array | FloatArray,
     cell_m: float,
-    border: BoolArray | None = None,
+    border: BoolArray,
 ) -> Lines:
     """The forks and lines of a skeleton (h, w); clearance_m: (h, w) distance from walls; border:
-    (h, w) cells at the end of the grid, where corridors may go on, by default those around it.
+    (h, w) cells at the end of the grid, where corridors may go on.
 
     Raises DataError on noise, and if there are too many. O(h w).
     """
@@ -79,7 +79,7 @@ def lines_of(
     y = np.bincount(number, rows, forks + 1) / safe * cell_m
     wide = np.zeros(forks + 1)
     np.maximum.at(wide, number, clearance_m[rows, columns])
-    ends = np.unique(line_label[_outline(skeleton) if border is None else border])
+    ends = np.unique(line_label[border])
     return Lines(
         cells,
         np.asarray(clearance_m[cells[:, 0], cells[:, 1]], np.float64),
@@ -145,13 +145,6 @@ def labelled(mask: BoolArray) -> tuple[Labels, int]:
     """Connected components of cells (8-connectivity), numbered from 1 on, and their number."""
     label, count = ndimage.label(mask, _AROUND)
     return np.asarray(label, np.int32), int(count)
-
-
-def _outline(mask: BoolArray) -> BoolArray:
-    out = np.zeros(mask.shape, bool)
-    out[[0, -1]] = True
-    out[:, [0, -1]] = True
-    return out
 
 
 def _lengths(skeleton: BoolArray, label: Labels, count: int) -> FloatArray:

@@ -169,8 +169,11 @@ class SpanErrors:
     """Spans of corrected odometry and their uncertainty.
 
     way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m] and turned: (r,)
-    absolute rotation [rad] of other, longer spans; walls, absorbed, odometry, apart, apart_alone:
-    (r,) of their rotations (`TurnErrors`).
+    absolute rotation [rad] of other, longer spans. Of the errors of these rotations, (r,) each:
+    walls, odometry: sums of squares [rad²] by patches of wall and by parts of odometry; absorbed:
+    share of the patches' errors that poses follow, so that it does not remain in the residuals;
+    apart: square [rad²] of the difference between both ways of matching scans; apart_alone: the
+    sum of every patch's own square.
     """
 
     way: FloatArray
@@ -193,17 +196,12 @@ def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
     begin, end = _spans(rows, min(long, max(rows.stop - rows.start - 1, short)), short)
     step = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(pose[:, :2], axis=0).T))])
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
-    headings = scatter.headings(pose, begin, end)
     return SpanErrors(
         step[last] - step[first],
         SURER_ALONG * scatter.ways(pose, first, last),
         step[end] - step[begin],
         turn[end] - turn[begin],
-        headings.walls,
-        headings.absorbed,
-        headings.odometry,
-        headings.apart,
-        headings.apart_alone,
+        *scatter.headings(pose, begin, end),
     )
 
 

@@ -11,14 +11,13 @@ from typing import Literal
 import numpy as np
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from ...topology.se2 import compose, yaw_from_quaternion
+from ...topology.se2 import compose, wrap, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
 from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
 from ..logs.recording import Recording
 from ..logs.scan_intake import ScanIntake, TimedScans
 from ..logs.scan_rows import Geometry, RawScans
-from .field_of_view import LaserNumbers
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 
@@ -37,6 +36,13 @@ FAR = (
 
 LONGEST_SWEEP_S = 1.0
 """A longer sweep is not believed: scanners turn at 5 Hz or faster."""
+
+MOST_LASERS = 64
+"""Lasers of a topic that are told apart, to bound memory: further ones count as the last one."""
+
+SAME_RAD = 0.5
+"""Scans in one frame whose middles look in directions that differ by less are of one laser: drivers
+add and drop some beams at the ends of a sweep, two lasers look far apart."""
 
 UNMOUNTED = np.array(NOWHERE_ELSE)
 
@@ -126,9 +132,9 @@ class ScanStream:
 
     def __iter__(self) -> Iterator[ScanBatch]:
         self.tally = tally = Tally()
-        numbers, last_ns = LaserNumbers(), dict[int, int]()
+        lasers, last_ns = list[tuple[str, float]](), dict[int, int]()
         for timed in self._decoded():
-            batch = self._batch(timed, numbers, last_ns)
+            batch = self._batch(timed, lasers, last_ns)
             if batch is not None:
                 last_ns[batch.laser] = int(batch.times_ns[-1])
                 tally.scans += len(batch)
@@ -168,16 +174,17 @@ class ScanStream:
         return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
 
     def _batch(
-        self, timed: TimedScans, numbers: LaserNumbers, last_ns: Mapping[int, int]
+        self, timed: TimedScans, lasers: list[tuple[str, float]], last_ns: Mapping[int, int]
     ) -> ScanBatch | None:
-        """The usable scans of a batch, None if there are none; last_ns: each laser's last time."""
+        """The usable scans of a batch, None if there are none; lasers: see `_number`; last_ns: each
+        laser's last time."""
         raw, tally = timed.scans, self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
         except _UnusableError as why:
             tally.left_out[str(why)] += len(raw.message)
             return None
-        laser = numbers.of(raw)
+        laser = _number(raw, angles, lasers)
         after_ns = last_ns.get(laser, -1)
         sweep_s = _sweep_s(raw.geometry, len(angles))
         times_ns = self._times(timed, sweep_s)
@@ -232,6 +239,18 @@ class ScanStream:
             return timed.log_ns - half
         shift = {"begin": half, "middle": 0, "end": -half}[self._stamp]
         return timed.scans.stamp_ns + shift
+
+
+def _number(raw: RawScans, angles: FloatArray, lasers: list[tuple[str, float]]) -> int:
+    """The number of the laser of these scans, from 0 on; lasers: frame and middle direction [rad]
+    of those seen before, added to."""
+    frame, middle = raw.geometry.frame, float(angles.mean()) + raw.geometry.pose[2]
+    for number, (known, direction) in enumerate(lasers):
+        if known == frame and (raw.blind or abs(wrap(middle - direction)) < SAME_RAD):
+            return number
+    if len(lasers) < MOST_LASERS:
+        lasers.append((frame, middle))
+    return len(lasers) - 1
 
 
 def _angles(raw: RawScans, tally: Tally) -> FloatArray:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 
-from ...topology.arrays import FloatArray, IntArray
+from ...topology.arrays import FloatArray
 from ...topology.closure.dead_reckoning import dead_reckoning
 from ...topology.closure.view_loops import view_loops
 from ...topology.matching.views import ViewIndex
@@ -19,7 +18,7 @@ from ...topology.odometry import Odometry
 from ...topology.passes import NO_BRANCH, Passes
 from ...topology.ragged import Ragged
 from ...topology.run import NOT_SEEN_AGAIN, Grid, ScanPasses, SeenAgain
-from ...topology.se2 import apply, compose, inverse, turned, turned_axes, wrap
+from ...topology.se2 import apply, compose, inverse, turned_axes, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import way_at
 from ...topology.views import (
@@ -32,6 +31,7 @@ from ...topology.views import (
     WALL,
     Views,
 )
+from ...topology.visits import Visits, in_map_frame
 from .junctions import Driven
 from .windows import Seen
 
@@ -84,7 +84,16 @@ def closed_by_views(
     closed, estimate = view_loops(reckoning, ViewIndex.of(views), way_at(odometry, times))
     loops, pose = closed.loops, np.round(estimate.pose, POSE_DIGITS)
     # Each node's pose tells how the frame of the odometry is to be moved there.
-    moved = _moved(odometry, times, views.pose[:, :2], pose, reckoning.piece)
+    visits = Visits(
+        time_ns=times,
+        vertex=np.arange(count),
+        seen=np.ones(count, bool),
+        pose=pose,
+        centre=views.pose[:, :2],
+        piece=reckoning.piece,
+    )
+    moved = in_map_frame(odometry, visits, pose[:, :2], odometry.time_ns, odometry.pose)
+    moved = np.where(np.isfinite(moved), moved, odometry.pose)
     placed = np.column_stack([pose[:, :2], wrap(views.pose[:, 2] + pose[:, 2])])
     back = turned_axes(pose[loops.second, 2])
     information = np.round(back @ loops.information @ back.transpose(0, 2, 1), INFORMATION_DIGITS)
@@ -98,33 +107,6 @@ def closed_by_views(
 POSE_DIGITS, INFORMATION_DIGITS = 6, 3
 """Decimals of poses [m, rad], and of the loops' information [1/m², 1/rad²], some hundreds: so that
 they do not depend on the order in which a processor adds."""
-
-
-def _moved(
-    odometry: Odometry, times: IntArray, place: FloatArray, pose: FloatArray, piece: IntArray
-) -> FloatArray:
-    """(n, 3) poses of the odometry, moved with the places (k, 2) that it passed at `times` (k,) to
-    where these are now, `pose` (k, 3), and interpolated in between by the distance driven."""
-    out = odometry.pose.copy()
-    cuts = [0, *odometry.breaks.tolist(), len(odometry)]
-    way, at = np.cumsum(odometry.step_m), way_at(odometry, times)
-    for number, (begin, end) in enumerate(pairwise(cuts)):
-        own = np.flatnonzero(piece == number)
-        if not len(own):
-            continue
-        rows = slice(begin, end)
-        before = np.clip(np.searchsorted(at[own], way[rows], side="right") - 1, 0, len(own) - 1)
-        after = np.minimum(before + 1, len(own) - 1)
-        one, two = own[before], own[after]
-        length = at[two] - at[one]
-        share = np.clip((way[rows] - at[one]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        turn = pose[one, 2] + share * wrap(pose[two, 2] - pose[one, 2])
-        xy = [
-            pose[k, :2] + turned(odometry.pose[rows, :2] - place[k], pose[k, 2]) for k in (one, two)
-        ]
-        out[rows, :2] = (1 - share)[:, None] * xy[0] + share[:, None] * xy[1]
-        out[rows, 2] = wrap(odometry.pose[rows, 2] + turn)
-    return out
 
 
 def grid_views(grid: Grid, along: FloatArray) -> Views:

@@ -78,7 +78,7 @@ class Drivable:
         return bool(self.cells[self.at(points)].all())
 
 
-def driven(raw: FloatArray, drivable: Drivable, reach_m: FloatArray) -> Way | None:
+def drivable_way(raw: FloatArray, drivable: Drivable, reach_m: FloatArray) -> Way | None:
     """The way along a line of the skeleton; None if a robot cannot drive it.
 
     raw: (k, 2) the line, from place to place; reach_m: (k,) distance from each of its points

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 
@@ -64,20 +64,16 @@ WINDOWS = WindowSettings()
 
 MOST_HELD = 800
 """Keyframes held for later windows, 50 kB each."""
-SHOWN_M = 4.0
-"""Distance from the centre of a window up to which its skeleton is kept for the picture."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Seen:
     """The contents of one window: its position [m driven], forks (variant, distance driven,
-    crossing), skeleton points (k, 2) near it, and the view (`topology.views`) from `place` (2,)
-    [m]."""
+    crossing), and the view (`topology.views`) from `place` (2,) [m]."""
 
     number: int
     way: float
     forks: tuple[tuple[int, float, Crossing], ...]
-    skeleton: FloatArray
     place: FloatArray
     view: NDArray[np.uint8]
 
@@ -167,9 +163,13 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     variants = WINDOWS.variants
     cell = WINDOWS.grid.cell_m
     half = round(WINDOWS.half_m / cell)
-    centre = held.at(middle)
-    masks, corner = _masks(held, middle, (centre, half), variants)
-    side = 2 * half + 1
+    # A view shows more than a window, but is made of the same.
+    around = _gathered(held, middle, WINDOWS.way_m, SIDE)
+    others = {variant.way_m for variant in variants} - {WINDOWS.way_m}
+    shown = {way_m: _gathered(held, middle, way_m, half) for way_m in others}
+    shown[WINDOWS.way_m] = around.inner(SIDE - half)
+    masks = _masks(shown, variants)
+    corner, side = shown[WINDOWS.way_m].corner, 2 * half + 1
     path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell)
     at = np.floor(path / cell).astype(np.int64) - corner
     at = at[((at >= 0) & (at < side)).all(axis=1)]
@@ -177,7 +177,6 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     span = _near(held, middle, 1.5 * WINDOWS.every_m)
     middles = (corner + 0.5) * cell
     forks: list[tuple[int, float, Crossing]] = []
-    skeleton: FloatArray = np.zeros((0, 2))
     for k, (variant, view) in enumerate(zip(variants, views, strict=True)):
         graph = traced(view.lines, variant.skeleton)
         nodes = [
@@ -194,21 +193,10 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
                 fork = crossing(graph, place, cell, variant.skeleton)
                 turn = bends(graph, fork, cell, variant.skeleton)
                 forks.append((k, found, replace(fork, xy=xy, bends=turn)))
-        if k == 0:
-            skeleton = np.asarray(graph.pixels[:, ::-1] * cell + middles, np.float64)
-            skeleton = skeleton[np.hypot(*(skeleton - centre).T) <= SHOWN_M]
-    skeleton = skeleton.astype(np.float32)
-    return Seen(number, middle, tuple(forks), skeleton, *_around(held, middle))
-
-
-def _around(held: _Rolling, middle: float) -> tuple[FloatArray, NDArray[np.uint8]]:
-    """The view around a position on the track, and the corner of the lattice that it is about."""
-    a, b = np.searchsorted(held.way, [middle - WINDOWS.way_m, middle + WINDOWS.way_m]).tolist()
-    rows = range(a, min(max(b, a + 1), len(held.way)))
-    # One cell more than a view has, as windows have a middle one.
-    window = gather(held.seen, rows, held.at(middle)[None], (held.at(middle), SIDE), WINDOWS.grid)
-    place = np.asarray((window.corner + SIDE) * WINDOWS.grid.cell_m, np.float64)
-    return place, view_cells(window.hit[:-1, :-1], window.free[:-1, :-1])
+    # One cell less than a window has, which has a middle one.
+    cells = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
+    corner_xy = np.asarray((around.corner + SIDE) * cell, np.float64)
+    return Seen(number, middle, tuple(forks), corner_xy, cells)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -233,7 +221,7 @@ def _views(
     open_ = np.zeros(clearance.shape, bool)
     for (mask, least_m), k in distinct.items():
         clearance[k, :side] = distances[mask]
-        open_[k, :side] = _driven(distances[mask] > least_m, at)
+        open_[k, :side] = _driven_through(distances[mask] > least_m, at)
     stacked = thin(open_.reshape(-1, side)).reshape(open_.shape)
     border = np.zeros((side + 1, side), bool)
     border[[0, side - 1]] = True
@@ -250,7 +238,7 @@ def _distances(mask: BoolArray, cell_m: float) -> FloatArray:
     return np.asarray(away, np.float64)[1:-1, 1:-1] * cell_m
 
 
-def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
+def _driven_through(open_: BoolArray, at: IntArray) -> BoolArray:
     """The components that contain cells `at` (c, 2), x and y."""
     labels, count = labelled(open_)
     mine = np.zeros(count + 1, bool)
@@ -259,29 +247,24 @@ def _driven(open_: BoolArray, at: IntArray) -> BoolArray:
     return np.asarray(mine[labels])
 
 
-def _masks(
-    held: _Rolling, middle: float, place: tuple[FloatArray, int], variants: tuple[Variant, ...]
-) -> tuple[list[BoolArray], IntArray]:
-    """Free space for every variant, the same array for those that differ in the skeleton only."""
-    gathered: dict[float, Window] = {}
-    known, inner = None, range(-1, -1)
-    for way_m in sorted({variant.way_m for variant in variants}):
-        begin, end = middle - way_m, middle + way_m
-        a, b = (int(k) for k in np.searchsorted(held.way, [begin, end]))
-        rows = range(a, min(max(b, a + 1), len(held.way)))
-        if inner.start < rows.start or inner.stop > rows.stop:
-            # A stretch without a keyframe is told by the next one, which lies beyond it.
-            known, inner = None, range(rows.start, rows.start)
-        beyond = [*range(rows.start, inner.start), *range(inner.stop, rows.stop)]
-        path = _dense(held, begin, end, variants[0].grid.cell_m)
-        known = gather(held.seen, beyond, path, place, variants[0].grid, known=known)
-        gathered[way_m], inner = known, rows
+def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
+    """What was seen on the way before and after a position, within `half` cells of it."""
+    begin, end = middle - way_m, middle + way_m
+    a, b = np.searchsorted(held.way, [begin, end]).tolist()
+    rows = range(a, min(max(b, a + 1), len(held.way)))
+    path = _dense(held, begin, end, WINDOWS.grid.cell_m)
+    return gather(held.seen, rows, path, (held.at(middle), half), WINDOWS.grid)
+
+
+def _masks(seen: Mapping[float, Window], variants: tuple[Variant, ...]) -> list[BoolArray]:
+    """Free space for every variant, the same array for those that differ in the skeleton only;
+    seen: by the way that a variant is made of."""
     made: dict[tuple[GridSettings, float], BoolArray] = {}
     for variant in variants:
         key = variant.grid, variant.way_m
         if key not in made:
-            made[key] = free_space(gathered[variant.way_m], variant.grid)
-    return [made[v.grid, v.way_m] for v in variants], gathered[variants[0].way_m].corner
+            made[key] = free_space(seen[variant.way_m], variant.grid)
+    return [made[v.grid, v.way_m] for v in variants]
 
 
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:

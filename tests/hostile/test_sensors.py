@@ -8,9 +8,8 @@ import logs_sensors
 import numpy as np
 import pytest
 
-from topobatch.ingest.coarse_grid import MOST_CELLS, lattice
 from topobatch.ingest.grid_log import GridLog
-from topobatch.ingest.grid_map import map_of_grid
+from topobatch.ingest.grid_map import MOST_CELLS, lattice, map_of_grid
 from topobatch.ingest.logs.clouds import MOST_POINTS, wire_cloud
 from topobatch.ingest.logs.messages import DamageError
 from topobatch.ingest.logs.recording import recording_at

@@ -16,7 +16,7 @@ from topobatch.ingest.junction_source import junction_source
 from topobatch.ingest.logs.messages import Channel
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map
-from topobatch.ingest.mounting import joined, mounting
+from topobatch.ingest.mounting import known_mounting, mounting
 from topobatch.ingest.read_settings import ReadSettings
 from topobatch.ingest.reading import inspect_log, read_log, read_run
 from topobatch.simulation import (
@@ -195,7 +195,7 @@ def test_the_mounting_is_found_in_the_log(tmp_path: Path, upside_down: bool) -> 
     )
     simulated = scenario(junctions_per_run=5, laser=laser).simulated[0]
     recording = recording_at(write_run(tmp_path, simulated))
-    where = joined(recording, {"laser"}, simulated.run.odometry.child_frame)
+    where = known_mounting(recording, {"laser"}, simulated.run.odometry.child_frame)
     assert where.knows({"laser"})
     found, told = mounting(where, {"laser"}, ReadSettings())
     assert told == []
@@ -214,7 +214,7 @@ def test_a_mounting_that_nobody_tells_is_assumed_and_said(
             tmp_path / "x.mcap", [("/scan", sensors.SCAN, 1, sensors.scan([1, 2, 3, 4, 5]))]
         )
     )
-    where = joined(log, {"laser"}, "base_link")
+    where = known_mounting(log, {"laser"}, "base_link")
     found, (told,) = mounting(where, {"laser"}, ReadSettings(), lambda _: None)
     assert "'laser'" in told
     assert "--laser-pose" in told
@@ -224,7 +224,7 @@ def test_a_mounting_that_nobody_tells_is_assumed_and_said(
     mount = named.of("anything")
     assert mount is not None
     np.testing.assert_allclose(mount[[0, 1, 5]], (1.0, 2.0, np.sin(0.25)))
-    alone, (told_alone,) = mounting(joined(log, {"laser"}, None), {"laser"}, ReadSettings())
+    alone, (told_alone,) = mounting(known_mounting(log, {"laser"}, None), {"laser"}, ReadSettings())
     assert "no odometry to tell: if it is upside down, the map is a mirror image" in told_alone
     assert alone.of("laser") is not None
     with pytest.raises(UsageError, match="--laser-pose"):

@@ -262,7 +262,7 @@ def scanned_there_and_back(off_m):
     )
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
     noise = RunNoise(along_m_per_sqrt_m=0.005, heading_rad_per_sqrt_m=0.002)
-    return Run("scans", odometry, none, scanned=Scanned(passes, noise))
+    return Run("scans", odometry, none, scanned=Scanned(passes, noise, 6.0))
 
 
 def test_what_scans_show_otherwise_at_one_place_is_one_place_in_doubt():

@@ -9,9 +9,10 @@ import pytest
 
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Anchored, Scanned, ScanPasses, ScanPicture
+from topobatch.topology.run import Scanned, ScanPasses
 from topobatch.topology.se2 import apply
 from topobatch.topology.topomap import TopoMap
+from topobatch.topology.views import CELL_M, SIDE, WALL, Views
 from topobatch.viz import scan_layers
 from topobatch.viz.map_recording import write_map_recording
 
@@ -20,13 +21,21 @@ from .readback import Readback
 Make = Callable[..., TopoMap]
 Drive = Callable[[TopoMap], Odometry]
 
-LEFT = [(0.0, 1.0), (0.03, 1.02), (0.5, 1.0)]
-"""Points of a wall on the robot's left, the second in the cell of the first."""
+LEFT = [(0.1, 1.1), (0.5, 1.1)]
+"""Middles of the cells of a wall on the robot's left, in every view."""
 
 
-def scanned(topomap: TopoMap, odometry: Odometry, picture: bool = True) -> Scanned:
-    """A junction for each but the last of the map's observations, and the same three points of a
-    wall at every hundredth pose."""
+def seen_walls(topomap: TopoMap, odometry: Odometry) -> TopoMap:
+    """The map with a view at every tenth pose, each with the wall on the left."""
+    pose = odometry.pose[::10]
+    cells = np.zeros((len(pose), SIDE, SIDE), np.uint8)
+    column, row = (np.array(LEFT) / CELL_M + SIDE / 2).astype(int).T
+    cells[:, row, column] = WALL
+    return replace(topomap, views=Views(odometry.time_ns[::10], pose, cells))
+
+
+def scanned(topomap: TopoMap) -> Scanned:
+    """A junction for each but the last of the map's observations."""
     time_ns = topomap.observation_time_ns[:-1]
     p = len(time_ns)
     branches = Ragged.from_rows([[0.0, 1.5, 3.0]] * p)
@@ -42,43 +51,36 @@ def scanned(topomap: TopoMap, odometry: Odometry, picture: bool = True) -> Scann
         clearance_m=np.ones(p),
         shared_m=np.zeros(p),
     )
-    anchor_ns = odometry.time_ns[::100]
-    k = len(anchor_ns)
-    points = Anchored(
-        anchor_ns, np.repeat(np.arange(k), 3), np.tile(LEFT, (k, 1)).astype(np.float32)
-    )
-    return Scanned(passes, topomap.noise, ScanPicture(points, points, 6.0) if picture else None)
+    return Scanned(passes, topomap.noise, 6.0)
 
 
-def recorded(
-    path: Path, topomap: TopoMap, odometry: Odometry, picture: bool = True
-) -> tuple[Scanned, Readback]:
+def recorded(path: Path, topomap: TopoMap, odometry: Odometry) -> tuple[Scanned, Readback]:
     """What was seen, and the recording of it."""
-    found = scanned(topomap, odometry, picture)
+    found = scanned(topomap)
     write_map_recording(path, topomap, odometry=odometry, scanned=found)
     return found, Readback(path)
 
 
-def test_scans_lie_where_the_corrected_odometry_puts_them(
+def test_walls_lie_where_the_views_of_the_map_are(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     odometry = drive(topomap)
-    found, got = recorded(tmp_path / "a.rrd", topomap, odometry)
+    topomap = seen_walls(topomap, odometry)
+    _, got = recorded(tmp_path / "a.rrd", topomap, odometry)
     walls = np.array(
         [at for row in got.rows("/map/scans/walls", "Points2D:positions") for at in row]
     )
-    pose = odometry.at(found.picture.walls.anchor_ns)
-    wanted = apply(np.repeat(pose, 3, axis=0), np.tile(LEFT, (len(pose), 1)))
+    pose = topomap.views.pose
+    wanted = apply(np.repeat(pose, 2, axis=0), np.tile(LEFT, (len(pose), 1)))
     off = np.hypot(*(walls[:, None] - wanted).transpose(2, 0, 1))
     assert off.min(axis=1).max() < 0.25
     assert off.min(axis=0).max() < 0.25
-    cells = np.round(walls / 0.1 - 0.5).astype(int)
+    cells = np.round(walls / CELL_M - 0.5).astype(int)
     assert len(np.unique(cells, axis=0)) == len(cells) < len(wanted)
     times = got.times("/map/scans/walls", "message_log_time")
     assert np.all(np.diff(times) >= 0)
-    assert set(times.tolist()) <= set(found.picture.walls.anchor_ns.tolist())
-    assert len(got.value("/map/scans/skeleton", "Points2D:positions")) == len(wanted)
+    assert set(times.tolist()) <= set(topomap.views.time_ns.tolist())
 
 
 def test_junctions_tell_their_confidence_and_their_window(
@@ -113,10 +115,10 @@ def test_junctions_tell_their_confidence_and_their_window(
     assert f"**{len(topomap) - 1}** vert" in summary
 
 
-def test_without_a_picture_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
+def test_without_scans_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
     topomap = make_map("run1")
-    _, got = recorded(tmp_path / "a.rrd", topomap, drive(topomap), picture=False)
-    assert not [entity for entity in got.entities if "scans" in entity]
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=drive(topomap))
+    assert not [entity for entity in Readback(tmp_path / "a.rrd").entities if "scans" in entity]
 
 
 def test_many_walls_are_drawn_by_larger_cells(
@@ -126,13 +128,12 @@ def test_many_walls_are_drawn_by_larger_cells(
 
     topomap = make_map("run1")
     odometry = drive(topomap)
+    topomap = seen_walls(topomap, odometry)
     track = robot_track(topomap, odometry)
     assert track is not None
-    found = scanned(topomap, odometry)
+    found = scanned(topomap)
     fine = scan_layers.scan_layers(found, topomap, odometry, track)
-    assert fine is not None
     monkeypatch.setattr(scan_layers, "MOST_CELLS", len(fine.walls) - 1)
     coarse = scan_layers.scan_layers(found, topomap, odometry, track)
-    assert coarse is not None
-    assert (fine.cell_m, coarse.cell_m) == (0.1, 0.2)
+    assert (fine.cell_m, coarse.cell_m) == (CELL_M, 2 * CELL_M)
     assert 0 < len(coarse.walls) < len(fine.walls)

@@ -14,7 +14,6 @@ import pytest
 from topobatch.ingest.logs import intake, pose_wire
 from topobatch.ingest.logs.messages import several_that
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
-from topobatch.ingest.sightings import SightingSettings
 from topobatch.topology.errors import LogError
 
 WRITERS = {
@@ -258,15 +257,15 @@ def test_pages_give_what_the_library_gives(logs, tmp_path):
     assert counts == {"/camera": 14, "/junctions": 30, "/odom": 300}
 
 
-def test_rows_too_large_for_a_page_are_read(logs, tmp_path):
+def test_rows_too_large_for_a_page_are_read(logs, tmp_path, monkeypatch):
     messages = logs.drive()
     many = tuple(logs.yaw_pose(0.5, 0.125, 0.05 * k) for k in range(100))
     messages = [
         replace(m, poses=many) if m.topic == "/junctions" and k < 100 else m
         for k, m in enumerate(messages)
     ]
-    settings = ReadSettings(sightings=SightingSettings(max_branches=200))
-    run = read_run(logs.ros2_folder(tmp_path / "run", messages), settings)
+    monkeypatch.setattr("topobatch.ingest.sightings.MAX_BRANCHES", 200)
+    run = read_run(logs.ros2_folder(tmp_path / "run", messages))
     assert run.detections.branches.counts.tolist()[:9] == [100] * 9
     assert len(run.detections) == 30
 

@@ -10,11 +10,9 @@ import pytest
 
 from topobatch.ingest.odometry.calibration import (
     Calibration,
-    CalibrationSettings,
     apply_calibration,
     calibrate,
 )
-from topobatch.ingest.odometry.heading_evidence import EvidenceSettings
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
@@ -140,7 +138,6 @@ def test_poor_data_change_nothing() -> None:
         detections.time_ns[:3], detections.centre[:3], detections.branches.take([0, 1, 2])
     )
     assert calibrate(truth, few).applied == (0, 0, 0)
-    assert calibrate(truth, detections, CalibrationSettings(rounds=0)) == Calibration()
 
 
 @pytest.mark.parametrize("world", ["maze", "organic"])
@@ -164,13 +161,3 @@ def test_a_real_robot_is_straightened() -> None:
     found = calibrate(run.odometry, run.detections)
     assert found.bias_rad_per_m == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
     assert off(apply_calibration(run.odometry, found), true) < 0.4 * off(run.odometry, true)
-
-
-def test_thinned_evidence_tells_the_same_less_surely() -> None:
-    truth, detections = drive(5)
-    recorded = spoil(truth, 5, bias=0.05)
-    whole = calibrate(recorded, detections)
-    few = CalibrationSettings(evidence=EvidenceSettings(most_passes=25))
-    thinned = calibrate(recorded, detections, few)
-    assert thinned.bias_rad_per_m == pytest.approx(0.05, abs=0.005)
-    assert thinned.sigma[0] > whole.sigma[0]

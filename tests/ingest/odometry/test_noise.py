@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
-from topobatch.ingest.odometry.noise import NoiseSettings, estimate_noise, refine_noise
+from topobatch.ingest.odometry.noise import NOISE, estimate_noise, refine_noise
 from topobatch.ingest.passes import fuse_passes, no_passes
 from topobatch.simulation import (
     DRIFTS,
@@ -91,7 +91,7 @@ def test_rates_come_from_repeated_passes(faults: str) -> None:
 def test_a_run_without_passes_has_the_usual_noise() -> None:
     run = simulated("maze", "low", "none", 3).runs["run1"]
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    assert estimate_noise(run.odometry, none, no_passes()) == NoiseSettings().prior
+    assert estimate_noise(run.odometry, none, no_passes()) == NOISE.prior
     nothing = np.zeros(0, np.int64)
     refined = refine_noise(no_passes(), nothing, np.zeros(0), RunNoise())
     assert asdict(refined) == pytest.approx(asdict(RunNoise()))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.odometry.plausible import check_plausible
+from topobatch.ingest.odometry.reading import check_plausible
 from topobatch.topology.errors import LogError
 from topobatch.topology.odometry import Odometry
 

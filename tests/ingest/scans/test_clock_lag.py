@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.clock_lag import LaggingError, OtherClockError, clock_lag
 from topobatch.ingest.scans.detection import detect
+from topobatch.ingest.scans.turns import LaggingError, OtherClockError, clock_lag
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.se2 import wrap
 

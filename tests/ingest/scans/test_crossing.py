@@ -17,7 +17,7 @@ from topobatch.ingest.scans.crossing import (
     placed,
 )
 from topobatch.ingest.scans.skeleton import Node, SkeletonGraph, SkeletonSettings, thin, traced
-from topobatch.ingest.scans.skeleton_lines import lines_of
+from topobatch.ingest.scans.skeleton_lines import Lines, lines_of
 from topobatch.topology.se2 import wrap
 
 CELL = 0.1
@@ -36,11 +36,17 @@ def corridors(*headings_deg: float, wave_m: float = 0.0) -> np.ndarray:
     return free
 
 
+def skeleton_of(clearance: np.ndarray) -> Lines:
+    """The lines of a skeleton, given the distance from walls; the ways lead to the outline."""
+    border = np.pad(np.zeros(np.array(clearance.shape) - 2, bool), 1, constant_values=True)
+    return lines_of(thin(clearance > SkeletonSettings().clearance_m), clearance, CELL, border)
+
+
 def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node, np.ndarray]:
     """The skeleton of a grid with one junction, its node, and the distance from walls."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
-    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
+    graph = traced(skeleton_of(clearance), settings)
     (node,) = graph.nodes
     return graph, node, clearance
 
@@ -90,7 +96,7 @@ def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
     """Nodes of the skeleton of a grid, and what places they are."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
-    graph = traced(lines_of(thin(clearance > settings.clearance_m), clearance, CELL), settings)
+    graph = traced(skeleton_of(clearance), settings)
     numbers = range(len(graph.nodes))
     found = crossings(graph, numbers, clearance, CELL, settings).places.values()
     return len(numbers), [crossing(graph, node, CELL, settings) for node in found]

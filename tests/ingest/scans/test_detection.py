@@ -207,21 +207,6 @@ def test_scans_of_another_time() -> None:
         detect(ROUND, [late])
 
 
-def test_picture_hangs_on_the_track() -> None:
-    picture = found().scanned.picture
-    for layer in (picture.walls, picture.skeleton):
-        assert len(layer) > 100
-        assert layer.anchor.max() < len(layer.anchor_ns)
-    pose = found().odometry.at(picture.skeleton.anchor_ns)[picture.skeleton.anchor]
-    points = apply(pose, picture.skeleton.xy)
-    truth = apply(
-        ROUND.at(picture.skeleton.anchor_ns)[picture.skeleton.anchor], picture.skeleton.xy
-    )
-    free = np.array([RING.free[tuple(((p - RING.corner) / 0.02).astype(int)[::-1])] for p in truth])
-    assert np.isfinite(points).all()
-    assert free.mean() > 0.95
-
-
 def test_turning_on_the_spot_for_long_holds_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("topobatch.ingest.scans.windows.MOST_HELD", 40)
     spins = [(0.0, 0.0), (4.0, 0.0)]

@@ -127,9 +127,3 @@ def test_nothing_free() -> None:
     assert skeleton_graph(np.zeros((20, 30), bool), CELL) == Floorplan((), ())
     assert skeleton_graph(np.zeros((0, 0), bool), CELL) == Floorplan((), ())
     assert skeleton_graph(grid((10, 10, 12, 12)), CELL) == Floorplan((), ())
-
-
-@pytest.mark.parametrize(("free", "cell"), [(np.ones(5, bool), 0.1), (CROSS, 0.0), (CROSS, -1.0)])
-def test_wrong_grids_are_refused(free: np.ndarray, cell: float) -> None:
-    with pytest.raises(ValueError, match="two dimensions and a positive resolution"):
-        skeleton_graph(free, cell)

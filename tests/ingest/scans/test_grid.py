@@ -29,7 +29,7 @@ def test_beams_without_an_echo_are_free_as_far_as_walls_beside_them_unless_they_
     batch = ScanBatch(TIME_NS, ranges, 8.0, WHOLE_TURN)
     frames = join(list(keyframes(posed(odometry, [batch]))))
     seen = looks(frames, MIDDLE)
-    assert len(seen) == 6
+    assert len(seen.corner) == 6
     ahead = np.round([2 * np.cos(WHOLE_TURN[115]) / 0.1, 2 * np.sin(WHOLE_TURN[115]) / 0.1])
     x, y = ahead.astype(int) + seen.free.shape[1] // 2
     assert (seen.free[:, y, x] == free).all()

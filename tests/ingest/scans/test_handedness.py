@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.scans.detection import detect
-from topobatch.ingest.scans.handedness import MirroredError
 from topobatch.ingest.scans.scan import ScanBatch
+from topobatch.ingest.scans.turns import MirroredError
 from topobatch.topology.errors import DataError
 from topobatch.topology.se2 import between, compose
 
@@ -37,5 +37,5 @@ def test_what_fits_neither_way_up_is_refused() -> None:
     pose = [ROUND.pose[0]]
     for each in step:
         pose.append(compose(pose[-1], each))
-    with pytest.raises(DataError, match="neither those of a laser upright nor upside down"):
+    with pytest.raises(DataError, match="do not turn when the odometry does"):
         detect(replace(ROUND, pose=np.array(pose)), [scans(RING, ROUND)])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from topobatch.ingest.run_scans import Occupancy
 from topobatch.ingest.scans.keyframes import join, keyframes
 from topobatch.ingest.scans.matching import posed
-from topobatch.ingest.scans.occupancy import Occupancy
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.topology.columns import take
 from topobatch.topology.se2 import compose

@@ -40,8 +40,8 @@ def matched(noise_m: float, seed: int) -> Aligned:
 
 def variance(found: Aligned, first: np.ndarray, last: np.ndarray) -> np.ndarray:
     """Of turns, patches taken as independent."""
-    turns = found.scatter.headings(found.pose, first, last)
-    return np.asarray(turns.walls / (1 - turns.absorbed) + turns.odometry)
+    walls, absorbed, odometry, *_ = found.scatter.headings(found.pose, first, last)
+    return np.asarray(walls / (1 - absorbed) + odometry)
 
 
 @pytest.mark.parametrize("noise_m", [0.02])

@@ -30,12 +30,12 @@ def lattice(ways: int, cells: int) -> np.ndarray:
 )
 def test_noise_is_told_from_a_large_building(ways, cells, said):
     skeleton = lattice(ways, cells)
-    clearance = np.ones(skeleton.shape, np.float32)
+    clearance, border = np.ones(skeleton.shape, np.float32), np.zeros(skeleton.shape, bool)
     if said:
         with pytest.raises(DataError, match=said):
-            lines_of(skeleton, clearance, 0.1)
+            lines_of(skeleton, clearance, 0.1, border)
         return
-    lines = lines_of(skeleton, clearance, 0.1)
+    lines = lines_of(skeleton, clearance, 0.1, border)
     assert abs(len(lines.length_m) - 1 - ways) < 0.05 * ways
     # Between crossings, and into both.
     assert np.median(lines.length_m[1:]) == pytest.approx(0.1 * (cells + 1))

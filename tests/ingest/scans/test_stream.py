@@ -286,8 +286,8 @@ def test_a_wall_is_as_straight_in_slices_of_sparse_clouds(apart_deg: float) -> N
 
 @pytest.mark.parametrize("told", [INF, -INF, NAN, 1e300])
 def test_scans_of_absurd_geometries_look_nowhere_without_a_warning(told: float) -> None:
+    from topobatch.ingest.lasers import directions
     from topobatch.ingest.logs.scan_rows import Geometry, RawScans
-    from topobatch.ingest.scans.field_of_view import directions
 
     none = np.zeros(1, np.int64)
     for geometry in (Geometry("l", told, 0.1), Geometry("l", 0.0, told)):

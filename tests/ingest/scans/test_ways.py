@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from topobatch.ingest.scans.open_space import open_space
-from topobatch.ingest.scans.ways import Drivable, driven
+from topobatch.ingest.scans.ways import Drivable, drivable_way
 from topobatch.topology.polyline import densely
 
 CELL = 0.05
@@ -25,7 +25,7 @@ REACH = np.full(len(ALONG), 1.5)
 
 def test_an_obstacle_is_driven_round() -> None:
     drivable = corridor((20, 140, 45, 160))
-    way = driven(ALONG, drivable, REACH)
+    way = drivable_way(ALONG, drivable, REACH)
     assert way is not None
     points = densely(way.path, 0.01) / CELL
     # A box of 1 m: the robot keeps its radius from it, up to a cell.
@@ -36,7 +36,7 @@ def test_an_obstacle_is_driven_round() -> None:
 
 
 def test_what_closes_the_corridor_is_not_driven_through() -> None:
-    assert driven(ALONG, corridor((0, 140, 55, 160)), REACH) is None
+    assert drivable_way(ALONG, corridor((0, 140, 55, 160)), REACH) is None
 
 
 def test_a_place_in_an_obstacle_is_moved_out_of_it() -> None:
