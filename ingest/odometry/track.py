@@ -101,20 +101,42 @@ def _forward(
 ) -> tuple[IntArray, FloatArray]:
     """Drop what was recorded after the clock was set back, until it has caught up.
 
-    Sorting would interleave two parts of the drive.
+    Sorting would interleave two parts of the drive. A part that fills a gap is kept: the log was
+    then not written in the order of time.
     """
     starts, ends = _behind(time_ns)
     jumps = time_ns[ends - 1] - time_ns[starts] >= TRACK.backward_min_s * SECOND_NS
     if not jumps.any():
         return time_ns, pose
+    starts, ends = starts[jumps], ends[jumps]
+    woven = ~_fills_gaps(time_ns, starts, ends)
     keep = np.ones(len(time_ns), bool)
-    for start, end in zip(starts[jumps].tolist(), ends[jumps].tolist(), strict=True):
+    for start, end in zip(starts[woven].tolist(), ends[woven].tolist(), strict=True):
         keep[start:end] = False
-    warnings.append(
-        f"the clock goes back {times(int(jumps.sum()))}; {int((~keep).sum())} odometry messages "
-        "until it catches up were dropped"
-    )
+    if woven.any():
+        warnings.append(
+            f"the clock goes back {times(int(woven.sum()))}; {int((~keep).sum())} odometry "
+            "messages until it catches up were dropped"
+        )
     return time_ns[keep], pose[keep]
+
+
+def _fills_gaps(time_ns: IntArray, starts: IntArray, ends: IntArray) -> BoolArray:
+    """Whether rows [start, end) lie between two others in time, without a gap to either.
+
+    It is unlikely of a clock that was set back. O(n log n).
+    """
+    order = np.argsort(time_ns, kind="stable")
+    place = np.empty(len(order), np.int64)
+    place[order] = np.arange(len(order))
+    step = np.diff(time_ns[order], prepend=time_ns[order[0]], append=time_ns[order[-1]])
+    near = step <= TRACK.gap_min_s * SECOND_NS
+    fills = np.zeros(len(starts), bool)
+    for k, (start, end) in enumerate(zip(starts.tolist(), ends.tolist(), strict=True)):
+        first, last = int(place[start:end].min()), int(place[start:end].max())
+        alone = last - first == end - start - 1
+        fills[k] = alone and near[first] and near[last + 1]
+    return fills
 
 
 def _in_order(

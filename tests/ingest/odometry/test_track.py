@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -58,6 +59,17 @@ def test_a_clock_set_back_does_not_weave_two_stretches():
     assert "clock goes back once; 149 odometry messages" in result.warnings[0]
     assert len(result.odometry) == 350
     assert np.all(np.diff(result.odometry.pose[:, 0]) > 0)
+
+
+@pytest.mark.parametrize("stretches", [(1, 0), (2, 0, 3, 1)])
+def test_a_log_written_out_of_order_loses_nothing(stretches):
+    """Only a clock that was set back weaves two stretches into each other."""
+    time, pose = straight(100 * len(stretches))
+    rows = np.concatenate([np.arange(100 * k, 100 * k + 100) for k in stretches])
+    result = track(time[rows], pose[rows])
+    assert result.odometry.time_ns.tolist() == time.tolist()
+    assert result.odometry.pose.tolist() == pose.tolist()
+    assert [text for text in result.warnings if "out of order" not in text] == []
 
 
 def test_a_teleport_farther_than_the_robot_drives_breaks_the_chain():
