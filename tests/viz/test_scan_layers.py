@@ -10,9 +10,7 @@ import pytest
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Anchored, Scanned, ScanPasses, ScanPicture
-from topobatch.topology.se2 import apply
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import scan_layers
 from topobatch.viz.map_recording import write_map_recording
 
 from .readback import Readback
@@ -59,28 +57,6 @@ def recorded(
     return found, Readback(path)
 
 
-def test_scans_lie_where_the_corrected_odometry_puts_them(
-    tmp_path: Path, make_map: Make, drive: Drive
-) -> None:
-    topomap = make_map("run1", (2.0, 1.0, 0.5))
-    odometry = drive(topomap)
-    found, got = recorded(tmp_path / "a.rrd", topomap, odometry)
-    walls = np.array(
-        [at for row in got.rows("/map/scans/walls", "Points2D:positions") for at in row]
-    )
-    pose = odometry.at(found.picture.walls.anchor_ns)
-    wanted = apply(np.repeat(pose, 3, axis=0), np.tile(LEFT, (len(pose), 1)))
-    off = np.hypot(*(walls[:, None] - wanted).transpose(2, 0, 1))
-    assert off.min(axis=1).max() < 0.25
-    assert off.min(axis=0).max() < 0.25
-    cells = np.round(walls / 0.1 - 0.5).astype(int)
-    assert len(np.unique(cells, axis=0)) == len(cells) < len(wanted)
-    times = got.times("/map/scans/walls", "message_log_time")
-    assert np.all(np.diff(times) >= 0)
-    assert set(times.tolist()) <= set(found.picture.walls.anchor_ns.tolist())
-    assert len(got.value("/map/scans/skeleton", "Points2D:positions")) == len(wanted)
-
-
 def test_junctions_tell_their_confidence_and_their_window(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
@@ -111,28 +87,3 @@ def test_junctions_tell_their_confidence_and_their_window(
     (summary,) = got.value("/summary", "TextDocument:text")
     assert "walls that the laser saw" in summary
     assert f"**{len(topomap) - 1}** vert" in summary
-
-
-def test_without_a_picture_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
-    topomap = make_map("run1")
-    _, got = recorded(tmp_path / "a.rrd", topomap, drive(topomap), picture=False)
-    assert not [entity for entity in got.entities if "scans" in entity]
-
-
-def test_many_walls_are_drawn_by_larger_cells(
-    make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from topobatch.viz.robot_track import robot_track
-
-    topomap = make_map("run1")
-    odometry = drive(topomap)
-    track = robot_track(topomap, odometry)
-    assert track is not None
-    found = scanned(topomap, odometry)
-    fine = scan_layers.scan_layers(found, topomap, odometry, track)
-    assert fine is not None
-    monkeypatch.setattr(scan_layers, "MOST_CELLS", len(fine.walls) - 1)
-    coarse = scan_layers.scan_layers(found, topomap, odometry, track)
-    assert coarse is not None
-    assert (fine.cell_m, coarse.cell_m) == (0.1, 0.2)
-    assert 0 < len(coarse.walls) < len(fine.walls)

@@ -10,11 +10,9 @@ import pytest
 
 from topobatch.ingest.odometry.calibration import (
     Calibration,
-    CalibrationSettings,
     apply_calibration,
     calibrate,
 )
-from topobatch.ingest.odometry.heading_evidence import EvidenceSettings
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
@@ -114,12 +112,6 @@ def test_where_there_is_no_error_none_is_taken_out(bend: float) -> None:
     assert off(apply_calibration(recorded, found), truth) < off(recorded, truth) + 0.15
 
 
-def test_a_bias_shows_without_right_angles_too() -> None:
-    truth, detections = drive(0, bend=0.5)
-    found = calibrate(spoil(truth, 0, bias=0.05), detections)
-    assert abs(found.bias_rad_per_m - 0.05) < 0.005
-
-
 def test_result_does_not_depend_on_the_frame() -> None:
     truth, detections = drive(2, legs=30)
     recorded = spoil(truth, 2, bias=0.04)
@@ -132,29 +124,6 @@ def test_result_does_not_depend_on_the_frame() -> None:
     np.testing.assert_allclose(here.applied, there.applied, atol=1e-4)
 
 
-def test_poor_data_change_nothing() -> None:
-    truth, detections = drive(4, legs=6)
-    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    assert calibrate(truth, none) == Calibration()
-    few = Detections(
-        detections.time_ns[:3], detections.centre[:3], detections.branches.take([0, 1, 2])
-    )
-    assert calibrate(truth, few).applied == (0, 0, 0)
-    assert calibrate(truth, detections, CalibrationSettings(rounds=0)) == Calibration()
-
-
-@pytest.mark.parametrize("world", ["maze", "organic"])
-def test_sparse_odometry_is_not_mistaken_for_a_wrong_scale_of_turns(world: str) -> None:
-    scenario = simulate_scenario(
-        ScenarioSettings(world, 1, junctions_per_run=60, drift="low", faults="mild", seed=4)
-    )
-    run = scenario.runs["run1"]
-    dense = run.odometry
-    sparse = Odometry(dense.time_ns[::20], dense.pose[::20], np.zeros(0, np.int64))
-    found = calibrate(sparse, run.detections)
-    assert found.applied == (0, 0, 0)
-
-
 def test_a_real_robot_is_straightened() -> None:
     scenario = simulate_scenario(
         ScenarioSettings("maze", 1, junctions_per_run=50, drift="real", faults="mild", seed=1)
@@ -164,13 +133,3 @@ def test_a_real_robot_is_straightened() -> None:
     found = calibrate(run.odometry, run.detections)
     assert found.bias_rad_per_m == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
     assert off(apply_calibration(run.odometry, found), true) < 0.4 * off(run.odometry, true)
-
-
-def test_thinned_evidence_tells_the_same_less_surely() -> None:
-    truth, detections = drive(5)
-    recorded = spoil(truth, 5, bias=0.05)
-    whole = calibrate(recorded, detections)
-    few = CalibrationSettings(evidence=EvidenceSettings(most_passes=25))
-    thinned = calibrate(recorded, detections, few)
-    assert thinned.bias_rad_per_m == pytest.approx(0.05, abs=0.005)
-    assert thinned.sigma[0] > whole.sigma[0]

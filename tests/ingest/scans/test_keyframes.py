@@ -5,32 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.keyframes import KEYFRAMES, in_order, keyframes, raster
-from topobatch.ingest.scans.matching import posed
 from topobatch.ingest.scans.scan import ScanBatch
-
-from .building import RING, drive, parts, scans
-
-FINEST = KEYFRAMES.raster_rad
-
-
-def test_uneven_beams_go_to_the_nearest_place() -> None:
-    uneven = np.sort(np.random.default_rng(3).uniform(-1.5, 1.5, 700))
-    columns, start, step = raster(uneven, FINEST)
-    off = np.abs(uneven[columns] - (start + step * np.arange(len(columns))))
-    assert off.max() < 2 * np.diff(uneven).max()
-
-
-def test_keyframes_of_two_lasers_come_by_time() -> None:
-    truth = drive((0, 0), (8, 0))
-    front, back = scans(RING, truth), scans(RING, truth, mount=np.array([-0.3, 0.0, np.pi]))
-    mixed = [b for pair in zip(parts(front, 7), parts(back, 7), strict=True) for b in pair]
-    chunks = list(in_order(keyframes(posed(truth, mixed)), 10))
-    assert all(len(chunk) == 10 for chunk in chunks[:-1])
-    times = np.concatenate([chunk.time_ns for chunk in chunks])
-    assert (np.diff(times) >= 0).all()
-    single = sum(len(k) for k in keyframes(posed(truth, [front])))
-    assert len(times) == 2 * single
 
 
 @pytest.mark.parametrize(
@@ -55,10 +30,3 @@ def test_batches_are_checked_at_birth(change: dict[str, object], message: str) -
     ScanBatch(**good)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=message):
         ScanBatch(**(good | change))  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize("angles", [np.zeros(0), np.zeros(1), np.zeros(3)])
-def test_hardly_any_beams(angles: np.ndarray) -> None:
-    columns, _, step = raster(angles, FINEST)
-    assert len(columns) <= 1
-    assert step > 0
