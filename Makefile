@@ -73,7 +73,6 @@ bench: $(VENV)/.ready  ## the long suites: slow tests and every benchmark
 	done
 
 attack: $(VENV)/.ready  ## thousands of hostile logs, documents, kills and races (some 40 minutes)
-	$(BIN)/python tests/hostile/sweep.py
 	$(BIN)/python tests/hostile/attack.py
 
 # Releases younger than a week are passed over: bad ones are mostly found by then.

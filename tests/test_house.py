@@ -126,21 +126,6 @@ def test_folders_of_a_package_stand_on_each_other_one_way() -> None:
             assert inner <= {folder, *others}, f"{path} imports from {inner}"
 
 
-def test_closure_and_both_methods_of_merging_stand_on_one_matching() -> None:
-    """What is the same in them is stated there; it knows none of them."""
-    matching = ("topology", "matching")
-    wanted = {
-        "topology/closure": {"likelihood", "branches"},
-        "merge/robust": {"likelihood", "branches"},
-        "merge/paper": {"structure", "correspondence", "association"},
-    }
-    for room, parts in wanted.items():
-        used = {target for path in modules(room) for target in imported(path)}
-        assert {target[2] for target in used if target[:2] == matching} >= parts, room
-    inside = {target for path in modules("topology/matching") for target in imported(path)}
-    assert (*matching, "branches") in inside
-
-
 def test_nothing_is_there_that_only_tests_use() -> None:
     """By vulture's reckoning; benchmarks count as use."""
     done = subprocess.run(
@@ -255,12 +240,6 @@ def test_the_architecture_names_what_is_there() -> None:
         assert f"class {settings}" in code, settings
 
 
-def test_nothing_else_at_the_root_is_python() -> None:
-    assert [p.name for p in ROOT.glob("*.py")] == ["__init__.py"]
-    folders = {p.parent.name for p in ROOT.glob("*/*.py") if not p.parent.name.startswith(".")}
-    assert folders <= {*PACKAGES, "tests", "benchmarks"}
-
-
 @pytest.mark.parametrize("package", [p for p in PACKAGES if p != "cli"])
 def test_only_the_command_line_prints_or_exits(package: str) -> None:
     for path in modules(package):
@@ -291,15 +270,6 @@ def test_every_module_is_below_a_declared_package() -> None:
         for path in modules(package):
             dotted = ".".join(("topobatch", *path.relative_to(ROOT).parent.parts))
             assert dotted in declared, f"{path} would not be installed"
-
-
-def test_the_version_is_that_of_the_project() -> None:
-    import tomllib
-
-    import topobatch
-
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    assert topobatch.__version__ == project["version"]
 
 
 def locked_versions(name: str) -> dict[str, list[str]]:

@@ -6,7 +6,6 @@ import json
 import re
 import shlex
 import sys
-from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -15,7 +14,6 @@ import numpy as np
 import pytest
 
 from topobatch.simulation import ScenarioSettings, simulate_scenario
-from topobatch.simulation.writing import write_run
 
 PAGE = (Path(__file__).parents[2] / "docs" / "detections.md").read_text()
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -262,70 +260,6 @@ def test_an_example_reads_what_the_detector_saw(topobatch, run, tmp_path, title)
     assert found.branches.counts.tolist() == expected.branches.counts.tolist()
     turned = np.exp(1j * found.branches.values) - np.exp(1j * expected.branches.values)
     np.testing.assert_allclose(np.abs(turned), 0, atol=1e-6)
-
-
-def test_the_error_that_the_page_shows(topobatch, run, tmp_path):
-    (shown,) = re.findall(r"^problem: run1.mcap: (.*)$", PAGE, re.MULTILINE)
-    log = Log(Maker(), run)
-    make = log.make
-    make.register("std_msgs/Header header\ngeometry_msgs/Pose pose\nfloat64[] ways", "a/msg/Seen")
-    for time_ns, centre, yaws in log.detections:
-        value = make("a/msg/Seen", pose=make.pose(*centre, 0.0), ways=np.array(yaws))
-        log.add(time_ns, "/crossings", "a/msg/Seen", value)
-    path = log.write(tmp_path / "run1")
-    fields = "center=pose.positon,branches=ways"
-    arguments = [path, "--junction-topic", "/crossings", "--junction-fields", fields]
-    told = f"{path}: {shown.replace('center=positon', 'center=pose.positon')}"
-    done = topobatch("info", *arguments)
-    assert done.code == 1
-    assert f"problem: {told}" in done.out.splitlines()
-    assert told in topobatch("ingest", *arguments, "-w", tmp_path / "ws").error(2)
-
-
-def test_info_tells_of_degrees_for_radians_beside_the_topics(topobatch, run, tmp_path):
-    log = Log(Maker(), run)
-    own_message(log)
-    path, *options = called("A message of one's own", log.write(tmp_path / "run1"))
-    arguments = [path, *(option.removesuffix(",unit=deg") for option in options)]
-    done = topobatch("info", *arguments)
-    assert (done.code, done.err) == (1, "")
-    assert re.search(r"^  /crossings +my_msgs", done.out, re.MULTILINE)
-    assert f"problem: {path}: /crossings: branches=frontiers[].angle_deg: a heading of" in done.out
-    told = topobatch("info", *arguments, "--json")
-    (found,) = json.loads(told.out)
-    assert told.code == 1
-    assert "add unit=deg" in found["problems"][0]
-
-
-def test_positions_in_millimetres_are_warned_of_as_the_page_shows(topobatch, tmp_path):
-    from topobatch.ingest.reading import ReadSettings, read_run
-
-    settings = ScenarioSettings(runs=1, junctions_per_run=9, odometry_hz=10, seed=7)
-    (simulated,) = simulate_scenario(settings).simulated
-    seen = simulated.run.detections
-    run = replace(simulated.run, detections=replace(seen, centre=1000 * seen.centre))
-    path = write_run(tmp_path, replace(simulated, run=run))
-    (shown,) = re.findall(r"^warning: (.*)$", section("When the numbers mean something else"), re.M)
-    sentence = re.sub(r"0\.001 \(± [\d.]+ %\)", "NUMBER", shown)
-    assert "NUMBER" in sentence
-    told = re.compile(re.escape(sentence).replace("NUMBER", r"[\d.]+ \(± [\d.]+ %\)"))
-    done = topobatch("info", path)
-    assert done.code == 0
-    assert any(told.fullmatch(line.removeprefix("warning: ")) for line in done.out.splitlines())
-    (found,) = json.loads(topobatch("info", path, "--json").out)
-    assert any(map(told.fullmatch, found["warnings"]))
-    done = topobatch("ingest", path, "-w", tmp_path / "ws")
-    assert done.code == 0
-    assert told.search(" ".join(done.err.split()))
-    document = json.loads((tmp_path / "ws" / "maps" / "run1.json").read_text())
-    assert any(map(told.fullmatch, document["graph"]["warnings"]))
-    assert read_run(path).misread
-    assert "length_scale" not in document["graph"]["calibration"]
-    (mapping,) = re.findall(r"`(center=\S+length=mm)`", PAGE)
-    done = topobatch("info", path, "--junction-fields", mapping)
-    assert done.code == 0
-    assert "warning" not in done.out
-    assert not read_run(path, ReadSettings(junction_fields=mapping)).misread
 
 
 # The detector: a stand-in for rclpy that hands it scans, and keeps what it publishes.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 
 RUNS = ("run1", "run2")
@@ -50,23 +49,6 @@ def test_what_cannot_be_drawn_is_said(topobatch, workspace, tmp_path) -> None:
     assert not out.exists()
 
 
-def test_a_merge_that_names_what_it_lacks_is_refused(topobatch, merged, tmp_path) -> None:
-    path = merged / "merged.json"
-    document = json.loads(path.read_bytes())
-    for key, value in (("component", 77), ("x", 1e300)):
-        broken = json.loads(path.read_bytes())
-        broken["nodes"][0][key] = value
-        path.write_text(json.dumps(broken))
-        error = topobatch("draw", "merged", tmp_path / "x.svg", "-w", merged).error(1)
-        assert "merged.json" in error
-        assert topobatch("report", "-w", merged).code == 1
-        path.write_text(json.dumps(document))
-    broken["nodes"][0] = document["nodes"][0]
-    broken["edges"][0]["source"] = 10**6
-    path.write_text(json.dumps(broken))
-    assert "no node" in topobatch("draw", "merged", tmp_path / "x.svg", "-w", merged).error(1)
-
-
 def test_a_report_is_written_where_asked(topobatch, merged, tmp_path) -> None:
     done = topobatch("report", "-w", merged)
     assert done.code == 0
@@ -92,17 +74,6 @@ def test_a_report_tells_of_a_broken_map_and_goes_on(topobatch, merged) -> None:
     html = (merged / "report.html").read_text()
     assert f"The map of {a} cannot be read" in html
     assert b in html
-
-
-def test_a_report_tells_of_maps_that_changed_since_the_merge(topobatch, merged) -> None:
-    a, _ = RUNS
-    path = merged / "maps" / f"{a}.json"
-    topobatch("report", "-w", merged)
-    assert "Merge again" not in (merged / "report.html").read_text()
-    path.write_bytes(path.read_bytes() + b"\n")
-    assert topobatch("report", "-w", merged).code == 0
-    told = f"Merge again: the map of {a} changed since the merge"
-    assert told in (merged / "report.html").read_text()
 
 
 def test_a_report_before_the_first_merge(topobatch, workspace) -> None:

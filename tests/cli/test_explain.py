@@ -90,18 +90,3 @@ def test_what_a_person_said_of_runs_counts_before_a_merge(topobatch, workspace):
     assert entries["maze1", "maze2"]["locked"] == "never"
     assert entries["rows1", "rows2"]["accepted_by"] == "lock"
     assert "discarded" in entries["maze3", "maze4"]["reason"]
-
-
-def test_many_runs_are_explained_by_the_two_maps(topobatch, workspace, monkeypatch):
-    monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 14)
-    topobatch("lock", "maze1", "maze2", "--never", "-w", workspace)
-    topobatch("discard", "maze3:maze4", "-w", workspace)
-    apart, gone = (
-        explained(topobatch, workspace, pair) for pair in (("maze1", "maze2"), ("maze3", "maze4"))
-    )
-    for told in (apart, gone):
-        assert "by themselves, asked as one pair of 6 maps" in told["notes"][0]
-        assert "would say" not in told["notes"][0]
-        assert told["requirement"]["pairs"] == 15
-    assert apart["notes"][1] == "locked apart, which is not counted here"
-    assert gone["notes"][1] == "the match was discarded, which is not counted here"

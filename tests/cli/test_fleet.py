@@ -12,7 +12,6 @@ import sys
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
 import pytest
 
 from topobatch.cli.matching import cluster
@@ -100,29 +99,6 @@ def test_shares(topobatch, workspace, fleet):
 def test_shares_that_are_none(topobatch, workspace, share):
     called = topobatch("merge", "--all", f"--shard={share}", "-w", workspace)
     assert "--shard is" in called.error(2)
-
-
-def test_a_share_goes_with_all(topobatch, workspace):
-    assert "--all" in topobatch("merge", "--shard", "1/2", "-w", workspace).error(2)
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
-def test_a_merge_that_is_killed_again_and_again(workspace, fleet):
-    """Whenever it dies, the documents are whole, and what it found in between is of use."""
-    rng = np.random.default_rng(7)
-    command = [sys.executable, "-m", "topobatch.cli", "merge", "--all", "-j", "1", "-q"]
-    for _ in range(3):
-        process = subprocess.Popen([*command, "-w", str(workspace)])
-        try:
-            process.wait(rng.uniform(0.3, 1.8))
-        except subprocess.TimeoutExpired:
-            process.kill()
-            process.wait()
-        for path in workspace.glob("*.json"):
-            assert same(workspace, fleet), path
-    subprocess.run([*command, "-w", str(workspace)], check=True)
-    assert same(workspace, fleet)
-    assert not list(workspace.rglob("*.tmp"))
 
 
 CLUSTER = """
@@ -214,13 +190,3 @@ def test_readers_cope_with_pairs_that_are_only_counted(topobatch, workspace, lar
     assert json.loads(told.out)["threshold_bits"] == pytest.approx(
         17.29, abs=0.01
     )  # 153 count as 160
-
-
-def test_shares_of_a_large_merge(topobatch, workspace, large):
-    topobatch("merge", "--all", "-j", 1, "-w", workspace)
-    whole = (workspace / "merged.json").read_bytes()
-    shutil.rmtree(workspace / "cache")
-    for k in (1, 2):
-        topobatch("merge", "--all", "--shard", f"{k}/2", "-j", 1, "-w", workspace)
-    topobatch("merge", "--all", "-j", 1, "-w", workspace)
-    assert (workspace / "merged.json").read_bytes() == whole

@@ -6,7 +6,6 @@ import json
 import os
 import re
 import shutil
-import sqlite3
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -25,8 +24,6 @@ from topobatch.ingest.reading import ReadSettings
 from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.simulation.writing import write_run
 from topobatch.topology.document import read_map
-
-SAMPLES = Path(__file__).parents[2] / "sample_logs"
 
 
 def changed_mcap(source, target, keep=lambda topic: True, copies=lambda topic: [topic]):
@@ -149,22 +146,6 @@ def test_pieces_that_nothing_ties_together_are_runs_until_the_log_is_whole(
     assert (merge.code, merge.err) == (0, "")  # though the last one held run#2
 
 
-def test_one_bad_log_among_others(topobatch, logs, tmp_path):
-    good = shutil.copy(logs["mcap"], tmp_path / "good.mcap")
-    bad = tmp_path / "bad.mcap"
-    bad.write_bytes(b"not a log")
-    done = topobatch("ingest", bad, good, tmp_path / "gone.bag", "-w", tmp_path / "ws")
-    assert done.code == 1
-    assert (tmp_path / "ws" / "maps" / "good.json").exists()
-    errors = done.err.strip().splitlines()
-    assert len(errors) == 3, errors
-    assert any("bad.mcap" in line for line in errors[:2])
-    assert any("gone.bag" in line for line in errors[:2])
-    assert "2 of 3 logs failed" in errors[2]
-    assert "1 map of 3 logs in" in done.out
-    assert "Traceback" not in done.err
-
-
 def test_several_processes_give_the_same_maps(topobatch, logs, tmp_path):
     shutil.copy(logs["mcap"], tmp_path / "a.mcap")
     shutil.copy(logs["other"], tmp_path / "b.mcap")
@@ -201,16 +182,6 @@ def test_what_an_interrupted_ingest_has_told_is_in_the_history(
     told = json.loads(topobatch("history", "--json", "-w", tmp_path / "ws").out)
     assert len(told) == 2
     assert told[0]["text"].startswith("1 log: ")
-
-
-def test_reading_is_half_of_the_work():
-    from topobatch.cli.ingest import _done
-
-    sizes = {"a": 2_000_000, "b": 6_000_000}
-    assert _done(1_000_000, [], sizes) == (1_000_000, "0/2 logs, 1 of 8 MB")
-    assert _done(3_000_000, ["a"], sizes) == (5_000_000, "1/2 logs, 3 of 8 MB")
-    assert _done(0, ["a"], sizes) == (4_000_000, "1/2 logs, 2 of 8 MB")  # it was unchanged
-    assert _done(8_000_000, ["a", "b"], sizes) == (16_000_000, "2/2 logs, 8 of 8 MB")
 
 
 def test_outcomes_as_json(topobatch, logs, tmp_path):
@@ -371,35 +342,6 @@ def test_a_log_whose_name_cannot_be_a_run_costs_no_other(topobatch, logs, tmp_pa
     assert (done.code, done.err) == (0, "")
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="no file has a colon in its name there")
-def test_a_log_with_colons_in_its_name_becomes_a_run_without(topobatch, logs, tmp_path):
-    log = shutil.copy(logs["mcap"], tmp_path / "t10:15:00.mcap")
-    place = Workspace(tmp_path / "ws")
-    assert topobatch("ingest", log, "-w", place.root).code == 0
-    assert place.runs() == ["t10-15-00"]
-    assert ": run t10-15-00, " in topobatch("info", log).out
-    assert "unchanged, kept" in topobatch("ingest", log, "-w", place.root).out
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="file names are text elsewhere")
-def test_a_path_that_is_no_text(topobatch, logs, tmp_path):
-    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
-    folder.mkdir()
-    shutil.copy(logs["mcap"], folder / "run.mcap")
-    done = topobatch("ingest", folder, "-w", tmp_path / "ws")
-    assert (done.code, done.err) == (0, "")
-    assert "unchanged" in topobatch("ingest", folder, "-w", tmp_path / "ws").out
-
-
-def test_one_log_by_two_ways_is_one_run(topobatch, logs, tmp_path):
-    (tmp_path / "link").symlink_to(logs["mcap"].parent)
-    done = topobatch(
-        "ingest", logs["mcap"], tmp_path / "link" / logs["mcap"].name, "-w", tmp_path / "ws"
-    )
-    assert (done.code, done.err) == (0, "")
-    assert len(list((tmp_path / "ws" / "maps").glob("*.json"))) == 1
-
-
 def test_quiet_says_nothing_but_errors(topobatch, logs, tmp_path):
     done = topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws", "--quiet")
     assert (done.code, done.out, done.err) == (0, "", "")
@@ -448,80 +390,6 @@ def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
     assert "problem: " in done.out
 
 
-def cut_sample(folder, undecodable):
-    """maze-3 without its end, with messages that do not decode."""
-    path = folder / "maze-3"
-    shutil.copytree(SAMPLES / "maze-3", path)
-    base = sqlite3.connect(path / "maze-3.db3")
-    base.execute(f"UPDATE messages SET data = substr(data, 1, 20) WHERE {undecodable}")
-    base.commit()
-    base.close()
-    os.truncate(path / "maze-3.db3", 700_000)
-    return path
-
-
-def faults_told(done):
-    lines = [line for line in done.out.splitlines() if line.startswith(("problem: ", "warning: "))]
-    return [line.partition(": ")[2] for line in lines]
-
-
-def test_info_tells_all_that_ingest_warns_of_in_a_damaged_log(topobatch, tmp_path):
-    path = cut_sample(tmp_path, undecodable="id = 9")
-    shown = topobatch("info", path)
-    assert shown.code == 1
-    assert "problem: metadata.yaml counts 1930 messages, 944 were found" in shown.out
-    assert topobatch("ingest", path, "-q", "-w", tmp_path / "ws").code == 0
-    document = json.loads((tmp_path / "ws" / "maps" / "maze-3.json").read_text())
-    warned = document["graph"]["warnings"]
-    assert any("could not be decoded" in warning for warning in warned)
-    assert sorted(faults_told(shown)) == sorted(warned)
-
-
-def test_info_tells_why_ingest_refuses_a_damaged_log(topobatch, tmp_path):
-    path = cut_sample(tmp_path, undecodable="topic_id = 1")
-    shown = topobatch("info", path)
-    assert shown.code == 1
-    *damage, refused = faults_told(shown)
-    assert refused.startswith(f"{path}: no odometry: /odom holds no usable pose")
-    error = topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
-    assert error.strip().endswith("; ".join([refused, *damage]))
-
-
-def test_info_of_a_log_with_an_index_and_a_damaged_chunk_fails(topobatch, logs, tmp_path):
-    data = bytearray(logs["mcap"].read_bytes())
-    data[len(data) // 3] ^= 0xFF
-    hurt = tmp_path / "hurt.mcap"
-    hurt.write_bytes(data)
-    done = topobatch("info", hurt)
-    assert done.code == 1
-    assert f"problem: {hurt}: damaged: 1 damaged chunk skipped" in done.out
-    assert f"{hurt}: damaged: 1 damaged chunk" in topobatch(
-        "ingest", hurt, "--strict", "-w", tmp_path / "ws"
-    ).error(1)
-
-
-def test_info_does_not_pass_what_ingest_refuses(topobatch, tmp_path, monkeypatch):
-    """By its index the log is sound, but its messages hold nothing."""
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        for topic, name in (("/odom", "Odometry"), ("/junctions", "PoseArray")):
-            package = "nav_msgs" if name == "Odometry" else "geometry_msgs"
-            schema = writer.register_schema(f"{package}/msg/{name}", "ros2msg", b"")
-            channel = writer.register_channel(topic, "cdr", schema)
-            writer.add_message(channel, 10**9, b"nothing", 10**9)
-        writer.finish()
-    done = topobatch("info", path)
-    assert done.code == 1
-    assert "problem: " in done.out
-    assert topobatch("ingest", path, "-w", tmp_path / "ws").code == 1
-    monkeypatch.setattr("topobatch.cli.info.WHOLE_BYTES", 10)
-    done = topobatch("info", path)
-    assert done.code == 0
-    assert "not read whole" in done.out
-
-
 def test_a_run_is_not_called_like_a_merge(topobatch, logs, tmp_path):
     ws = tmp_path / "ws"
     for name in ("merged", "Merged"):
@@ -533,14 +401,6 @@ def test_a_run_is_not_called_like_a_merge(topobatch, logs, tmp_path):
     assert "a merge is called so" in done.error(2)
 
 
-def test_what_simulate_wrote_over_older_logs_is_ingested(topobatch, tmp_path):
-    call = ("simulate", tmp_path / "out", "--runs", "1", "--junctions", "8", "-q")
-    assert topobatch(*call, "--format", "db3").code == 0
-    assert topobatch(*call, "--force").code == 0
-    done = topobatch("ingest", tmp_path / "out", "-w", tmp_path / "ws")
-    assert (done.code, done.err) == (0, "")
-
-
 def test_the_size_of_jumps_goes_with_their_number(topobatch, tmp_path):
     for option in ("--jump-m", "--jump-deg"):
         assert "--jumps" in topobatch("simulate", tmp_path / "out", option, "1").error(2)
@@ -549,19 +409,6 @@ def test_the_size_of_jumps_goes_with_their_number(topobatch, tmp_path):
 def test_what_is_of_lasers_goes_with_a_laser(topobatch, tmp_path):
     for options in (["--corridor-m", "2"], ["--detections"]):
         assert "--laser" in topobatch("simulate", tmp_path / "out", *options).error(2)
-
-
-def test_info_on_a_simulated_clock(topobatch, logs, tmp_path):
-    """It starts at 0, which is a time like any other."""
-    path = tmp_path / "run.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        channel = writer.register_channel("/clock", "json", 0)
-        for second in range(3):
-            writer.add_message(channel, second * 10**9, b"{}", second * 10**9)
-        writer.finish()
-    assert "2.0 s from 1970-01-01 00:00:00 UTC" in topobatch("info", path).out
 
 
 def test_what_is_broken_in_a_folder_costs_no_other_log(topobatch, logs, tmp_path):
@@ -613,26 +460,3 @@ def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
     new.mkdir(parents=True)  # one that was there stays
     assert topobatch("ingest", junk, "-w", new).code == 1
     assert new.is_dir()
-
-
-def test_an_ingest_that_fails_takes_nothing_away(topobatch, logs, tmp_path):
-    junk = tmp_path / "junk.mcap"
-    junk.write_bytes(b"junk")
-    place = tmp_path / "ws"
-    assert topobatch("ingest", junk, logs["mcap"], "-w", place).code == 1
-    assert len(list((place / "maps").glob("*.json"))) == 1
-    assert topobatch("ingest", junk, "-w", place).code == 1
-    assert len(list((place / "maps").glob("*.json"))) == 1
-
-
-def test_logs_that_no_name_tells_apart_cost_each_other_only(topobatch, logs, tmp_path, monkeypatch):
-    from topobatch.cli import run_names
-
-    logs_here = [shutil.copy(logs["mcap"], tmp_path / f"{name}.mcap") for name in "abc"]
-    same = dict(zip(logs_here, ("x", "x", "c"), strict=True))
-    monkeypatch.setattr(run_names, "run_names", lambda logs, *_, **__: same)
-    done = topobatch("ingest", tmp_path, "-w", tmp_path / "ws")
-    assert done.code == 2
-    assert "a.mcap would become run 'x' as well; give it another by --name" in done.err
-    maps = [p.name for p in sorted((tmp_path / "ws" / "maps").glob("*.json"))]
-    assert maps == ["c.json", "x.json"]

@@ -4,18 +4,14 @@ from __future__ import annotations
 
 import doctest
 import inspect
-import os
-import pydoc
 import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 import topobatch
 from topobatch.cli import ingest as command
@@ -53,17 +49,6 @@ def test_everything_offered_is_described(name) -> None:
     assert callable(getattr(topobatch, name))
 
 
-def test_help_and_completion_know_everything_offered() -> None:
-    """`help` shows the functions, not the folders of modules that are called like them."""
-    assert set(topobatch.__all__) <= set(dir(topobatch))
-    for name in ("ingest", "merge"):
-        function = getattr(library, name)
-        shown = pydoc.plain(pydoc.render_doc(getattr(topobatch, name)))
-        assert function.__doc__.splitlines()[0] in shown
-        assert "Parameters" in shown
-        assert inspect.signature(getattr(topobatch, name)) == inspect.signature(function)
-
-
 def test_folders_stay_folders_and_can_be_called() -> None:
     code = (
         "import topobatch\n"
@@ -95,32 +80,6 @@ def test_ingest_takes_what_the_command_takes() -> None:
     assert offered == set(inspect.signature(command.ingest).parameters) - of_the_command
 
 
-def test_a_saved_map_is_a_log_as_well(tmp_path) -> None:
-    cells = np.full((120, 300), 0, np.uint8)
-    cells[50:75, 20:280] = cells[10:110, 140:165] = 254
-    Image.fromarray(cells).save(tmp_path / "site.png")
-    text = "image: site.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
-    (tmp_path / "site.yaml").write_text(text)
-    (found,) = topobatch.ingest(tmp_path / "site.yaml", name="ground-floor")
-    assert found.run == "ground-floor"
-    assert found.kind.count("junction") == 1
-    assert found.traversals.sum() == 0
-
-
-def test_linear_algebra_is_held_to_one_thread() -> None:
-    """However many threads the caller gives it; and it is let go afterwards."""
-    code = (
-        "import topobatch; from topobatch.cli import library; from threadpoolctl import *\n"
-        "def threads(): return {pool['num_threads'] for pool in threadpool_info()}\n"
-        "with library._on_one_thread(): within = threads()\n"
-        "print(within, threads())"
-    )
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2", "OMP_NUM_THREADS": "2"}
-    call = [sys.executable, "-c", code]
-    done = subprocess.run(call, capture_output=True, text=True, check=True, env=environment)
-    assert done.stdout.strip() == "{1} {2}"
-
-
 @pytest.mark.parametrize(
     "option",
     [
@@ -143,12 +102,6 @@ def test_options_that_make_no_sense_are_refused(option) -> None:
         topobatch.ingest(ROOT / "sample_logs" / "maze-1.mcap", **option)
 
 
-def test_maps_may_come_one_by_one() -> None:
-    (topomap,) = topobatch.ingest(ROOT / "sample_logs" / "maze-1.mcap")
-    runs = (replace(topomap, run=run) for run in ("a", "b"))
-    assert [sorted(c.poses) for c in topobatch.merge(runs).components] == [["a", "b"]]
-
-
 def test_several_logs_may_be_given_as_people_have_them(tmp_path) -> None:
     """As texts or paths, in any sequence, with folders among them; of one name, too."""
     logs = [ROOT / "sample_logs" / name for name in ("maze-1.mcap", "maze-2.bag")]
@@ -164,12 +117,6 @@ def test_several_logs_may_be_given_as_people_have_them(tmp_path) -> None:
         assert [m.run for m in topobatch.ingest(way)] == ["r1-run", "r2-run"]
     (alone,) = topobatch.ingest(str(tmp_path / "r1"))
     assert alone.run == "run"
-
-
-def test_a_workspace_may_be_named_by_a_text(tmp_path) -> None:
-    assert topobatch.Workspace(str(tmp_path)) == topobatch.Workspace(tmp_path)
-    other = replace(topobatch.Workspace(str(tmp_path)), merge="other")
-    assert other.merged_json == tmp_path / "other.json"
 
 
 def test_calls_that_cannot_be(tmp_path) -> None:

@@ -79,14 +79,6 @@ def test_runs_with_nothing_in_common_are_asked_back(topobatch, workspace):
     assert len(locks(workspace)) == 1
 
 
-def test_a_map_that_cannot_be_read_is_said(topobatch, workspace):
-    (workspace / "maps" / "rows2.json").write_text("{}")
-    done = topobatch("lock", "rows1", "rows2", "--same", "-w", workspace)
-    assert done.code == 0
-    assert "warning: what the maps say is not known: " in done.err
-    assert len(locks(workspace)) == 1
-
-
 @pytest.mark.skipif(sys.platform == "win32", reason="terminals of Unix")
 def test_on_a_terminal_it_is_asked_back(workspace):
     import pty

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.cli.workspace import Workspace
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.topology.map_schema import MapDocument
 
@@ -60,15 +59,6 @@ def test_wrong_calls_exit_with_2(topobatch, arguments):
     assert "--help`" in error
 
 
-def test_view_without_a_recording(topobatch, tmp_path):
-    assert "topobatch ingest" in topobatch("view", "-w", tmp_path).error(1)
-    assert "topobatch ingest" in topobatch("view", "r1", "-w", tmp_path).error(1)
-    (tmp_path / "maps").mkdir()
-    (tmp_path / "maps" / "r1.json").write_text("{}")
-    assert "merge --all" in topobatch("view", "-w", tmp_path).error(1)
-    assert "ingest the log" in topobatch("view", "r1", "-w", tmp_path).error(1)
-
-
 def test_view_without_a_display_says_how(topobatch, tmp_path):
     (tmp_path / "merged.rrd").write_bytes(b"")
     done = topobatch("view", "-w", tmp_path)
@@ -89,12 +79,6 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
     assert str(tmp_path / "ws" / "maps") in error
     assert ".rrd: File too large" in error
     assert not (tmp_path / "ws").exists()  # half a run is none
-
-
-def test_an_output_without_arrows_is_no_error(logs, tmp_path):
-    done = run("ingest", logs["mcap"], "-w", tmp_path / "ws", PYTHONIOENCODING="latin-1")
-    assert done.returncode == 0, done
-    assert " ? " in done.stdout
 
 
 WORKERS = """
@@ -129,43 +113,3 @@ def test_workers(before, after, code):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout) == (code, "7\n"), done
     assert "Traceback" not in done.stderr
-
-
-MATCHERS = """
-import os, signal
-from topobatch.cli.matching import _executor
-with _executor(2) as pool:
-    print(pool.submit(abs, -7).result(), flush=True)
-    os.kill(os.getpid(), signal.SIGKILL)
-"""
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="signals are of another kind there")
-def test_processes_that_match_end_with_who_started_them():
-    command = [sys.executable, "-c", MATCHERS]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stdout) == (-9, "7\n"), done
-
-
-def test_an_interrupt_while_the_program_is_imported_ends_it_quietly():
-    code = (
-        "import sys\n"
-        "from topobatch.cli.__main__ import start\n"
-        "class Interrupting:\n"
-        "    def find_spec(self, name, *_):\n"
-        "        if name == 'topobatch.cli.main':\n"
-        "            raise KeyboardInterrupt\n"
-        "sys.meta_path.insert(0, Interrupting())\n"
-        "start()\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stderr) == (130, "")
-
-
-def test_two_long_names_make_a_file_name_of_a_length_that_can_be(tmp_path):
-    place = Workspace(tmp_path)
-    assert place.explain_rrd("a", "b").name == "a+b.rrd"
-    long = ["ü" * 100 + end for end in ("1", "2")]
-    first, second = (place.explain_rrd("a" * 150, name) for name in long)
-    assert first != second
-    assert max(len(path.name.encode()) for path in (first, second)) < 200

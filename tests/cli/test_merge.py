@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from topobatch.cli.matching import _executor
-from topobatch.cli.merge import MOST_AMBIGUOUS, _counts, _summary
+from topobatch.cli.merge import MOST_AMBIGUOUS, _summary
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
 from topobatch.simulation import ScenarioSettings
@@ -67,36 +65,6 @@ def test_a_merge_of_fewer_runs_does_not_replace_a_larger_one(topobatch, workspac
     assert [list(c["runs"]) for c in document["graph"]["components"]] == [[b]]
 
 
-def test_a_merge_of_all_does_not_replace_one_with_runs_that_have_no_map_any_more(
-    topobatch, workspace
-):
-    merge = ("merge", "--all", "-w", workspace)
-    files = [workspace / f"merged.{kind}" for kind in ("json", "rrd")]
-    assert topobatch(*merge).code == 0
-    before = [path.read_bytes() for path in files]
-    damaged = workspace / "maps" / f"{b}.json"
-    whole = damaged.read_bytes()
-    damaged.write_bytes(whole[: len(whole) // 2])
-    done = topobatch(*merge)
-    assert done.code == 1
-    refused = f"merged.json: is the merge of 2 runs, and this one leaves out {b}, without a"
-    assert f"{refused} readable map; give this merge" in done.err
-    damaged.unlink()
-    error = topobatch(*merge).error(2)
-    assert f"{refused} map (" in error
-    assert "--replace" in error
-    assert [path.read_bytes() for path in files] == before
-    damaged.write_bytes(whole)
-    assert "leaves out" not in topobatch(*merge).err
-    damaged.write_bytes(whole[: len(whole) // 2])
-    assert topobatch(*merge, "--replace").code == 1  # as one of the maps is damaged
-    assert b.encode() not in files[0].read_bytes()
-    assert topobatch(*merge, "--replace").code == 1
-    (workspace / "merged.json").write_text("{}")
-    damaged.write_bytes(whole)
-    assert "it is overwritten" in topobatch(*merge).err
-
-
 def test_what_was_discarded_or_renamed_is_left_out_unasked(topobatch, workspace):
     merge = ("merge", "--all", "-w", workspace)
     assert topobatch(*merge).code == 0
@@ -104,13 +72,6 @@ def test_what_was_discarded_or_renamed_is_left_out_unasked(topobatch, workspace)
     assert topobatch(*merge).code == 0
     assert topobatch("discard", b, "-w", workspace).code == 0
     assert topobatch(*merge).code == 0
-
-
-def test_a_merge_of_as_many_other_runs_does_not_replace_one(topobatch, workspace):
-    assert topobatch("merge", a, "-w", workspace).code == 0
-    assert f"leaves out {a}; " in topobatch("merge", b, "-w", workspace).error(2)
-    told = " ".join(topobatch("merge", "--help").out.split())
-    assert "is overwritten by one with all of its runs; one that leaves out any" in told
 
 
 def test_shares_of_a_merge_have_no_output(topobatch, workspace):
@@ -262,21 +223,6 @@ def test_an_interrupted_merge_says_how_to_go_on(topobatch, workspace, monkeypatc
     assert "what was matched is kept: run again to go on" in done.err
 
 
-def test_processes_stop_at_an_interrupt():
-    """What is queued is dropped, not worked off first."""
-    futures = []
-
-    def interrupted():
-        with _executor(2) as pool:
-            futures.extend(pool.submit(time.sleep, 20) for _ in range(4))
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert len(futures) == 4
-    assert all(future.cancelled() or future.exception() is not None for future in futures)
-
-
 def test_explain(topobatch, workspace):
     shown = topobatch("explain", b, a, "-w", workspace)
     assert shown.code == 0, shown
@@ -346,43 +292,6 @@ def test_explain_by_the_papers_figures(topobatch, workspace):
     assert "not merged yet" not in told
 
 
-def test_explain_needs_the_two_maps_and_the_document(topobatch, workspace):
-    document = json.loads((workspace / "maps" / f"{a}.json").read_bytes())
-    document["graph"]["run"] = "third"
-    third = workspace / "maps" / "third.json"
-    third.write_text(json.dumps(document))
-    topobatch("merge", "--all", "-w", workspace)
-    before = topobatch("explain", a, b, "-w", workspace).out
-    third.unlink()
-    assert topobatch("explain", a, b, "-w", workspace).out == before
-    merged = workspace / "merged.json"
-    document = json.loads(merged.read_bytes())
-    document["graph"]["settings"]["false_merge_rate"] = 7
-    merged.write_text(json.dumps(document))
-    assert "graph.settings" in topobatch("explain", a, b, "-w", workspace).error(1)
-    for damage in (
-        {"accepted": True, "transform": None},
-        {"a": b, "b": a},
-        {"rmse_m": "far"},
-        {"together": [[a, b], []]},
-    ):
-        topobatch("merge", "--all", "-w", workspace)
-        document = json.loads(merged.read_bytes())
-        document["merges"][0] |= damage
-        merged.write_text(json.dumps(document))
-        told = topobatch("explain", a, b, "-w", workspace).error(1)
-        assert "merged.json: merges.0" in told
-    topobatch("merge", "--all", "--method", "paper", "-w", workspace)
-    told = " ".join(topobatch("explain", a, b, "-w", workspace).out.split())
-    assert "merged.json is a merge by --method paper" in told
-    topobatch("merge", a, "--replace", "-w", workspace)
-    assert "does not hold both runs" in topobatch("explain", a, b, "-w", workspace).out
-    third.write_text("{}")
-    shown = topobatch("explain", a, b, "-w", workspace).out
-    assert "does not hold both runs" in shown
-    assert "of third cannot be read" in " ".join(shown.split())
-
-
 @pytest.fixture(scope="session")
 def clean(once):
     """A workspace with the maps of two runs of a maze that overlap, without drift or faults."""
@@ -449,15 +358,6 @@ def test_settings_that_make_no_sense(topobatch, workspace):
     explain = ["explain", a, b, "-w", workspace]
     assert "graph.settings" in topobatch(*explain, "--method", "paper").error(1)
     assert "belong to --method paper" in topobatch(*explain, "--iterative").error(2)
-
-
-def test_many_pairs_are_counted_with_commas():
-    few = dict.fromkeys(Standing, 1200)
-    many = SimpleNamespace(components=[SimpleNamespace(poses=range(110))], standings=lambda: few)
-    told = (
-        "5,995 pairs: 1,200 merged, 1,200 joined through others, 1,200 ambiguous, 1,200 unrelated"
-    )
-    assert _counts(many) == f"{told}, 1,200 kept out; 1 site"
 
 
 def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):

@@ -179,28 +179,6 @@ def test_a_damaged_merge(topobatch, own_site, call):
     assert "3 runs" in shown.out
 
 
-@pytest.mark.parametrize(
-    ("call", "content"),
-    [
-        ("merge --all", "{"),
-        ("report", '{"schema": "topobatch.map/0"}'),
-        ("list", "{"),
-        ("explain run1 run2", '{"schema": "topobatch.map/0"}'),
-    ],
-)
-def test_what_makes_a_map_anew_is_said_once(topobatch, own_site, call, content):
-    (own_site / "topobatch-workspace" / "maps" / "run1.json").write_text(content)
-    done = topobatch(*call.split())
-    assert done.code == 1
-    assert (done.out + done.err).count("ingest its log again with --force") == 1
-
-
-@pytest.mark.parametrize("content", ["{", '{"schema": "topobatch.merged/0"}'])
-def test_what_makes_a_merge_anew_is_said_once(topobatch, own_site, content):
-    (own_site / "topobatch-workspace" / "merged.json").write_text(content)
-    assert topobatch("report").error(1).count("topobatch merge --all") == 1
-
-
 def test_the_two_runs_of_explain_may_be_named_as_elsewhere(topobatch, own_site):
     assert topobatch("explain", "run2:run1").out == topobatch("explain", "run1", "run2").out
 
@@ -243,22 +221,6 @@ def test_packed_logs_are_to_be_unpacked(topobatch, own_site, command):
     assert shown.code == 0
     assert f"warning: {own_site / 'logs'}: {told}older/run9.mcap.gz" in shown.err
     assert f"{told}run9.mcap.gz" in topobatch(command, below.parent).error(1)
-
-
-def test_damaged_lines_of_the_history_are_counted(topobatch, tmp_path):
-    (tmp_path / "history.jsonl").write_text("x\n{}\n")
-    shown = topobatch("history", "-w", tmp_path)
-    assert "2 lines not written by topobatch" in shown.err
-    assert shown.out == "nothing was done here yet\n"
-
-
-def test_places_of_a_run_that_was_not_merged(topobatch, own_site):
-    (own_site / "docks.csv").write_text("name,x,y\na,0,0\nb,1,1\n")
-    for call in ("lock run1 run2 --never", "lock run1 run3 --never", "merge --all -q"):
-        assert topobatch(*call.split()).code == 0
-    shown = topobatch("transfer", "docks.csv", "--from", "run1", "--to", "run2")
-    assert "nothing was carried: run1 and run2 are not merged" in shown.error(1)
-    assert shown.out.count("are not merged") == 2
 
 
 @pytest.mark.parametrize(

@@ -34,20 +34,3 @@ def test_commands_and_their_options_exist(page) -> None:
 def test_links_lead_somewhere(page) -> None:
     for link in re.findall(r"(?<!\])\[[^\]]+\]\((?!https?:)([^)# ]+\.\w+)", page.read_text()):
         assert (page.parent / link).exists(), link
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_options_of_scripts_exist(page) -> None:
-    """Those of benchmarks, and of the attack."""
-    scripts = {
-        p.name: p for folder in ("benchmarks", "tests/hostile") for p in ROOT.glob(f"{folder}/*.py")
-    }
-    text = " ".join(page.read_text().split())
-    for name, call in re.findall(r"`(?:python )?(?:[\w/]+/)?([a-z]\w+\.py)( --[^`]*)`", text):
-        for option in re.findall(r"--[a-z][a-z-]*", call):
-            assert f'"{option}"' in scripts[name].read_text(), f"{name}{call}"
-
-
-def test_the_readme_lists_every_page() -> None:
-    readme = (ROOT / "README.md").read_text()
-    assert [p.name for p in DOCS if f"docs/{p.name})" not in readme] == []

@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from topobatch.cli.process import LEAST_BYTES, lack_of_memory
+from topobatch.cli.process import LEAST_BYTES
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and signals of Linux")
 
@@ -45,16 +45,6 @@ def test_too_little_memory_is_said_in_one_sentence(logs, tmp_path):
     assert shell(f'ulimit -v {LEAST_BYTES >> 10}; "$@"', *call).returncode == 0
 
 
-def test_what_means_a_lack_of_memory():
-    for error in (
-        MemoryError(),
-        ImportError("libx.so: failed to map segment from shared object"),
-        RuntimeError("can't start new thread"),
-    ):
-        assert "not enough memory" in (lack_of_memory(error) or "")
-    assert lack_of_memory(ImportError("No module named 'x'")) is None
-
-
 def test_signals_end_it_quietly(logs, tmp_path):
     """Also while it has worker processes, of which Python's resource tracker would tell: what is
     kept is all that is said."""
@@ -74,11 +64,3 @@ def test_signals_end_it_quietly(logs, tmp_path):
     out, err = process.communicate(timeout=60)
     assert process.returncode == 128 + signal.SIGTERM, out
     assert re.fullmatch(r"\d of 2 logs finished; run again to go on\n", err)
-
-
-def test_an_ignored_signal_stays_ignored(logs, tmp_path):
-    """As `nohup` starts it."""
-    call = ("ingest", logs["mcap"], "-w", tmp_path / "ws")
-    done = shell('trap "" HUP; "$@" & sleep 1; kill -HUP $!; wait $!', *call)
-    assert done.returncode == 0, done
-    assert "1 map of 1 log" in done.stdout

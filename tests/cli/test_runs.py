@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -83,21 +82,6 @@ def test_list_tells_what_is_stale(topobatch, merged):
     assert rows[maps[3].stem]["stale"] == ["made by another version", "log changed, or gone"]
 
 
-def test_a_copied_workspace_is_not_stale(topobatch, merged):
-    """Content tells, and only of merges that do not state it the time of the files."""
-    for path in (merged / "maps").glob("*.json"):
-        os.utime(path, (4e9, 4e9))
-
-    def stale():
-        return [row["stale"] for row in json.loads(topobatch("list", "--json", "-w", merged).out)]
-
-    assert not any(stale())
-    document = json.loads((merged / "merged.json").read_text())
-    del document["graph"]["maps"]
-    (merged / "merged.json").write_text(json.dumps(document))
-    assert all(why == ["map changed since the merge"] for why in stale())
-
-
 def test_a_discarded_run_leaves_nothing(topobatch, merged, two_buildings, tmp_path):
     gone = accepted_pair(merged)[0]
     other = next(p.stem for p in (merged / "maps").glob("*.json") if p.stem != gone)
@@ -162,33 +146,6 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
         assert f'"{kept}"' not in text
 
 
-def test_meetings_of_a_run_go_by_its_name_and_with_it(topobatch, merged):
-    a, b = accepted_pair(merged)
-    paths = [merged / "maps" / f"{run}.json" for run in (a, b)]
-    at = [read_json(path)["nodes"][0]["observations"][0]["time_ns"] for path in paths]
-    met = ("--met", f"{a}@{at[0]},{b}@{at[1]}")
-    done = topobatch("merge", "--all", "--method", "paper", *met, "-j", 1, "-q", "-w", merged)
-    assert done.code == 0, done
-
-    def meetings():
-        return document(merged)["graph"]["settings"]["meetings"]
-
-    assert topobatch("rename", a, "zz", "-w", merged).code == 0
-    assert [(m["run_a"], m["time_a_ns"], m["run_b"]) for m in meetings()] == [("zz", at[0], b)]
-    assert topobatch("discard", "zz", "-w", merged).code == 0
-    assert meetings() == []
-
-
-def test_a_run_that_rests_on_a_discarded_match_falls_with_it(topobatch, merged):
-    """Without all its matches a run is alone, whatever the merged maps of others would say."""
-    pairs = [pair for pair, entry in entries(merged).items() if entry["accepted"]]
-    run = pairs[0][0]
-    for a, b in {p for p in entries(merged) if run in p}:
-        assert topobatch("discard", f"{a}:{b}", "-q", "-w", merged).code == 0
-    alone = [c for c in document(merged)["graph"]["components"] if run in c["runs"]]
-    assert [list(c["runs"]) for c in alone] == [[run]]
-
-
 @pytest.mark.parametrize("content", ['{"my": "notes"}', '["topobatch.map/1"]', "no json"])
 def test_a_file_that_is_no_map_is_not_discarded(topobatch, merged, content):
     notes = merged / "maps" / "notes.json"
@@ -232,13 +189,6 @@ def test_a_match_that_was_discarded_is_not_locked(topobatch, merged):
     assert topobatch("lock", b, a, "--never", "-w", merged).code == 0
     assert topobatch("discard", f"{a}:{b}", "--undo", "-q", "-w", merged).code == 0
     assert topobatch("lock", b, a, "--same", "-w", merged).code == 0
-
-
-def test_discards_that_are_none(topobatch, merged):
-    (merged / "discards.json").write_text('{"schema":"topobatch.discards/1","discarded":[1]}')
-    called = topobatch("merge", "--all", "-w", merged)
-    assert called.code == 1
-    assert "discards.json: discarded.0" in called.err
 
 
 def test_rename(topobatch, merged):

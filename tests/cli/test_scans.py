@@ -4,40 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from mcap.writer import Writer
 from PIL import Image
 
-from topobatch.cli.info import described
-from topobatch.cli.read_options import numbers
-from topobatch.ingest.inspection import inspect_log
-from topobatch.topology.errors import UsageError
 from topobatch.topology.files import read_json
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 OFFICE = SAMPLES / "office-1.mcap"
-
-
-@pytest.mark.parametrize("guided", [True, False])
-def test_info_says_that_scans_stand_in_for_odometry(guided):
-    found = inspect_log(OFFICE)
-    kept = tuple(t for t in found.topics if guided or t.use != "odometry")
-    assert len(kept) == len(found.topics) - (not guided)
-    told = [line for line in described(replace(found, topics=kept)) if "no odometry" in line]
-    assert len(told) == (not guided)
-
-
-def test_a_base_frame_that_is_not_there_leaves_no_odometry_out(topobatch, tmp_path):
-    told = "/odom holds no usable pose to r2/base_link (--base-frame); it has odom → base_link"
-    frame = "--base-frame", "r2/base_link"
-    done = topobatch("info", OFFICE, "--try", *frame)
-    assert done.code == 1
-    assert told in done.out
-    assert told in topobatch("ingest", OFFICE, *frame, "-w", tmp_path / "ws").error(1)
 
 
 def test_simulated_lasers(topobatch, tmp_path):
@@ -75,60 +51,6 @@ def test_a_log_with_scans_becomes_a_map_and_says_how(samples):
     assert doc["graph"]["driven"]["corridors"] > 0.95
     told = doc["graph"]["source"]["junctions"]
     assert (told["from"], told["topic"], told["scans"]) == ("scan", "/scan", told["messages"])
-
-
-def ringed(path, far_m):
-    """Scans of nothing but a ring around a laser that stands."""
-    zero = {"x": 0, "y": 0, "z": 0}
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        schema = writer.register_schema("foxglove.LaserScan", "jsonschema", b"{}")
-        channel = writer.register_channel("/scan", "json", schema)
-        for second in range(1, 20):
-            scan = {
-                "timestamp": {"sec": second, "nsec": 0},
-                "frame_id": "base_link",
-                "pose": {"position": zero, "orientation": zero | {"w": 1}},
-                "start_angle": -3.1,
-                "end_angle": 3.1,
-                "ranges": [far_m] * 63,
-                "intensities": [],
-            }
-            time_ns = second * 10**9
-            writer.add_message(channel, time_ns, json.dumps(scan).encode(), time_ns)
-        writer.finish()
-    return path
-
-
-@pytest.mark.parametrize(("far_m", "why"), [(2.0, "no junction shows"), (2000.0, "beyond 100 m")])
-def test_info_does_not_pass_scans_that_ingest_refuses(topobatch, tmp_path, far_m, why):
-    path, sound = ringed(tmp_path / "ring.mcap", far_m), SAMPLES / "maze-1.mcap"
-    error = topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
-    assert f"{path}: " in error
-    assert why in error
-    told = topobatch("info", path, sound, "--json", "--try")
-    assert told.code == 1, told
-    refused, passed = json.loads(told.out)
-    assert error.endswith(refused["problems"][0].removeprefix(f"{path}: "))
-    assert passed["problems"] == []
-    done = topobatch("info", path, sound)
-    assert done.code == 0
-    (untried,) = (line for line in done.out.splitlines() if line.startswith("not read whole"))
-    assert untried.endswith("--try tells, and takes as long")
-    assert done.out.index("run ring") < done.out.index(untried) < done.out.index("run maze-1")
-
-
-def test_info_does_not_pass_saved_maps_without_a_junction(topobatch, tmp_path):
-    cells = np.full((100, 100), 0, np.uint8)
-    cells[40:60, 10:90] = 254
-    Image.fromarray(cells).save(tmp_path / "floor.png")
-    path = tmp_path / "floor.yaml"
-    path.write_text("image: floor.png\nresolution: 0.05\norigin: [0, 0, 0]\nnegate: 0\n")
-    assert f"error: {path}: " in topobatch("ingest", path, "-w", tmp_path / "ws").error(1)
-    done = topobatch("info", path)
-    assert done.code == 1
-    assert "shows no junction" in done.out
 
 
 def test_ways_that_a_log_does_not_have(topobatch, tmp_path):
@@ -171,10 +93,3 @@ def test_a_saved_map_is_a_map_like_any_other(topobatch, tmp_path):
     (tmp_path / "floor.png").unlink()
     error = topobatch("ingest", tmp_path / "floor.yaml", "-w", tmp_path / "ws").error(1)
     assert "floor.png is missing" in error
-
-
-def test_numbers_of_options():
-    assert numbers(None, "--x", "a,b") is None
-    assert numbers(" 1, -2.5e0", "--x", "a,b") == (1.0, -2.5)
-    with pytest.raises(UsageError, match="expected low,high"):
-        numbers("1", "--cloud-band", "low,high")

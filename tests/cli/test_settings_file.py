@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import json
-import tomllib
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from topobatch.cli.settings_file import NAMES, settings_of, settings_text
+from topobatch.cli.settings_file import settings_of
 from topobatch.cli.workspace import Workspace
-from topobatch.topology.errors import DocumentError
 
 
 def made(tmp_path, text: str) -> Workspace:
@@ -53,11 +49,6 @@ def test_init_adds_to_what_is_remembered_or_forgets_it(topobatch, tmp_path) -> N
     assert "no name" in topobatch("init", "--base-frame", "a\nb", "-w", tmp_path).error(2)
 
 
-def test_numbers_may_be_written_as_such(tmp_path) -> None:
-    place = made(tmp_path, "laser-pose = [0.2, 0, 1.5]\nfalse-merge-rate = 1e-4\n")
-    assert settings_of(place) == {"laser_pose": "0.2,0,1.5", "false_merge_rate": "0.0001"}
-
-
 @pytest.mark.parametrize(
     ("text", "why"),
     [
@@ -84,24 +75,5 @@ def test_what_cannot_be_used_is_told(topobatch, logs, tmp_path, text, why) -> No
     assert f"{tmp_path / 'settings.toml'}: {why}" in error
 
 
-def test_a_file_that_is_none_is_not_followed(tmp_path) -> None:
-    (tmp_path / "other").write_text("time = 'log'")
-    (tmp_path / "settings.toml").symlink_to(tmp_path / "other")
-    with pytest.raises(DocumentError, match="is a link"):
-        settings_of(Workspace(tmp_path))
-    (tmp_path / "settings.toml").unlink()
-    (tmp_path / "settings.toml").write_bytes(b"time = '\xff'")
-    with pytest.raises(DocumentError, match="is no TOML"):
-        settings_of(Workspace(tmp_path))
-
-
 def test_a_log_or_settings_are_to_be_named(topobatch, tmp_path) -> None:
     assert "topobatch info LOG" in topobatch("info", "-w", tmp_path).error(2)
-
-
-@settings(max_examples=20)
-@given(st.dictionaries(st.sampled_from(NAMES), st.text() | st.floats(0, 1)))
-def test_what_is_written_is_read(given_) -> None:
-    text = settings_text(given_)
-    found = {key.replace("-", "_"): value for key, value in tomllib.loads(text).items()}
-    assert found == given_

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pytest
 
@@ -57,41 +56,6 @@ def test_a_given_name_is_kept_whatever_happens(place, topobatch) -> None:
     assert [entry["site"] for entry in kept] == ["annex"]
 
 
-def test_a_new_run_changes_no_name(place, topobatch, two_buildings) -> None:
-    before = sites(place)
-    name, runs = largest(place)
-    assert topobatch("discard", runs[0], "-w", place).code == 0
-    assert sites(place)[name] == runs[1:]
-    shutil.copy(two_buildings / "maps" / f"{runs[0]}.json", place / "maps")
-    assert topobatch("merge", "--all", "-w", place).code == 0
-    assert sites(place) == before
-
-
-def test_a_name_before_any_merge(two_buildings, topobatch, tmp_path) -> None:
-    root = tmp_path / "ws"
-    shutil.copytree(two_buildings, root)
-    run = sorted(p.stem for p in (root / "maps").glob("*.json"))[0]
-    shown = topobatch("site", run, "north", "-w", root)
-    assert shown.out == f"site north: {run}\nnext: topobatch merge --all -w {root}\n"
-    assert topobatch("merge", "--all", "-w", root).code == 0
-    assert run in sites(root)["north"]
-
-
-def test_a_union_is_told(place, topobatch) -> None:
-    (_, a), (_, b) = sorted(sites(place).items(), key=lambda item: -len(item[1]))[:2]
-    assert topobatch("site", a[0], "north", "-w", place).code == 0
-    assert topobatch("site", b[0], "south", "-w", place).code == 0
-    assert topobatch("discard", *b[:-1], "-w", place).code == 0
-    assert b[-1] in sites(place)["south"]
-    # The last of the south is the same map as one of the north.
-    named = json.loads((place / "maps" / f"{a[0]}.json").read_text())
-    text = json.dumps(named).replace(f'"{a[0]}"', f'"{b[-1]}"')
-    (place / "maps" / f"{b[-1]}.json").write_text(text)
-    shown = topobatch("merge", "--all", "-w", place)
-    assert "north, south are one site now: north" in shown.out
-    assert "one site now: north" in topobatch("history", "-w", place).out
-
-
 def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> None:
     _, runs = largest(place)
     assert topobatch("site", runs[0], "north", "-w", place).code == 0
@@ -114,20 +78,6 @@ def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> 
         assert topobatch("export", *call, "-f", "nav2", "-o", "-", "-w", place).out == north
 
 
-def test_exports_of_a_site_that_is_no_more_go(place, topobatch) -> None:
-    _, runs = largest(place)
-    assert topobatch("site", runs[0], "north", "-w", place).code == 0
-    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
-    (place / "exports" / "mine.geojson").touch()
-    assert topobatch("site", runs[0], "annex", "-w", place).code == 0
-    assert topobatch("export", "--site", "annex", "-f", "nav2", "-w", place).code == 0
-    assert (place / "exports" / "north.geojson").exists()
-    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
-    left = {p.name for p in (place / "exports").iterdir()}
-    assert {"annex.geojson", "mine.geojson"} <= left
-    assert "north.geojson" not in left
-
-
 def test_the_calls_that_cannot_be(place, topobatch) -> None:
     sorted_sites = sorted(sites(place).items(), key=lambda item: -len(item[1]))
     (one, a), (_, b) = sorted_sites[:2]
@@ -148,28 +98,3 @@ def test_the_calls_that_cannot_be(place, topobatch) -> None:
     refused = topobatch("site", b[0], "north", "-w", place).error(2)
     assert f"topobatch lock {b[0]} {a[0]} --same" in refused
     assert "did you mean north?" in topobatch("changes", "nort", "-w", place).error(2)
-
-
-@pytest.mark.parametrize(
-    ("change", "told"),
-    [
-        (lambda c: [each.update(site="x") for each in c], "two components are called like one"),
-        (lambda c: c[0].update(site="../../x"), "cannot name a site"),
-    ],
-)
-def test_names_in_a_document_are_not_believed(place, topobatch, change, told) -> None:
-    document = json.loads((place / "merged.json").read_text())
-    change(document["graph"]["components"])
-    (place / "merged.json").write_text(json.dumps(document))
-    assert told in topobatch("export", "-f", "nav2", "-w", place).error(1)
-
-
-def test_a_merge_of_an_earlier_version_has_numbers(place, topobatch) -> None:
-    document = json.loads((place / "merged.json").read_text())
-    for component in document["graph"]["components"]:
-        del component["site"]
-    (place / "merged.json").write_text(json.dumps(document))
-    assert topobatch("list", "-w", place).code == 0
-    assert "merge again" in topobatch("changes", "north", "-w", place).error(2)
-    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
-    assert (place / "exports" / "merged-0.geojson").is_file()

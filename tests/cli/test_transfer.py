@@ -122,22 +122,3 @@ def test_calls_that_cannot_be(topobatch, place, table) -> None:
     ).error(2)
     place.merged_json.unlink()
     assert "merge --all" in topobatch("transfer", path, "--from", "one", "--to", "two", *w).error(1)
-
-
-def test_a_table_that_is_not_there(topobatch, place, tmp_path) -> None:
-    for path, told in ((tmp_path / "gone.csv", "no such file"), (tmp_path, "cannot be read")):
-        call = ("transfer", path, "--from", "one", "--to", "two", "-w", place.root)
-        assert told in topobatch(*call).error(1)
-
-
-def test_formulas_in_names_are_quoted(topobatch, place, table) -> None:
-    """Also those that come back from where they were quoted."""
-    name = "=cmd|' /C calc'!A0"
-    path = table(f'name,x,y,@note of mine\n"{name}",20,-1,-5\n')
-    call = ("--from", "one", "--to", "two", "-w", place.root)
-    shown = topobatch("transfer", path, *call)
-    (row,) = rows_of(shown.out)
-    assert row["name"] == f"'{name}"
-    assert row["'@note of mine"] == "-5"
-    (again,) = rows_of(topobatch("transfer", table(shown.out), *call).out)
-    assert again["name"] == row["name"]

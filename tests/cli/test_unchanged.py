@@ -91,33 +91,3 @@ def test_whatever_is_new_is_merged(topobatch, place, tmp_path, monkeypatch, chan
     (place / "merged.json").unlink()
     topobatch("merge", "--all", *options, "-w", place)
     assert nameless(place) == here
-
-
-@pytest.mark.parametrize("harm", ["flip", "cut", "empty", "list", "lines", "no lines", "text"])
-def test_a_record_that_is_none_is_passed_over(topobatch, place, harm):
-    path = place / "cache" / "merged" / "merged.json"
-    whole = path.read_bytes()
-    found = json.loads(whole)
-    if harm in {"lines", "no lines", "text"}:  # of somebody who knows how to make the checksum
-        if harm == "no lines":
-            del found["record"]["lines"]
-        else:
-            found["record"]["lines"] = 3 if harm == "lines" else [["line"]]
-        found["check"] = unchanged._check(found["record"])
-        path.write_text(json.dumps(found))
-    else:
-        at = whole.index(b"merged")
-        flipped = whole[:at] + b"k" + whole[at + 1 :]
-        path.write_bytes({"flip": flipped, "cut": whole[:-9], "empty": b"", "list": b"[1]"}[harm])
-    called = topobatch("merge", "--all", "-v", "-w", place)
-    assert called.code == 0, called
-    assert NOTHING_NEW not in called.err
-    assert json.loads(path.read_bytes())["record"]["lines"] == json.loads(whole)["record"]["lines"]
-
-
-def test_a_map_that_cannot_be_read_is_told_every_time(topobatch, place):
-    (place / "maps" / "bad.json").write_text("{")
-    for _ in range(2):
-        called = topobatch("merge", "--all", "-w", place)
-        assert called.code == 1
-        assert "bad.json" in called.err

@@ -11,7 +11,6 @@ import sys
 import pytest
 
 from topobatch.cli.workspace import Workspace
-from topobatch.topology.files import LEFT_OVER
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="links and FIFOs")
 
@@ -45,18 +44,6 @@ def test_names_in_cache_records_remove_nothing(topobatch, reset_logs, victim, tm
     shutil.copy(reset_logs["whole"], log)
     assert topobatch(*call).code == 0
     assert sorted(p.name for p in maps.iterdir()) == ["other.json", "run.json", "run.rrd"]
-
-
-@pytest.mark.parametrize("content", ["[" * 100_000, '"\\ud800"', "", "[1]", '{"log":[],"runs":{}}'])
-def test_a_cache_record_that_is_none_is_passed_over(topobatch, logs, tmp_path, content):
-    call = ("ingest", logs["mcap"], "-w", tmp_path)
-    topobatch(*call)
-    (record,) = (tmp_path / "cache" / "ingest").glob("*.json")
-    record.write_text(content)
-    done = topobatch(*call)
-    assert (done.code, done.err) == (0, "")
-    assert "unchanged" not in done.out
-    assert "unchanged" in topobatch(*call).out
 
 
 @pytest.mark.parametrize("name", ["maps", "cache", "cache/ingest", "cache/merged", "explain"])
@@ -113,25 +100,6 @@ def test_what_is_no_document_is_not_opened(topobatch, logs, victim, tmp_path, ki
         assert code == 0, told
 
 
-def test_only_left_overs_of_our_own_are_cleared(topobatch, logs, victim, tmp_path):
-    maps = tmp_path / "ws" / "maps"
-    maps.mkdir(parents=True)
-    kept = [
-        maps / name for name in (".precious.tmp", ".topobatch-abc.tmp", "topobatch-abcdefgh.tmp")
-    ]
-    for path in kept:
-        path.write_text("mine")
-    (maps / ".topobatch-folder_1.tmp").mkdir()
-    (maps / ".topobatch-linked12.tmp").symlink_to(victim / "precious")
-    (maps / ".topobatch-leftover.tmp").write_text("half")
-    assert topobatch("ingest", logs["mcap"], "-w", tmp_path / "ws").code == 0
-    assert all(path.read_text() == "mine" for path in kept)
-    assert LEFT_OVER.fullmatch(".topobatch-leftover.tmp")
-    assert not (maps / ".topobatch-leftover.tmp").exists()
-    assert (maps / ".topobatch-folder_1.tmp").is_dir()
-    assert (maps / ".topobatch-linked12.tmp").is_symlink()
-
-
 @pytest.mark.parametrize("name", ["../x", "/x", "..", "", "a/b", ".hidden", "a\0b", "\ud800"])
 def test_names_do_not_lead_out_of_the_workspace(topobatch, logs, tmp_path, name):
     place = Workspace(tmp_path)
@@ -142,13 +110,3 @@ def test_names_do_not_lead_out_of_the_workspace(topobatch, logs, tmp_path, name)
         place.maps.mkdir()
         place.map_json("run").write_text("{}")
         assert topobatch("view", name, "-w", tmp_path).code == 2
-
-
-def test_a_map_file_whose_name_is_no_runs_costs_no_other(topobatch, logs, tmp_path):
-    topobatch("ingest", logs["mcap"], "-w", tmp_path)
-    (good,) = (tmp_path / "maps").glob("*.json")
-    shutil.copy(good, good.with_name("\x1b[31m.json"))
-    done = topobatch("merge", "--all", "-w", tmp_path)
-    assert done.code == 1
-    assert r"\x1b[31m" in done.err
-    assert (tmp_path / "merged.json").exists()

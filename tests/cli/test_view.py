@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 import shutil
 import signal
 import socket
@@ -61,15 +60,6 @@ def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None
     # The usual workspace is not named.
     monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(ws))
     assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out
-
-
-def test_the_calls_of_the_viewer_are_as_a_shell_takes_them(topobatch, logs, tmp_path) -> None:
-    ws = tmp_path / "my ws"
-    topobatch("ingest", logs["mcap"], "--name", "it's; $x", "-w", ws, "-q")
-    calls = topobatch("view", "it's; $x", "-w", ws).out.splitlines()[1:]
-    words = [shlex.split(line.partition(":  ")[2], comments=False) for line in calls]
-    assert words[0][:2] == ["rerun", "it's; $x.rrd"]
-    assert words[1] == ["topobatch", "view", "it's; $x", "--web", "-w", str(ws)]
 
 
 def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, workspace) -> None:

@@ -30,8 +30,7 @@ class Case:
 
     log: file or folder to read; intact: how many messages of the wanted topics are whole in it,
     lost: how many were written but are not whole any more; None where that cannot be known;
-    note: what was done, for the report; kind: of sound log whose cost it is held against; says:
-    what errors and warnings have to speak of (a regular expression), "" for anything.
+    note: what was done, for the report; kind: of sound log whose cost it is held against.
     """
 
     log: Path
@@ -39,8 +38,6 @@ class Case:
     lost: int | None
     note: str
     kind: str = "detections"
-    says: str = ""
-    exact: bool = True
 
 
 Generator = Callable[[random.Random, Path], Case]

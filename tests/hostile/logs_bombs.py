@@ -116,11 +116,6 @@ def _zeros(compression: bytes, size: int) -> bytes:
     return b"".join(parts) + with_size.flush()
 
 
-def _large_chunks(rng: random.Random) -> bytes:
-    size = 511 * MIB
-    return _chunk(_zeros(b"zstd", size), b"zstd", size) * rng.randint(2, 5)
-
-
 def _chunk_of_messages(rng: random.Random) -> bytes:
     """Chunks of 511 MiB of messages that nobody wants."""
     import zstandard
@@ -165,13 +160,6 @@ def _channels(rng: random.Random) -> bytes:
     return b"".join(_chunk(records[k : k + MIB]) for k in range(0, len(records), MIB))
 
 
-def _wanted_channels(rng: random.Random) -> bytes:
-    count = _share(rng, 60_000)
-    schema = _record(3, struct.pack("<H", 9) + _text(b"nav_msgs/msg/Odometry") + _text(b"") * 2)
-    records = schema + b"".join(_channel(k + 10, b"/t%d" % k, 9) for k in range(count))
-    return _chunk(records)
-
-
 def _small_chunks(rng: random.Random) -> bytes:
     import zstandard
 
@@ -207,10 +195,6 @@ def _false_heads(rng: random.Random) -> bytes:
     return head * (size // len(head))
 
 
-def _strange_records(rng: random.Random) -> bytes:
-    return _record(rng.choice((0x80, 0x10, 0x00)), b"") * (_share(rng, 4 * MIB) // 9)
-
-
 def _nested(rng: random.Random) -> bytes:
     """Definitions that inflate when they are followed."""
     line = "=" * 80
@@ -238,25 +222,6 @@ def _nested_alone(rng: random.Random, folder: Path) -> Case:
     path = folder / "run.mcap"
     path.write_bytes(_front(folder) + _nested(rng) + _TAIL)
     return Case(path, None, None, "definitions that inflate when followed")
-
-
-def _far(rng: random.Random, folder: Path) -> Case:
-    """Coordinates up to 10^9 m, at rest or at an absurd speed."""
-    from dataclasses import replace
-
-    logs = writers()
-    scale = 10.0 ** rng.uniform(5, 9)
-    offset = rng.random() < 0.5
-    messages = []
-    for message in logs.drive(ODOMETRY):
-        if message.topic == "/odom":
-            x, y, *rest = message.poses[0]
-            x, y = (x + scale, y - scale) if offset else (x * scale, y * scale)
-            messages.append(replace(message, poses=((x, y, *rest),)))
-        else:
-            messages.append(message)
-    path = logs.mcap(folder / "run.mcap", messages)
-    return Case(path, None, None, f"coordinates of {scale:.0f} m")
 
 
 # Bags
@@ -327,18 +292,6 @@ def _bag_marks(rng: random.Random) -> bytes:
     return mark * (_share(rng, 8 * MIB) // len(mark))
 
 
-def _bag_large_message(rng: random.Random, folder: Path) -> Case:
-    """One message of up to 448 MB in a chunk without compression; the file is that large."""
-    size = _share(rng, 448 * MIB)
-    data = _bag_message(77, b"")[:-4] + struct.pack("<I", size)
-    head = _bag_chunk(b"", b"none", len(data) + size)[:-4] + struct.pack("<I", len(data) + size)
-    case = _bag(lambda _: head + data, "")(rng, folder)
-    with case.log.open("r+b") as file:
-        # A hole: it takes no room on the disk.
-        file.truncate(case.log.stat().st_size + size)
-    return Case(case.log, SOUND, 1, f"one message of {size >> 20} MiB")
-
-
 # sqlite
 
 
@@ -361,17 +314,6 @@ def _died(folder: Path, write: Callable[[sqlite3.Connection], object]) -> tuple[
         copy.write_bytes(path.with_name(copy.name).read_bytes())
     base.close()
     return copies[0], copies[1]
-
-
-def _wal_of_images(rng: random.Random, folder: Path) -> Case:
-    def images(base: sqlite3.Connection) -> None:
-        topic = "9, '/camera', 'sensor_msgs/msg/Image', 'cdr', '', '' "
-        base.execute("INSERT INTO topics SELECT " + topic)
-        image = rng.randbytes(MIB)
-        for k in range(_share(rng, 400)):
-            base.execute("INSERT INTO messages VALUES (?, 9, ?, ?)", (10_000 + k, k, image))
-
-    return Case(_died(folder, images)[0], SOUND, 0, "an unmerged log full of images")
 
 
 _SCHEMAS = {
@@ -412,16 +354,6 @@ def _schema(name: str, rng: random.Random, folder: Path) -> Case:
     return Case(path.parent, None, None, name)
 
 
-def _many_topics(rng: random.Random, folder: Path) -> Case:
-    path = _db3(folder)
-    base = sqlite3.connect(path)
-    rows = ((100 + k, f"/t{k}", "nav_msgs/msg/Odometry") for k in range(_share(rng, 30_000)))
-    base.executemany("INSERT INTO topics VALUES (?, ?, ?, 'cdr', '', '')", rows)
-    base.commit()
-    base.close()
-    return Case(path.parent, None, None, "topics without a message")
-
-
 def _large_rows(rng: random.Random, folder: Path) -> Case:
     path = _db3(folder)
     base = sqlite3.connect(path)
@@ -457,14 +389,12 @@ def _yaml(name: str, rng: random.Random, folder: Path) -> Case:
 
 
 CASES: dict[str, Generator] = {
-    "mcap-511-mib-chunks": _mcap(_large_chunks, "chunks of 511 MiB of zeros"),
     "mcap-511-mib-of-messages": _mcap(_chunk_of_messages, "chunks of 511 MiB of messages"),
     "mcap-declared-sizes": _mcap(_declared, "sizes that the data do not reach"),
     "mcap-large-message": _mcap(
         _one_large_message, "one odometry message of up to 448 MiB", lost=1
     ),
     "mcap-channels": _mcap(_channels, "up to 10^6 channel records", lost=0),
-    "mcap-wanted-channels": _mcap(_wanted_channels, "up to 60,000 odometry channels"),
     "mcap-small-chunks": _mcap(_small_chunks, "up to 10^6 chunks of one message", lost=0),
     "mcap-broken-chunks": _mcap(
         _broken_small_chunks,
@@ -472,21 +402,12 @@ CASES: dict[str, Generator] = {
         lost=lambda made: len(made) // len(_BROKEN),
     ),
     "mcap-false-heads": _mcap(_false_heads, "megabytes of false heads"),
-    "mcap-false-heads-unchunked": _mcap(_false_heads, "megabytes of false heads", chunked=False),
-    "mcap-strange-records": _mcap(_strange_records, "megabytes of empty records", lost=0),
     "mcap-nested-types": _nested_alone,
-    "mcap-far": _far,
     "bag-511-mib-chunks": _bag(_bag_large, "chunks of 511 MiB of zeros"),
     "bag-declared-sizes": _bag(_bag_declared, "sizes that the data do not reach"),
     "bag-small-chunks": _bag(_bag_small, "up to 10^6 chunks of one message", lost=0),
     "bag-false-marks": _bag(_bag_marks, "megabytes of chunk marks"),
-    "bag-large-message": _bag_large_message,
-    "db3-wal-of-images": _wal_of_images,
-    "db3-many-topics": _many_topics,
     "db3-large-rows": _large_rows,
     **{f"db3-{name.replace(' ', '-')}": partial(_schema, name) for name in _SCHEMAS},
     **{f"yaml-{name.replace(' ', '-')}": partial(_yaml, name) for name in YAML},
 }
-
-FORMULAS = frozenset(name.replace(" ", "-") for name in _SCHEMAS if name != "a virtual table")
-"""Databases whose tables are formulas."""

@@ -5,16 +5,14 @@ As in `logs_bombs`, every log also holds a small sound run, which has to be used
 
 from __future__ import annotations
 
-import bz2
 import random
-import sqlite3
 import struct
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from case import Case, Generator, without_index, writers
+from case import Case, Generator, writers
 from logs_bombs import (
     _TAIL,
     MIB,
@@ -22,15 +20,12 @@ from logs_bombs import (
     SOUND,
     _bag,
     _bag_chunk,
-    _bag_message,
     _bag_record,
     _channel,
     _chunk,
-    _db3,
     _died,
     _front,
     _mcap,
-    _message,
     _record,
     _share,
     _text,
@@ -71,38 +66,6 @@ def _connections(rng: random.Random) -> bytes:
     records = [
         _connection((first + every * k) & 0xFFFFFFFF, topic % k if b"%" in topic else topic, kind)
         for k in range(count)
-    ]
-    return _in_chunks(rng, records)
-
-
-def _large_connections(rng: random.Random) -> bytes:
-    """Connections of huge topics, types or definitions, or of many fields."""
-    size = _share(rng, 8 * MIB)
-    big = rng.choice((b"x", b"uint8 a\n", b"\xff", b"=" * 80 + b"\nMSG: p/T\n")) * size
-    big = big[:size]
-    how = rng.randrange(5)
-    if how == 0:
-        return _connection(2, b"/" + big, b"nav_msgs/Odometry")
-    if how == 1:
-        return _connection(2, b"/t", b"nav_msgs/" + big)
-    if how == 2:
-        return _connection(2, b"/t", b"nav_msgs/Odometry", big)
-    if how == 3:
-        # A head of nothing but fields.
-        fields = struct.pack("<I", 2) + b"a="
-        head = b"\x04\x00\x00\x00op=\x07" + fields * (size // len(fields))
-        return struct.pack("<I", len(head)) + head + struct.pack("<I", 0)
-    definition = big[: MIB // 4]
-    return b"".join(_connection(2 + k, b"/t%d" % k, b"p/T", definition) for k in range(40))
-
-
-def _same_numbers(rng: random.Random) -> bytes:
-    """The connections of the sound run once more, as something else."""
-    kinds = (b"std_msgs/String", b"nav_msgs/Odometry", b"geometry_msgs/PoseArray", b"")
-    topics = (b"/odom", b"/junctions", b"/other", b"", b"\x1b[31m")
-    records = [
-        _connection(rng.choice((0, 1, 0, 1, 2)), rng.choice(topics), rng.choice(kinds))
-        for _ in range(_share(rng, 1000))
     ]
     return _in_chunks(rng, records)
 
@@ -180,30 +143,6 @@ def _false_summary(rng: random.Random, folder: Path) -> Case:
     return Case(path, SOUND, 0, "a summary that describes other channels")
 
 
-def _attachments(rng: random.Random) -> bytes:
-    """Attachments by the hundred thousand."""
-    one = struct.pack("<QQ", 1, 1) + _text(rng.choice((b"a", b"../../x", b"\x1b[31m"))) + _text(b"")
-    one += struct.pack("<Q", 4) + b"data" + struct.pack("<I", 0)
-    return _record(9, one) * _share(rng, 300_000)
-
-
-def _metadata(rng: random.Random) -> bytes:
-    """Metadata by the hundred thousand, or of a hundred thousand entries."""
-    if rng.random() < 0.5:
-        return _record(12, _text(b"name") + struct.pack("<I", 0)) * _share(rng, 300_000)
-    entries = b"".join(_text(b"k%d" % k) + _text(b"v" * 20) for k in range(_share(rng, 200_000)))
-    return _record(12, _text(b"name") + struct.pack("<I", len(entries)) + entries)
-
-
-def _false_attachments(rng: random.Random) -> bytes:
-    """Attachments and metadata whose own lengths lead anywhere."""
-    sizes = (0, 1, 1 << 20, 1 << 31, (1 << 32) - 1)
-    return b"".join(
-        _record(rng.choice((9, 12, 10, 13)), struct.pack("<IIQ", *rng.choices(sizes, k=3)) * 4)
-        for _ in range(_share(rng, 20_000))
-    )
-
-
 def _huge_attachment(rng: random.Random, folder: Path) -> Case:
     """An attachment of up to 1 GB in front of the messages or behind them; it takes no room."""
     path, size = folder / "run.mcap", _share(rng, 1 << 30)
@@ -269,24 +208,6 @@ def _descriptions_in_front(rng: random.Random, folder: Path) -> Case:
     return Case(path, SOUND, 0, f"{len(records)} descriptions in front of the messages")
 
 
-def _connections_in_front(rng: random.Random, folder: Path) -> Case:
-    logs = writers()
-    path = logs.bag(folder / "run.bag", logs.drive(ODOMETRY))
-    raw = without_index(path.read_bytes())
-    header = struct.unpack_from("<I", raw, 13)[0]
-    first = 13 + 8 + header + struct.unpack_from("<I", raw, 17 + header)[0]
-    count, every = _share(rng, 200_000), rng.choice((0, 1))
-    kind, text = rng.choice(((b"x/Y", b""), (b"nav_msgs/Odometry", b""), (b"x/Y", b"a" * MIB)))
-    records = [
-        _connection(10 + every * k % 60_000, b"/t%d" % k, kind, text)
-        for k in range(40 if text else count)
-    ]
-    parts = [b"".join(records[k : k + 1000]) for k in range(0, len(records), 1000)]
-    flood = b"".join(_bag_chunk(part, b"none", len(part)) for part in parts)
-    path.write_bytes(raw[:first] + flood + raw[first:])
-    return Case(path, SOUND, 0, f"{len(records)} connections in front of the messages")
-
-
 def _packed_descriptions(rng: random.Random) -> bytes:
     """A chunk of up to a million descriptions, each of another name."""
     import zstandard
@@ -295,73 +216,7 @@ def _packed_descriptions(rng: random.Random) -> bytes:
     return _chunk(zstandard.compress(data, 3), b"zstd", len(data))
 
 
-def _packed_other_connections(rng: random.Random) -> bytes:
-    import lz4.frame
-
-    count, out = 250_000, []
-    for first in range(0, _share(rng, 4) * count + 1, count):
-        numbers = range(first, first + count)
-        data = b"".join(_connection(10 + k % 60_000, b"/t%d" % k, b"x/Y") for k in numbers)
-        out.append(_bag_chunk(lz4.frame.compress(data), b"lz4", len(data)))
-    return b"".join(out)
-
-
-# Both, out of kilobytes
-
-
-def _packed_records(rng: random.Random) -> bytes:
-    """Chunks of 511 MiB of one record, or of two by turns: descriptions, or broken messages."""
-    import zstandard
-
-    ones = (
-        _channel(9, b"/t"),
-        _channel(9, b"/t") + _channel(9, b"/u"),
-        _record(3, struct.pack("<H", 9) + _text(b"x") * 3),
-        _message(1, b""),
-        _message(1, bytes(40)),
-        _message(99, b""),
-    )
-    one = rng.choice(ones)
-    many = one * (MIB // len(one))
-    packer, count = zstandard.ZstdCompressor().compressobj(), 511 * MIB // len(many)
-    packed = b"".join(packer.compress(many) for _ in range(count)) + packer.flush()
-    return _chunk(packed, b"zstd", count * len(many)) * rng.randint(1, 3)
-
-
-def _packed_connections(rng: random.Random) -> bytes:
-    """Chunks of 32 MiB of one or two connections, or of messages, in bz2 or lz4."""
-    ones = (
-        _connection(2, b"/t", b"x/Y"),
-        _connection(2, b"/t", b"x/Y") + _connection(2, b"/u", b"x/Y"),
-        _bag_message(0, b""),
-        _bag_message(99, b""),
-    )
-    one = rng.choice(ones)
-    many = one * (32 * MIB // len(one))
-    if rng.random() < 0.5:
-        return _bag_chunk(bz2.compress(many), b"bz2", len(many)) * rng.randint(2, 16)
-    import lz4.frame
-
-    return _bag_chunk(lz4.frame.compress(many), b"lz4", len(many)) * rng.randint(2, 16)
-
-
 # Databases
-
-
-def _without_rowid(rng: random.Random, folder: Path) -> Case:
-    """Tables without row numbers, which are laid out as an index."""
-    path = _db3(folder)
-    with sqlite3.connect(path) as base:
-        for name in rng.sample(("messages", "topics"), rng.randint(1, 2)):
-            (sql,) = base.execute(
-                "SELECT sql FROM sqlite_master WHERE name = ?", (name,)
-            ).fetchone()
-            base.execute(f"ALTER TABLE {name} RENAME TO kept")
-            base.execute(sql + " WITHOUT ROWID")
-            base.execute(f"INSERT INTO {name} SELECT * FROM kept")
-            base.execute("DROP TABLE kept")
-    base.close()
-    return Case(path.parent, SOUND, 0, "tables without row numbers")
 
 
 def _beside(rng: random.Random, folder: Path) -> Case:
@@ -428,29 +283,15 @@ def _long_names(kind: str, rng: random.Random, folder: Path) -> Case:
     return Case(log, None, None, f"a {what} of {len(long)} characters")
 
 
-def _tails(make: Callable[[random.Random], bytes], note: str) -> Generator:
-    return _mcap(make, note, lost=0)
-
-
 CASES: dict[str, Generator] = {
     "bag-connections": _bag(_connections, "up to 10^6 connections"),
-    "bag-large-connections": _bag(_large_connections, "connections of megabytes"),
-    "bag-same-connections": _bag(_same_numbers, "connections described again"),
     "bag-index-flood": _index_flood,
     "bag-false-index": _false_index,
-    "bag-packed-records": _bag(_packed_connections, "chunks of 32 MiB of one record"),
-    "bag-connections-in-front": _connections_in_front,
-    "bag-packed-connections": _bag(_packed_other_connections, "up to 10^6 connections in lz4"),
     "mcap-descriptions-in-front": _descriptions_in_front,
     "mcap-packed-descriptions": _mcap(_packed_descriptions, "up to 10^6 descriptions in zstd"),
-    "mcap-packed-records": _mcap(_packed_records, "chunks of 511 MiB of one record"),
-    "mcap-attachments": _tails(_attachments, "up to 300,000 attachments"),
-    "mcap-metadata": _tails(_metadata, "up to 300,000 records of metadata"),
-    "mcap-false-attachments": _tails(_false_attachments, "attachments of false lengths"),
     "mcap-huge-attachment": _huge_attachment,
     "mcap-summary-flood": _summary_flood,
     "mcap-false-summary": _false_summary,
-    "db3-without-rowid": _without_rowid,
     "db3-log-beside": _beside,
     **{f"names-{kind}": partial(_long_names, kind) for kind in ("mcap", "bag", "db3")},
 }

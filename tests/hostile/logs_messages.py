@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import random
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -61,32 +59,6 @@ def _part(number: int, raw: bytes) -> bytes:
     return bytes(writers().field(number, raw))
 
 
-def _descriptors(rng: random.Random) -> bytes:
-    """A set of file descriptors: recursive, huge, foreign, or none."""
-    member = _part(1, b"a") + _varint(3 << 3) + b"\1" + _part(6, b".foxglove.PoseInFrame")
-    recursive = _part(1, b"PoseInFrame") + _part(2, member)
-    deep = b""
-    for _ in range(rng.choice((100, 5000))):
-        deep = _part(3, _part(1, b"N") + deep)
-    many = b"".join(_part(4, _part(1, b"T%d" % k)) for k in range(rng.choice((100, 100_000))))
-    body = rng.choice((_part(4, recursive), _part(4, deep), many, b"\xff" * MIB, bytes(20)))
-    return _part(1, _part(1, b"x.proto") + _part(2, b"foxglove") + body)
-
-
-def _protobuf_schemas(rng: random.Random, folder: Path) -> Case:
-    log, count = _write(folder / "run.mcap", "protobuf", _usual("protobuf", _descriptors(rng)), [])
-    return Case(log, count, 0, "descriptors that are recursive, huge or none", kind="rows")
-
-
-def _protobuf_foreign(rng: random.Random, folder: Path) -> Case:
-    """Odometry of a type that nobody knows, or of a known one in an encoding that nobody knows."""
-    name = rng.choice(("acme.Odometry", "nav_msgs/msg/Odometry", "foxglove.SceneUpdate", ""))
-    schemas = _usual("protobuf", _descriptors(rng))
-    schemas["/odom"] = (name, "protobuf", schemas["/odom"][2])
-    log, _ = _write(folder / "run.mcap", "protobuf", schemas, [])
-    return Case(log, None, None, f"protobuf of type {name!r}", says=r"/odom|odometry", kind="rows")
-
-
 def _protobuf_bytes(rng: random.Random, folder: Path) -> Case:
     """Messages that nest, repeat, end early or never."""
     point = b"".join(_varint(n << 3 | 1) + struct.pack("<d", 1e308) for n in (1, 2, 3))
@@ -106,7 +78,7 @@ def _protobuf_bytes(rng: random.Random, folder: Path) -> Case:
         b"",
     )
     log, count = _write(folder / "run.mcap", "protobuf", _usual("protobuf"), rng.sample(every, 4))
-    return Case(log, count, None, "protobuf of absurd bytes", kind="rows")
+    return Case(log, count, None, "protobuf of absurd bytes")
 
 
 # JSON
@@ -159,24 +131,7 @@ def _json_messages(rng: random.Random, folder: Path) -> Case:
     if rng.random() < 0.3:
         bad.append(rng.choice((b"\xff\xfe{\0}\0", b"\xff" * 100, b'{"pose": "\xed\xa0\x80"}')))
     log, count = _write(folder / "run.mcap", "json", _usual("json"), bad)
-    return Case(log, count, None, "JSON nested, huge or absurd", kind="rows")
-
-
-def _json_schemas(rng: random.Random, folder: Path) -> Case:
-    """Schemas of JSON that refer to themselves, are huge, or none."""
-    texts = (
-        json.dumps({"$ref": "#"}),
-        json.dumps({"$defs": {"a": {"$ref": "#/$defs/a"}}, "$ref": "#/$defs/a"}),
-        json.dumps({"$ref": "file:///etc/passwd"}),
-        "[" * 100_000,
-        '{"properties":' * 5000,
-        '{"x": "' + "y" * (4 * MIB) + '"}',
-        '{"pattern": "(a+)+$"}',
-        "not JSON",
-        "\0",
-    )
-    log, count = _write(folder / "run.mcap", "json", _usual("json", rng.choice(texts).encode()), [])
-    return Case(log, count, 0, "schemas of JSON that lead nowhere", kind="rows")
+    return Case(log, count, None, "JSON nested, huge or absurd")
 
 
 # Definitions of ROS
@@ -220,13 +175,8 @@ def _definitions(rng: random.Random, folder: Path) -> Case:
     return Case(path, None, None, f"a definition in {kind[:10]}")
 
 
-Make = Callable[[random.Random, Path], Case]
-
 CASES: dict[str, Generator] = {
-    "protobuf-schemas": _protobuf_schemas,
-    "protobuf-foreign": _protobuf_foreign,
     "protobuf-bytes": _protobuf_bytes,
     "json-messages": _json_messages,
-    "json-schemas": _json_schemas,
     "ros-definitions": _definitions,
 }

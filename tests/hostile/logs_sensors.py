@@ -5,7 +5,6 @@ None of it makes a map that could be compared: what counts is how the call ends 
 
 from __future__ import annotations
 
-import json
 import math
 import random
 import struct
@@ -96,44 +95,18 @@ def _sensor(kind: str, make: Callable[[random.Random], list[Message]], note: str
             "/odom": ("nav_msgs/msg/Odometry", "cdr", list(_odometry())),
             "/sensor": (kind, "json" if "foxglove" in kind else "cdr", make(rng)),
         }
-        like = "grid" if kind == GRID else "scans"
+        like = "grid" if kind == GRID else "detections"
         return Case(_log(folder / "run.mcap", topics), None, None, note, like)
 
     return write
 
 
-def sound(kind: str, count: int, folder: Path) -> Path:
-    """What hostile logs of a kind are held against: so many scans of a room, or a grid so wide."""
-    if kind == "grid":
-        free = [range(count // 2 - 20, count // 2 + 20)] * 2
-        cells = bytes(
-            0 if x in free[0] or y in free[1] else 100 for y in range(count) for x in range(count)
-        )
-        topics = {"/sensor": (GRID, "cdr", [(START_NS, _grid(cells, (count, count)))])}
-        return _log(folder / "grid.mcap", topics, "NONE")
-    scans = []
-    for k, t in enumerate(_times(count)):
-        turn = 0.04 * k
-        x, y, beams = 8 * math.cos(turn), 8 * math.sin(turn), []
-        for beam in range(620):
-            way = turn + 1.6 - 3.1 + 0.01 * beam
-            walls = [
-                (10 - x * s) * s / c
-                for s, c in ((1, math.cos(way)), (-1, math.cos(way)))
-                if c * s > 1e-6
-            ]
-            walls += [
-                (10 - y * s) * s / c
-                for s, c in ((1, math.sin(way)), (-1, math.sin(way)))
-                if c * s > 1e-6
-            ]
-            beams.append(min(walls))
-        scans.append((t, _scan(t, _floats(*beams))))
-    topics = {
-        "/odom": ("nav_msgs/msg/Odometry", "cdr", list(_odometry(2 * count))),
-        "/sensor": (LASER, "cdr", scans),
-    }
-    return _log(folder / "scans.mcap", topics, "NONE")
+def sound(cells: int, folder: Path) -> Path:
+    """What hostile grids are held against: a crossing in a grid so many cells wide."""
+    way = range(cells // 2 - 20, cells // 2 + 20)
+    free = bytes(0 if x in way or y in way else 100 for y in range(cells) for x in range(cells))
+    topics = {"/sensor": (GRID, "cdr", [(START_NS, _grid(free, (cells, cells)))])}
+    return _log(folder / "grid.mcap", topics, "NONE")
 
 
 def _times(count: int) -> list[int]:
@@ -159,12 +132,6 @@ def _floats(*values: float) -> bytes:
     return struct.pack(f"<{len(values)}f", *values)
 
 
-def _many_beams(rng: random.Random) -> list[Message]:
-    beams = rng.choice((60_000, 65_536, 65_537, 10**6, 3_900_000))
-    few = 20 if beams < 10**5 else 2
-    return [(t, _scan(t, _floats(2.0) * beams)) for t in _times(few)]
-
-
 def _false_counts(rng: random.Random) -> list[Message]:
     counts = (0, 1, 2, 619, 622, 65_536, 1 << 24, (1 << 32) - 1)
     return [(t, _scan(t, _floats(2.0) * 620, count=rng.choice(counts))) for t in _times(200)]
@@ -184,51 +151,6 @@ def _absurd_ranges(rng: random.Random) -> list[Message]:
         (t, _scan(t, _floats(*(rng.choice(some) if rng.random() < share else 2.0 for _ in r))))
         for t, r in ((t, range(620)) for t in _times(200))
     ]
-
-
-def _scans_unlike(rng: random.Random) -> list[Message]:
-    """Each of another size, frame or geometry."""
-    how, out = rng.choice(("sizes", "frames", "angles")), []
-    for k, t in enumerate(_times(5000)):
-        beams = 2 + k if how == "sizes" else 30
-        frame = f"laser{k}" if how == "frames" else "base_link"
-        first = -3.1 + 1e-4 * k if how == "angles" else -3.1
-        about = (first, 3.1, 6.2 / beams, 0.0, 0.1, 0.1, 30.0)
-        out.append((t, _scan(t, _floats(2.0) * beams, frame=frame, about=about)))
-    return out
-
-
-def _scan_times(rng: random.Random) -> list[Message]:
-    steps = (-10 * SECOND, 0, SECOND // 10, 365 * 86400 * SECOND, -365 * 86400 * SECOND)
-    now, out = START_NS, []
-    for _ in range(300):
-        now = min(max(now + rng.choice(steps), 0), (1 << 31) * SECOND - 1)
-        out.append((now, _scan(now, _floats(2.0) * 300)))
-    return out
-
-
-def _echoes(rng: random.Random) -> list[Message]:
-    out = []
-    for t in _times(100):
-        beams = rng.choice((1, 100, 60_000))
-        lists = b"".join(
-            struct.pack("<I", n) + _floats(2.0) * min(n, 3)
-            for n in (rng.choice((0, 1, 3, 17, 1 << 31)) for _ in range(min(beams, 100)))
-        )
-        out.append((t, _scan(t, lists, count=beams)))
-    return out
-
-
-def _json_scans(rng: random.Random) -> list[Message]:
-    ranges: list[object] = [
-        *(rng.choice((2.0, None, 1e308, -1, 10**400, "2", [], {}, True)) for _ in range(300))
-    ]
-    if rng.random() < 0.3:
-        ranges = [1] * rng.choice((70_000, 10**6))
-    scan = {"timestamp": {"sec": 1, "nsec": 2}, "frame_id": "base_link", "ranges": ranges}
-    scan |= {name: rng.choice((*ABSURD, -3.1, "x")) for name in ("start_angle", "end_angle")}
-    raw = rng.choice((json.dumps(scan), "[" * 10**5, '{"ranges":' * 5000, '"\ud800"'))
-    return [(t, raw.encode("utf-8", "surrogatepass")) for t in _times(5)]
 
 
 # Clouds
@@ -271,26 +193,6 @@ def _cloud_sizes(rng: random.Random) -> list[Message]:
     ]
 
 
-def _cloud_of_bytes(rng: random.Random) -> list[Message]:
-    """Millions of points that share their bytes."""
-    count = rng.choice((10**6, 8 * 10**6, 16 * MIB - 4096))
-    fields = tuple((name, 0, rng.choice((1, 2))) for name in "xyz")
-    data = bytes(count)
-    return [
-        (t, _cloud(t, data, height=1, width=count, step=1, row=count, fields=fields))
-        for t in _times(rng.choice((1, 3)))
-    ]
-
-
-def _cloud_large(rng: random.Random) -> list[Message]:
-    """Clouds about as large as any that are read."""
-    step = rng.choice((16, 32, 40))
-    width = rng.choice((1 << 21, (1 << 26) // step, (1 << 26) // step - 100))
-    point = _floats(2.0, 1.0, 0.2) + bytes(step - 12)
-    size = {"height": 1, "width": min(width, 1 << 21), "step": step, "row": width * step}
-    return [(t, _cloud(t, point * width, **size)) for t in _times(2)]
-
-
 def _cloud_fields(rng: random.Random) -> list[Message]:
     numbers = (0, 1, 4, 8, 9, 11, 12, 1 << 31, (1 << 32) - 1)
     out = []
@@ -302,12 +204,6 @@ def _cloud_fields(rng: random.Random) -> list[Message]:
             (t, _cloud(t, bytes(1200), height=1, width=100, step=12, row=1200, fields=fields))
         )
     return out
-
-
-def _cloud_points(rng: random.Random) -> list[Message]:
-    some = rng.sample(ABSURD, rng.randint(1, 4))
-    data = _floats(*(rng.choice(some) for _ in range(3 * 10_000)))
-    return [(t, _cloud(t, data, height=1, width=10_000, step=12, row=0)) for t in _times(50)]
 
 
 # Grids
@@ -323,30 +219,6 @@ def _grid(
     body = Cdr().header(START_NS, "map").put("I", 0, 0).put("f", resolution)
     body.put("I", *size).put("d", *pose)
     return body.put("I", len(data) if count is None else count).done(data)
-
-
-def _grid_sizes(rng: random.Random) -> list[Message]:
-    numbers = (0, 1, 100, 1 << 16, (1 << 31) - 1, 1 << 31, (1 << 32) - 1)
-    return [
-        (
-            t,
-            _grid(
-                bytes(10_000),
-                (rng.choice(numbers), rng.choice(numbers)),
-                rng.choice((0.05, *ABSURD)),
-                count=rng.choice((10_000, *numbers)),
-            ),
-        )
-        for t in _times(5)
-    ]
-
-
-def _grid_numbers(rng: random.Random) -> list[Message]:
-    pose = [0.0] * 6 + [1.0]
-    for k in rng.sample(range(7), rng.randint(0, 3)):
-        pose[k] = rng.choice(ABSURD)
-    resolution = rng.choice((0.05, 0.001, 10.0, *ABSURD))
-    return [(START_NS, _grid(_cells(rng, 300, 300), (300, 300), resolution, tuple(pose)))]
 
 
 def _cells(rng: random.Random, width: int, height: int) -> bytes:
@@ -482,9 +354,7 @@ def _transforms(rng: random.Random, folder: Path) -> Case:
         "/scan": ("sensor_msgs/msg/LaserScan", "cdr", scans),
         "/tf_static": ("tf2_msgs/msg/TFMessage", "cdr", [(START_NS, body.done())]),
     }
-    return Case(
-        _log(folder / "run.mcap", topics), None, None, f"transforms: {how} of {len(pairs)}", "scans"
-    )
+    return Case(_log(folder / "run.mcap", topics), None, None, f"transforms: {how} of {len(pairs)}")
 
 
 def _poses(rng: random.Random, folder: Path) -> Case:
@@ -511,46 +381,6 @@ def _poses(rng: random.Random, folder: Path) -> Case:
     return Case(_log(folder / "run.mcap", topics), None, None, "poses of absurd numbers")
 
 
-def _apart(rng: random.Random, folder: Path) -> Case:
-    """Sound messages of a sensor in chunks of their own, of which some are broken."""
-    from mcap.reader import make_reader
-    from mcap.writer import Writer
-
-    kind = rng.choice((LASER, CLOUD, GRID))
-    ring = b"".join(_floats(2 * math.cos(k / 100), 2 * math.sin(k / 100), 0.5) for k in range(628))
-    ways = range(80, 120)
-    cells = bytes(0 if k % 200 in ways or k // 200 in ways else 100 for k in range(200 * 200))
-    make = {
-        LASER: lambda t: _scan(t, _floats(2.0) * 620),
-        CLOUD: lambda t: _cloud(t, ring, height=1, width=628, step=12, row=len(ring)),
-        GRID: lambda t: _grid(cells, (200, 200)),
-    }[kind]
-    parts = [("/odom", "nav_msgs/msg/Odometry", list(_odometry(50 if kind == GRID else 300)))]
-    parts.append(("/sensor", kind, [(t, make(t)) for t in _times(10 if kind == GRID else 100)]))
-    path = folder / "run.mcap"
-    with path.open("wb") as file:
-        writer = Writer(file, chunk_size=40_000)
-        writer.start("", "attack")
-        for topic, type_name, messages in rng.sample(parts, 2):
-            schema = writer.register_schema(type_name, "", b"")
-            channel = writer.register_channel(topic, "cdr", schema)
-            for time_ns, payload in messages:
-                writer.add_message(channel, time_ns, payload, time_ns)
-        writer.finish()
-    with path.open("rb") as file:
-        summary = make_reader(file).get_summary()
-    assert summary is not None
-    sensor = next(k for k, c in summary.channels.items() if c.topic == "/sensor")
-    found = [c for c in summary.chunk_indexes if [*c.message_index_offsets] == [sensor]]
-    raw = bytearray(path.read_bytes())
-    for chunk in rng.sample(found, rng.choice((1, 1, len(found)))):
-        at = chunk.chunk_start_offset + chunk.chunk_length - rng.randint(1, chunk.compressed_size)
-        raw[at] ^= rng.randint(1, 255)
-    path.write_bytes(raw)
-    like = "grid" if kind == GRID else "scans"
-    return Case(path, None, None, f"broken chunks of {kind} alone", like, "damaged chunk")
-
-
 def _wild_clock(rng: random.Random, folder: Path) -> Case:
     """Messages of a sound run under times that run backwards, jump by years, or stand."""
     logs, out = writers(), []
@@ -567,25 +397,12 @@ CLOUD = "sensor_msgs/msg/PointCloud2"
 GRID = "nav_msgs/msg/OccupancyGrid"
 
 CASES: dict[str, Generator] = {
-    "scan-beams": _sensor(LASER, _many_beams, "up to 4 million ranges in a scan"),
     "scan-counts": _sensor(LASER, _false_counts, "scans that declare other numbers of ranges"),
     "scan-angles": _sensor(LASER, _absurd_angles, "scans of absurd geometries"),
     "scan-ranges": _sensor(LASER, _absurd_ranges, "scans of absurd ranges"),
-    "scan-unlike": _sensor(LASER, _scans_unlike, "5,000 scans, none like another"),
-    "scan-times": _sensor(LASER, _scan_times, "scans under a clock that jumps by years"),
-    "scan-echoes": _sensor(
-        "sensor_msgs/msg/MultiEchoLaserScan", _echoes, "lists of echoes that do not fit"
-    ),
-    "scan-json": _sensor("foxglove.LaserScan", _json_scans, "scans in JSON, or what looks like it"),
     "cloud-sizes": _sensor(CLOUD, _cloud_sizes, "clouds of false sizes and strides"),
-    "cloud-bytes": _sensor(CLOUD, _cloud_of_bytes, "millions of points of one byte"),
-    "cloud-large": _sensor(CLOUD, _cloud_large, "clouds of up to 64 MiB, and above"),
     "cloud-fields": _sensor(CLOUD, _cloud_fields, "clouds of false fields"),
-    "cloud-points": _sensor(CLOUD, _cloud_points, "points of absurd numbers"),
-    "grid-sizes": _sensor(GRID, _grid_sizes, "grids of false sizes"),
-    "grid-numbers": _sensor(GRID, _grid_numbers, "grids at absurd places, of absurd resolutions"),
     "grid-large": _sensor(GRID, _grid_large, "grids of up to 16 million cells"),
-    "sensor-apart": _apart,
     "map-saved": _saved_map,
     "tf-frames": _transforms,
     "odometry-absurd": _poses,

@@ -6,7 +6,6 @@ import os
 import random
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 from case import Case, Generator, writers
@@ -62,33 +61,6 @@ def _logs_by_number(place: Path) -> dict[int, Path]:
     return {int(path.stem.rpartition("_")[2]): path for path in _logs(place)}
 
 
-def _repeated(rng: random.Random, place: Path, counts: list[int]) -> tuple[int | None, int | None]:
-    """A part twice, as a copy, by a link, or by its name in the metadata."""
-    number = rng.randrange(PARTS)
-    path = _logs_by_number(place)[number]
-    how = rng.randrange(3)
-    if how == 0:
-        shutil.copy(path, place / f"run_{PARTS}{path.suffix}")
-    elif how == 1:
-        (place / f"run_{PARTS}{path.suffix}").symlink_to(path.name)
-    else:
-        names = [p.name for p in _logs(place)]
-        _metadata(place, names + [path.name] * rng.choice((1, 10_000)), sum(counts))
-        return sum(counts), 0
-    return sum(counts), None
-
-
-def _of_others(rng: random.Random, place: Path, counts: list[int]) -> tuple[int | None, int | None]:
-    """A part of another run, of another time or of the same, in place of one or beside all."""
-    logs = writers()
-    shift = rng.choice((0, 10 * SECOND, -(10**7) * SECOND, 10**7 * SECOND))
-    other = [
-        replace(m, log_ns=m.log_ns + shift, stamp_ns=m.stamp_ns + shift) for m in logs.drive(100)
-    ]
-    logs.mcap(place / f"run_{rng.choice((1, PARTS))}.mcap", other)
-    return None, None
-
-
 def _named(rng: random.Random, place: Path, counts: list[int]) -> tuple[int | None, int | None]:
     """Metadata that names files elsewhere, or what is no name."""
     names = [p.name for p in _logs(place)]
@@ -139,8 +111,6 @@ def _split(
 
 CASES: dict[str, Generator] = {
     "split-missing": _split(_missing, "parts are missing or empty"),
-    "split-repeated": _split(_repeated, "a part is there twice"),
-    "split-of-others": _split(_of_others, "a part of another run"),
     "split-named": _split(_named, "metadata that names files elsewhere"),
     "split-linked": _split(_linked, "parts that are links"),
 }

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from judge import conduct, counts, halves, left_overs, print_of, told
+from judge import conduct, counts
 from sandbox import Outcome
-from trials import Victim
 
 HERE = Path(__file__).parent
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="processes are watched by /proc")
 
 SHORT = (
-    *("hostile documents", "hostile cache", "no file", "names that", "among sound", "one time"),
-    *("kill -9 of merge", "full disks", "links in", "tables of", "mappings of"),
+    *("hostile documents", "no file", "names that", "among sound", "one time"),
+    *("kill -9 of merge", "full disks", "tables of"),
 )
 
 
@@ -93,36 +91,14 @@ def test_bad_conduct_is_found(bad):
     assert conduct(bad)
 
 
-def test_good_conduct_is_none():
-    for good in (
-        outcome(),
-        outcome(1, err="error: x\nwarning: y\n"),
-        outcome(1, out="problem: x\n"),
-        outcome(2, err="Usage: z\n"),
-    ):
-        assert conduct(good) == ""
-
-
-def test_what_has_to_be_said_is_looked_for():
-    spoken = outcome(1, err="error: a.mcap: /odom cannot be decoded\n")
-    assert told(spoken, r"/odom|odometry") == told(outcome(), "") == ""
-    assert told(spoken, "protobuf")
-
-
-LOST = "3 messages of /odom are lost in damaged places"
-
-
 @pytest.mark.parametrize(
     ("found", "told", "intact", "lost", "problem"),
     [
         (100, [], 100, 0, ""),
-        (97, [LOST], 97, 3, ""),
         (97, ["the log is cut short"], 97, 3, ""),
         (97, [], 97, 3, "silent loss"),
-        (96, [LOST], 96, 4, "wrong count"),
-        (98, [LOST], 97, 3, "wrong count"),
         (101, [], 100, 0, "more than were written"),
-        (90, [LOST], 97, 3, "of 97 intact"),
+        (90, ["the log is cut short"], 97, 3, "of 97 intact"),
         (100, ["/odom: 50 messages could not be decoded; left out"], 100, 0, "of 100 intact"),
         (5, [], None, None, ""),
     ],
@@ -131,23 +107,3 @@ def test_messages_are_counted_against_the_truth(found, told, intact, lost, probl
     said = counts(found, told, intact, lost)
     assert problem in said
     assert bool(problem) == bool(said)
-
-
-def test_what_is_touched_halved_or_left_over_is_found(tmp_path):
-    victim = Victim(tmp_path / "victim")
-    assert victim.touched() == ""
-    (victim.folder / "x.json").unlink()
-    assert victim.touched()
-    maps = tmp_path / "maps"
-    maps.mkdir()
-    (maps / "a.json").write_text("{}")
-    assert "a" in halves(tmp_path)
-    (maps / "a.rrd").write_text("")
-    assert halves(tmp_path) == left_overs(maps) == ""
-    (maps / ".topobatch-abcdefgh.tmp").write_text("")
-    assert left_overs(maps)
-    before = print_of(tmp_path)
-    os.utime(maps / "a.json")
-    assert print_of(tmp_path) == before
-    (maps / "a.json").write_text("{ }")
-    assert print_of(tmp_path) != before

@@ -1,4 +1,4 @@
-"""Hostile documents and caches: what lies in a workspace may come from anybody."""
+"""Hostile documents, caches and tables: what lies in a workspace may come from anybody."""
 
 from __future__ import annotations
 
@@ -88,19 +88,6 @@ def spoilt(raw: bytes, rng: random.Random) -> bytes:
     )
 
 
-def _branches(doc: Any, rng: random.Random) -> Any:
-    doc["nodes"][0]["branches"] = [rng.uniform(-3.14, 3.14) for _ in range(100_000)]
-    return doc
-
-
-def _corridors(doc: Any, rng: random.Random) -> Any:
-    far = rng.choice((9e4, 999e3, 1e9))
-    for edge in doc["edges"][: rng.randrange(1, len(doc["edges"]) + 1)]:
-        (x, y), end = edge["path"][0], edge["path"][-1]
-        edge |= {"length": far, "path": [[x, y], [x + far / 2 - 10, y], end]}
-    return doc
-
-
 def _names(doc: Any, rng: random.Random) -> Any:
     """Control characters in every text but the run's name and the words of the schema."""
     kept = {"junction", "dead_end", "bend", doc.get("schema"), doc["graph"].get("run")}
@@ -118,14 +105,13 @@ def _names(doc: Any, rng: random.Random) -> Any:
 def _written(path: Path, rng: random.Random) -> str:
     """Put something hostile in the place of a document; says what."""
     raw = path.read_bytes()
-    special = (_branches, _corridors, _names) if path.parent.name == "maps" else ()
     how = rng.random()
     if how < 0.3:
         path.write_bytes(spoilt(raw, rng))
         return "text"
     change: Callable[[Any, random.Random], Any] = mutated
-    if special and how < 0.45:
-        change = rng.choice(special)
+    if path.parent.name == "maps" and how < 0.45:
+        change = _names
     path.write_text(json.dumps(change(json.loads(raw), rng)), encoding="utf-8")
     return change.__name__
 
@@ -189,23 +175,6 @@ def parsed_of(spoilt_place: Path, workspace: Path) -> str:
     )
 
 
-def record(ground: Ground, rng: random.Random, folder: Path) -> Tried:
-    """A cache record names files that are not its own; ingest of a changed log removes none."""
-    workspace, victim = copied(ground, folder), Victim(folder / "victim")
-    cache = workspace / "cache" / "ingest"
-    doc = json.loads((cache / "a.json").read_bytes())
-    doc["key"] = "changed"
-    names = ["../../victim/x", "../victim/x", str(folder / "victim" / "x"), "b", "c", *TEXTS]
-    doc["renamed"] = rng.choice(names)
-    doc["runs"] = ["a", *rng.sample(names, rng.randrange(1, len(names)))]
-    for name in ("a", "b", "c"):
-        (cache / f"{name}.json").write_text(json.dumps(doc))
-    outcome = run(ingest(workspace, ground.logs / "a.mcap"), folder, BUDGET)
-    kept = {p.stem for p in (workspace / "maps").glob("*.json")} == {"a", "b", "c"}
-    note = f"cache: {len(doc['runs'])} names"
-    return judged([outcome], note, victim.touched(), "" if kept else "a map was removed")
-
-
 def _put(place: Path, victim: Path, rng: random.Random) -> str:
     """Something that is no file in the place of one."""
     if place.is_dir() and not place.is_symlink():
@@ -250,9 +219,61 @@ def not_a_file(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     return judged([outcome], f"{'; '.join(notes)}; {name}", victim.touched())
 
 
+# Tables of places for `transfer`
+
+GOOD = "name,x,y,theta\ndock,1,2,0.5\n"
+ODD = ("nan", "inf", "1e400", "-1e308", "1_0", "٣", "0x1", "", " 1 ", "1,5", "9" * 5000, "1e-320")
+
+
+def _numbers(rng: random.Random) -> str:
+    count = rng.choice((1, 50))
+    rows = [f"p{k},{','.join(rng.choices(ODD, k=3))}\n" for k in range(count)]
+    return "name,x,y,theta\n" + "".join(rows)
+
+
+def _words(rng: random.Random) -> str:
+    name = rng.choice((EVIL, "x" * 100_000, "=cmd()", "\0", "", "a\rb", '"a\nb"'))
+    return f"{GOOD}{name},1,2,0\n"
+
+
+def _rows(rng: random.Random) -> str:
+    return "name,x,y\n" + "p,1.5,2.5\n" * rng.choice((50_000, 10**6))
+
+
+def _text(rng: random.Random) -> str:
+    return rng.choice(("\ufeff" + GOOD, GOOD.replace("\n", "\r"), GOOD * 3, "\n" * 10**6, EVIL))
+
+
+def _bytes(rng: random.Random) -> bytes:
+    raws = (b"\xff\xfe" + GOOD.encode("utf-16-le"), b"\xed\xa0\x80" + GOOD.encode(), bytes(10**6))
+    return rng.choice((*raws, rng.randbytes(5000), b"", GOOD.encode() + b"a\0b,1,2,0\n"))
+
+
+TABLES = (_numbers, _words, _rows, _text, _bytes)
+
+
+def places(ground: Ground, rng: random.Random, folder: Path) -> Tried:
+    """A table of places that nobody wrote: an error that names its line, or a note in its row."""
+    workspace, table = copied(ground, folder), folder / "places.csv"
+    make = rng.choice(TABLES)
+    how, raw = make.__name__, make(rng)
+    if rng.random() < 0.1:
+        table.symlink_to(rng.choice(("/dev/zero", "places.csv", "/proc/self/mem")))
+        how = "a link"
+    else:
+        table.write_bytes(raw.encode() if isinstance(raw, str) else raw)
+    target = rng.choice(("b", "c", "merged", EVIL))
+    within = rng.choice(("0.5", "1000", "nan", "-1", "inf"))
+    call = ["transfer", table, "--from", "a", "--to", target, "--within", within]
+    outcome = run(command([*call, "-o", folder / "out.csv", "-w", workspace]), folder, BUDGET)
+    made = (folder / "out.csv").exists()
+    whole = "" if outcome.code != 0 or made else "nothing was written"
+    return judged([outcome], f"{how}, to {target!r}", whole, left_overs(folder))
+
+
 TRIALS: dict[str, Trial] = {
     "hostile documents": document,
-    "hostile cache records": record,
     "no file where one should be": not_a_file,
+    "tables of places": places,
 }
 """By class."""

@@ -5,11 +5,10 @@ from __future__ import annotations
 import os
 import random
 import shutil
-import subprocess
 from pathlib import Path
 
 from case import writers
-from judge import halves, print_of
+from judge import halves
 from sandbox import Budget, command, run
 from trials import Ground, Trial, Tried, Victim, ingest, judged
 
@@ -42,26 +41,6 @@ def flood(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     budget = Budget(cpu_s=10 + 0.005 * files, memory_mb=300)
     outcome = run(ingest(folder / "ws", place), folder, budget)
     return judged([outcome], f"{files} files", _kept(ground, folder / "ws", "ab"))
-
-
-def deep(ground: Ground, rng: random.Random, folder: Path) -> Tried:
-    """A log many folders down, below one that has a path of any length, and one beside it."""
-    levels, width = rng.choice(((1500, 1), (1900, 1), (30, 200), (12, 250)))
-    place = folder / "logs"
-    place.mkdir()
-    shutil.copy(ground.logs / "b.bag", place)
-    here = os.getcwd()
-    os.chdir(place)
-    try:
-        for _ in range(levels):
-            os.mkdir("d" * width)
-            os.chdir("d" * width)
-        shutil.copy(ground.logs / "a.mcap", ".")
-    finally:
-        os.chdir(here)
-    outcome = run(ingest(folder / "ws", place), folder, Budget(cpu_s=30))
-    subprocess.run(["rm", "-rf", str(place)], check=True)  # shutil's is not as patient
-    return judged([outcome], f"{levels} levels", _kept(ground, folder / "ws", "b"))
 
 
 def broken(ground: Ground, rng: random.Random, folder: Path) -> Tried:
@@ -108,30 +87,6 @@ def _broken(path: Path, raw: bytes, rng: random.Random) -> None:
             path.mkdir()
 
 
-def links(ground: Ground, rng: random.Random, folder: Path) -> Tried:
-    """Links among sound logs: in circles, to the folders above, out of the folder, to devices."""
-    place = folder / "logs"
-    shutil.copytree(ground.logs, place)
-    victim = Victim(folder / "victim")
-    shutil.copy(ground.logs / "b.bag", folder / "victim" / "other.bag")
-    before = print_of(victim.folder)
-    homes = [place, place / "more", place / "more" / "deep"]
-    goals = (".", "..", "../..", "gone", "/", "/proc", "/dev", "/dev/zero", "/proc/self/mem")
-    goals += ("../victim", "../victim/precious", "../victim/other.bag", "a.mcap", "/proc/self/fd/0")
-    notes = []
-    for number in range(rng.randrange(1, 12)):
-        home = rng.choice(homes)
-        home.mkdir(parents=True, exist_ok=True)
-        name = f"l{number}{rng.choice(('', '.mcap', '.bag', '.db3', '.yaml'))}"
-        goal = rng.choice((*goals, name, f"l{number + 1}"))
-        (home / name).symlink_to(goal)
-        notes.append(goal)
-    outcome = run(ingest(folder / "ws", place), folder, Budget(cpu_s=20))
-    touched = "" if print_of(victim.folder) == before else "a file outside was touched"
-    kept = _kept(ground, folder / "ws", "abc")
-    return judged([outcome], " ".join(notes), kept, touched, halves(folder / "ws"))
-
-
 def names(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     """Control characters in the names of files, topics, types and frames."""
     place = folder / "logs"
@@ -167,9 +122,7 @@ def _renamed(message: object, evil: str, chance: float) -> object:
 
 TRIALS: dict[str, Trial] = {
     "floods of files": flood,
-    "deep folders": deep,
     "broken entries among sound logs": broken,
-    "links in a folder of logs": links,
     "names that steer terminals": names,
 }
 """By class."""

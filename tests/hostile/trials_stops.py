@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import random
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -39,24 +37,6 @@ def killed_ingest(ground: Ground, rng: random.Random, folder: Path) -> Tried:
     child.kill()
     child.finish()
     outcome = run(call, folder)
-    return judged([outcome], f"after {after:.3f} s", _finished(ground, workspace))
-
-
-def killed_workers(ground: Ground, rng: random.Random, folder: Path) -> Tried:
-    """ingest with several processes, as started from a shell, is killed; the next one finishes."""
-    workspace = folder / "ws"
-    program = [sys.executable, "-m", "topobatch.cli", "ingest", str(ground.logs)]
-    # A shell's child, so that only the command itself is killed: its workers notice.
-    process = subprocess.Popen(
-        [*program, "-w", str(workspace), "-j", "2"],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    after = rng.random() * 6
-    time.sleep(after)
-    process.kill()
-    process.wait()
-    outcome = run(ingest(workspace, ground.logs), folder)
     return judged([outcome], f"after {after:.3f} s", _finished(ground, workspace))
 
 
@@ -136,7 +116,6 @@ def full_disk(ground: Ground, rng: random.Random, folder: Path) -> Tried:
 
 TRIALS: dict[str, Trial] = {
     "kill -9 of ingest": killed_ingest,
-    "kill -9 of ingest with two processes": killed_workers,
     "kill -9 of merge": killed_merge,
     "calls at one time": race,
     "full disks": full_disk,

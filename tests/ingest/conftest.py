@@ -38,12 +38,6 @@ def logs() -> ModuleType:
 
 
 @pytest.fixture(scope="session")
-def fuzz() -> ModuleType:
-    """The fuzzing harness."""
-    return _beside("fuzz_logs")
-
-
-@pytest.fixture(scope="session")
 def sensors() -> ModuleType:
     """Messages of lasers, clouds and grids."""
     return _beside("scan_logs")

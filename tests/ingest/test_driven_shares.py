@@ -56,10 +56,3 @@ def test_what_is_driven_into_a_room_and_out_again_is_told_apart() -> None:
     assert told["corridors"] == pytest.approx(20 / 32, abs=1e-3)
     assert told["out_and_back"] == pytest.approx(6 / 32, abs=1e-3)
     assert told["ends"] == pytest.approx(6 / 32, abs=1e-3)
-
-
-def test_a_map_without_corridors_tells_the_way_alone() -> None:
-    odometry = Odometry(np.arange(3) * SECOND, np.eye(3) * [3, 0, 0], np.zeros(0, np.int64))
-    assert driven_shares(line(1.0), odometry) == {"way_m": 3.0}
-    still = Odometry(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros(0, np.int64))
-    assert driven_shares(line(1.0), still) == {"way_m": 0.0}

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.ingest import scan_reading
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.junction_source import junction_source
 from topobatch.ingest.logs.messages import Channel
@@ -27,7 +26,7 @@ from topobatch.simulation import (
     simulate_scenario,
     write_run,
 )
-from topobatch.topology.errors import DataError, LogError, UsageError
+from topobatch.topology.errors import LogError, UsageError
 from topobatch.topology.run import Run
 from topobatch.topology.se2 import apply, fit_rigid
 
@@ -56,34 +55,11 @@ def test_the_first_way_that_a_log_has_something_for() -> None:
     assert source.passed_over == ("/scan",)
 
 
-def test_what_is_asked_for_is_taken() -> None:
-    everything = (ODOM, SEEN, SCAN, POINTS, MAP, ("/base", SCAN[1]))
-    for way, topic in (("scan", "/scan"), ("cloud", "/points"), ("grid", "/map")):
-        assert chosen(*everything, junctions_from=way) == (way, topic)
-    assert chosen(*everything, scan_topic="base") == ("scan", "/base")
-    assert chosen(*everything, scan_topic="/points") == ("cloud", "/points")
-    assert chosen(*everything, junction_topic="junctions") == ("topic", "/junctions")
-    with pytest.raises(LogError, match="no messages of /gone"):
-        chosen(*everything, scan_topic="/gone")
-    with pytest.raises(UsageError, match="/odom is nav_msgs/msg/Odometry"):
-        chosen(*everything, junctions_from="scan", scan_topic="/odom")
-    with pytest.raises(LogError, match="sensor_msgs/PointCloud2"):
-        chosen(ODOM, SCAN, junctions_from="cloud")
-
-
 def test_one_sentence_says_what_there_is_and_what_each_way_needs() -> None:
     with pytest.raises(LogError) as refused:
         chosen(ODOM, ("/image", "sensor_msgs/msg/Image"))
     for word in ("PoseArray", "LaserScan", "PointCloud2", "OccupancyGrid", "/image", "/odom"):
         assert word in str(refused.value)
-
-
-def test_particles_and_cost_maps_show_no_junctions() -> None:
-    particles = ("/particlecloud", SEEN[1])
-    assert chosen(ODOM, particles, SCAN) == ("scan", "/scan")
-    assert chosen(ODOM, ("/local_costmap/costmap", MAP[1]), POINTS) == ("cloud", "/points")
-    with pytest.raises(LogError):
-        chosen(ODOM, ("/local_costmap/costmap", MAP[1]))
 
 
 # --- whole logs --------------------------------------------------------------------------------
@@ -162,19 +138,6 @@ def test_the_junctions_are_of_the_detector_and_the_views_of_the_laser(
     assert np.hypot(*apart.T).max() < 1.0
 
 
-def test_scans_that_show_nothing_leave_the_detections(
-    both: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise DataError("no two scans match")
-
-    monkeypatch.setattr(scan_reading, "detect", refuse)
-    run = read_run(both)
-    assert len(run.detections) > 0
-    assert "places are known by their junctions alone: " in run.warnings[-1]
-    assert "no two scans match" in run.warnings[-1]
-
-
 def test_scans_become_a_map(straight: Run) -> None:
     run = straight
     assert run.scanned is not None
@@ -231,36 +194,6 @@ def test_a_mounting_that_nobody_tells_is_assumed_and_said(
         ReadSettings(laser_pose=(0.0, float("nan"), 0.0))
 
 
-def test_a_laser_that_looks_aside_is_found_to(
-    both: Path, straight: Run, sensors: ModuleType, tmp_path: Path
-) -> None:
-    """Without its transform, and turned by a right angle."""
-    from rosbags.typesys import Stores, get_typestore
-
-    store = get_typestore(Stores.ROS2_HUMBLE)
-
-    def turned(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
-        if topic == "/tf_static":
-            return []
-        if topic == "/scan":
-            scan = store.deserialize_cdr(raw, kind)
-            scan.angle_min -= np.pi / 2
-            scan.angle_max -= np.pi / 2
-            raw = bytes(store.serialize_cdr(scan, kind))
-        return [(topic, kind, log_ns, raw)]
-
-    log = rewritten(both, tmp_path / "x.mcap", sensors, turned)
-    run = read_run(log, ReadSettings(junctions_from="scan"))
-    (told,) = run.warnings
-    assert "'laser' looks 90 degrees to the left" in told
-    assert "--laser-pose" in told
-    assert run.source["junctions"]["covered"] > 0.9
-    assert run.source["junctions"]["drift_after_m"] < 0.2
-    assert run.scanned is not None
-    assert straight.scanned is not None
-    assert abs(len(run.scanned.passes) - len(straight.scanned.passes)) <= 2
-
-
 @pytest.mark.parametrize("placed", [False, True])
 def test_a_laser_upside_down_is_found_to_be(
     both: Path, straight: Run, sensors: ModuleType, tmp_path: Path, placed: bool
@@ -313,42 +246,6 @@ def test_scans_that_are_stamped_late_are_found_to_be(
     assert run.source["junctions"]["drift_after_m"] < 0.2
 
 
-def test_a_second_laser_that_the_log_does_not_place_is_named(
-    both: Path, sensors: ModuleType, tmp_path: Path
-) -> None:
-    def doubled(topic: str, kind: str, log_ns: int, raw: bytes) -> list[Any]:
-        if topic != "/scan":
-            return [(topic, kind, log_ns, raw)]
-        scan = sensors.ROS2.deserialize_cdr(raw, kind)
-        scan.header.frame_id = "elsewhere"
-        more = sensors.packed(scan, kind)
-        # The one without a place has the usual name and most messages.
-        return [("/rear", kind, log_ns, raw), *(("/scan", kind, log_ns + k, more) for k in (0, 1))]
-
-    run = read_run(
-        rewritten(both, tmp_path / "x.mcap", sensors, doubled), ReadSettings(junctions_from="scan")
-    )
-    (told,) = run.warnings
-    assert told.startswith("/scan: the log does not say where its frame 'elsewhere' is")
-    assert "--scan-topic /scan --laser-pose" in told
-    assert run.source["junctions"]["topic"] == "/rear"
-
-
-def test_of_several_robots_the_odometrys_laser_is_taken() -> None:
-    log = (("/b/odom", ODOM[1]), ("/a/scan", SCAN[1]), ("/b/scan", SCAN[1]))
-    assert chosen(*log) == ("scan", "/b/scan")
-    both = (("/a/odom", ODOM[1]), *log, ("/scan", SCAN[1]))
-    assert chosen(*both, odometry_topic="/a/odom") == ("scan", "/a/scan")
-    assert chosen(*both, odometry_topic="b/odom") == ("scan", "/b/scan")
-
-
-def test_scans_that_cannot_be_read_are_told_by_topic(sensors: ModuleType, tmp_path: Path) -> None:
-    rows = [("/scan", sensors.SCAN, sensors.START_NS + k, b"nonsense") for k in range(3)]
-    log = sensors.mcap(tmp_path / "x.mcap", rows)
-    with pytest.raises(LogError, match=r"/scan: 3 messages could not be decoded"):
-        read_run(log)
-
-
 def test_a_log_with_a_grid_alone(sensors: ModuleType, tmp_path: Path) -> None:
     cells = np.full((60, 60), 100)
     cells[28:34, 5:55] = cells[5:55, 28:34] = 0
@@ -377,20 +274,6 @@ def rewritten(both: Path, out: Path, sensors: ModuleType, change: Any) -> Path:
             assert schema is not None
             rows += change(channel.topic, schema.name, message.log_time, message.data)
     return Path(sensors.mcap(out, rows))
-
-
-def test_too_few_scans_are_counted(both: Path, sensors: ModuleType, tmp_path: Path) -> None:
-    seen = []
-
-    def first_scan(topic: str, kind: str, time_ns: int, data: bytes) -> list[tuple[Any, ...]]:
-        if topic == "/scan":
-            seen.append(topic)
-        wanted = topic != "/junctions" and (topic != "/scan" or len(seen) == 1)
-        return [(topic, kind, time_ns, data)] if wanted else []
-
-    run = read_run(rewritten(both, tmp_path / "one.mcap", sensors, first_scan))
-    with pytest.raises(DataError, match=r"no junction shows in its 1 scan over \d+ m of way"):
-        build_map(run)
 
 
 def test_clouds_become_a_map(both: Path, sensors: ModuleType, tmp_path: Path) -> None:

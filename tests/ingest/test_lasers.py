@@ -167,31 +167,3 @@ def clouds(office: list[Row], sensors: ModuleType, tmp_path: Path) -> Callable[.
         return read_run(sensors.mcap(tmp_path / f"clouds{number}.mcap", rows))
 
     return run_of
-
-
-def test_two_clouds_are_used_together(clouds: Callable[..., Run]) -> None:
-    """Of two sectors, as two cameras see them; and not what was made of one of them."""
-    run = clouds(("/left", "l", LEFT), ("/right", "r", RIGHT), ("/near", "l", slice(80, 110)))
-    told = run.source["junctions"]
-    assert told["from"] == "cloud"
-    assert sorted(told["lasers"]) == ["/left", "/right"]
-    assert run.source["left_out"] == {"/near": "/left sees all of its directions in the same frame"}
-    assert told["covered"] > 0.95
-
-
-def test_two_sparse_clouds_give_the_same_map_in_any_order_and_no_worse_than_one(
-    clouds: Callable[..., Run],
-) -> None:
-    """Points 4.5 degrees apart: where they are put within wide directions counts."""
-    left, right = slice(60, 120, 2), slice(0, 60, 2)
-    alone = clouds(("/a", "a", left))
-    both = [
-        clouds(("/a", "a", left), ("/b", "b", right)),
-        clouds(("/a", "a", right), ("/b", "b", left)),
-    ]
-    maps = [build_map(run) for run in both]
-    np.testing.assert_array_equal(maps[0].xy, maps[1].xy)
-    assert len(maps[0]) <= len(build_map(alone))
-    told, of_one = both[0].source["junctions"], alone.source["junctions"]
-    assert told["covered"] >= of_one["covered"]
-    assert told["drift_after_m"] <= of_one["drift_after_m"]

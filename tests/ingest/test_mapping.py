@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.ingest.grid_log import GridLog
-from topobatch.ingest.mapping import build_map, map_of_log, require_junctions
+from topobatch.ingest.mapping import build_map
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.simulation import (
     MIXED,
@@ -17,14 +16,12 @@ from topobatch.simulation import (
     simulate_scenario,
     true_vertex_of_nodes,
 )
-from topobatch.topology.closure import resolution
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Grid, Run, Scanned, ScanPasses
-from topobatch.topology.se2 import apply, compose
-from topobatch.topology.topomap import RunNoise
+from topobatch.topology.run import Detections, Run
+from topobatch.topology.se2 import compose
 
 
 @pytest.fixture(scope="module")
@@ -81,17 +78,6 @@ def test_corridors_are_as_long_as_those_of_the_world(world):
     assert np.mean(np.abs(off) < 3 * topomap.length_sigma[known]) > 0.95
 
 
-@pytest.mark.parametrize("sign", [1, -1])
-def test_detections_that_are_misread_correct_no_lengths(run, sign):
-    seen = replace(run.detections, centre=run.detections.centre * [1, sign])
-    told = build_map(replace(run, detections=seen)).info
-    assert "length_scale" in told["calibration"]
-    unknown = build_map(replace(run, detections=seen, misread=True))
-    assert "length_scale" not in unknown.info["calibration"]
-    assert unknown.info["warnings"] == []
-    assert unknown.noise.scale > 0
-
-
 def test_the_document_tells_how_the_map_was_made(run, topomap):
     document = map_to_document(topomap)
     graph = json.loads(json.dumps(document, allow_nan=False))["graph"]
@@ -116,16 +102,6 @@ def test_lengths_that_are_corrected_by_much_are_warned_of(run, topomap, factor, 
     assert [told in warning for warning in warnings] == ([] if told is None else [True])
     here, there = (np.hypot(*(m.xy - m.xy.mean(axis=0)).T).mean() for m in (topomap, corrected))
     assert there == pytest.approx(here, rel=0.02)
-
-
-def test_the_frame_of_the_odometry_does_not_matter(run, topomap):
-    T = np.array([40.0, -12.0, -2.0])
-    odometry = replace(run.odometry, pose=compose(T, run.odometry.pose))
-    moved = build_map(replace(run, odometry=odometry))
-    assert moved.observation_vertex.tolist() == topomap.observation_vertex.tolist()
-    # Outliers are told by medians per axis of the odometry's frame: centres differ a little.
-    np.testing.assert_allclose(apply(T, topomap.xy), moved.xy, atol=0.05)
-    np.testing.assert_allclose(np.sort(topomap.length), np.sort(moved.length), atol=0.02)
 
 
 def test_without_closure_every_pass_is_a_vertex(run, topomap):
@@ -176,110 +152,3 @@ def test_a_parked_robot_is_told_that_it_does_not_move():
     )
     with pytest.raises(DataError, match="run parked: the odometry does not move"):
         build_map(Run("parked", still, seen))
-
-
-@pytest.mark.parametrize("mapped", [map_of_log, require_junctions])
-def test_what_gives_no_map_tells_the_faults_of_its_log(mapped):
-    """They may be the reason."""
-    moving = np.linspace(0.0, 9.0, 100)[:, None] * [1.0, 0.0, 0.0]
-    odometry = Odometry(np.arange(100) * 10**8, moving, np.zeros(0, np.int64))
-    late = Detections(
-        np.arange(20) * 10**8 + 10**12, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
-    )
-    faults = ("half of it is gone",)
-    with pytest.raises(DataError, match=r"check the clocks .*; half of it is gone"):
-        mapped(Run("late", odometry, late, {}, faults))
-    still = replace(odometry, pose=np.zeros((100, 3)))
-    seen = replace(late, time_ns=late.time_ns - 10**12)
-    with pytest.raises(DataError, match=r"does not move: .*; half of it is gone"):
-        mapped(Run("parked", still, seen, {}, faults))
-    closed = Grid(np.zeros((9, 9), bool), np.zeros((9, 9), bool), 0.05, (0.0, 0.0, 0.0), "map")
-    with pytest.raises(DataError, match=r"shows no junction and no room; .*; half of it is gone"):
-        mapped(GridLog("floor", closed, {}, faults))
-
-
-def test_a_reset_is_no_drive():
-    pose = np.repeat([[8.0, 0.0, 1.6], [0.0, 0.0, 0.0]], 50, axis=0)
-    seen = Detections(
-        np.arange(20) * 10**8 + 10**9, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
-    )
-    parked = Odometry(np.arange(100) * 10**8, pose, np.array([50]))
-    with pytest.raises(DataError, match=r"does not move: .* m between its resets; nothing"):
-        build_map(Run("parked", parked, seen))
-
-
-def test_a_robot_that_stands_most_of_the_time():
-    """Most of its legs have no length at all: two junctions come into view in turn."""
-    pose = np.zeros((200, 3))
-    pose[190:, 0] = np.linspace(0.0, 3.0, 10)
-    odometry = Odometry(np.arange(200) * 10**8, pose, np.zeros(0, np.int64))
-    seen = Detections(
-        np.arange(60) * 3 * 10**8,
-        np.where(np.arange(60) // 6 % 2, 5.0, -5.0)[:, None] * [1.0, 0.0],
-        Ragged.from_rows([[0.0, 2.0]] * 60),
-    )
-    topomap = build_map(Run("stands", odometry, seen))
-    assert len(topomap) >= 1
-    assert np.isfinite(topomap.xy).all()
-
-
-def test_the_least_of_runs():
-    pose = np.tile([1.0, 2.0, 0.3], (100, 1))
-    pose[-20:, :2] += np.linspace(0, 1, 20)[:, None] * [1.0, 0.5]
-    odometry = Odometry(np.arange(100) * 10**8, pose, np.zeros(0, np.int64))
-    seen = Detections(
-        np.arange(20) * 10**8 + 10**9, np.zeros((20, 2)), Ragged.from_rows([[0.0, 2.0]] * 20)
-    )
-    topomap = build_map(Run("still", odometry, seen))
-    assert len(topomap) == 1
-    assert len(topomap.source) == 0
-    assert topomap.kind == ("bend",)
-    np.testing.assert_allclose(topomap.xy, [[1.0, 2.0]], atol=1e-9)
-    np.testing.assert_allclose(topomap.branches[0], [0.3, 2.3], atol=1e-9)
-
-
-def scanned_there_and_back(off_m):
-    """A run along a corridor with two crossings and back, by scans; on the way back the second
-    crossing shows otherwise: with other branches, `off_m` further on."""
-    x = np.concatenate([np.arange(0, 20, 0.1), np.arange(20, 0, -0.1)])
-    pose = np.column_stack([x, np.zeros(len(x)), np.where(np.arange(len(x)) < 200, 0.0, np.pi)])
-    odometry = Odometry(np.arange(len(x)) * 10**8, pose, np.zeros(0, np.int64))
-    rows = np.array([50, 150, round(400 - 10 * (15 + off_m)), 350])
-    ways = np.radians([[0, 90, 180], [0, 90, 180], [0, 45, 180], [0, 90, 180]])
-    branches = Ragged.from_rows(w - t for w, t in zip(ways, pose[rows, 2], strict=True))
-    passes = ScanPasses(
-        time_ns=odometry.time_ns[rows],
-        start_ns=odometry.time_ns[rows],
-        end_ns=odometry.time_ns[rows],
-        centre=np.zeros((4, 2)),
-        branches=branches,
-        support=Ragged(branches.offsets, np.ones(len(branches.values))),
-        confidence=np.array([1.0, 1.0, 5 / 7, 1.0]),
-        windows=np.full(4, 4),
-        clearance_m=np.ones(4),
-        shared_m=np.zeros(4),
-        resolution_m=1.3,
-    )
-    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    noise = RunNoise(along_m_per_sqrt_m=0.005, heading_rad_per_sqrt_m=0.002)
-    return Run("scans", odometry, none, scanned=Scanned(passes, noise, 6.0))
-
-
-def test_what_scans_show_otherwise_at_one_place_is_one_place_in_doubt():
-    topomap = build_map(scanned_there_and_back(0.6))
-    assert topomap.observation_vertex.tolist() == [0, 1, 1, 0]
-    assert topomap.confidence.tolist() == [1.0, 0.5]
-    np.testing.assert_allclose(topomap.branches[1], np.radians([-180, 0, 90]), atol=0.02)
-    assert 10.1 < np.hypot(*(topomap.xy[1] - topomap.xy[0])) < 10.5
-    assert topomap.traversals.tolist() == [2]
-    (joined,) = (c for c in topomap.closures if c.reason == resolution.REASON)
-    assert joined.accepted
-    assert not topomap.shows_bends
-    assert map_from_document(map_to_document(topomap)).confidence.tolist() == [1.0, 0.5]
-
-
-def test_places_that_scans_tell_apart_and_maps_without_closure_keep_them():
-    assert len(build_map(scanned_there_and_back(2.0))) == 3
-    apart = build_map(scanned_there_and_back(0.6), MappingSettings(closure="none"))
-    assert len(apart) == 4
-    assert apart.closures == ()

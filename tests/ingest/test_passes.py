@@ -10,7 +10,7 @@ from topobatch.topology.odometry import Odometry
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, ScanPasses
-from topobatch.topology.se2 import apply, compose, inverse, wrap
+from topobatch.topology.se2 import apply, inverse, wrap
 
 T0 = 1_700_000_000 * 10**9
 STEP_NS = 50_000_000
@@ -64,42 +64,6 @@ def test_two_junctions_on_a_straight_track():
     assert np.all((passes.start_ns <= passes.time_ns) & (passes.time_ns <= passes.end_ns))
 
 
-def test_a_branch_must_be_seen_by_half_of_the_messages():
-    odometry = straight()
-    messages = sight(odometry, (5, 0), [0, np.pi], near(odometry, 5))
-    messages[2] = (messages[2][0], messages[2][1], [0, np.pi, 1.0])
-    messages[4] = (messages[4][0], messages[4][1], [0.0])
-    passes = fuse_passes(odometry, detections(messages))
-    np.testing.assert_allclose(passes.branches[0], [-np.pi, 0], atol=1e-9)
-    assert passes.support[0].max() == 1.0
-    assert passes.support[0].min() == pytest.approx(1 - 1 / len(messages))
-
-
-def test_silence_ends_a_pass_only_if_the_robot_moved():
-    odometry = straight()
-    pose = odometry.pose.copy()
-    pose[100:160] = pose[100]
-    pose[160:, 0] -= pose[160, 0] - pose[100, 0]
-    halted = Odometry(odometry.time_ns, pose, odometry.breaks)
-    still = sight(halted, (5, 0), [0, np.pi], np.r_[90:100:2, 158:170:2])
-    assert len(fuse_passes(halted, detections(still))) == 1
-    # Out of sight and back again: two passes of one place.
-    there = np.concatenate([np.linspace(0, 8, 160), np.linspace(8, 0, 160)])
-    pose = np.column_stack([there, np.zeros(320), np.repeat([0.0, -np.pi], 160)])
-    back = Odometry(T0 + np.arange(320) * STEP_NS, pose, np.zeros(0, np.int64))
-    both = sight(back, (5, 0), [0, np.pi], np.r_[80:120:3, 200:240:3])
-    assert len(fuse_passes(back, detections(both))) == 2
-
-
-def test_a_turn_back_leaves_by_the_branch_it_came_by():
-    there = np.concatenate([np.linspace(0, 5, 100), np.linspace(5, 0, 100)])
-    pose = np.column_stack([there, np.zeros(200), np.repeat([0.0, -np.pi], 100)])
-    odometry = Odometry(T0 + np.arange(200) * STEP_NS, pose, np.zeros(0, np.int64))
-    passes = fuse_passes(odometry, detections(sight(odometry, (5, 0), [np.pi], np.r_[82:118:3])))
-    assert len(passes) == 1
-    assert passes.entry[0] == passes.exit[0] == 0
-
-
 def test_close_junctions_are_told_apart_by_the_jump():
     odometry = straight()
     a = sight(odometry, (5, 0), [0, np.pi], np.flatnonzero(np.abs(odometry.pose[:, 0] - 5) < 0.6))
@@ -107,18 +71,6 @@ def test_close_junctions_are_told_apart_by_the_jump():
         odometry, (6.3, 0), [0, np.pi], np.flatnonzero(np.abs(odometry.pose[:, 0] - 6.3) < 0.6)
     )
     assert len(fuse_passes(odometry, detections(a + b))) == 2
-
-
-def test_stray_single_messages_are_flicker():
-    odometry = straight()
-    messages = sight(odometry, (5, 0), [0, np.pi], np.r_[80:120:2])
-    messages += sight(odometry, (12, 0), [0, np.pi], np.r_[220:260:2])
-    messages += sight(odometry, (9, 3), [0.0], np.array([171]))
-    assert len(fuse_passes(odometry, detections(messages))) == 2
-    # A slow detector has nothing but single messages: there they count.
-    slow = sight(odometry, (5, 0), [0, np.pi], np.array([100]))
-    slow += sight(odometry, (12, 0), [0, np.pi], np.array([240]))
-    assert len(fuse_passes(odometry, detections(slow))) == 2
 
 
 def test_a_break_cuts_passes_and_hides_sightings_within_it():
@@ -167,15 +119,3 @@ def test_what_scans_show_becomes_passes_like_others():
         assert abs(wrap(came - np.pi)) < 0.2
         assert abs(went) < 0.2
     assert passes.confidence.tolist() == [1.0, 4 / 7]
-
-
-def test_what_scans_show_goes_with_the_robot_when_the_track_is_corrected():
-    odometry = straight()
-    seen = scan_passes(odometry, [100], [(5.0, 0.3)], [np.array([0.0, 2.0, -2.0])], [1.0])
-    T = np.array([3.0, -2.0, 2.5])
-    moved = Odometry(odometry.time_ns, compose(T, odometry.pose), odometry.breaks)
-    passes = scanned_passes(moved, seen)
-    assert np.allclose(passes.centre, apply(T, np.array([[5.0, 0.3]])))
-    assert np.allclose(passes.branches[0], np.sort(wrap(np.array([0.0, 2.0, -2.0]) + 2.5)))
-    assert (np.diff(passes.branches[0]) > 0).all()
-    assert len(scanned_passes(moved, scan_passes(odometry, [], np.zeros((0, 2)), [], []))) == 0

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import struct
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, log_fingerprint, read_run
+from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, read_run
 from topobatch.topology.errors import LogError, UsageError
 from topobatch.topology.se2 import apply, wrap
 
@@ -38,19 +37,6 @@ def test_odometry_wins_over_tf_and_poses(logs, tmp_path):
     assert run.source["odometry"]["topic"] == "/odom"
     named = read_run(tmp_path / "b.bag", ReadSettings(odometry_topic="wheel"))
     assert named.source["odometry"]["topic"] == "/wheel"
-
-
-@pytest.mark.parametrize("indexed", [True, False])
-def test_messages_of_another_type_on_a_topic_are_left_out_and_counted(logs, tmp_path, indexed):
-    odometry, seen = split(logs)
-    poses = logs.relabelled(odometry[:7], topic="/odom", type_name=logs.POSE_STAMPED, child="")
-    arrays = logs.relabelled(seen[:3], topic="/odom")
-    mixed = by_time(odometry, poses, arrays, seen)
-    run = read_run(logs.mcap(tmp_path / "a", mixed, use_statistics=indexed))
-    same = read_run(logs.mcap(tmp_path / "b", by_time(odometry, seen)))
-    assert run.warnings == ("/odom: 10 messages are of another type; left out",)
-    assert run.odometry.pose.tobytes() == same.odometry.pose.tobytes()
-    assert run.source["odometry"] == same.source["odometry"]
 
 
 @pytest.mark.parametrize("container", ["mcap", "bag", "db3", "unindexed"])
@@ -86,16 +72,6 @@ def test_tf_serves_where_there_is_no_odometry(logs, tmp_path, ros1):
     assert run.odometry.pose.tobytes() == whole.odometry.pose.tobytes()
     assert (run.odometry.frame, run.odometry.child_frame) == ("odom", "base_link")
     assert run.source["odometry"]["type"] == logs.TF
-
-
-def test_tf_without_odom_gives_way_to_a_pose(logs, tmp_path):
-    odometry, seen = split(logs)
-    tf = logs.relabelled(odometry, topic="/tf", type_name=logs.TF, frame="map")
-    pose = logs.relabelled(odometry, topic="/pose", type_name=logs.POSE_STAMPED, child="")
-    run = read_run(logs.mcap(tmp_path / "a.mcap", by_time(tf, pose, seen)))
-    assert run.source["odometry"]["topic"] == "/pose"
-    with pytest.raises(LogError, match="no transform from an odom frame"):
-        read_run(logs.mcap(tmp_path / "b.mcap", by_time(tf, seen)))
 
 
 def test_missing_topics_are_named(logs, tmp_path):
@@ -169,23 +145,6 @@ def test_several_junctions_of_one_message_and_json_in_strings(logs, tmp_path):
         assert run.detections.centre[:2].tolist() == [[1.0, 2.0], [-1.0, 2.5]]
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [
-        "",
-        "center",
-        "center=a",
-        "branches=b",
-        "center=a,branches=b,x=c",
-        "center=__dict__,branches=b",
-        "center=a,center=b,branches=c",
-    ],
-)
-def test_a_wrong_mapping_is_a_usage_error(fields):
-    with pytest.raises(UsageError, match="--junction-fields"):
-        ReadSettings(junction_fields=fields)
-
-
 def test_an_unusual_definition_is_decoded_by_its_schema(logs, tmp_path):
     """A fork of Odometry with a field in front must not be read by the usual layout."""
     from rosbags.typesys import get_types_from_msg
@@ -237,96 +196,6 @@ def test_find_logs_by_content(logs, tmp_path):
         find_logs([tmp_path / "nothing"])
     with pytest.raises(LogError, match="no such file"):
         find_logs([tmp_path / "missing.bag"])
-
-
-def test_fingerprints_follow_content_and_not_names(logs, tmp_path):
-    a = logs.mcap(tmp_path / "a.mcap", logs.drive())
-    b = tmp_path / "b.mcap"
-    b.write_bytes(a.read_bytes())
-    assert log_fingerprint(a) == log_fingerprint(b)
-    b.write_bytes(a.read_bytes()[:-1] + b"x")
-    assert log_fingerprint(a) != log_fingerprint(b)
-
-
-def test_a_folder_that_is_no_bag_may_have_a_metadata_file(logs, tmp_path):
-    first = logs.mcap(tmp_path / "a.mcap", logs.drive())
-    second = logs.bag(tmp_path / "b.bag", logs.drive())
-    (tmp_path / "metadata.yaml").write_text("title: a data set\n")
-    assert find_logs([tmp_path]) == [first, second]
-
-
-def test_what_is_hidden_broken_or_closed_costs_no_other_log(logs, tmp_path, monkeypatch):
-    log = logs.mcap(tmp_path / "run_0.mcap", logs.drive())
-    empty, closed = tmp_path / "run_1.mcap", tmp_path / "closed"
-    empty.write_bytes(b"")
-    (tmp_path / "._run_0.mcap").write_bytes(b"\0\5\26\7")
-    closed.mkdir()
-    listed = Path.iterdir
-
-    def iterdir(path):
-        if path == closed:
-            raise PermissionError(13, "Permission denied", str(path))
-        return listed(path)
-
-    monkeypatch.setattr(Path, "iterdir", iterdir)
-    assert find_logs([tmp_path]) == [closed, log, empty]
-    with pytest.raises(LogError, match="closed: cannot be listed"):
-        read_run(closed)
-
-
-@pytest.mark.parametrize("names", ["run_{}.bag", "x_2024-05-01-10-0{}-00_{}.bag"])
-def test_parts_of_a_bag_are_one_run_though_the_last_was_cut(logs, tmp_path, names):
-    """ROS 1 puts the time at which a part was begun into its name."""
-    drive = logs.drive()
-    for part, some in enumerate((drive[:200], drive[200:])):
-        path = logs.bag(tmp_path / names.format(part, part), some, chunk=2000)
-    assert find_logs([tmp_path]) == [tmp_path]
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    assert find_logs([tmp_path]) == [tmp_path]
-    run = read_run(tmp_path)
-    assert any("cut short" in text for text in run.warnings)
-    assert 200 < run.source["odometry"]["messages"] < 300
-
-
-def test_a_file_packed_by_hand_is_found_below_a_folder(logs, tmp_path):
-    import zstandard
-
-    raw = logs.mcap(tmp_path / "run.mcap", logs.drive()).read_bytes()
-    (tmp_path / "run.mcap").unlink()
-    packed = tmp_path / "run.mcap.zst"
-    packed.write_bytes(zstandard.compress(raw))
-    assert find_logs([tmp_path]) == [packed]
-
-
-def test_a_file_that_the_metadata_does_not_name_is_reported(logs, tmp_path):
-    folder = logs.ros2_folder(tmp_path / "run", logs.drive())
-    assert read_run(folder).warnings == ()
-    logs.mcap(folder / "other.mcap", logs.drive())
-    run = read_run(folder)
-    assert "metadata.yaml does not name other.mcap, which is read all the same" in run.warnings
-
-
-def test_the_odometry_of_another_robot_in_tf_is_reported(logs, tmp_path):
-    drive = logs.drive()
-    odometry = [m for m in drive if m.topic == "/odom"]
-    tf = [
-        replace(m, topic="/tf", type_name=logs.TF, frame=f"{robot}/odom", child=f"{robot}/base")
-        for m in odometry
-        for robot in ("r1", "r2")
-    ]
-    seen = [replace(m, frame="r1/base") for m in drive if m.topic != "/odom"]
-    run = read_run(logs.mcap(tmp_path / "run.mcap", tf + seen))
-    assert len(run.odometry) == 300
-    (warning,) = run.warnings
-    said = "/tf: also holds the odometry of another robot (r2/odom → r2/base); left out"
-    assert warning == f"{said}; --base-frame chooses"
-
-
-def test_what_is_missing_is_said_with_what_is_damaged(logs, tmp_path):
-    path = logs.mcap(tmp_path / "run.mcap", [m for m in logs.drive() if m.topic == "/odom"])
-    path.write_bytes(path.read_bytes()[:-2000])
-    with pytest.raises(LogError, match=r"no junction detections found .*; the log is cut short"):
-        read_run(path)
 
 
 IDL = {
@@ -388,21 +257,3 @@ def test_a_definition_of_several_idl_files_is_read(logs, tmp_path):
     assert (run.warnings, len(run.detections)) == ((), 30)
     np.testing.assert_allclose(run.detections.centre, [[0.5, 0.125]] * 30)
     np.testing.assert_allclose(run.detections.branches.values, [-1.0, 1.0] * 30)
-
-
-def test_json_may_write_whole_numbers_with_a_point(logs, tmp_path):
-    path = logs.mcap(tmp_path / "run.mcap", logs.drive(), encoding="json", profile="")
-    whole = read_run(path)
-    written = logs.foxglove_json
-
-    def pointed(message):
-        value = json.loads(written(message))
-        value["timestamp"] = {name: float(part) for name, part in value["timestamp"].items()}
-        return json.dumps(value).encode()
-
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(logs, "foxglove_json", pointed)
-        logs.mcap(path, logs.drive(), encoding="json", profile="")
-    run = read_run(path)
-    assert run.warnings == ()
-    assert run.odometry.time_ns.tolist() == whole.odometry.time_ns.tolist()

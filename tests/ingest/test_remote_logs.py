@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import pickle
 import struct
-from itertools import zip_longest
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,12 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.ingest.logs.mcap import McapFile
-from topobatch.ingest.logs.messages import Findings
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.read_cost import read_cost
-from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, log_fingerprint, read_run
-from topobatch.ingest.remote import source
+from topobatch.ingest.reading import ReadSettings, find_logs, inspect_log, read_run
 from topobatch.ingest.remote.path import log_path
 from topobatch.topology.document import map_to_document
 from topobatch.topology.errors import LogError
@@ -130,52 +125,6 @@ def test_only_the_chunks_that_hold_wanted_topics_are_read(
     assert bound < 0.15 * size
 
 
-def test_topics_with_chunks_of_their_own_take_3_percent_of_the_file(
-    bucket: Any, logs: ModuleType, tmp_path: Path
-) -> None:
-    path = mcap_with_images(tmp_path / "camera.mcap", logs, 200)
-    bucket.put("camera.mcap", path.read_bytes())
-    (found,) = find_logs([bucket.path()])
-    bucket.proxy.clear()
-    read_run(found)
-    assert bucket.proxy.sent <= 0.03 * path.stat().st_size
-
-
-def test_a_named_log_takes_one_request_for_its_summary(
-    bucket: Any, logs: ModuleType, tmp_path: Path
-) -> None:
-    path = mcap_with_images(tmp_path / "camera.mcap", logs, 20)
-    bucket.put("camera.mcap", path.read_bytes())
-    inspect_log(bucket.path("camera.mcap"))
-    (only,) = bucket.proxy.requests
-    assert only.range.startswith("bytes=-")
-
-
-def test_a_bag_is_read_by_its_index(bucket: Any, logs: ModuleType, tmp_path: Path) -> None:
-    from rosbags.rosbag1 import Writer
-
-    path, store = tmp_path / "camera.bag", logs.store_of(True)
-    writer = Writer(path)
-    writer.chunk_threshold = 100_000
-    with writer:
-        camera = writer.add_connection("/camera", "sensor_msgs/msg/Image", typestore=store)
-        links: dict[str, Any] = {}
-        for k, message in enumerate(logs.drive(1000)):
-            if message.topic not in links:
-                links[message.topic] = writer.add_connection(
-                    message.topic, message.type_name, typestore=store
-                )
-            raw = logs.payload(message, "ros1", store)
-            writer.write(links[message.topic], message.log_ns, raw)
-            if k in (300, 600):
-                for _ in range(20):
-                    writer.write(camera, message.log_ns, bytes(IMAGE_BYTES))
-    bucket.put("camera.bag", path.read_bytes())
-    same_readings(read_run(bucket.path("camera.bag")), read_run(path))
-    assert len(bucket.proxy.gets) <= 6
-    assert bucket.proxy.sent < 0.2 * path.stat().st_size
-
-
 def without_summary(data: bytes) -> bytes:
     """The same MCAP file, whose footer says that there is no summary."""
     footer = struct.pack("<BQQQI", 2, 20, 0, 0, 0)
@@ -190,20 +139,6 @@ def test_a_log_without_index_is_only_read_whole_when_that_is_allowed(bucket: Any
     assert bucket.proxy.sent < 0.2 * len(data)
     whole = read_run(bucket.path("maze-1.mcap", allow_scan=True))
     same_runs(whole, read_run(SAMPLES / "maze-1.mcap"))
-
-
-def test_a_bag_without_index_is_only_read_whole_when_that_is_allowed(
-    bucket: Any, tmp_path: Path
-) -> None:
-    data = (SAMPLES / "maze-2.bag").read_bytes()
-    at = data.index(b"index_pos=") + len(b"index_pos=")
-    cut = data[:at] + bytes(8) + data[at + 8 :]
-    bucket.put("open.bag", cut)
-    with pytest.raises(LogError, match=r"open.bag: it has no index.*--allow-scan"):
-        read_run(bucket.path("open.bag"))
-    (tmp_path / "open.bag").write_bytes(cut)
-    whole = read_run(bucket.path("open.bag", allow_scan=True))
-    same_readings(whole, read_run(tmp_path / "open.bag"))
 
 
 def test_databases_are_refused_with_advice(bucket: Any) -> None:
@@ -221,43 +156,6 @@ def test_a_file_that_is_no_log(bucket: Any) -> None:
         read_run(bucket.path("gone.mcap"))
     with pytest.raises(LogError, match=r"/empty: no such file or folder"):
         find_logs([bucket.path("empty/")])
-
-
-def test_memory_is_bounded_and_what_was_dropped_is_read_again(
-    bucket: Any, logs: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = mcap_with_images(tmp_path / "camera.mcap", logs, 4)
-    data = path.read_bytes()
-    bucket.put("camera.mcap", data)
-    monkeypatch.setattr(source, "HELD_BYTES", 100_000)
-    monkeypatch.setattr(source, "PART_BYTES", 80_000)
-    (found,) = find_logs([bucket.path()])
-    same_readings(read_run(found), read_run(path))
-    file, random = found.fresh().file, np.random.default_rng(1)  # type: ignore[union-attr]
-    with file.reading_ahead([(1000, 150_000), (200_000, 500_000)]) as ahead:
-        for offset in random.integers(0, len(data) - 50_000, 40).tolist():
-            length = int(random.integers(1, 50_000))
-            assert file.read(offset, length, ahead) == data[offset : offset + length]
-        assert sum(map(len, file._held.values())) <= 100_000
-
-
-def test_what_was_looked_at_goes_with_the_log_to_other_processes(bucket: Any) -> None:
-    bucket.put("a/maze-1.mcap", (SAMPLES / "maze-1.mcap").read_bytes())
-    (found,) = find_logs([bucket.path("a")])
-    read_cost(found, ReadSettings())  # type: ignore[arg-type]
-    sent = pickle.loads(pickle.dumps(found))
-    assert (sent, log_fingerprint(sent)) == (found, log_fingerprint(found))
-    bucket.proxy.clear()
-    read_run(sent)
-    assert not [r for r in bucket.proxy.requests if r.range.startswith("bytes=-")]
-
-
-def test_the_fingerprint_follows_the_object(bucket: Any) -> None:
-    prints = []
-    for data in (b"one", b"two", b"one"):
-        bucket.put("log.mcap", data)
-        prints.append(log_fingerprint(find_logs([bucket.path()])[0]))
-    assert prints[0] == prints[2] != prints[1]
 
 
 def damaged(data: bytes, random: np.random.Generator) -> bytes:
@@ -279,7 +177,7 @@ def result(place: Any) -> tuple[Any, ...]:
 
 
 @pytest.mark.parametrize("name", ["maze-1.mcap", "maze-2.bag"])
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_damaged_log_is_read_as_from_disk_or_refused(
     servers: ModuleType, impatient: None, tmp_path: Path, name: str, seed: int
 ) -> None:
@@ -291,32 +189,3 @@ def test_a_damaged_log_is_read_as_from_disk_or_refused(
         by_index, scanned = (result(log_path(address, allow_scan=scan)) for scan in (False, True))
     assert scanned == local
     assert by_index == local or "--allow-scan" in by_index[0]
-
-
-def test_two_walks_side_by_side_do_not_disturb_each_other(
-    bucket: Any, logs: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As those over the scans of two lasers do."""
-    path = mcap_with_images(tmp_path / "camera.mcap", logs, 6, compression="NONE")
-    bucket.put("camera.mcap", path.read_bytes())
-    monkeypatch.setattr(source, "PART_BYTES", 100_000)
-    place = bucket.path("camera.mcap").fresh()
-    topics = ("/odom", "/camera")
-
-    def walks(where: Any) -> list[Any]:
-        return [
-            McapFile(where).blocks(
-                lambda channel, topic=topic: 0 if channel.topic == topic else -1, Findings()
-            )
-            for topic in topics
-        ]
-
-    def sizes(where: Any) -> list[tuple[int, int]]:
-        pairs = zip_longest(*walks(where))
-        return [tuple(len(b.start) if b else 0 for b in pair) for pair in pairs]
-
-    assert sizes(place) == sizes(path)
-    first = walks(place)[0]
-    next(first)
-    first.close()
-    assert sizes(place) == sizes(path)

@@ -11,10 +11,8 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from topobatch.ingest.inspection import as_read
-from topobatch.ingest.read_settings import ReadSettings
 from topobatch.ingest.reading import inspect_log, read_run
 from topobatch.simulation import LaserSettings, ScenarioSettings, simulate_scenario, write_run
-from topobatch.topology.errors import DataError
 
 LASER = LaserSettings(beams=120, rate_hz=4.0, door_share=0.0, people_per_100_m=0.0)
 Row = tuple[str, str, int, bytes]
@@ -62,41 +60,3 @@ def test_an_odometry_that_never_moves_is_left_out(
     assert run.odometry.step_m.sum() == pytest.approx(way, rel=0.01)
     uses = {topic.topic: topic.why for topic in as_read(inspect_log(log), run.source).topics}
     assert uses["/odom"] == "not used: never moves, but the scans do"
-
-
-def test_a_robot_that_stands_is_left_as_it_is(
-    office: list[Row], sensors: ModuleType, tmp_path: Path
-) -> None:
-    rows = [row for row in office if row[2] <= office[0][2] + 3 * 10**9]
-    first = {}
-
-    def stands(message: Any) -> None:
-        first.setdefault(message.__msgtype__, message)
-        if "scan" in message.__msgtype__.lower():
-            message.ranges = first[message.__msgtype__].ranges
-        else:
-            message.pose = first[message.__msgtype__].pose
-
-    log = changed(rows, sensors, tmp_path / "a.mcap", "/odom", stands)
-    with AnyReader([log]) as reader:
-        rows = [(c.topic, c.msgtype, t, bytes(raw)) for c, t, raw in reader.messages()]
-    run = read_run(changed(rows, sensors, tmp_path / "b.mcap", "/scan", stands))
-    assert run.source["junctions"]["odometry"]
-    assert "left_out" not in run.source
-
-
-@pytest.mark.parametrize("late_s", [2.5, -2.5, 5.0])
-def test_a_refusal_of_another_clock_names_the_way_out(
-    office: list[Row], sensors: ModuleType, tmp_path: Path, late_s: float
-) -> None:
-    def late(message: Any) -> None:
-        stamp = message.header.stamp
-        stamp_ns = stamp.sec * 10**9 + stamp.nanosec + round(late_s * 1e9)
-        message.header = sensors.header(stamp_ns, message.header.frame_id)
-
-    log = changed(office, sensors, tmp_path / "late.mcap", "/scan", late)
-    with pytest.raises(DataError, match="clocks differ; --time log takes the times of recording"):
-        read_run(log)
-    run = read_run(log, ReadSettings(time="log"))
-    assert run.source["junctions"]["covered"] > 0.95
-    assert run.source["junctions"]["drift_after_m"] < 0.2

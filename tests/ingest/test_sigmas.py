@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import (
-    DRIFTS,
     ScenarioSettings,
     simulate_scenario,
     true_vertex_of_nodes,
@@ -59,26 +56,3 @@ def test_the_truth_lies_within_one_sigma_as_often_as_it_should(drift: str) -> No
         # Some 200 to 500 errors, those of one run not independent: 0.683 to within 0.05 (1 sigma).
         assert 0.57 < np.mean(z < 1.0) < 0.82, name
         assert np.mean(z < 1.96) > 0.88, name
-
-
-def test_an_odometry_whose_lengths_are_wrong_is_corrected() -> None:
-    for scale_sigma in (0.0, 0.05):
-        drift = replace(DRIFTS["low"], scale_sigma=scale_sigma)
-        scenario = simulate_scenario(
-            ScenarioSettings("organic", 1, junctions_per_run=25, drift=drift, faults="none", seed=3)
-        )
-        (run,), (true,) = scenario.runs.values(), scenario.truth.runs.values()
-        ways = [
-            np.hypot(*np.diff(p[:, :2], axis=0).T).sum() for p in (run.odometry.pose, true.path)
-        ]
-        too_long = 1 - ways[1] / ways[0]
-        assert abs(too_long) > 0.02 or not scale_sigma
-        topomap = build_map(run)
-        left = too_long - topomap.info["calibration"]["length_scale"]["applied"]
-        assert abs(left) < 3 * topomap.measured.scale < 0.04
-        # As headings are good, half of what passes show is taken for the detector's error.
-        assert abs(left) < max(0.75 * abs(too_long), 0.005)
-        place = true_vertex_of_nodes(scenario.truth, topomap)
-        there = scenario.truth.worlds[true.world].xy[place]
-        size, truth = (np.hypot(*(xy - xy.mean(axis=0)).T).mean() for xy in (topomap.xy, there))
-        assert abs(size / truth - 1) < 3 * topomap.measured.scale

@@ -115,14 +115,6 @@ def halves(maze, see):
 
 
 @pytest.fixture(scope="session")
-def mixed(halves, maze, see):
-    """Four runs of a maze, which does not repeat itself, beside twelve of an office, which does."""
-    office = make_world("office", 120, 8)
-    whole = [see(maze, list(range(len(maze))), 3 + k, f"whole-{k}") for k in range(2)]
-    return [*halves, *whole, *(see(office, list(range(70)), k, f"o-{k:x}") for k in range(12))]
-
-
-@pytest.fixture(scope="session")
 def right_matches():
     """right_matches(matched, a, b) -> share of the pairs (vertex of a, of b) that are true."""
 

@@ -10,7 +10,7 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.change import ChangeKind, change_to_document
-from topobatch.merge.changes import CHANGES, changes
+from topobatch.merge.changes import changes
 from topobatch.merge.document import merged_to_document
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
@@ -94,27 +94,3 @@ def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
             for j in change.junctions
             for v in members[j].get("tuesday", ())
         )
-
-
-def test_one_junction_alone_is_never_sure(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A detector that is wrong about one place is so each time."""
-    document, maps, _ = observed(2, closed=0.1)
-    eager = replace(CHANGES, false_rate=1.0)  # the questions themselves ask for less
-    monkeypatch.setattr("topobatch.merge.changes.CHANGES", eager)
-    told = next(c for c in changes(document, 0, maps) if c.sure)
-    halved = document.model_copy(deep=True)
-    for node in halved.nodes:
-        if node.id == told.junctions[0]:
-            del node.members["tuesday"]
-    (half,) = [c for c in changes(halved, 0, maps) if c.junctions == told.junctions]
-    assert half.bits == pytest.approx(told.bits / 2)
-    assert not half.sure
-    assert half.needed == half.bits
-
-
-def test_maps_without_times_of_corridors_tell_it_too() -> None:
-    document, maps, lengths = observed(2, closed=0.1)
-    bare = {run: replace(m, traversal_ns=None) for run, m in maps.items()}
-    known = [(c.junctions, c.kind) for c in changes(document, 0, maps) if c.sure]
-    assert [(c.junctions, c.kind) for c in changes(document, 0, bare) if c.sure] == known
-    assert len(known) == len(lengths)

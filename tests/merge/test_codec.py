@@ -18,22 +18,6 @@ class Some:
     more: tuple[object, ...] = ()
 
 
-CLASSES = {"Some": Some, "Ragged": Ragged}
-
-
-@pytest.mark.parametrize(
-    "value",
-    [
-        (),
-        ("one", 2, 0.1 + 0.2, True, None, ((), (3,))),
-        {"a": (1, 2), "": {}},
-        float("inf"),
-    ],
-)
-def test_plain_values(value):
-    assert from_bytes(to_bytes(value), {}) == value
-
-
 @pytest.mark.parametrize("dtype", ["<f8", "<i8", "<c16", "|b1", "<u2"])
 @pytest.mark.parametrize("shape", [(0,), (5,), (2, 3), (0, 2), (1, 2, 3), ()])
 def test_arrays(dtype, shape):
@@ -47,24 +31,6 @@ def test_arrays(dtype, shape):
         assert again.flags.aligned
 
 
-def test_arrays_that_do_not_lie_in_a_row():
-    values = np.arange(12.0).reshape(3, 4).T[::2]
-    np.testing.assert_array_equal(from_bytes(to_bytes(values), {}), values)
-
-
-def test_dataclasses():
-    value = Some("a", Ragged.from_rows([[0.5], [], [1.5, 2.5]]), ({"b": np.arange(2)}, 7))
-    again = from_bytes(to_bytes(value), CLASSES)
-    assert (again.name, again.more[1]) == ("a", 7)
-    assert [row.tolist() for row in again.of.take(range(3))] == [[0.5], [], [1.5, 2.5]]
-    np.testing.assert_array_equal(again.more[0]["b"], np.arange(2))
-
-
 def test_only_named_classes_are_made():
     with pytest.raises(KeyError):
         from_bytes(to_bytes(Some("a", Ragged.from_rows([]))), {})
-
-
-def test_others_are_refused():
-    with pytest.raises(TypeError, match="set has no form in bytes"):
-        to_bytes({1, 2})

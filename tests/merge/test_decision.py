@@ -2,20 +2,16 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import pytest
 
 from topobatch.merge.decision import (
-    DECISION_SCHEMA,
     Decision,
     Placement,
     Requirement,
     Start,
     Term,
-    TermKind,
     to_document,
 )
 from topobatch.merge.decision_text import (
@@ -26,19 +22,13 @@ from topobatch.merge.decision_text import (
     lies,
     lines,
     missing,
-    rows,
 )
-from topobatch.merge.discards import REASON
-from topobatch.merge.merged_schema import MergeEntry
 from topobatch.merge.result import (
-    AcceptedBy,
     Alignment,
     PairVerdict,
-    Standing,
     Verdict,
 )
-from topobatch.merge.robust.settings import RobustSettings
-from topobatch.merge.robust.verdict import MAYBE_COPY, needed_bits
+from topobatch.merge.robust.verdict import MAYBE_COPY
 
 NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5, 0.0)
 
@@ -106,17 +96,6 @@ def test_a_decision_is_one_screen_with_the_verdict_first(told):
     assert any("log2(6 pairs / rate 0.001)" in line for line in shown)
 
 
-@pytest.mark.parametrize("told", [MERGED, AMBIGUOUS, UNRELATED])
-@pytest.mark.parametrize("links", [1, 3, 50])
-def test_the_columns_add_up_to_the_evidence(told, links):
-    table = rows(told, links)
-    for k, shown in enumerate(told.placements):
-        total = sum(row.bits[k] or 0.0 for row in table if row.level == 0)
-        assert total == pytest.approx(round(shown.alignment.evidence_bits, 1))
-    parts = [row.bits[0] for row in table if row.level == 1 and row.bits[0] > 0]
-    assert not parts or sum(parts) == pytest.approx(table[0].bits[0])
-
-
 def test_the_document_adds_up_too():
     for told in ALL:
         document = json.loads(json.dumps(to_document(told)))
@@ -128,16 +107,6 @@ def test_the_document_adds_up_too():
             assert total == pytest.approx(shown["evidence_bits"], abs=1e-9)
     assert to_document(AMBIGUOUS)["margin_bits"] == 5.93
     assert to_document(UNRELATED)["start"]["expected"] == 7
-
-
-def test_another_placement_with_more_evidence_is_not_called_the_next_best():
-    """A person locked the pair where another placement fits better."""
-    told = decision(Verdict.MERGED, 4.0, [placement(4.0), placement(9.0)])
-    told = " ".join(" ".join(lines(told)).split())
-    assert "evidence, 5.0 bits behind the other placement" in told
-    assert "the other placement lays it at (1.00, -2.00) m, turned by 180.0°" in told
-    assert "next best" not in told
-    assert "evidence, 5.9 bits ahead of the next best" in " ".join(lines(AMBIGUOUS))
 
 
 def test_an_ambiguous_pair_says_what_is_missing():
@@ -183,38 +152,3 @@ def test_what_others_and_people_say_stands_in_the_headline():
     assert lies(never).startswith("right would lie at ")
     assert "--at" not in lies(never)
     assert headline(never).startswith("left and right: locked apart: 0.0 bits of evidence")
-
-
-def test_a_match_that_a_person_took_back_is_not_called_chance():
-    said = replace(UNRELATED.said, reason=REASON, evidence_bits=0.0)
-    taken = replace(MERGED, said=said)
-    assert because(taken).startswith("The match was discarded by a person: what is shown does not")
-    text = "\n".join(lines(taken))
-    assert "what the match had, not counted" in text
-    assert "No significant match" not in text
-
-
-def test_the_page_on_verdicts_names_all_there_is():
-    page = (Path(__file__).parents[2] / "docs" / "verdicts.md").read_text()
-    kinds = [f"`{kind}`" for kind in get_args(TermKind)]
-    fields = [f"`{name}" for name in MergeEntry.model_fields if name.endswith("_bits")]
-    more = ["`through`", "`placed`", "`together`", "accepted_by", "`notes`", DECISION_SCHEMA]
-    missing_words = [w for w in [*kinds, *fields, *more, *get_args(AcceptedBy)] if w not in page]
-    assert missing_words == []
-    assert all(str(standing).split(" through")[0] in page for standing in Standing)
-
-
-def test_the_page_on_verdicts_has_the_thresholds_of_today():
-    page = (Path(__file__).parents[2] / "docs" / "verdicts.md").read_text()
-    for runs in (2, 4, 50, 200):
-        pairs = runs * (runs - 1) // 2
-        bars = [needed_bits(pairs, RobustSettings(rate)) for rate in (0.001, 0.05)]
-        assert f"| {runs} | {pairs:,} | {bars[0]:.1f} | {bars[1]:.1f} |" in page
-
-
-@pytest.mark.parametrize("told", ALL)
-def test_long_names_stay_on_the_screen(told):
-    said = replace(told.said, a="a" * 180, b="b" * 180)
-    shown = lines(replace(told, said=said))
-    assert len(shown) <= HEIGHT
-    assert max(map(len, shown)) <= WIDTH

@@ -54,13 +54,6 @@ def test_pairs_that_are_only_counted_stay_counted(document) -> None:
     assert merged_to_document(result) == large
 
 
-def test_fewer_runs_and_none_can_be_read(document) -> None:
-    empty = {**document, "graph": {"components": []}, "nodes": [], "edges": [], "merges": []}
-    result = reread(empty)
-    assert len(result.fused) == 0
-    assert merged_to_document(result) == empty
-
-
 @pytest.mark.parametrize(
     ("part", "key", "value", "told"),
     [

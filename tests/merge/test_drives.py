@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.drive import drive_to_document
 from topobatch.merge.drives import DRIVES, drives
 from topobatch.merge.result import (
     Alignment,
@@ -105,32 +104,6 @@ def test_one_drive_passes_enough_of_both() -> None:
     assert first.way.endswith("11, b:16, b:17, b:18, b:19, b:20")
 
 
-def test_a_building_that_repeats_itself_needs_a_longer_drive() -> None:
-    pair = open_pair(COMMON, extra={"same_place_bits": 5.0})
-    first = drives(merge_of({"a": A, "b": B}, [pair]))[0]
-    need = 10 + DRIVES.spare_junctions  # 5 bits of 4 junctions say that it is no copy
-    assert len({s.junction for s in first.stops if s.site == "a"}) == 12 < need
-    assert sum(s.site == "b" for s in first.stops) == 8
-    assert first.bits < 1.25 * 12
-
-
-def test_a_placement_with_a_rival_is_worth_less() -> None:
-    rival = Alignment(np.zeros(3), 9.0, np.array([(0, 0)]), 0.1)
-    (one, *_), (two, *_) = (
-        drives(merge_of({"a": A, "b": B}, [open_pair(COMMON, other=other)]))
-        for other in (None, rival)
-    )
-    assert two.bits == pytest.approx(one.bits / 2, rel=0.01)
-
-
-def test_what_a_person_decided_is_not_driven_for() -> None:
-    locked = open_pair(COMMON, locked="never")
-    unrelated = PairVerdict("a", "b", Verdict.UNRELATED, False, 0.0, "nothing")
-    for pair in (locked, unrelated):
-        found = drives(merge_of({"a": A, "b": B}, [pair]))
-        assert [d.onto for d in found] == [None, None]
-
-
 def test_into_the_unknown_from_what_is_known() -> None:
     (found,) = drives(merge_of({"a": A}, []))
     need = 5 + DRIVES.spare_junctions
@@ -156,27 +129,3 @@ def test_nothing_to_drive() -> None:
     )
     assert drives(replace(result, fused=driven)) == ()
     assert drives(MergeResult((), merge_of({"a": (0, 1, np.zeros(3))}, []).fused, ())) == ()
-
-
-def test_the_same_whatever_the_order_of_verdicts() -> None:
-    sites = {"a": A, "b": B, "c": (8, 12, T_A_B)}
-    pairs = [open_pair(COMMON), open_pair(COMMON, a="a", b="c", bits=8.0)]
-    one, two = (drives(merge_of(sites, order)) for order in (pairs, pairs[::-1]))
-    assert list(map(drive_to_document, one)) == list(map(drive_to_document, two))
-    assert [d.onto for d in one[:2]] == ["b", "c"]
-
-
-def test_drives_of_one_site() -> None:
-    sites = {"a": A, "b": B, "c": (8, 12, T_A_B)}
-    pairs = [open_pair(COMMON), open_pair(COMMON, a="a", b="c", bits=8.0)]
-    found = drives(merge_of(sites, pairs), 1, component=2)
-    assert [(d.site, d.onto) for d in found] == [("a", "c")]
-    found = drives(merge_of(sites, pairs), component=2)
-    assert [(d.site, d.onto) for d in found] == [("a", "c"), ("c", None)]
-
-
-def test_a_small_site_is_driven_as_a_whole() -> None:
-    small = (8, 5, T_A_B)
-    first = drives(merge_of({"a": A, "b": small}, [open_pair(COMMON)]))[0]
-    assert [s.junction for s in first.stops if s.site == "b"] == [16]
-    assert first.bits < 2.5 * 6

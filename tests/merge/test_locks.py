@@ -1,14 +1,10 @@
 """What a person decided about pairs of runs."""
 
-import json
-
 import pytest
 
 from topobatch.merge.locks import (
     Lock,
-    lock_table,
     locks_from_document,
-    locks_to_document,
     with_lock,
     without_lock,
 )
@@ -29,13 +25,6 @@ def test_what_no_lock_can_be(arguments, message):
         Lock(*arguments)
 
 
-def test_two_locks_of_a_pair_must_agree():
-    lock = Lock("a", "b", "same")
-    assert lock_table([lock, Lock("b", "a", "same")]) == {("a", "b"): lock}
-    with pytest.raises(UsageError, match="locked in two ways"):
-        lock_table([lock, Lock("b", "a", "never")])
-
-
 def test_a_new_lock_replaces_the_old_one_of_its_pair():
     locks = with_lock(with_lock((), Lock("b", "c", "never")), Lock("a", "b", "same"))
     assert [(k.a, k.b, k.decision) for k in locks] == [("a", "b", "same"), ("b", "c", "never")]
@@ -43,13 +32,6 @@ def test_a_new_lock_replaces_the_old_one_of_its_pair():
     assert [(k.a, k.b, k.decision) for k in locks] == [("a", "b", "never"), ("b", "c", "never")]
     assert without_lock(locks, "c", "b") == (Lock("a", "b", "never"),)
     assert without_lock(locks, "x", "y") == locks
-
-
-def test_documents_come_back_as_they_were():
-    locks = (Lock("a", "b", "same", (3, 4)), Lock("a", "c", "same"), Lock("b", "c", "never"))
-    doc = locks_to_document(locks[::-1])
-    assert doc["schema"] == "topobatch.locks/1"
-    assert locks_from_document(json.loads(json.dumps(doc))) == locks
 
 
 def _document(*locks, schema="topobatch.locks/1"):

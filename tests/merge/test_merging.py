@@ -70,14 +70,6 @@ def test_removing_a_run_and_merging_again_is_never_having_had_it(fleet):
     assert all("r1" not in c.poses for c in without.components)
 
 
-def test_one_map_alone_is_one_component(fleet):
-    result = merge_maps(fleet[:1], PAPER)
-    assert runs(result) == [["r0"]]
-    assert result.verdicts == ()
-    assert result.fused.xy == pytest.approx(fleet[0].xy)
-    assert len(merge_maps([], PAPER).components) == 0
-
-
 def test_two_maps_of_one_run_are_refused(fleet):
     with pytest.raises(DataError, match="run 'r0' is given 2 times"):
         merge_maps([fleet[0], fleet[1], replace(fleet[2], run="r0")], PAPER)

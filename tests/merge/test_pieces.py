@@ -12,7 +12,6 @@ from topobatch.topology.errors import DataError
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, fit_rigid
 from topobatch.topology.topomap import Closure
-from topobatch.topology.views import SIDE, Views
 
 HOUR_NS = 3600 * 10**9
 
@@ -97,52 +96,6 @@ def test_pieces_that_share_nothing_become_runs_of_their_own(halves, maze, other_
     assert other.info["warnings"][-1] == said + "on their own: run#2"
 
 
-def test_views_stay_with_their_piece(halves, maze, other_maze, see):
-    left, right = halves
-    elsewhere = see(other_maze, list(range(len(other_maze.xy))), 5, "elsewhere")
-    broken = in_pieces(left, elsewhere, right)
-    times, cells = broken.observation_time_ns, np.zeros((1, SIDE, SIDE), np.uint8)
-    xy = broken.xy[broken.observation_vertex]
-    pose = np.column_stack([xy, np.zeros(len(xy))])
-    seen = Views(times + 5, pose, cells.repeat(len(times), axis=0))
-    parts = joined_pieces(replace(broken, views=seen))
-    assert sum(len(m.views) for m in parts) == len(times)
-    for m in parts:
-        assert (m.views.time_ns - 5).tolist() == m.observation_time_ns.tolist()
-        off = np.hypot(*(m.views.pose[:, :2] - m.xy[m.observation_vertex]).T)
-        assert np.median(off) < 0.5
-
-
-def test_what_is_too_small_for_any_merge_is_counted_and_left_out(drawn, halves):
-    speck = drawn("speck", [(0, 0), (4, 0), (9, 0)], [(0, 1), (1, 2)])
-    (whole,) = joined_pieces(in_pieces(speck, halves[0]))
-    assert len(whole) == len(halves[0])
-    assert whole.info["warnings"][-1] == (
-        "the odometry broke: 2 pieces, none of which could be joined to another for sure; "
-        "1 too small to be placed is left out (9 junction passes)"
-    )
-    (alone,) = joined_pieces(in_pieces(speck, drawn("other", [(0, 0), (3, 0)], [(0, 1)])))
-    assert len(alone) == 3
-
-
 def test_maps_in_pieces_are_not_merged_as_if_they_had_one_frame(halves):
     with pytest.raises(DataError, match=r"run 'run' is in 2 pieces"):
         merge_maps([in_pieces(*halves), halves[1]])
-
-
-def test_joined_pieces_know_when_their_corridors_were_driven(halves, other_maze, see):
-    """Each corridor of each piece once, at 1 m/s."""
-    elsewhere = see(other_maze, list(range(len(other_maze.xy))), 5, "elsewhere")
-    for parts in (halves, (halves[0], elsewhere)):
-        broken = in_pieces(*parts)
-        at = np.round(broken.length * 1e9).astype(np.int64)
-        begin = np.arange(len(at)) * HOUR_NS
-        timed = replace(
-            broken, traversal_ns=tuple(np.stack([begin, begin + at], axis=1).reshape(-1, 1, 2))
-        )
-        maps = joined_pieces(timed)
-        driven = np.concatenate([t for m in maps for t in m.traversal_ns])
-        assert sorted(driven.min(axis=1).tolist()) == begin.tolist()
-        for m in maps:
-            for length, times in zip(m.length, m.traversal_ns, strict=True):
-                assert np.allclose(np.abs(np.diff(times)) / 1e9, length, atol=0.5)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from topobatch.merge.component_map import component_map
 from topobatch.merge.document import merged_to_document
@@ -43,16 +42,6 @@ def test_rigid_maps_are_carried_exactly() -> None:
     assert np.allclose(found.nearest_m, [5.0, np.hypot(2, 1), np.hypot(1, 1)])
 
 
-def test_one_junction_carries_by_its_branches() -> None:
-    one = GRID[4:5]
-    found = transfer(PLACES, matched(apply(T, one), one, turn=T[2:], turn_sigma=np.array([0.05]),
-                                     sigma=np.array([0.03])))  # fmt: skip
-    assert np.allclose(found.xy, apply(T, PLACES))
-    assert np.all(np.diff(found.sigma_m[np.argsort(found.nearest_m)]) > 0)
-    arm = found.nearest_m
-    assert np.all(found.sigma_m > 0.05 * arm / np.sqrt(2))
-
-
 def test_a_bent_map_is_carried_along_its_bend() -> None:
     """A global transform would be metres off."""
     angle = GRID[:, 0] / 60
@@ -64,31 +53,6 @@ def test_a_bent_map_is_carried_along_its_bend() -> None:
     off = np.hypot(*(found.xy - true).T)
     assert off.max() < 0.5
     assert np.all(off < 3 * found.sigma_m)
-
-
-def test_noisy_junctions_make_the_sigma_that_they_deserve() -> None:
-    """Coordinates of places on maps that walk at random apart, within 1 and 2 sigmas; the noise of
-    the maps suggests half of the bending that there is."""
-    chance, within = np.random.default_rng(1), []
-    gap = np.hypot(*(all_points := np.vstack([GRID, PLACES])).T[:, :, None] - all_points.T[:, None])
-    base = np.hypot(*(all_points - 200).T)
-    covariance = 0.5 * 4e-3 * (base[:, None] + base - gap)
-    root = np.linalg.cholesky(covariance + 1e-9 * np.eye(len(covariance)))
-    for _ in range(200):
-        bend = root @ chance.normal(size=(len(root), 2))
-        target = apply(T, all_points) + bend
-        noisy = target[: len(GRID)] + 0.03 * chance.normal(size=GRID.shape)
-        found = transfer(PLACES, matched(noisy, bending=2e-3))
-        within.append(np.abs(found.xy - target[len(GRID) :]) / found.sigma_m[:, None])
-    share = np.concatenate(within)
-    assert 0.58 < np.mean(share < 1) < 0.80
-    assert 0.90 < np.mean(share < 1.96) < 0.99
-
-
-def test_nothing_in_common_is_refused() -> None:
-    with pytest.raises(ValueError, match="no junction in common"):
-        transfer(PLACES, matched(np.zeros((0, 2)), np.zeros((0, 2)), sigma=np.zeros(0),
-                                 turn=np.zeros(0), turn_sigma=np.zeros(0)))  # fmt: skip
 
 
 def test_merged_runs_say_what_they_have_in_common(maze_pair) -> None:

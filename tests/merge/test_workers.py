@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.merge.workers import TRIES, Workers
+from topobatch.merge.workers import Workers
 from topobatch.topology.errors import DataError
 
 
@@ -26,20 +26,8 @@ def dies_once(mark, number):
     return squared(number)
 
 
-def dies(number):
-    if number == 3:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return squared(number)
-
-
 def fails(number):
     raise DataError(f"no {number}")
-
-
-def test_results_come_with_their_numbers():
-    with ThreadPoolExecutor(2) as pool:
-        found = dict(Workers(lambda: nullcontext(pool)).results(squared, [5, 6, 7]))
-    assert found == {0: 25, 1: 36, 2: 49}
 
 
 def test_what_a_task_raises_is_raised():
@@ -55,9 +43,3 @@ def test_a_worker_that_dies_loses_nothing(tmp_path):
     found = dict(workers.results(partial(dies_once, tmp_path / "mark"), range(40)))
     assert found == {k: k * k for k in range(40)}
     assert (tmp_path / "mark").exists()
-
-
-def test_workers_that_keep_dying_are_told_of():
-    workers = Workers(partial(ProcessPoolExecutor, 1))
-    with pytest.raises(DataError, match=f"killed {TRIES} times"):
-        list(workers.results(dies, range(5)))

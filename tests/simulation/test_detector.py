@@ -34,17 +34,6 @@ def test_without_noise_everything_is_where_the_world_says(kind: str) -> None:
         assert _unmatched(turned, world.branches[int(vertex[row])]) < 0.02
 
 
-def test_lag_shifts_the_stamps_of_detections() -> None:
-    plain, late = (
-        simulate_run(make_world("maze", 30, 1), settings=replace(PERFECT, faults=faults))
-        for faults in (PERFECT.faults, replace(PERFECT.faults, lag_s=0.25))
-    )
-    shift = late.run.detections.time_ns - plain.run.detections.time_ns
-    np.testing.assert_array_equal(shift, 250_000_000)
-    np.testing.assert_array_equal(late.run.detections.centre, plain.run.detections.centre)
-    np.testing.assert_array_equal(late.truth.start_ns - plain.truth.start_ns, 250_000_000)
-
-
 def test_closed_doors_are_neither_seen_nor_driven() -> None:
     world = make_world("office", 80, 2)
     shut = simulate_run(

@@ -7,7 +7,6 @@ import pytest
 
 from topobatch.simulation import (
     Drift,
-    SimulatedRun,
     make_world,
     simulate_run,
 )
@@ -23,10 +22,6 @@ def test_nonsensical_drift_is_refused(wrong: dict[str, float]) -> None:
         Drift(**wrong)
 
 
-def _turned_deg(simulated: SimulatedRun) -> float:
-    return float(np.degrees(np.sum(simulated.run.odometry.turn_rad)))
-
-
 def test_without_drift_odometry_is_the_true_path() -> None:
     simulated = simulate_run(make_world("organic", 40, 1), settings=PERFECT, seed=1)
     poses = compose(
@@ -35,21 +30,6 @@ def test_without_drift_odometry_is_the_true_path() -> None:
     off = poses - simulated.truth.path
     assert np.max(np.hypot(off[:, 0], off[:, 1])) < 0.01
     assert np.max(np.abs(wrap(off[:, 2]))) < 1e-3
-
-
-def test_a_heading_bias_grows_with_the_way() -> None:
-    way = drifted().run.odometry.step_m.sum()
-    lost = _turned_deg(drifted()) - _turned_deg(drifted(heading_bias_deg_per_m=3.0))
-    assert lost == pytest.approx(3.0 * way, rel=0.01)
-
-
-def test_heading_jumps_are_where_the_truth_says() -> None:
-    plain, struck = drifted(), drifted(heading_jumps_per_100_m=2.0, heading_jump_deg=20.0)
-    difference = struck.run.odometry.turn_rad - plain.run.odometry.turn_rad
-    rows = np.flatnonzero(np.abs(difference) > np.radians(1.0))
-    jump_ns = struck.run.odometry.time_ns[rows].tolist()
-    assert len(jump_ns) >= 2
-    assert set(jump_ns) <= set(struck.truth.jump_ns)
 
 
 def test_a_reset_starts_again_from_zero_and_breaks_the_track() -> None:

@@ -12,21 +12,18 @@ import pytest
 from topobatch.simulation import (
     LASERS,
     LaserSettings,
-    MotionSettings,
-    RunSettings,
     ScenarioSettings,
     Truth,
     World,
     make_world,
     read_truth,
-    simulate_run,
     simulate_scenario,
     write_truth,
 )
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.laser import cast_at_segments, positions, scans, walk_about
+from topobatch.simulation.laser import cast_at_segments, scans
 from topobatch.simulation.motion import Drive
-from topobatch.simulation.walls import doorways, free_space, walls_of
+from topobatch.simulation.walls import free_space, walls_of
 from topobatch.topology.errors import UsageError
 
 BARE = replace(LASERS["none"], noise_m=0.0)
@@ -66,16 +63,6 @@ def test_a_crossing_from_its_middle() -> None:
     np.testing.assert_allclose(ranges[100], 1 / np.sin(np.radians(10)), atol=0.01)
 
 
-def test_the_mount_and_a_laser_upside_down() -> None:
-    world = line((0, 0), (20, 0))
-    settings = replace(BARE, beams=3, view_deg=180.0, mount=(0.5, 0.3, 0.0), corridor_m=2.0)
-    drive = standing(10, 0, 0)
-    upright = scans(world, drive, set(), settings, Chance("x")).ranges_m[0]
-    np.testing.assert_allclose(upright[[0, 2]], (1.3, 0.7), atol=0.01)
-    turned = scans(world, drive, set(), replace(settings, upside_down=True), Chance("x"))
-    np.testing.assert_array_equal(turned.ranges_m[0], upright[::-1])
-
-
 def test_the_robot_drives_on_during_a_sweep() -> None:
     world = line((0, 0), (8, 0))
     settings = replace(BARE, beams=91, view_deg=90.0, mount=(0.0, 0.0, 0.0), range_max_m=12.0)
@@ -104,78 +91,6 @@ def test_walls_stand_around_the_free_space_and_nowhere_within(kind: str) -> None
     for xy in world.xy:
         way, _, _ = cast_at_segments(np.tile(xy, (50, 1)), direction, walls)
         assert np.isfinite(way).all()
-
-
-def test_doors_shut_off_corridors_but_not_the_robots_way() -> None:
-    run = RunSettings(
-        motion=MotionSettings(1.3, 1.5),
-        laser=replace(BARE, door_share=1.0, beams=60, rate_hz=4.0),
-        tells_junctions=False,
-    )
-    simulated = simulate_run(make_world("maze", 12, 5), settings=run, seed=1)
-    doors = simulated.truth.doors
-    assert len(doors) > 10
-    seen = simulated.scans
-    assert seen is not None
-    assert len(doors) == len(seen.doors.door)
-    path, path_s = (
-        simulated.truth.path,
-        (simulated.truth.path_ns - simulated.truth.path_ns[0]) / 1e9,
-    )
-    for door, from_s, to_s in zip(seen.doors.door, seen.doors.from_s, seen.doors.to_s, strict=True):
-        middle = 0.5 * (seen.doors.walls.a[door] + seen.doors.walls.b[door])
-        during = (path_s > from_s) & (path_s < to_s)
-        assert np.all(np.hypot(*(path[during, :2] - middle).T) > 0.9), "driven through"
-    shut = seen.doors.shut(np.array([seen.doors.from_s[0], seen.doors.to_s[0]]))
-    assert shut[:, seen.doors.door[0]].tolist() == [True, False]
-
-
-def test_a_closed_corridor_is_shut_at_its_ends() -> None:
-    world = line((0, 0), (10, 0), (20, 0), (10, 8), links=[(0, 1), (1, 2), (1, 3)])
-    settings = replace(BARE, beams=3, view_deg=180.0, mount=(0.0, 0.0, 0.0))
-    seen = scans(world, standing(10, 0, 0), {2}, settings, Chance("x")).ranges_m[0]
-    assert seen[2] == pytest.approx(0.7 + 0.25, abs=0.02)
-    opened = scans(world, standing(10, 0, 0), set(), settings, Chance("x")).ranges_m[0]
-    assert opened[2] > 8
-    places, edge, vertex = doorways(world, 1.4)
-    assert len(places) == len(edge) == len(vertex) == 3
-
-
-def test_people_walk_in_corridors_and_are_seen() -> None:
-    world = make_world("maze", 20, 3)
-    people = walk_about(world, set(), 5, 60.0, Chance("p"))
-    when = np.arange(0.0, 60.0, 0.2)
-    xy = positions(people, when)
-    assert xy.shape == (300, 5, 2)
-    speed = np.hypot(*np.diff(xy, axis=0).transpose(2, 0, 1)) / 0.2
-    assert 0.5 < np.median(speed) < 1.6
-    bare = scans(world, standing(*world.xy[0], 0.0, 60.0), set(), BARE, Chance("x")).ranges_m
-    crowd = replace(BARE, people_per_100_m=20.0)
-    seen = scans(world, standing(*world.xy[0], 0.0, 60.0), set(), crowd, Chance("x")).ranges_m
-    assert np.all(seen <= bare)
-    assert 0.001 < np.mean(seen < bare) < 0.5
-
-
-def test_glass_gives_no_echo_but_where_it_is_met_squarely() -> None:
-    world = line((0, 0), (20, 0))
-    glass = replace(BARE, glass_share=1.0, beams=181, view_deg=180.0, mount=(0.0, 0.0, 0.0))
-    ranges = scans(world, standing(10, 0, 0), set(), glass, Chance("x")).ranges_m[0]
-    back = np.flatnonzero(np.isfinite(ranges))
-    assert len(back) > 0
-    off = np.abs(back - 90 * np.round(back / 90))
-    assert np.all(off < 15), "within 14 degrees of the walls' normals"
-
-
-def test_noise_and_lost_beams_are_as_asked() -> None:
-    world = line((0, 0), (20, 0))
-    asked = replace(BARE, noise_m=0.02, lost_rate=0.1, beams=300, view_deg=90.0, corridor_m=2.0)
-    drive = standing(10, 0, np.pi / 2, 30.0)
-    noisy = scans(world, drive, set(), asked, Chance("x")).ranges_m
-    clean = scans(world, drive, set(), replace(asked, noise_m=0, lost_rate=0), Chance("x")).ranges_m
-    assert np.mean(np.isinf(noisy)) == pytest.approx(0.1, abs=0.01)
-    error = (noisy - clean)[np.isfinite(noisy)]
-    assert np.std(error) == pytest.approx(0.02, abs=0.002)
-    assert abs(np.mean(error)) < 0.001
 
 
 def test_the_same_settings_give_the_same_scans_and_detections_stay_as_they_were(
@@ -215,8 +130,3 @@ def test_the_same_settings_give_the_same_scans_and_detections_stay_as_they_were(
 def test_settings_that_make_no_sense(wrong: dict[str, Any]) -> None:
     with pytest.raises(UsageError, match="laser"):
         LaserSettings(**wrong)
-
-
-def test_a_laser_of_an_unknown_level() -> None:
-    with pytest.raises(UsageError, match="no laser 'loud'"):
-        ScenarioSettings(laser="loud")

@@ -15,7 +15,6 @@ from topobatch.simulation.samples import sample_scenario
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "office-1.mcap", "streets-1.mcap")
-WITH_DETECTIONS = tuple(log for log in LOGS if not log.startswith("office"))
 
 
 def _files(folder: Path) -> dict[str, int]:
@@ -44,15 +43,6 @@ def test_one_command_writes_the_same_messages_anew(tmp_path: Path) -> None:
         made = _messages(tmp_path / log)
         assert len(made) > 1000
         assert made == _messages(SAMPLES / log), log
-
-
-def test_three_runs_overlap_and_one_is_elsewhere(truth: Truth) -> None:
-    groups = [{"maze-1", "maze-2", "maze-3"}, {"office-1"}, {"streets-1"}]
-    assert truth.linked(least_common=12) == groups
-    assert all(20 <= len(run.detected) <= 40 for run in truth.runs.values())
-    for run in (truth.runs[Path(log).stem] for log in WITH_DETECTIONS):
-        corridors = set(run.drive_edge.tolist())
-        assert len(corridors) - len(run.detected) >= 2, "no loops to close"
 
 
 def test_the_figures_of_the_readme_are_those_of_the_logs(truth: Truth) -> None:

@@ -15,14 +15,10 @@ from topobatch.simulation import (
     RunSettings,
     Scenario,
     ScenarioSettings,
-    joined,
     make_world,
     simulate_run,
     simulate_scenario,
 )
-from topobatch.simulation.chance import Chance
-from topobatch.simulation.regions import scattered_regions
-from topobatch.simulation.walk import Leg
 from topobatch.topology.errors import UsageError
 
 from .driven import KINDS
@@ -64,12 +60,6 @@ def test_a_world_changes_between_runs_as_the_truth_says() -> None:
         simulate_scenario(replace(s, changes=50))
 
 
-def test_scattered_regions_are_about_as_large_as_asked() -> None:
-    regions = scattered_regions(make_world("organic", 60, 2), 6, 20, Chance("regions", 2))
-    assert all(16 <= len(region) <= 24 for region in regions)
-    assert len(set().union(*regions)) > 40
-
-
 def test_the_same_settings_give_the_same_runs(scenario: Scenario) -> None:
     again = simulate_scenario(
         ScenarioSettings("maze", 3, unrelated_runs=1, junctions_per_run=20, seed=3)
@@ -81,15 +71,6 @@ def test_the_same_settings_give_the_same_runs(scenario: Scenario) -> None:
         np.testing.assert_array_equal(run.odometry.pose, again.runs[name].odometry.pose)
         np.testing.assert_array_equal(run.detections.centre, again.runs[name].detections.centre)
         assert not np.array_equal(run.odometry.pose[:9], other.runs[name].odometry.pose[:9])
-
-
-def test_scenarios_join_unless_names_collide(scenario: Scenario) -> None:
-    streets = simulate_scenario(ScenarioSettings("organic", runs=1, prefix="streets-", seed=3))
-    both = joined(scenario, streets)
-    assert list(both.runs) == ["run1", "run2", "run3", "run4", "streets-1"]
-    assert len(both.truth.linked()) == 3
-    with pytest.raises(UsageError, match="same name"):
-        joined(scenario, scenario)
 
 
 @pytest.mark.parametrize(
@@ -114,16 +95,6 @@ def test_nonsense_is_refused(wrong: dict[str, object]) -> None:
         ScenarioSettings(**wrong)  # type: ignore[arg-type]
 
 
-def test_too_small_a_world_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"no room .* ask for fewer or smaller runs$"):
-        simulate_scenario(ScenarioSettings(runs=52, overlap=0.5, junctions_per_run=14, seed=3))
-
-
-def test_a_region_without_corridors_is_refused() -> None:
-    with pytest.raises(UsageError, match="no corridor"):
-        simulate_run(make_world("maze", 20, 1), {0})
-
-
 @settings(max_examples=6)
 @given(
     kind=st.sampled_from(KINDS),
@@ -144,14 +115,3 @@ def test_any_world_can_be_driven(
     assert truth.messages.sum() == len(run.detections)
     assert run.detections.branches.counts.min(initial=1) >= 1
     assert np.max(np.hypot(*run.detections.centre.T), initial=0.0) < 3.0
-
-
-def test_a_robot_drives_the_route_that_it_is_given() -> None:
-    world = make_world("maze", 20, 3)
-    first, there, _ = world.ends(0)[0]
-    second, beyond, _ = next(end for end in world.ends(there) if end[0] != first)
-    route = [Leg(first, 0, there), Leg(second, there, beyond)]
-    run = simulate_run(world, name="r", seed=1, route=route)
-    assert run.truth.drive_edge.tolist() == [first, second]
-    assert run.truth.closed_edges == ()
-    assert run.truth.detected <= {0, there, beyond}

@@ -10,7 +10,6 @@ import pytest
 from topobatch.simulation import Faults, WalkSettings, make_world
 from topobatch.simulation.chance import Chance
 from topobatch.simulation.walk import explore
-from topobatch.topology.se2 import wrap
 
 from .driven import KINDS
 
@@ -49,17 +48,6 @@ def test_worlds_are_connected_and_of_the_size_asked(kind: str, junctions: int) -
     assert {leg.target for leg in legs} | {legs[0].source} == set(range(len(world)))
     assert np.all(world.length > 2.0)
     np.testing.assert_array_equal(world.branches.counts > 0, True)
-
-
-def test_city_blocks_are_square_at_every_crossing_and_not_as_a_whole() -> None:
-    world = make_world("city", 120, seed=2)
-    rows = [world.branches[v] for v in range(len(world))]
-    square = [np.abs(wrap(4 * np.diff(r))) / 4 for r in rows if len(r) > 1]
-    assert np.quantile(np.concatenate(square), 0.9) < np.radians(15)
-    whole = np.abs(np.exp(4j * world.branches.values).mean())
-    alone = np.mean([np.abs(np.exp(4j * r).mean()) for r in rows])
-    assert alone > 0.9
-    assert whole < 0.8
 
 
 def test_worlds_of_tiles_repeat_each_other() -> None:

@@ -150,34 +150,6 @@ def test_formats_are_dealt_out_and_files_repeat(scenario: Scenario, tmp_path: Pa
     assert set(read_truth(tmp_path / "a" / "truth.json").runs) == {"run1", "run2"}
 
 
-@pytest.mark.parametrize(
-    ("before", "after"),
-    [("bag", "mcap"), ("mcap", "db3"), ("db3", "ros2-mcap"), ("ros2-mcap", "bag")],
-)
-def test_logs_in_other_formats_go_where_runs_are_to_be_alone(
-    scenario: Scenario, tmp_path: Path, before: str, after: str
-) -> None:
-    write_scenario(scenario, tmp_path, [before])
-    write_scenario(scenario, tmp_path, [after], alone=True)
-    write_scenario(scenario, tmp_path / "new", [after])
-    new = _digests(tmp_path / "new")
-    assert {k: v for k, v in _digests(tmp_path).items() if not k.startswith("new/")} == new
-    assert (tmp_path / "run1").exists() == (after in {"db3", "ros2-mcap"})
-
-
-def test_what_others_wrote_stays_beside_runs_that_are_to_be_alone(
-    scenario: Scenario, tmp_path: Path
-) -> None:
-    write_scenario(scenario, tmp_path, ["db3"])
-    notes = tmp_path / "run1" / "notes.txt"
-    notes.touch()
-    (tmp_path / "run1.bag").symlink_to(notes)
-    write_scenario(scenario, tmp_path, ["mcap"], alone=True)
-    assert set(_digests(tmp_path)) == {
-        *("run1.bag", "run1.mcap", "run1/notes.txt", "run2.mcap", "truth.json")
-    }
-
-
 @pytest.mark.parametrize("formats", [(), ("rar",), ("mcap", "zip")])
 def test_unknown_formats_are_refused(
     scenario: Scenario, formats: tuple[str, ...], tmp_path: Path

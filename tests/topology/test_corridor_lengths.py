@@ -35,13 +35,3 @@ def test_many_drives_along_bends_are_not_too_short(drives):
     assert np.std(length - true) < 1.1 * np.mean(0.06 * np.sqrt(bend)) / np.sqrt(drives)
     assert (leg // drives).tolist() == list(range(corridors))
     assert np.abs(way[leg] - length).max() < 0.3
-
-
-def test_a_detour_on_a_bend_does_not_count():
-    rng = np.random.default_rng(3)
-    bend = np.full(60, 2.0)
-    way = 10 + bend + 0.05 * rng.standard_normal(60)
-    way[0] += 0.9
-    groups = by_length(way, np.arange(60).reshape(-1, 3))
-    length, _ = corridor_lengths(way, np.full(60, 10.0), groups)
-    assert length[0] == pytest.approx(12.0, abs=0.1)

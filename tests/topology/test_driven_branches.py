@@ -29,9 +29,3 @@ def corridor(source_branch: int, path: list[tuple[float, float]]) -> Graph:
 def test_a_corridor_drives_the_branch_that_it_names() -> None:
     north = [(0.0, 0.0), (0.0, 5.0)]
     assert driven_branches(corridor(0, north)).tolist() == [True, False, True]
-
-
-def test_a_corridor_that_names_none_drives_the_one_it_leaves_by() -> None:
-    north, south = [(0.0, 0.0), (0.0, 5.0)], [(0.0, 0.0), (0.0, -5.0)]
-    assert driven_branches(corridor(-1, north)).tolist() == [False, True, True]
-    assert driven_branches(corridor(-1, south)).tolist() == [False, False, True]

@@ -8,7 +8,7 @@ import os
 
 import pytest
 
-from topobatch.topology.files import encoded, write_atomically, write_json, write_together
+from topobatch.topology.files import encoded, write_atomically, write_together
 
 
 def test_files_that_belong_together_are_written_all_or_none(tmp_path):
@@ -38,26 +38,6 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path):
         write_atomically(path, fail)
     assert path.read_text() == "old"
     assert os.listdir(tmp_path) == ["x.json"]
-
-
-@pytest.mark.parametrize("entries", [[], [{"x": 1.5}], [{"ü": k} for k in range(2001)]])
-def test_lists_written_entry_by_entry_are_the_same_bytes(tmp_path, entries):
-    whole = {"schema": "a", "nodes": entries, "edges": [1, None], "merges": entries}
-    write_json(tmp_path / "whole.json", whole)
-    write_json(tmp_path / "parts.json", whole | {k: iter(entries) for k in ("nodes", "merges")})
-    data = (tmp_path / "parts.json").read_bytes()
-    assert data == (tmp_path / "whole.json").read_bytes()
-    assert json.loads(data) == whole
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        write_json(tmp_path / "whole.json", {"nodes": iter([float("nan")])})
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["parts.json", "whole.json"]
-    assert (tmp_path / "whole.json").read_bytes() == data
-
-
-def test_entries_of_iterators_are_written_in_parts(tmp_path):
-    entries = [{"k": k, "text": "ä"} for k in range(2500)]
-    write_json(tmp_path / "a.json", {"many": iter(entries), "none": iter(())})
-    assert json.loads((tmp_path / "a.json").read_bytes()) == {"many": entries, "none": []}
 
 
 def test_numbers_that_are_none_are_refused_and_words_like_them_are_not():

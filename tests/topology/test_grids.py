@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from topobatch.topology.grids import MOST_CELLS, cell_for, cropped, layered, resampled
+from topobatch.topology.grids import cropped, layered, resampled
 from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, inverse
 
@@ -29,16 +29,6 @@ def test_what_is_not_known_is_cropped() -> None:
     assert np.array_equal(kept.free, ~SOME[10:20, 30:50])
     assert kept.origin == pytest.approx((0.0, 5.0, np.pi / 2))
     assert cropped(grid(SOME, unknown=np.ones(SOME.shape, bool))) is None
-
-
-def test_a_grid_that_stays_where_it_is_stays_what_it_is() -> None:
-    same = resampled(grid(SOME), moved_to(np.zeros(3)), 0.1, "b")
-    assert (same.frame, same.origin, same.resolution_m) == ("b", (0.0, 0.0, 0.0), 0.1)
-    assert np.array_equal(same.free[:-1, :-1], ~SOME)
-    assert same.unknown[-1].all()
-    fine = resampled(grid(SOME), moved_to(np.zeros(3)), 0.05, "b")
-    assert np.array_equal(fine.free[:-1:2, :-1:2], ~SOME)
-    assert np.array_equal(fine.free[1::2, 1::2], ~SOME)
 
 
 @pytest.mark.parametrize("turn", [0.3, 1.0, -2.2])
@@ -74,10 +64,3 @@ def test_the_first_grid_that_knows_a_cell_tells_what_it_is() -> None:
     assert both.free.sum() == 24 - 2 * 2
     assert both.unknown.sum() == 42 - 12 - 20
     assert layered([]) is None
-
-
-def test_large_grids_have_larger_cells() -> None:
-    assert cell_for(np.array([100.0, 100.0]), 0.05) == 0.05
-    cell = cell_for(np.array([3000.0, 100.0]), 0.05)
-    assert cell == 0.2
-    assert 3000 * 100 / cell**2 <= MOST_CELLS

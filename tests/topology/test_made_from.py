@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from topobatch.topology.made_from import describe_junctions, describe_unusual
 
 
@@ -28,25 +26,6 @@ def test_what_is_said_of_sources():
         describe_junctions(map_info | {"driven": all_there})
         == told + ", 100 % of it along corridors or to turning points"
     )
-
-
-@pytest.mark.parametrize(
-    "info",
-    [
-        {"source": 3},
-        {"source": {"junctions": "/scan"}},
-        {"source": {"junctions": {"topic": "/j", "passed_over": 7}}},
-    ],
-)
-def test_of_strange_sources_nothing_is_said(info):
-    assert describe_junctions(info) == ""
-
-
-def test_numbers_that_are_none_are_left_out():
-    strange = {"from": "scan", "topic": ["x"], "drift_after_m": "0.3", "covered": float("nan")}
-    driven = {"corridors": None, "out_and_back": 10**400}
-    told = describe_junctions({"source": {"junctions": strange}, "driven": driven})
-    assert told == "junctions from ['x']"
 
 
 def test_what_is_worse_than_usual():

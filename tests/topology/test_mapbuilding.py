@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from topobatch.topology.mapbuilding import build_topomap
-from topobatch.topology.polyline import way_of
 from topobatch.topology.topomap import RunNoise
 from topobatch.topology.vertex_errors import VertexErrors
 from topobatch.topology.visits import PassesAtPlaces, Visits
@@ -59,30 +58,6 @@ def test_a_corridor_driven_both_ways_is_one_edge():
     np.testing.assert_allclose(m.paths[0], [[0, 0], [8, 0]], atol=1e-9)
 
 
-def test_what_all_passes_share_no_pass_takes_off():
-    odometry, rows = track((0, 0), (8, 0), (0, 0))
-    passes = seen(odometry, rows, [[EAST], [WEST, NORTH], [EAST]])
-    alone = RunNoise().branch_rad / np.sqrt([2, 1, 1])
-    plain = build(odometry, passes, [0, 1, 0]).branch_sigma.values
-    np.testing.assert_allclose(plain, alone)
-    shared = build(odometry, passes, [0, 1, 0], askew_rad=0.2).branch_sigma.values
-    np.testing.assert_allclose(shared, np.hypot(alone, 0.2))
-
-
-def test_two_corridors_between_the_same_junctions_stay_two():
-    odometry, rows = track((0, 0), (8, 0), (8, 4), (0, 4), (0, 0))
-    passes = seen(odometry, rows[[0, 1, 4]], [[EAST, NORTH], [WEST, NORTH], [EAST, NORTH]])
-    m = build(odometry, passes, [0, 1, 0])
-    assert [{u, v} for u, v in zip(m.source.tolist(), m.target.tolist(), strict=True)] == [
-        {0, 1}
-    ] * 2
-    assert sorted(m.length.round(3).tolist()) == [8.0, 16.0]
-    longer = int(np.argmax(m.length))
-    for corner in ([0, 0], [0, 4], [8, 4], [8, 0]):
-        assert np.hypot(*(m.paths[longer] - corner).T).min() < 0.1
-    assert len(m.paths[longer]) <= 6
-
-
 def test_a_loop_keeps_both_its_branches():
     odometry, rows = track((0, 0), (6, 0), (6, 6), (0, 6), (0, 0))
     passes = seen(odometry, rows[[0, 4]], [[EAST, NORTH]] * 2)
@@ -94,12 +69,6 @@ def test_a_loop_keeps_both_its_branches():
     assert np.arctan2(along[1], along[0]) == pytest.approx(
         m.branches[0][m.source_branch[0]], abs=0.2
     )
-
-
-def test_turning_back_in_a_corridor_makes_no_edge():
-    odometry, rows = track((0, 0), (4, 0), (0, 0))
-    passes = seen(odometry, rows[[0, 2]], [[EAST, NORTH]] * 2)
-    assert len(build(odometry, passes, [0, 0]).source) == 0
 
 
 def test_a_dissolved_pass_joins_its_two_legs():
@@ -130,14 +99,6 @@ def test_a_junction_that_shows_otherwise_each_time_keeps_the_branch_seen_most() 
     np.testing.assert_allclose(m.branches[1], [2.2])
 
 
-def test_the_confidence_of_a_junction_is_the_mean_of_its_passes():
-    odometry, rows = track((0, 0), (8, 0), (0, 0), (8, 0))
-    passes = seen(odometry, rows, [[EAST], [WEST], [EAST], [WEST]])
-    passes = replace(passes, confidence=np.array([1.0, 0.5, 0.5, 1.0]))
-    assert build(odometry, passes, [0, 1, 0, 1]).confidence.tolist() == [0.75, 0.75]
-    assert build(odometry, passes, [0, -1, 0, 1]).confidence.tolist() == [0.75, 1.0]
-
-
 def test_a_pass_that_shows_its_junction_otherwise_is_one_by_it_and_no_more():
     odometry, rows = track((0, 0), (8, 0), (0, 0), (8, 0))
     looks = [[EAST], [WEST, NORTH], [EAST], [WEST, SOUTH]]
@@ -159,21 +120,3 @@ def test_a_corridor_is_as_long_as_from_centre_to_centre():
     assert m.length[0] == pytest.approx(8.0, abs=0.01)
     assert m.length_sigma[0] == pytest.approx(0.1, rel=0.02)
     np.testing.assert_allclose(m.paths[0], centres, atol=1e-9)
-
-
-def test_the_path_is_the_drive_that_the_length_is_of():
-    odometry, rows = track((0, 0), (8, 0), (4, 0.7), (0, 0))
-    passes = seen(odometry, rows[[0, 1, 3]], [[EAST], [WEST, NORTH], [EAST]])
-    m = build(odometry, passes, [0, 1, 0])
-    assert m.traversals.tolist() == [2]
-    assert m.length[0] == pytest.approx(8.0, abs=0.01)
-    assert way_of(m.paths[0])[-1] == pytest.approx(m.length[0], abs=0.01)
-
-
-@pytest.mark.parametrize("out_m", [0.06, 0.6])
-def test_turning_about_within_a_junction_makes_no_corridor(out_m):
-    odometry, rows = track((0, 0), (8, 0), (8, out_m), (8, 0), (8, 4))
-    seen_by = [[EAST], [WEST, NORTH, SOUTH], [WEST, SOUTH, NORTH], [SOUTH]]
-    passes = seen(odometry, rows[[0, 1, 3, 4]], seen_by)
-    m = build(odometry, passes, [0, 1, 1, 2])
-    assert list(zip(m.source.tolist(), m.target.tolist(), strict=True)) == [(0, 1), (1, 2)]

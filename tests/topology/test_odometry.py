@@ -22,18 +22,6 @@ def test_odometry_interpolates_through_the_cut_of_the_angle():
     np.testing.assert_allclose(track.turn_rad, [0, 2 * np.pi - 6, 1.0])
 
 
-def test_odometry_breaks_carry_no_motion():
-    track = Odometry(np.array([0, 1, 2]), np.array([[0, 0, 0], [1, 0, 0], [50, 9, 2]]), [2])
-    assert track.step_m.tolist() == [0, 1, 0]
-    assert track.turn_rad.tolist() == [0, 0, 0]
-
-
-@pytest.mark.parametrize("jumps", [[0], [3], [2, 1]])
-def test_odometry_jumps_lie_within_the_track(jumps):
-    with pytest.raises(ValueError, match="jumps"):
-        Odometry(np.arange(3), np.zeros((3, 3)), np.zeros(0, np.int64), jumps=np.array(jumps))
-
-
 def test_odometry_cuts_are_breaks_and_jumps():
     track = Odometry(
         np.arange(9),

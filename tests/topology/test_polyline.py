@@ -13,7 +13,6 @@ from topobatch.topology.polyline import (
     loop_width,
     simplify,
     way_of,
-    with_corners,
 )
 
 
@@ -30,24 +29,6 @@ def test_simplified_lines_stay_near():
     assert off.max() <= 0.5 + 1e-9
     closed = simplify(np.array([[0, 0], [1, 0], [1, 1], [0, 0.0]]), 0.1)
     assert len(closed) == 4
-
-
-def test_a_corner_that_was_cut_is_a_corner():
-    angle = np.linspace(-np.pi / 2, 0, 20)[:, None]
-    arc = np.array([4.6, 0.4]) + 0.4 * np.concatenate([np.cos(angle), np.sin(angle)], axis=1)
-    driven = np.concatenate([[[0, 0], [2, 0]], arc, [[5, 3], [5, 6]]])
-    path = with_corners(driven, 0.5, 0.5)
-    assert way_of(driven)[-1] == pytest.approx(10.83, abs=0.01)
-    assert way_of(path)[-1] == pytest.approx(11.0, abs=0.01)
-    assert np.hypot(*(path - [5, 0]).T).min() < 0.02
-    wide = 4 * np.column_stack([np.cos(np.linspace(0, 3, 99)), np.sin(np.linspace(0, 3, 99))])
-    assert with_corners(wide, 0.5, 0.5) is wide
-
-
-def test_what_is_driven_at_a_junction_is_no_part_of_the_corridor():
-    past = np.array([[0, 0.1], [-0.3, 0.2], [0.2, 0.1], [1, 0], [4, 0], [5.4, 0], [5.0, 0.3]])
-    path = join_centres(past, np.zeros(2), np.array([5.0, 0.0]), 0.7)
-    np.testing.assert_allclose(path, [[0, 0], [1, 0], [4, 0], [5, 0]])
 
 
 @pytest.mark.parametrize("aside", [0.8, -1.2])
@@ -102,25 +83,8 @@ def test_what_was_driven_out_and_back_is_no_part_of_a_path() -> None:
     assert (erased[[0, -1]] == detour[[0, -1]]).all()
 
 
-def test_bends_and_standing_still_are_left_alone() -> None:
-    for path in (
-        walked((0, 0), (5, 0), (5, 3), (5.8, 3), (5.8, 0), (10, 0)),  # a wall may be between
-        walked((0, 0), (3, 0), (3, 3)),
-        np.zeros((1, 2)),
-        np.zeros((0, 2)),
-    ):
-        assert loop_erased(path, 0.5) is path
-
-
 def test_a_loop_is_as_wide_as_what_it_goes_round() -> None:
     ring = walked((0, 0), (10, 0), (10, 4), (0, 4), (0, 0))
     there_and_back = walked((0, 0), (6, 0), (6, 0.2), (0, 0.2), (0, 0))
     assert loop_width(ring) == pytest.approx(2 * 40 / 28, abs=0.1)
     assert loop_width(there_and_back) < 0.25
-
-
-def test_hours_of_circling_on_the_spot_are_left_out_at_once():
-    turn = np.linspace(0.0, 2e4 * np.pi, 200_000)
-    circles = 0.4 * np.column_stack([np.cos(turn), np.sin(turn)])
-    path = np.concatenate([[[-5.0, 0.0]], circles, [[5.0, 0.0]]])
-    assert len(loop_erased(path, 0.5)) < 50

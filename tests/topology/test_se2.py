@@ -18,11 +18,6 @@ def close(a, b):
     np.testing.assert_allclose(se2.wrap(a[..., 2] - b[..., 2]), 0, atol=1e-9)
 
 
-@given(pose, pose)
-def test_between_undoes_compose(a, b):
-    close(se2.between(a, se2.compose(a, b)), b)
-
-
 @given(pose)
 def test_inverse_is_on_both_sides(a):
     close(se2.compose(a, se2.inverse(a)), np.zeros(3))
@@ -40,11 +35,6 @@ def test_compose_by_hand():
 def test_fit_rigid_recovers_a_motion(T):
     xy_b = np.array([[0.0, 0.0], [4.0, 1.0], [-2.0, 5.0], [3.0, 3.0]])
     close(se2.fit_rigid(se2.apply(T, xy_b), xy_b), T)
-
-
-def test_fit_rigid_refuses_other_shapes():
-    with pytest.raises(ValueError, match="fit_rigid"):
-        se2.fit_rigid(np.ones((3, 2)), np.ones((4, 2)))
 
 
 def test_fit_rigid_never_mirrors():
@@ -92,9 +82,3 @@ def test_yaw_of_a_tilted_quaternion(yaw, pitch, roll):
     y, z = cr * sp * cy + sr * cp * sy, cr * cp * sy - sr * sp * cy
     assert se2.wrap(se2.yaw_from_quaternion(x, y, z, w) - yaw) == pytest.approx(0, abs=1e-9)
     assert se2.wrap(se2.yaw_from_quaternion(-x, -y, -z, -w) - yaw) == pytest.approx(0, abs=1e-9)
-
-
-@pytest.mark.filterwarnings("error")
-@pytest.mark.parametrize("number", [np.inf, np.nan, 1e200])
-def test_what_is_no_quaternion_has_no_yaw(number):
-    assert np.isnan(se2.yaw_from_quaternion(*np.array([number, number, 0.0, number])))

@@ -10,8 +10,6 @@ import pytest
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.mapbuilding import MapBuildingSettings, build_topomap
-from topobatch.topology.passes import NO_BRANCH
-from topobatch.topology.polyline import way_of
 from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.turning_back import TurnedBack, turning_points
 from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
@@ -86,40 +84,6 @@ def test_a_room_driven_into_and_out_of_ends_at_a_turning_point():
     assert abs(t.time_ns[0][0, 0] - there) < 1e9
 
 
-def test_what_is_no_farther_than_junctions_are_told_apart_is_no_way():
-    assert len(with_room(0.9).turning_points) == 0
-
-
-def test_a_branch_with_a_corridor_has_no_turning_point():
-    corners = [(0, 0), (4, 0), (0, 0), (10, 0)]
-    m = driven(corners, [0, 2, 3], [0, 0, 1], CORRIDOR)
-    assert (len(m.source), len(m.turning_points)) == (1, 0)
-
-
-def test_way_along_a_part_of_what_is_known_is_counted():
-    corners = [(3, 0), (0, 0), (4, 0), (0, 0), (0, 5), (0, 0), (0, 3), (0, 0), (10, 0)]
-    m, turned = driven_and_turned(corners, [1, 3, 5, 7, 8], [0, 0, 0, 0, 1], CORRIDOR)
-    assert (len(m.source), turned.points.length.round(1).tolist()) == (1, [5.0])
-    assert turned.out_and_back_m == pytest.approx(8 + 6, abs=0.1)
-    assert turned.ends_m == pytest.approx(3, abs=0.1)
-
-
-def test_the_deepest_of_several_drives_tells_where_a_way_ends():
-    corners = [(0, 0), (0, 4), (0, 0), (0, 2), (0, 0), (0, 3.5), (0, 0), (10, 0)]
-    t = driven(corners, [0, 2, 4, 6, 7], [0, 0, 0, 0, 1], CORRIDOR).turning_points
-    np.testing.assert_allclose(t.xy, [[0, 4]], atol=0.05)
-    assert t.traversals.tolist() == [4]
-    assert [len(times) for times in t.time_ns] == [2]
-
-
-def test_a_way_round_corners_ends_where_it_is_the_longest_way_back():
-    corners = [(0, 0), (0, 6), (3, 6), (3, 2), (3, 6), (0, 6), (0, 0), (10, 0)]
-    t = driven(corners, [0, 6, 7], [0, 0, 1], CORRIDOR).turning_points
-    np.testing.assert_allclose(t.xy, [[3, 2]], atol=0.1)
-    assert t.length[0] == pytest.approx(13.0, abs=0.3)
-    assert way_of(t.paths[0])[-1] == pytest.approx(t.length[0], abs=0.2)
-
-
 def test_a_log_that_begins_and_ends_between_junctions():
     corners = [(-5, 0), (0, 0), (10, 0), (10, 6)]
     t = driven(corners, [1, 2], [0, 1], CORRIDOR).turning_points
@@ -128,27 +92,6 @@ def test_a_log_that_begins_and_ends_between_junctions():
     assert t.traversals.tolist() == [1, 1]
     (at, begin), (leave, end) = t.traversal_ns[0][0].tolist(), t.traversal_ns[1][0].tolist()
     assert begin < at < leave < end
-
-
-def test_a_way_by_no_branch_along_a_known_one_is_known():
-    corners = [(0, 0), (10, 0), (6, 0.1), (10, 0)]
-    known = driven(corners, [0, 1, 3], [0, 1, 1], {0: [EAST, NORTH], 1: [NORTH, EAST]})
-    assert len(known.turning_points) == 0
-    corners = [(0, 0), (10, 0), (10, -4), (10, 0)]
-    m = driven(corners, [0, 1, 3], [0, 1, 1], {0: [EAST, NORTH], 1: [NORTH, WEST]})
-    assert m.turning_points.branch.tolist() == [NO_BRANCH]
-
-
-def test_the_document_has_them_as_its_last_nodes():
-    m = with_room()
-    doc = map_to_document(m)
-    node, edge = doc["nodes"][-1], doc["edges"][-1]
-    assert (node["kind"], len(node["branches"]), len(doc["nodes"])) == ("turning_point", 1, 3)
-    assert (edge["source"], edge["target"], edge["traversals"]) == (0, 2, 2)
-    again = map_from_document(doc)
-    assert len(again) == 2
-    assert map_to_document(again) == doc
-    np.testing.assert_array_equal(again.observation_vertex, m.observation_vertex)
 
 
 def test_a_document_whose_turning_points_are_none_is_refused():

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from topobatch.topology.document import map_to_document, read_map, write_map
-from topobatch.topology.errors import DocumentError
-from topobatch.topology.files import write_json
 from topobatch.topology.topomap import TopoMap
 from topobatch.topology.view_file import from_bytes, record_of, to_bytes, views_path
 from topobatch.topology.views import SIDE, Views
@@ -64,17 +62,6 @@ def test_what_is_not_the_views_of_the_record_is_refused(spoil) -> None:
         from_bytes(spoil(to_bytes(views)), record_of(views))
 
 
-def test_a_map_is_written_with_its_views(tmp_path: Path) -> None:
-    topomap, path = with_some_views(), tmp_path / "run1.json"
-    write_map(path, topomap)
-    found = read_map(path)
-    np.testing.assert_array_equal(found.views.cells, topomap.views.cells)
-    assert not found.views_lost
-    before = path.read_bytes(), views_path(path).read_bytes()
-    write_map(path, found)
-    assert before == (path.read_bytes(), views_path(path).read_bytes())
-
-
 def test_lost_or_damaged_views_are_told_and_the_document_still_names_them(tmp_path: Path) -> None:
     topomap, path = with_some_views(), tmp_path / "run1.json"
     write_map(path, topomap)
@@ -84,19 +71,3 @@ def test_lost_or_damaged_views_are_told_and_the_document_still_names_them(tmp_pa
     assert map_to_document(found) == map_to_document(topomap)
     views_path(path).unlink()
     assert read_map(path).views_lost
-
-
-def test_maps_without_views_have_no_file_of_them(tmp_path: Path) -> None:
-    path = tmp_path / "run1.json"
-    write_map(path, two_junctions())
-    assert "views" not in map_to_document(two_junctions())["graph"]
-    assert [p.name for p in tmp_path.iterdir()] == ["run1.json"]
-
-
-@pytest.mark.parametrize("record", [{"count": -1, "digest": "0" * 32}, {"count": 10**9}, 3])
-def test_records_that_cannot_be_are_refused(tmp_path: Path, record: object) -> None:
-    doc = map_to_document(two_junctions())
-    doc["graph"]["views"] = record
-    write_json(tmp_path / "run1.json", doc)
-    with pytest.raises(DocumentError, match=r"graph\.views"):
-        read_map(tmp_path / "run1.json")

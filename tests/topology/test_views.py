@@ -23,13 +23,6 @@ def test_a_cell_is_a_wall_where_a_quarter_of_the_looks_hit_something():
     assert middle == [WALL, FREE, FREE, UNKNOWN]
 
 
-def test_one_wall_of_the_four_fine_cells_makes_a_wall():
-    hit, free = counts()
-    free[SIDE : SIDE + 2, SIDE : SIDE + 2] = 5
-    hit[SIDE + 1, SIDE + 1], free[SIDE + 1, SIDE + 1] = 5, 0
-    assert view_cells(hit, free)[SIDE // 2, SIDE // 2] == WALL
-
-
 def test_views_end_at_their_reach_all_around():
     hit, free = counts()
     cells = view_cells(hit, free + 1)

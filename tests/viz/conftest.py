@@ -17,7 +17,7 @@ from topobatch.merge.result import (
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, compose, inverse, wrap
-from topobatch.topology.topomap import EDGE_COLUMNS, VERTEX_COLUMNS, Closure, TopoMap
+from topobatch.topology.topomap import Closure, TopoMap
 from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.topology.turning_vertices import without_turning_points
 
@@ -213,15 +213,3 @@ def merge_of(
         return result, [maps[run] for run in names]
 
     return make
-
-
-@pytest.fixture
-def no_fused(empty_map: TopoMap) -> FusedMap:
-    """The fused map of no runs."""
-    return FusedMap(
-        component=np.zeros(0, np.int64),
-        members=(),
-        observations=(),
-        edge_members=(),
-        **{name: getattr(empty_map, name) for name in (*VERTEX_COLUMNS, *EDGE_COLUMNS)},
-    )

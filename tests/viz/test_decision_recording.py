@@ -70,14 +70,6 @@ def test_a_merged_pair_is_drawn_over_and_tied(tmp_path: Path, make_map) -> None:
     assert "unseen in a corridor" in got.value("/evidence", "TextDocument:text")[0]
 
 
-def test_a_placement_that_a_person_chose_may_have_less_evidence(tmp_path: Path, make_map) -> None:
-    told = decision(Verdict.MERGED, [placement(3.0), placement(9.0)])
-    got = written(tmp_path / "a.rrd", make_map, told)
-    assert got.value("/placements/titles", "Points2D:labels")[-1] == "other placement: 9.0 bits"
-    page = got.value("/decision", "TextDocument:text")[0]
-    assert "evidence, 6.0 bits behind the other placement" in page
-
-
 def test_an_ambiguous_pair_is_drawn_both_ways(tmp_path: Path, make_map) -> None:
     told = decision(Verdict.AMBIGUOUS, [placement(9.9), placement(8.0)], why="it repeats itself")
     got = written(tmp_path / "a.rrd", make_map, told)
@@ -93,26 +85,6 @@ def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) ->
     got = written(tmp_path / "a.rrd", make_map, told)
     assert "rejected" in got.value("/placements/titles", "Points2D:labels")[0]
     assert "4 needed" in got.value("/decision", "TextDocument:text")[0]
-
-
-def test_runs_that_others_join_are_drawn_as_these_place_them(tmp_path: Path, make_map) -> None:
-    told = decision(Verdict.UNRELATED, [placement(3.0, EVERY[:2])], start=Start(1, 7, 4, 3))
-    said = replace(told.said, through=("mid",))
-    told = replace(told, said=said, by_others=np.array([5.0, 0.0, 0.0]))
-    got = written(tmp_path / "a.rrd", make_map, told)
-    titles = got.value("/placements/titles", "Points2D:labels")
-    assert titles == ["joined through mid", "best hypothesis, rejected"]
-    (shift,) = got.value("/placements/joined/b", "Transform3D:translation")
-    assert shift == [5.0, 0.0, 0.0]
-
-
-@pytest.mark.parametrize("empty", [False, True])
-def test_nothing_alike_is_told(tmp_path: Path, make_map, empty_map, empty: bool) -> None:
-    told = decision(Verdict.UNRELATED, [])
-    second = empty_map if empty else make_map("b")
-    write_decision_recording(tmp_path / "a.rrd", make_map("a/1"), second, told)
-    page = Readback(tmp_path / "a.rrd").value("/decision", "TextDocument:text")[0]
-    assert "no similar corridors" in page
 
 
 def seen(kind: int) -> Compared:

@@ -1,13 +1,9 @@
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from topobatch.merge.decision import Placement, Term
-from topobatch.merge.decision_text import lines
-from topobatch.merge.result import Alignment, Verdict
-from topobatch.topology.turning_points import TURNING_POINT
+from topobatch.merge.result import Verdict
 from topobatch.viz.draw import (
     draw_decision,
     draw_map,
@@ -17,7 +13,7 @@ from topobatch.viz.draw import (
 from topobatch.viz.palette import DARK, LIGHT
 
 from ..topology.floors import floor, views_at
-from .test_decision_recording import decision, placement, with_views
+from .test_decision_recording import decision, placement
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -48,21 +44,6 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert any(t.endswith(" m") and t[0].isdigit() for t in texts)  # the scale
 
 
-def test_ways_to_turning_points_are_drawn_and_are_no_corridors(make_map, turned, merge_of) -> None:
-    texts, titles = seen(draw_map(turned(make_map("run")), LIGHT))
-    ways = "1 way to turning points or ends of the log, 6 m"
-    assert {
-        "run",
-        f"4 junctions, 4 corridors, 32 m, {ways}; 7 passes",
-        "robot turned round",
-    } <= set(texts)
-    assert "robot turned round, 6.00 m from junction 2" in titles
-    result, _ = merge_of([["a", "b"]])
-    fused = replace(result.fused, kind=(*result.fused.kind[:4], TURNING_POINT))
-    texts, _ = seen(draw_merged(replace(result, fused=fused), LIGHT))
-    assert f"4 junctions, 32 m of corridors, {ways}; 1 pair of 1 merged" in texts
-
-
 def test_maps_of_nothing_and_of_one_junction_can_be_drawn(empty_map, one_vertex) -> None:
     texts, _ = seen(draw_map(empty_map, LIGHT))
     assert "0 junctions, 0 corridors, 0 m; 0 passes" in texts
@@ -82,14 +63,6 @@ def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
     texts, _ = seen(draw_merged(merge_of([["a", "b"]])[0], LIGHT))
     assert "run that is merged with none" not in texts
     assert "junction seen by one run" not in texts
-
-
-@pytest.mark.parametrize("count", [1, 20])
-def test_the_legend_holds_every_merged_run(merge_of, count: int) -> None:
-    groups = [[f"site{g}-{k:03d}" for k in range(10)] for g in range(count // 10)] or [["one"]]
-    texts, _ = seen(draw_merged(merge_of(groups)[0], DARK))
-    assert {run for group in groups for run in group if count > 1} <= set(texts)
-    assert ("component 1" in texts) == (count > 10)
 
 
 def test_a_site_is_drawn_with_the_numbers_of_its_junctions(merge_of) -> None:
@@ -113,37 +86,11 @@ def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
     )
 
 
-def test_links_of_a_pair_read_as_explain_shows_them(make_map) -> None:
-    terms = [Term("corridor", 1.74, "corridor", ends, ends) for ends in ((0, 1), (1, 2))]
-    at = Alignment(np.array([1.0, 2.0, 0.3]), 3.48, np.array([[0, 0], [1, 1], [2, 2]]), 0.1, 2)
-    told = decision(Verdict.AMBIGUOUS, [Placement(at, tuple(terms))])
-    explained = [line.split()[0] for line in lines(told) if line.rstrip().endswith(("0-1", "1-2"))]
-    assert explained == ["+1.8", "+1.7"]
-    _, titles = seen(draw_decision(make_map("a"), make_map("b"), told, LIGHT))
-    drawn = [t.split()[0] for t in titles if t.endswith("bits: corridor")]
-    assert list(dict.fromkeys(drawn)) == explained
-
-
 def test_an_ambiguous_pair_shows_both_placements(make_map) -> None:
     told = decision(Verdict.AMBIGUOUS, [placement(9.0), placement(8.0)])
     a, b = make_map("a"), make_map("b", (1.0, 2.0, 0.4))
     texts, _ = seen(draw_decision(a, b, told, LIGHT))
     assert {"placement: 9.0 bits", "next best: 8.0 bits"} <= set(texts)
-
-
-def test_what_has_changed_since_the_merge_stands_in_the_drawing_of_a_pair(make_map) -> None:
-    merged = decision(Verdict.MERGED, [placement(30.0)])
-    for plain in (merged, decision(Verdict.UNRELATED, [])):
-        told = replace(plain, notes=("not merged yet", "merge again"))
-        texts, _ = seen(draw_decision(make_map("a"), make_map("b"), told, LIGHT))
-        assert {"Note: not merged yet", "Note: merge again"} <= set(texts)
-
-
-def test_a_pair_with_nothing_alike_is_drawn_side_by_side(make_map) -> None:
-    told = decision(Verdict.UNRELATED, [])
-    texts, _ = seen(draw_decision(make_map("a/1"), make_map("b"), told, LIGHT))
-    assert {"a/1", "b"} <= set(texts)
-    assert "matched junctions, tied" not in texts
 
 
 def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> None:
@@ -160,9 +107,3 @@ def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> No
     walled = {m.run: replace(m, views=shown.views) for m in maps[:1]}
     assert "wall" in seen(draw_site(result, 0, LIGHT, walled))[0]
     assert "wall" not in seen(draw_site(result, 0, LIGHT))[0]
-
-
-def test_views_are_drawn_beside_the_placement_that_they_speak_for(make_map) -> None:
-    told = decision(Verdict.MERGED, [with_views(placement(30.0))])
-    texts, _ = seen(draw_decision(make_map("a/1"), make_map("b"), told, LIGHT))
-    assert {"views for it: +3.0 bits", "views against it: -2.5 bits"} <= set(texts)

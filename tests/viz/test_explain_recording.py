@@ -34,10 +34,3 @@ def test_what_was_found_is_written_and_read_back(tmp_path: Path, make_map: Make)
     assert "/placements/cluster\\ 1/a/a\\/1/corridors" in got.entities
     told = got.value("/summary", "TextDocument:text")[0]
     assert all(line in told for line in lines(found))
-
-
-def test_nothing_found_is_told(tmp_path: Path, make_map: Make, empty_map: TopoMap) -> None:
-    a = make_map("a")
-    write_explain_recording(tmp_path / "b.rrd", a, empty_map, explain(a, empty_map))
-    told = Readback(tmp_path / "b.rrd").value("/summary", "TextDocument:text")[0]
-    assert "0 compatible pairs" in told

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from topobatch.topology.run import Grid
-from topobatch.viz import grid_layer, palette
+from topobatch.viz import palette
 from topobatch.viz.map_recording import write_map_recording
 
 from .readback import Readback
@@ -44,13 +44,3 @@ def test_the_grid_lies_where_its_origin_says(make_map, grid, tmp_path: Path) -> 
     write_map_recording(tmp_path / "b.rrd", make_map("run"))
     without = Readback(tmp_path / "b.rrd")
     assert "/map/grid" not in without.entities
-
-
-def test_large_grids_keep_their_walls(make_map, grid, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(grid_layer, "MOST_PIXELS", 3)
-    write_map_recording(tmp_path / "a.rrd", make_map("floor"), grid=grid)
-    drawn = Readback(tmp_path / "a.rrd")
-    shown = picture(drawn)
-    assert shown.shape == (2, 3, 3)
-    assert (shown[0] == palette.WALL).all()
-    assert drawn.value("/map/grid", "Transform3D:scale") == [[1.0] * 3]

@@ -1,7 +1,5 @@
-import errno
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -43,31 +41,6 @@ def test_the_map_grows_as_it_was_driven(tmp_path: Path, make_map: Make, drive: D
         assert times[0] == odometry.time_ns[0]
         for time_ns, row in zip(times.tolist(), rows, strict=True):
             assert [colour != dim for colour in row] == (when <= time_ns).tolist()
-
-
-def written_with(
-    path: Path, topomap: TopoMap, odometry: Odometry, detections: Detections
-) -> Readback:
-    """The recording of a map with what the run's detector saw."""
-    write_map_recording(path, topomap, odometry=odometry, detections=detections)
-    return Readback(path)
-
-
-def test_detections_lie_where_the_corrected_odometry_puts_them(
-    tmp_path: Path, make_map: Make, drive: Drive
-) -> None:
-    topomap = make_map("run1", (2.0, 1.0, 0.5))
-    odometry = drive(topomap)
-    detections = seen_on(odometry)
-    got = written_with(tmp_path / "a.rrd", topomap, odometry, detections)
-    at = np.array(got.value("/map/detections", "Points2D:positions"))
-    assert len(at) == len(detections)
-    pose = odometry.at(detections.time_ns)
-    wanted = pose[:, :2] + np.stack([np.cos(pose[:, 2]), np.sin(pose[:, 2])], axis=-1)
-    inner = slice(1, -1)
-    assert at[inner] == pytest.approx(wanted[inner], abs=0.15)
-    rows = got.rows("/map/detection", "LineStrips2D:strips")
-    assert [len(row) for row in rows] == [3] * len(detections)
 
 
 def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: Drive) -> None:
@@ -118,35 +91,6 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
     assert "# run1" in got.value("/summary", "TextDocument:text")[0]
 
 
-def test_ways_to_turning_points_are_no_corridors(tmp_path: Path, make_map: Make, turned) -> None:
-    write_map_recording(tmp_path / "a.rrd", turned(make_map("a")))
-    page = Readback(tmp_path / "a.rrd").value("/summary", "TextDocument:text")[0]
-    assert "**4** corridors, 32 m, 1 way to turning points or ends of the log, 6 m" in page
-
-
-def test_times_stand_on_the_clocks_of_the_raw_log(
-    tmp_path: Path, make_map: Make, drive: Drive
-) -> None:
-    topomap = make_map("run1")
-    write_map_recording(tmp_path / "a.rrd", topomap, odometry=drive(topomap))
-    got = Readback(tmp_path / "a.rrd")
-    assert got.timelines == {"message_log_time", "ros2_timestamp"}
-    for clock in got.timelines:
-        assert np.array_equal(got.times("/drift/drift", clock), topomap.observation_time_ns)
-    texts = [row[0] for row in got.rows("/events", "TextLog:text")]
-    assert len(texts) == 10
-    assert "junction 0, visit 2" in texts
-    told = "junction 0: visit 2 recognised as visit 1, +21.5 bits: the square closes"
-    assert told in texts
-
-
-def test_without_odometry_the_map_alone_is_written(tmp_path: Path, make_map: Make) -> None:
-    write_map_recording(tmp_path / "a.rrd", make_map("a"))
-    entities = Readback(tmp_path / "a.rrd").entities
-    assert "/map/junctions" in entities
-    assert "/map/robot" not in entities
-
-
 def test_an_empty_map_and_a_single_vertex_are_written(
     tmp_path: Path, empty_map: TopoMap, one_vertex: TopoMap
 ) -> None:
@@ -160,12 +104,6 @@ def test_an_empty_map_and_a_single_vertex_are_written(
     assert one.blueprints == 1
 
 
-@pytest.mark.parametrize("run", ["Flur 2/Süd", "a\\b", "..", "日本 #1 {x}", "a:b*?", ""])
-def test_any_run_name_is_written(tmp_path: Path, make_map: Make, run: str) -> None:
-    write_map_recording(tmp_path / "a.rrd", make_map(run))
-    assert Readback(tmp_path / "a.rrd").identity == ("topobatch", run)
-
-
 def test_the_same_map_gives_the_same_recording(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
@@ -173,24 +111,3 @@ def test_the_same_map_gives_the_same_recording(
     for name in ("a.rrd", "b.rrd"):
         write_map_recording(tmp_path / name, topomap, odometry=drive(topomap))
     assert Readback(tmp_path / "a.rrd").content() == Readback(tmp_path / "b.rrd").content()
-
-
-def test_nothing_is_left_when_writing_fails(
-    tmp_path: Path, make_map: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import rerun as rr
-
-    def fail(*_: Any, **__: Any) -> None:
-        raise OSError(errno.ENOSPC, "no space is left")
-
-    path = tmp_path / "a.rrd"
-    path.write_bytes(b"the old one")
-    topomap = make_map("a")
-    with monkeypatch.context() as patched:
-        patched.setattr(Path, "write_bytes", fail)
-        with pytest.raises(OSError, match="no space") as raised:
-            write_map_recording(path, topomap)
-    assert raised.value.filename == str(path)
-    assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
-    assert path.read_bytes() == b"the old one"
-    assert not rr.strict_mode()

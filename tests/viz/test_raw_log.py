@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -89,26 +88,6 @@ def test_speeds_and_echoes_are_drawn_as_the_log_has_them(
         np.testing.assert_allclose(np.reshape(row, (-1, 2)), expected, atol=1e-4)
     shown = names_of_views(tmp_path / "views.rrd")
     assert {"Map", "Summary", "/odom [m/s, rad/s]", "/scan, ahead is up", "Topics"} <= set(shown)
-
-
-def test_of_a_split_log_all_files_are_shown(tmp_path: Path, recording: Path, topomap) -> None:
-    whole = Counter[str]()
-    folder = tmp_path / "split"
-    folder.mkdir()
-    for seed in (1, 2):
-        log = small_log(tmp_path / str(seed), "mcap", seed=seed)
-        log.rename(folder / f"{seed}.mcap")
-        views = tmp_path / "views.rrd"
-        write_raw_log(tmp_path / "one.rrd", views, folder / f"{seed}.mcap", recording, topomap)
-        whole["/log/odom"] += len(
-            Readback(tmp_path / "one.rrd").times("/log/odom", "ros2_timestamp")
-        )
-    write_raw_log(tmp_path / "raw.rrd", tmp_path / "views.rrd", folder, recording, topomap)
-    both = RrdReader(tmp_path / "raw.rrd")
-    rows = sum(
-        c.num_rows for c in both.stream() if c.entity_path == "/log/odom" and not c.is_static
-    )
-    assert rows == whole["/log/odom"] > 0
 
 
 def test_logs_that_the_viewer_does_not_read_are_refused(

@@ -11,14 +11,9 @@ import pytest
 from topobatch.merge.change import Change, ChangeKind, Witness
 from topobatch.merge.decision import Decision, Placement, Requirement, Term
 from topobatch.merge.drive import Drive, Stop
-from topobatch.merge.result import Alignment, Standing, Unlisted
-from topobatch.topology.run import Grid
-from topobatch.topology.turning_points import TURNING_POINT
-from topobatch.topology.views import SIDE, WALL, Views
-from topobatch.viz.report import Report, answer, report_page
-from topobatch.viz.report_maps import HIDDEN, _upright
-from topobatch.viz.report_pairs import STANDING_COLOURS, shortened
-from topobatch.viz.verdicts import merge_summary, runs_in_order
+from topobatch.merge.result import Standing, Unlisted
+from topobatch.viz.report import Report, report_page
+from topobatch.viz.report_maps import HIDDEN
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\"'{{7*7}}`${1}"
 VERSIONS = [("topobatch", "1.2.3")]
@@ -133,18 +128,6 @@ def test_the_page_answers_first(merge_of) -> None:
         assert sentence in told, sentence
 
 
-def test_answers_of_other_merges(merge_of) -> None:
-    result, maps = merge_of([["a", "b"]])
-    report = Report({m.run: m for m in maps}, named(result), drives=[drive(onto=None)])
-    assert answer(report, ["a", "b"]) == [
-        "All 2 runs are of one site: site 0 (2).",
-        "To record next: 9 m in north, from junction 0 towards c:12; it shows a branch of north "
-        "that nobody drove.",
-    ]
-    result, _ = merge_of([["a"], ["b"]])
-    assert answer(Report({}, result), ["a", "b"]) == ["Two stand alone: a, b."]
-
-
 def test_runs_that_were_not_merged_yet_are_told(make_map, empty_map) -> None:
     page = Page(page_of(None, [make_map("a"), empty_map]))
     assert "2 runs, not merged yet: topobatch merge --all." in page.text
@@ -218,30 +201,6 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
 
-def test_turning_points_are_told_apart(merge_of) -> None:
-    result, maps = merge_of([["a", "b"]])
-    fused = replace(result.fused, kind=(*result.fused.kind[:4], TURNING_POINT))
-    result = replace(result, fused=fused)
-    page = Page(page_of(result, maps))
-    told = [t for d in page.sources("site-0")[None] for t in d["told"]]
-    assert "Here the robot turned round (a, b)" in told
-    assert any(t.startswith("Way from junction 2 to where the robot turned round: ") for t in told)
-    assert "4 junctions, 32 m of corridors, 1 way to turning points" in page.text
-    summary = merge_summary(result)
-    assert "**4** corridors, 32 m, 1 way to turning points or ends of the log, 6 m" in summary
-
-
-def test_walls_lie_under_the_map_of_runs_with_views(merge_of) -> None:
-    result, maps = merge_of([["a", "b"]])
-    assert "walls" not in Page(page_of(result, maps)).sources("site-0")
-    cells = np.full((1, SIDE, SIDE), WALL, np.uint8)
-    views = Views(np.zeros(1, np.int64), np.zeros((1, 3)), cells)
-    seen = [replace(maps[0], views=views), maps[1]]
-    (walls,) = Page(page_of(result, seen)).sources("site-0")["walls"]
-    assert walls["url"][0].startswith("data:image/png;base64,")
-    assert "walls" not in Page(page_of(result, seen, as_merged=False)).sources("site-0")
-
-
 def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     result, maps = merge_of([["a", "b"], ["c"]], [("b", "c")])
     pair = next(v for v in result.verdicts if v.standing is Standing.AMBIGUOUS)
@@ -267,37 +226,6 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert any(line.startswith("Needed: log2(6 pairs / rate 0.001)") for line in shown["told"])
     sums = [row[-2] for row in shown["rows"] if row[0] == 0]
     assert sum(map(float, filter(None, sums))) == pytest.approx(6.0)
-
-
-def test_a_name_is_quoted_for_a_shell(merge_of) -> None:
-    result, maps = merge_of([["a b", "c"]])
-    data = Page(page_of(result, maps, where=("-w", "my ws"))).data
-    assert [run["shell"] for run in data["runs"]] == ["'a b'", "c"]
-    assert data["where"] == "-w 'my ws'"
-
-
-def test_a_pair_decided_on_maps_that_have_changed_is_told_but_not_drawn(merge_of) -> None:
-    result, maps = merge_of([["a"], ["b"]], [("a", "b")])
-    (pair,) = result.verdicts
-    for part in (
-        {"matched": np.array([[0, 99]])},
-        {"contradictions": ("x",), "contradicting": (((99,), (0, 1)),)},
-    ):
-        other = replace(pair, best=replace(pair.best, **part), runner_up=None)
-        (shown,) = Page(page_of(replace(result, verdicts=(other,)), maps)).data["pairs"]
-        assert "placed" not in shown
-        assert shown["advice"] == "go on"
-
-
-def test_what_speaks_against_each_placement_is_its_own(merge_of) -> None:
-    result, maps = merge_of([["a"], ["b"]], [("a", "b")])
-    (pair,) = result.verdicts
-    against = {"contradictions": ("one lies in the other",), "contradicting": (((0, 1), (3,)),)}
-    other = replace(pair, runner_up=replace(pair.runner_up, **against), locked="never")
-    (shown,) = Page(page_of(replace(result, verdicts=(other,)), maps)).data["pairs"]
-    assert [p["against"] for p in shown["placed"]] == [[], ["one lies in the other"]]
-    assert shown["placed"][1]["spots"] == [[[0, 1], [3]]]
-    assert shown["locked"] == "never"
 
 
 def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
@@ -346,36 +274,6 @@ def test_only_the_scripts_of_the_page_may_run(merge_of) -> None:
     assert allowed == [f"'sha256-{digest}'" for digest in digests]
 
 
-def test_source_and_warnings_of_a_run_stand_below_it(merge_of) -> None:
-    result, maps = merge_of([["a", "b"]])
-    source = {"junctions": {"from": "scan", "topic": "/s", "covered": 0.9}}
-    maps = [
-        replace(maps[0], info={}),
-        replace(maps[1], info={"source": source, "warnings": ["drifts", "jumps"]}),
-    ]
-    html = page_of(result, maps)
-    told = "junctions from /s, 90 % of the way covered<br>drifts<br>jumps"
-    assert f'<td class="words" colspan="13">{told}</td>' in html
-    assert html.index("<td>b</td>") < html.index("drifts<br>")
-
-
-def test_an_answer_that_was_taken_back_is_not_counted_as_refused(make_map) -> None:
-    asked = make_map("a")
-    back = replace(asked.closures[1], revised=True)
-    shown = [
-        page_of(None, [m]) for m in (asked, replace(asked, closures=(asked.closures[0], back)))
-    ]
-    cells = [re.findall(r"<td>([^<]*)</td>", html)[7:9] for html in shown]
-    assert cells == [["1", "1"], ["1", "0"]]
-
-
-def test_a_run_that_the_merge_left_out_is_told(merge_of, make_map) -> None:
-    result, maps = merge_of([["a", "b"]])
-    page = Page(page_of(result, [*maps, make_map("late")]))
-    assert "Not in the last merge: late" in page.text
-    assert "site" not in page.data["runs"][2]
-
-
 def test_the_page_of_a_large_fleet_stays_small(merge_of) -> None:
     result, maps = merge_of([[f"run{k:03d}" for k in range(100)], *([f"x{k}"] for k in range(100))])
     html = page_of(result, maps)
@@ -393,45 +291,3 @@ def test_pairs_that_a_large_merge_only_counts_are_counted(merge_of) -> None:
     assert page.data["counted"] is True
     homes = [run["site"] for run in page.data["runs"]]
     assert len(set(homes[:3])) == 1 != len(set(homes))
-
-
-def test_the_time_line_has_every_run_once(merge_of, empty_map) -> None:
-    result, maps = merge_of([["a", "b"], ["c"]])
-    (bars,) = Page(page_of(result, [*maps, empty_map])).sources("time")[None]
-    assert [told.partition(":")[0] for told in bars["told"]] == ["a", "b", "c"]
-    spans = list(zip(bars["bottom"], bars["left"], bars["right"], strict=True))
-    for i, (row, begin, _) in enumerate(spans):
-        assert not [1 for other, _, end in spans[:i] if other == row and end > begin]
-    assert "data-time" not in Page(page_of(None, [empty_map])).scripts
-
-
-def test_long_names_are_shortened() -> None:
-    assert shortened("warehouse-2026-11-28-run-7") == "warehouse…28-run-7"
-    assert shortened("a\nb") == "a\N{REPLACEMENT CHARACTER}b"
-
-
-def test_colours_stand_for_standings() -> None:
-    assert tuple(STANDING_COLOURS) == tuple(Standing)
-
-
-def test_a_placement_needs_both_maps(merge_of) -> None:
-    result, maps = merge_of([["a"], ["b"]], [("a", "b")])
-    assert runs_in_order(result) == ["a", "b"]
-    matched = np.array([[0, 0]])
-    best = Alignment(np.zeros(3), 9.0, matched, 0.1)
-    pair = replace(result.verdicts[0], best=best, runner_up=None)
-    (shown,) = Page(page_of(replace(result, verdicts=(pair,)), maps[:1])).data["pairs"]
-    assert "placed" not in shown
-
-
-def test_walls_are_where_their_cells_are() -> None:
-    free, unknown = np.zeros((2, 3), bool), np.ones((2, 3), bool)
-    free[0, 2] = True
-    unknown[0, 2] = False
-    grid = Grid(free, unknown, 0.5, (1.0, 2.0, np.pi / 2))
-    for turn, middle in ((0.0, (0.75, 3.25)), (np.pi / 2, (-3.25, 0.75))):
-        low, size, (shown, hidden) = _upright(grid, np.array([0.0, 0.0, turn]))
-        assert np.array_equal(shown, ~hidden)
-        ((row, column),) = np.argwhere(shown)
-        cell = np.array(size) / shown.shape[::-1]
-        assert np.array(low) + cell * (column + 0.5, row + 0.5) == pytest.approx(middle)

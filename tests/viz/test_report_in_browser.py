@@ -14,13 +14,6 @@ from .test_report import HOSTILE, change, decision, drive, named
 NAMES = ("chromium-headless-shell", "chromium", "chromium-browser", "google-chrome")
 BROWSER = next(filter(None, map(shutil.which, NAMES)), None)
 pytestmark = pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here")
-
-PHONE = {
-    "viewport": {"width": 390, "height": 844},
-    "has_touch": True,
-    "is_mobile": True,
-    "device_scale_factor": 2,
-}
 DESK = {"viewport": {"width": 1280, "height": 900}}
 DRAWN = "html[data-drawn=all]"
 MAP = ".site .map"
@@ -151,21 +144,6 @@ def test_a_map_is_clicked_moved_zoomed_and_its_layers_switched(opened, html, tmp
     assert picture(page, MAP, tmp_path)[0] < before
 
 
-def test_a_map_is_moved_by_the_keyboard(opened, html) -> None:
-    page = opened(html)
-    place = page.locator(MAP).first
-    place.focus()
-    wide = place.evaluate(WIDTH)
-    left = "place => plots.get(place).then(p => p.x_range.start)"
-    page.keyboard.press("+")
-    assert place.evaluate(WIDTH) == pytest.approx(0.67 * wide)
-    begin = place.evaluate(left)
-    page.keyboard.press("ArrowRight")
-    assert place.evaluate(left) > begin
-    page.keyboard.press("0")
-    assert place.evaluate(WIDTH) == pytest.approx(wide)
-
-
 def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     page = opened(html)
     page.mouse.click(*at(page, "#matrix", 1.5, 0.5))
@@ -190,58 +168,6 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     assert page.locator("#pair figure:visible").count() == 1
     page.locator("#undecided").click()
     shows(page, "#pair-title", "b + c")
-
-
-def test_a_run_of_the_time_line_tells_its_name(opened, html) -> None:
-    page = opened(html)
-    first = page.evaluate(
-        """async () => { const p = await plots.get(document.querySelector('.line'));
-        const d = p.renderers[0].data_source.data;
-        return [(d.left[0] + d.right[0]) / 2, (d.top[0] + d.bottom[0]) / 2] }"""
-    )
-    page.mouse.click(*at(page, ".line", *first))
-    shows(page, "#when", "a: 1970")
-
-
-@pytest.mark.parametrize("how", [DESK, PHONE])
-def test_nothing_is_wider_than_the_screen(opened, html, how) -> None:
-    page = opened(html, **how)
-    assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
-    for place in page.locator(".map:visible, #matrix, .line").all():
-        box = place.bounding_box()
-        assert box["width"] > 250
-        assert box["height"] > 90
-        assert place.evaluate("p => p.querySelector('.bk-Figure') !== null")
-
-
-def test_two_fingers_zoom(opened, html) -> None:
-    page = opened(html, **PHONE)
-    place = page.locator(MAP).first
-    place.scroll_into_view_if_needed()
-    box, wide = place.bounding_box(), place.evaluate(WIDTH)
-    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
-    touch = page.context.new_cdp_session(page)
-    for kind, away in (
-        ("touchStart", 20),
-        *(("touchMove", a) for a in (30, 45, 60)),
-        ("touchEnd", 0),
-    ):
-        points = [{"x": x + s * away, "y": y, "id": k} for k, s in enumerate((-1, 1))]
-        touch.send(
-            "Input.dispatchTouchEvent", {"type": kind, "touchPoints": points if away else []}
-        )
-    page.wait_for_timeout(200)
-    assert place.evaluate(WIDTH) < 0.9 * wide
-
-
-def test_it_is_dark_where_that_is_wanted_and_light_on_paper(opened, html, tmp_path) -> None:
-    page = opened(html, color_scheme="dark")
-    for part in ("header", MAP, "#pair .map", ".line"):
-        assert max(picture(page, part, tmp_path)[1]) < 40, part
-    page.emulate_media(media="print")
-    assert min(picture(page, "header", tmp_path)[1]) > 240
-    assert page.locator(".tools:visible").count() == 0
-    assert len(page.pdf()) > 20_000
 
 
 def test_no_name_becomes_code(opened, merge_of) -> None:
@@ -269,10 +195,3 @@ def test_no_name_becomes_code(opened, merge_of) -> None:
     shows(page, ".site .told", "Junction 0")
     shows(page, ".site .told", HOSTILE)
     assert page.locator("img").count() == 0
-
-
-def test_a_page_before_the_first_merge_shows_runs(opened, make_map) -> None:
-    page = opened(report_page(Report({"a": make_map("a")}, None)))
-    shows(page, "#pair-title", "a")
-    assert page.locator("#pair figure:visible").count() == 1
-    assert page.locator(".site").count() == 0

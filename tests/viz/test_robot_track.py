@@ -46,32 +46,3 @@ def test_drifting_odometry_is_bent_onto_the_vertices(make_map: Make, drive: Driv
     ):
         nearest = np.argmin(np.abs(track.time_ns - time_ns))
         assert np.hypot(*(track.bent[nearest, :2] - topomap.xy[vertex])) < 0.55
-
-
-def test_a_break_parts_the_raw_track(make_map: Make, drive: Drive) -> None:
-    topomap = make_map("r")
-    odometry = drive(topomap)
-    pose = odometry.pose.copy()
-    pose[70:, :2] += 100.0
-    broken = Odometry(odometry.time_ns, pose, np.array([70]))
-    track = track_of(topomap, broken)
-    assert len(track.stretches) == 2
-    assert len(track_of(topomap, odometry).stretches) == 1
-    longest = max(np.hypot(*np.diff(s, axis=0).T).max() for s in track.stretches)
-    assert longest < 5.0
-
-
-def test_there_is_no_track_without_observations_or_odometry(
-    empty_map: TopoMap, make_map: Make, drive: Drive
-) -> None:
-    none = np.zeros(0, np.int64)
-    assert robot_track(empty_map, drive(make_map("r"))) is None
-    assert robot_track(make_map("r"), Odometry(none, np.zeros((0, 3)), none)) is None
-
-
-def test_one_observation_places_the_track(one_vertex: TopoMap) -> None:
-    time_ns = np.arange(20) * 10**9
-    pose = np.column_stack([np.arange(20.0), np.zeros(20), np.zeros(20)])
-    track = track_of(one_vertex, Odometry(time_ns, pose, np.zeros(0, np.int64)))
-    assert track.bent[7, :2] == pytest.approx([3.0, -2.0])
-    assert track.bent[:, :2] == pytest.approx(track.raw[:, :2])

@@ -2,10 +2,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, compose, inverse
 from topobatch.topology.views import CELL_M
-from topobatch.viz.walls import map_walls, site_walls, strokes, walls_of
+from topobatch.viz.walls import site_walls, walls_of
 
 from ..topology.floors import CELL_M as TRUE_M
 from ..topology.floors import floor, views_at
@@ -49,22 +48,6 @@ def test_views_laid_over_each_other_show_the_walls() -> None:
     assert known[:, [0, -1]].any(axis=0).all()  # nothing but what is known
 
 
-def test_a_wall_that_most_views_see_through_is_none() -> None:
-    views = views_at(FLOOR, ROUND[[0, 0, 0]])
-    cells = np.array(views.cells)
-    y, x = np.argwhere(cells[0] == 2)[0]
-    cells[:2, y, x] = 1
-    (gone,) = (walls_of([replace(views, cells=c)], "map", CELL_M) for c in [cells])
-    before = walls_of([views], "map", CELL_M)
-    assert (before.free ^ gone.free).sum() == 1
-
-
-def test_maps_without_views_have_no_walls(merge_of) -> None:
-    result, maps = merge_of([["a", "b"]])
-    assert map_walls(maps[0]) is None
-    assert site_walls(result.fused, result.components[0], {m.run: m for m in maps}) is None
-
-
 def test_runs_of_a_site_show_its_walls_in_one_frame(merge_of) -> None:
     """Each run's views are posed in a frame of its own."""
     result, maps = merge_of([["a", "b"]])
@@ -80,16 +63,3 @@ def test_runs_of_a_site_show_its_walls_in_one_frame(merge_of) -> None:
     assert max(wrong(grid, T_floor_site)) < 0.01
     one = site_walls(result.fused, component, {"a": seen["a"]})
     assert (~one.unknown).sum() < (~grid.unknown).sum()
-
-
-def test_strokes_pass_through_every_wall_and_nothing_else() -> None:
-    wall = FLOOR[100:200, 100:260]
-    grid = Grid(~wall, np.zeros(wall.shape, bool), 0.1, (3.0, -2.0, 0.0), "map")
-    covered = np.zeros(wall.shape, bool)
-    lines = strokes(grid)
-    for line in lines:
-        (x0, y0), (x1, y1) = np.floor((line - (3.0, -2.0)) / 0.1).astype(int)
-        assert x0 == x1 or y0 == y1
-        covered[y0 : y1 + 1, x0 : x1 + 1] = True
-    assert np.array_equal(covered, wall)
-    assert len(lines) < wall.sum() / 4

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.ingest.logs.sqlite import SqliteFile
 from topobatch.ingest.reading import inspect_log, log_size, read_run
 
 MCAPS = {
@@ -201,33 +200,3 @@ def test_a_bare_database_is_a_log(logs, tmp_path):
     (folder / "metadata.yaml").unlink()
     assert_whole(logs, read_run(folder / "bag.db3"))
     assert_whole(logs, read_run(folder))
-
-
-def test_topics_without_messages_are_told_from_those_that_come_late(tmp_path):
-    """However many there are of either; no row is counted for it."""
-    path = tmp_path / "late.db3"
-    with sqlite3.connect(path) as base:
-        base.execute(
-            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, "
-            "serialization_format TEXT)"
-        )
-        base.execute(
-            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, "
-            "data BLOB)"
-        )
-        topics = [(key, f"/t{key}", "std_msgs/msg/Empty", "cdr") for key in range(300)]
-        base.executemany("INSERT INTO topics VALUES (?, ?, ?, ?)", topics)
-        late = [0] * 6000 + [7, 0, 5, 0, 299]
-        rows = [(key, second, b"") for second, key in enumerate(late)]
-        base.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (?, ?, ?)", rows)
-        base.commit()
-        assert _told(path) == {"/t0", "/t5", "/t7", "/t299"}
-        base.execute("DELETE FROM topics WHERE id BETWEEN 10 AND 290")
-    base.close()
-    assert _told(path) == {"/t0", "/t5", "/t7", "/t299"}
-
-
-def _told(path: Path) -> set[str]:
-    survey = SqliteFile(path).survey()
-    assert survey is not None
-    return {channel.topic for channel, count in survey.counts.items() if count}

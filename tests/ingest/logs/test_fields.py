@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.reading import ReadSettings, inspect_log, read_run
-from topobatch.topology.errors import LogError, UsageError
+from topobatch.topology.errors import UsageError
 
 SEEN = """\
 std_msgs/Header header
@@ -115,30 +115,6 @@ def test_headings_that_are_not_finite_are_left_out_and_counted(logs, tmp_path, e
     assert run.detections.branches.counts.tolist() == [2] * 30
 
 
-def test_one_heading_too_large_is_enough(logs, tmp_path):
-    """Small headings in degrees look like radians; a log is of one unit."""
-    folder = written(logs, tmp_path / "run", [0.0, 3.0], last=[0.0, 183.0])
-    with pytest.raises(UsageError, match="a heading of 183 is beyond"):
-        read_run(folder, settings(f"{CENTER},branches=ways"))
-
-
-def test_a_whole_turn_in_rounded_radians_is_no_degrees(logs, tmp_path):
-    folder = written(logs, tmp_path / "run", [6.28319, -6.28319, 1.0])
-    run = read_run(folder, settings(f"{CENTER},branches=ways"))
-    np.testing.assert_allclose(run.detections.branches.values.reshape(-1, 3)[:, 2], 1.0)
-
-
-@pytest.mark.parametrize("encoding", ["cdr", "json"])
-def test_radians_are_no_degrees(logs, tmp_path, encoding):
-    folder = written(logs, tmp_path / "run", [0.0, 1.5, -3.1], encoding=encoding)
-    degrees = settings(f"{CENTER},branches=ways,unit=deg")
-    with pytest.raises(UsageError, match="leave out unit=deg if these are radians"):
-        read_run(folder, degrees)
-    # Of two branches that nearly agree one may be invented.
-    narrow = written(logs, tmp_path / "narrow", [0.0, 1.5], encoding=encoding)
-    assert len(read_run(narrow, degrees).detections) == 30
-
-
 @pytest.mark.parametrize("unit", ["unit=grad", "unit=", "unit=deg,unit=deg"])
 def test_units_that_are_none(unit):
     with pytest.raises(UsageError, match="unit=deg"):
@@ -153,12 +129,6 @@ def test_lengths_have_a_unit(logs, tmp_path, encoding, length, metres):
     scaled = read_run(folder, settings(f"{CENTER},branches=ways,length={length}")).detections
     np.testing.assert_allclose(scaled.centre, metres * plain.centre, rtol=1e-12)
     np.testing.assert_array_equal(scaled.branches.values, plain.branches.values)
-
-
-@pytest.mark.parametrize("length", ["length=km", "length=", "length=mm,length=mm"])
-def test_lengths_that_are_none(length):
-    with pytest.raises(UsageError, match="length="):
-        settings(f"center=a,branches=b,{length}")
 
 
 WRONG = {
@@ -209,58 +179,6 @@ def test_a_path_that_leads_nowhere_is_named(of_both_kinds, monkeypatch, fields, 
     assert f"{folder}: /seen: --junction-fields: " in str(caught.value)
 
 
-def test_without_an_index_it_is_named_when_the_topic_is_met(logs, tmp_path):
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], use_statistics=False)
-    fields = settings("center=at.pose.positon,branches=ways")
-    with pytest.raises(UsageError, match="has position, orientation"):
-        read_run(folder, fields)
-    assert any("has position" in text for text in inspect_log(folder, fields).problems)
-
-
-ONLY_MESSAGES_TELL = {
-    "center=at.pose.position.x,branches=ways": "center=at.pose.position.x: leads into a value",
-    "center=at.pose,branches=header": "branches=header: the message has frame_id, stamp; expected",
-    f"{CENTER},branches=ways,stamp=header.frame_id": "stamp=header.frame_id: a time is neither",
-    f"{CENTER},branches=ways,stamp=header.stamp.nanoseconds": "1.7e+18 is no number of seconds",
-    f"{CENTER},branches=ways,frame=header.stamp": "frame=header.stamp: the name of a frame",
-    f"{CENTER},branches=ways,frame=header.name": "frame=header.name: the message has frame_id",
-    "center=none[],branches=ways": "center=none[]: the message has header, at, ways",
-}
-
-
-def test_what_only_messages_tell_is_tried_on_the_first(logs, tmp_path, monkeypatch):
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json")
-    good = settings(f"{CENTER},branches=ways")
-    assert inspect_log(folder, good).problems == ()
-    for fields, told in ONLY_MESSAGES_TELL.items():
-        (problem,) = inspect_log(folder, settings(fields)).problems
-        assert told in problem
-    wrong = settings("center=at.pose.positon,branches=ways")
-    told = "/seen: --junction-fields: center=at.pose.positon: the message has position"
-    assert any(told in text for text in inspect_log(folder, wrong).problems)
-    monkeypatch.setattr("topobatch.ingest.reading.walk", None)
-    with pytest.raises(UsageError, match="the message has position"):
-        read_run(folder, wrong)
-
-
-@pytest.mark.parametrize("left_out", ["enable_crcs", "use_statistics"])
-def test_no_checksum_of_the_index_is_needed_for_that_nor_an_index(
-    logs, tmp_path, monkeypatch, left_out
-):
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", **{left_out: False})
-    monkeypatch.setattr("topobatch.ingest.reading.walk", None)
-    with pytest.raises(UsageError, match=r"/seen: --junction-fields: .* the message has"):
-        read_run(folder, settings("center=at.pose.positon,branches=ways"))
-
-
-def test_a_first_message_that_says_something_else_proves_nothing(logs, tmp_path):
-    """A greeting of the detector, alone in the first chunk."""
-    folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", first="ready" * 100)
-    fields = settings(f"{CENTER},branches=ways")
-    assert inspect_log(folder, fields).problems == ()
-    assert len(read_run(folder, fields).detections) == 29
-
-
 def test_what_some_messages_lack_is_told_with_the_reason(logs, tmp_path):
     folder = written(logs, tmp_path / "run", [0.0, 1.0], encoding="json", last="none")
     run = read_run(folder, settings(f"{CENTER},branches=ways"))
@@ -282,9 +200,3 @@ def test_a_topic_is_not_odometry_and_junctions():
         ReadSettings(
             odometry_topic="odom", junction_topic="/odom", junction_fields="center=a,branches=b"
         )
-
-
-def test_times_that_differ_are_no_time_of_a_junction(logs, tmp_path):
-    folder = written(logs, tmp_path / "run", [0.0], encoding="json")
-    with pytest.raises((UsageError, LogError), match="stamp=ways"):
-        read_run(folder, settings(f"{CENTER},branches=ways,stamp=ways.x"))

@@ -5,11 +5,9 @@ from __future__ import annotations
 from types import ModuleType
 
 import numpy as np
-import pytest
 
 from topobatch.ingest.logs.intake import Intake
-from topobatch.ingest.logs.messages import UNWANTED, Block, Channel
-from topobatch.topology.errors import LogError
+from topobatch.ingest.logs.messages import Block, Channel
 
 
 def taken(logs: ModuleType, messages: list, *more: bytes):
@@ -36,12 +34,3 @@ def test_poses_that_are_none_and_messages_that_are_none_are_counted(logs: Module
     assert columns.message.tolist() == list(range(20))
     assert columns.stamp_ns.tolist() == [m.stamp_ns for m in odometry]
     np.testing.assert_allclose(columns.pose[:, 0], [m.poses[0][0] for m in odometry])
-
-
-def test_a_channel_that_nothing_can_decode_is_refused_when_it_is_needed() -> None:
-    intake = Intake(lambda channel: channel.topic == "/odom")
-    assert intake.want(Channel("/other", "nav_msgs/msg/Odometry", "cdr")) == UNWANTED
-    assert intake.want(Channel("/odom", "nav_msgs/msg/Odometry", "flatbuffer")) == UNWANTED
-    intake.check("/other", "log")
-    with pytest.raises(LogError, match=r"log: /odom cannot be decoded: .*'flatbuffer'"):
-        intake.check("/odom", "log")

@@ -12,11 +12,9 @@ from PIL import Image
 
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.logs import saved_map
-from topobatch.ingest.logs.saved_map import coarser, is_saved_map, read_saved_map
-from topobatch.ingest.mapping import map_of_log
-from topobatch.ingest.mapping_settings import MappingSettings
-from topobatch.ingest.reading import find_logs, inspect_log, log_fingerprint, read_log
-from topobatch.topology.errors import DataError, LogError
+from topobatch.ingest.logs.saved_map import is_saved_map, read_saved_map
+from topobatch.ingest.reading import find_logs, inspect_log, read_log
+from topobatch.topology.errors import LogError
 
 FLAT = "image: m.pgm\nresolution: 0.05\norigin: [-1.0, 2.0, 0.0]\nnegate: 0\n"
 
@@ -119,98 +117,6 @@ def hall(width: int = 90, height: int = 60) -> np.ndarray:
     return pixels
 
 
-@pytest.mark.parametrize("thresh", [0.2, 0.25, 0.5])
-@pytest.mark.parametrize("name", ["m.pgm", "m.jpg"])
-def test_unknown_cells_stay_unknown_by_a_threshold_that_takes_them_for_free(
-    tmp_path: Path, thresh: float, name: str
-) -> None:
-    """As nav2's map_saver wrote them."""
-    text = FLAT.replace("m.pgm", name)
-    right = read_saved_map(saved(tmp_path, hall(), text + "free_thresh: 0.196\n", name)).grid
-    path = saved(tmp_path, hall(), text + f"free_thresh: {thresh}\n", name)
-    grid, (note,) = read_saved_map(path)
-    assert np.array_equal(grid.free, right.free)
-    assert np.array_equal(grid.unknown, right.unknown)
-    assert f"would be free by its free_thresh of {thresh}; they stay unknown" in note
-    assert note in read_log(path).warnings
-    assert inspect_log(path).warnings == (note,)
-
-
-@pytest.mark.parametrize(
-    "pixels",
-    [np.where(hall() == 254, 205, 0), np.arange(256)[None].repeat(9, 0), np.where(hall(), 230, 0)],
-    ids=["nothing brighter", "a gradient", "no such shade"],
-)
-def test_a_threshold_counts_where_shade_205_is_no_unknown_level(
-    tmp_path: Path, pixels: np.ndarray
-) -> None:
-    grid, notes = read_saved_map(saved(tmp_path, pixels, FLAT + "free_thresh: 0.25\n"))
-    assert notes == ()
-    assert np.array_equal(grid.free[::-1], 255 - pixels < 0.25 * 255)
-
-
-@pytest.mark.parametrize(
-    "named",
-    ["/home/robot/maps/m.pgm", "'C:\\Users\\x\\m.pgm'", "maps/m.pgm", "package://site/m.pgm"],
-)
-def test_a_picture_of_another_computer_is_found_beside_the_description(
-    tmp_path: Path, named: str
-) -> None:
-    grid, (note,) = read_saved_map(saved(tmp_path, [[254, 0]], FLAT.replace("m.pgm", named)))
-    assert grid.free.tolist() == [[True, False]]
-    assert "is not there; m.pgm beside it is read" in note
-
-
-@pytest.mark.parametrize("mode", ["L", "RGB", "CMYK"])
-def test_photos_are_maps(tmp_path: Path, mode: str) -> None:
-    picture = Image.fromarray(hall()).convert("L" if mode == "L" else "RGB").convert(mode)
-    picture.save(tmp_path / "m.jpeg", quality=95)
-    (tmp_path / "map.yaml").write_text(FLAT.replace("m.pgm", "m.jpeg"))
-    grid = read_saved_map(tmp_path / "map.yaml").grid
-    assert (grid.free[::-1] != (hall() == 254)).mean() < 0.03
-
-
-@pytest.mark.parametrize("bits", [8, 12, 16])
-def test_pictures_of_16_bits_may_hold_fewer(tmp_path: Path, bits: int) -> None:
-    values = np.array([[254, 205, 0]]) * ((1 << bits) - 1) // 255
-    Image.fromarray(values.astype(np.uint16)).save(tmp_path / "m.png")
-    (tmp_path / "map.yaml").write_text(FLAT.replace("m.pgm", "m.png"))
-    grid, notes = read_saved_map(tmp_path / "map.yaml")
-    assert grid.free.tolist() == [[True, False, False]]
-    assert [f"read as {bits} bits" in note for note in notes] == [True] * (bits < 16)
-
-
-def test_a_map_without_free_cells_says_what_its_shades_are(tmp_path: Path) -> None:
-    path = saved(tmp_path, [[1, 0, 1]])
-    assert "shades go from 0 to 1 (0 black, 255 white)" in read_saved_map(path).notes[0]
-
-
-@pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1)])
-def test_a_map_of_one_row_says_that_it_shows_no_junction(
-    tmp_path: Path, shape: tuple[int, int]
-) -> None:
-    with pytest.raises(DataError, match="shows no junction"):
-        map_of_log(read_log(saved(tmp_path, np.full(shape, 254))), MappingSettings())
-
-
-@pytest.mark.parametrize("form", ["pgm", "png", "jpg"])
-def test_large_pictures_are_read_in_larger_cells(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, form: str
-) -> None:
-    """A larger cell is free if all its parts are, unknown if any is; the origin stays."""
-    pixels = np.kron(hall(), np.ones((8, 8), np.uint8))[:-3, :-5]
-    text = FLAT.replace("m.pgm", f"m.{form}")
-    whole = read_saved_map(saved(tmp_path, pixels, text, f"m.{form}")).grid
-    monkeypatch.setattr(saved_map, "MOST_CELLS", 60_000)
-    monkeypatch.setattr(saved_map, "STRIPE_CELLS", 9_000)
-    grid, (note,) = read_saved_map(tmp_path / "map.yaml")
-    right = coarser(whole, 3)
-    assert np.array_equal(grid.free, right.free)
-    assert np.array_equal(grid.unknown, right.unknown)
-    assert (grid.resolution_m, grid.origin) == (pytest.approx(0.15), whole.origin)
-    assert "is read in cells of 0.15 m" in note
-
-
 def test_a_picture_beyond_memory_is_refused_before_it_is_decoded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -222,13 +128,6 @@ def test_a_picture_beyond_memory_is_refused_before_it_is_decoded(
         read_saved_map(path)
     saved(tmp_path, hall())
     assert read_saved_map(path).grid.free.any()
-
-
-def test_the_fingerprint_follows_the_picture(tmp_path: Path) -> None:
-    path = saved(tmp_path, [[254, 0]])
-    before = log_fingerprint(path)
-    saved(tmp_path, [[254, 254]])
-    assert log_fingerprint(path) != before
 
 
 @settings(max_examples=120)

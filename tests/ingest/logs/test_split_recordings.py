@@ -7,9 +7,8 @@ from pathlib import Path
 import pytest
 
 from topobatch.ingest.logs.finding import with_parts_joined
-from topobatch.ingest.logs.log_file import LogFile
 from topobatch.ingest.logs.recording import recording_at, run_name
-from topobatch.ingest.logs.split_recordings import path_of_parts, split_recordings
+from topobatch.ingest.logs.split_recordings import split_recordings
 from topobatch.ingest.reading import find_logs, log_fingerprint
 
 S = 10**9
@@ -38,13 +37,6 @@ def test_parts_follow_each_other_in_numbers_and_time():
     assert formats == [["a_0.bag"], ["a_1.mcap"]]
 
 
-def test_recordings_of_one_name_are_told_apart_by_their_starts():
-    """`rosbag record --split -o a`, called twice; part 10 comes after part 9."""
-    first = [(f"a_2024-01-01-00-00-{k:02}_{k}.bag", k, k + 1) for k in range(11)]
-    second = [(f"a_2024-01-02-00-00-{k:02}_{k}.bag", 90 + k, 91 + k) for k in range(2)]
-    assert groups(*second, *first) == [[name for name, *_ in part] for part in (first, second)]
-
-
 @pytest.mark.parametrize("beside", [True, False])
 def test_a_split_recording_has_a_path(logs, tmp_path, beside):
     drive = logs.drive()
@@ -63,13 +55,3 @@ def test_a_split_recording_has_a_path(logs, tmp_path, beside):
     before = log_fingerprint(path)
     parts[1].write_bytes(parts[0].read_bytes())
     assert log_fingerprint(path) != before
-
-
-def test_a_file_that_is_called_like_a_split_recording_is_itself(logs, tmp_path):
-    drive = logs.drive()
-    named = logs.bag(tmp_path / "run_*.bag", drive)
-    logs.bag(tmp_path / "run_0.bag", drive[:200])
-    logs.bag(tmp_path / "run_1.bag", drive[200:])
-    assert path_of_parts(tmp_path / "run_0.bag") == named
-    assert recording_at(named).files == (LogFile(named),)
-    assert run_name(named) == "run_*"

@@ -9,12 +9,11 @@ import pytest
 
 from topobatch.ingest.mapping import build_map, dead_reckoned
 from topobatch.ingest.odometry.bridging import confirmed
-from topobatch.ingest.odometry.jumps import driven_on, without_jumps
+from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.track import sane_track
-from topobatch.merge.pieces import joined_pieces
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.simulation.settings import DRIFTS
-from topobatch.topology.se2 import between, compose, wrap
+from topobatch.topology.se2 import between, compose
 
 
 def simulated(seed=5, **jump):
@@ -53,40 +52,6 @@ def test_a_jump_costs_no_revisit(metres, degrees):
     assert told["shift_m"] == pytest.approx(metres, abs=0.05)
     assert np.degrees(told["turn_rad"]) == pytest.approx(degrees, abs=3.0)
     assert told["split"] is False
-
-
-def moved_at_once(truth, run, slip=(0.0, 0.0, 0.0)):
-    """Truth and run whose fastest turn, about the middle of the run, passes at once; slip: jump [m,
-    m, rad] of the odometry's frame meanwhile."""
-    odometry = run.odometry
-    turned = np.abs(wrap(np.diff(odometry.pose[:, 2])))
-    rows = np.arange(len(turned) // 3, 2 * len(turned) // 3)
-    first = int(rows[np.argmax(np.convolve(turned, np.ones(20))[rows + 19])])
-    last = first + 20
-
-    def clock(time_ns):
-        return np.where(time_ns > odometry.time_ns[last - 1], time_ns - 950_000_000, time_ns)
-
-    hidden = run.detections.time_ns
-    assert not np.any((hidden > odometry.time_ns[first]) & (hidden < odometry.time_ns[last]))
-    keep = np.delete(np.arange(len(odometry)), np.arange(first + 1, last))
-    time_ns, pose = clock(odometry.time_ns)[keep], odometry.pose.copy()
-    pose[last:] = compose(compose(pose[last], slip), between(pose[last], pose[last:]))
-    track = sane_track(time_ns, pose[keep], "odom", "base_link")
-    seen = replace(run.detections, time_ns=clock(run.detections.time_ns))
-    moved = replace(run, odometry=without_jumps(track.odometry, track.jumps), detections=seen)
-    of_run = truth.runs[run.name]
-    times = {name: clock(getattr(of_run, name)) for name in ("start_ns", "end_ns")}
-    return replace(truth, runs={run.name: replace(of_run, **times)}), moved
-
-
-def test_a_robot_that_went_where_its_odometry_leaps_is_found_as_well():
-    """The other half of the truth: nothing tells beforehand whether robot or odometry jumped."""
-    truth, run = moved_at_once(*simulated())
-    assert np.degrees(np.abs(wrap(run.odometry.jump_other[:, 2])).max()) > 30
-    topomap = build_map(run)
-    assert topomap.pieces == 1
-    assert split_and_mixed(truth, run, topomap) == (0, 0)
 
 
 def unrevisited(truth, run):
@@ -131,23 +96,6 @@ def test_a_step_that_its_places_do_not_confirm_is_broken_up():
     assert confirmed(small, small, reckoning, np.arange(len(reckoning))).breaks.tolist() == []
 
 
-def test_a_step_that_was_told_wrongly_bends_no_map(monkeypatch):
-    """As if places had been taken for others: they are not found again where it leads."""
-
-    def mistaken(odometry, *_):
-        step = np.array([[3.0, -2.0, 2.6]])
-        return replace(odometry, pose=driven_on(odometry.pose, odometry.jumps, step))
-
-    truth, run = simulated(jumps=1, jump_m=0.47, jump_deg=50.0)
-    monkeypatch.setattr("topobatch.ingest.mapping.bridged", mistaken)
-    topomap = build_map(run)
-    assert topomap.pieces == 2
-    assert topomap.info["jumps"][0]["split"] is True
-    whole, *others = joined_pieces(topomap)
-    assert others == []
-    assert split_and_mixed(truth, run, whole) == (0, 0)
-
-
 def test_a_small_jump_that_no_place_tells_makes_its_corridor_uncertain():
     truth, run = simulated()
     topomap = build_map(jumped(truth, run, [0.5, 0.5, 0.1]))
@@ -155,12 +103,3 @@ def test_a_small_jump_that_no_place_tells_makes_its_corridor_uncertain():
     assert topomap.info["jumps"][0]["split"] is False
     assert topomap.length_sigma.max() == pytest.approx(np.hypot(0.5, 0.5), abs=0.1)
     assert np.sort(topomap.length_sigma)[-2] < 0.5
-
-
-def test_a_robot_that_was_moved_while_its_odometry_jumped_is_found_as_well():
-    """It turned by 58 degrees, its odometry by 148: neither the one case nor the other."""
-    truth, run = moved_at_once(*simulated(), slip=(1.0, 0.5, -np.pi / 2))
-    assert np.degrees(run.odometry.jump_other[0, 2]) == pytest.approx(-148, abs=1)
-    topomap = build_map(run)
-    assert topomap.pieces == 1
-    assert split_and_mixed(truth, run, topomap) == (0, 0)

@@ -112,12 +112,6 @@ def test_where_there_is_no_error_none_is_taken_out(bend: float) -> None:
     assert off(apply_calibration(recorded, found), truth) < off(recorded, truth) + 0.15
 
 
-def test_a_bias_shows_without_right_angles_too() -> None:
-    truth, detections = drive(0, bend=0.5)
-    found = calibrate(spoil(truth, 0, bias=0.05), detections)
-    assert abs(found.bias_rad_per_m - 0.05) < 0.005
-
-
 def test_result_does_not_depend_on_the_frame() -> None:
     truth, detections = drive(2, legs=30)
     recorded = spoil(truth, 2, bias=0.04)
@@ -128,28 +122,6 @@ def test_result_does_not_depend_on_the_frame() -> None:
     )
     here, there = calibrate(recorded, detections), calibrate(turned, detections)
     np.testing.assert_allclose(here.applied, there.applied, atol=1e-4)
-
-
-def test_poor_data_change_nothing() -> None:
-    truth, detections = drive(4, legs=6)
-    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    assert calibrate(truth, none) == Calibration()
-    few = Detections(
-        detections.time_ns[:3], detections.centre[:3], detections.branches.take([0, 1, 2])
-    )
-    assert calibrate(truth, few).applied == (0, 0, 0)
-
-
-@pytest.mark.parametrize("world", ["maze", "organic"])
-def test_sparse_odometry_is_not_mistaken_for_a_wrong_scale_of_turns(world: str) -> None:
-    scenario = simulate_scenario(
-        ScenarioSettings(world, 1, junctions_per_run=60, drift="low", faults="mild", seed=4)
-    )
-    run = scenario.runs["run1"]
-    dense = run.odometry
-    sparse = Odometry(dense.time_ns[::20], dense.pose[::20], np.zeros(0, np.int64))
-    found = calibrate(sparse, run.detections)
-    assert found.applied == (0, 0, 0)
 
 
 def test_a_real_robot_is_straightened() -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from topobatch.ingest.odometry.calibration import MotionErrors
 from topobatch.ingest.odometry.motion_errors import describe_scale, motion_errors, refine_scale
@@ -81,29 +80,3 @@ def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
         errors = motion_errors(track, seen, fuse_passes(track, seen), vague, USUAL)
         assert errors is not None
         assert abs(errors.length_scale.applied) < 0.002
-
-
-@pytest.mark.parametrize("too_far_m", [-0.1, 0.05])
-def test_a_detector_off_by_centimetres_is_not_taken_for_wrong_lengths(too_far_m: float) -> None:
-    run, noise = simulated("maze", "low", "none", 5)
-    seen, track = run.detections, run.odometry
-    away = np.hypot(*seen.centre.T)[:, None]
-    centre = seen.centre * np.maximum(away + too_far_m, 0) / np.maximum(away, 1e-6)
-    off = Detections(seen.time_ns, centre, seen.branches)
-    errors = motion_errors(track, off, fuse_passes(track, off), noise, USUAL)
-    assert errors is not None
-    # Taken for a scale, 5 cm would be 7 %.
-    assert abs(errors.length_scale.estimate) < 3 * errors.length_scale.sigma
-    assert abs(errors.length_scale.applied) < 0.008
-
-
-@pytest.mark.parametrize("lever", [(-0.1, 0.05), (0.0, -0.2)])
-def test_passes_on_turns_show_that_the_detector_sits_elsewhere(lever: tuple[float, float]) -> None:
-    run, noise = simulated("organic", "mid", "mild", 4)
-    off = run.detections.moved(lever)
-    errors = motion_errors(run.odometry, off, fuse_passes(run.odometry, off), noise, USUAL)
-    assert errors is not None
-    for shown, true in zip((errors.lever_x_m, errors.lever_y_m), lever, strict=True):
-        assert abs(shown.estimate - true) < 3 * shown.sigma
-        assert shown.sigma < 0.02
-        assert shown.applied == (shown.estimate if true else 0.0)

@@ -67,32 +67,9 @@ def test_a_header_clock_that_goes_back_gives_way_to_log_time(logs, tmp_path):
     assert any("header clock goes back once" in text for text in run.warnings)
 
 
-def test_headers_of_different_clocks_give_way_to_log_time(logs, tmp_path):
-    run = read_run(
-        logs.mcap(
-            tmp_path / "a.mcap",
-            disturbed(logs, lambda _, m: replace(m, stamp_ns=m.stamp_ns - 10**6 * SECOND)),
-        )
-    )
-    assert run.source["time"] == "log"
-    assert len(run.detections) == 30
-
-
 def test_a_clock_must_be_known():
     with pytest.raises(Exception, match="--time"):
         ReadSettings(time="sundial")
-
-
-def test_odometry_that_is_reset_to_a_frame_far_away_is_read(logs, tmp_path):
-    """Until it knows better, a driver may report the origin: no robot drove from there."""
-
-    def change(k, m):
-        x, y, *rest = m.poses[0]
-        return m if k < 100 else replace(m, poses=((x + 5e5, y + 5.6e6, *rest),))
-
-    run = read_run(logs.mcap(tmp_path / "a.mcap", disturbed(logs, change)))
-    assert run.odometry.breaks.tolist() == [100]
-    assert len(run.odometry) == 300
 
 
 def stated(logs, sigma_m, topic="/amcl_pose"):
@@ -120,20 +97,6 @@ def test_poses_with_a_covariance_are_odometry_like_any_other(logs, tmp_path, sig
             "type": logs.POSE_COVARIANCE,
             "messages": 300,
         }
-
-
-def test_poses_that_say_they_are_lost_are_left_out(logs, tmp_path):
-    """Of a localisation that begins anywhere; not of dead reckoning, which gets less and less
-    sure."""
-    lost = stated(logs, lambda k: 1e200 if k == 0 else 100.0 if k < 40 else 0.2)
-    run = read_run(logs.mcap(tmp_path / "lost.mcap", lost))
-    assert len(run.odometry) == 260
-    (told,) = run.warnings
-    assert told.startswith("/amcl_pose: 40 poses state an error of more than 1 m")
-    for grows in (lambda k: 0.1 * k, lambda k: 3 * k**0.5):
-        run = read_run(logs.mcap(tmp_path / "grows.mcap", stated(logs, grows)))
-        assert len(run.odometry) == 300
-        assert run.warnings == ()
 
 
 def test_where_somebody_put_the_robot_is_no_odometry(logs, tmp_path):

@@ -4,22 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
-
-from topobatch.cli.ingest_pool import announce
-from topobatch.cli.ingest_worker import IngestJob, ingest_one
-from topobatch.cli.output import Screen
-from topobatch.cli.workspace import Workspace
-from topobatch.ingest.mapping_settings import MappingSettings
-from topobatch.ingest.reading import ReadSettings, find_logs
 
 SAMPLES = Path(__file__).parents[3] / "sample_logs"
 
@@ -87,46 +77,6 @@ def test_a_log_without_index_costs_itself_alone(fleet: Any, tmp_path: Path) -> N
     assert "the log is cut short" in allowed.stderr
 
 
-def test_a_server_that_stops_leaves_no_half_map(
-    fleet: Any, servers: ModuleType, tmp_path: Path
-) -> None:
-    def ends(request: Any, before: int) -> Any:
-        denied = servers.Fault(answer=lambda a: servers.Answer(403, {}, b""))
-        return denied if "maze-1" in request.path and request.range[:7] != "bytes=-" else None
-
-    fleet.proxy.fault = ends
-    done = topobatch("ingest", f"{fleet.url}/fleet/", "-w", tmp_path)
-    assert done.returncode == 1
-    assert f"error: {fleet.url}/fleet/mon/maze-1.mcap: access is denied" in done.stderr
-    assert [p.name for p in (tmp_path / "maps").glob("*.json")] == ["maze-2.json"]
-    assert not list(tmp_path.rglob("maze-1*"))
-
-
-def test_nothing_is_kept_of_a_log_that_is_done(fleet: Any, tmp_path: Path) -> None:
-    place = Workspace(tmp_path)
-    jobs = [
-        IngestJob(log, log.name, place, ReadSettings(), MappingSettings(), force=False)
-        for log in find_logs([fleet.path("fleet")])
-    ]
-    announce(jobs, Screen(quiet=True, verbose=False))
-    kept = [job.log.kept_bytes for job in jobs]  # type: ignore[union-attr]
-    assert all(20_000 > size > 1_000 for size in kept)
-    assert [ingest_one(job, lambda _: None).status for job in jobs] == ["done", "done"]
-    assert [job.log.kept_bytes for job in jobs] == [0, 0]  # type: ignore[union-attr]
-
-
-def test_info_reads_the_index_alone(fleet: Any) -> None:
-    done = topobatch("info", f"{fleet.url}/fleet/", "--json")
-    assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert [log["path"] for log in told] == [
-        f"{fleet.url}/fleet/mon/maze-1.mcap",
-        f"{fleet.url}/fleet/tue/maze-2.bag",
-    ]
-    assert {topic["topic"] for topic in told[0]["topics"]} == {"/odom", "/junctions"}
-    assert len(fleet.proxy.gets) == 3
-
-
 def test_a_run_from_a_bucket_is_listed_exported_and_not_shown_raw(
     fleet: Any, tmp_path: Path
 ) -> None:
@@ -150,28 +100,3 @@ def test_wrong_addresses(tmp_path: Path) -> None:
         assert done.returncode == 2
         assert done.stderr.startswith(f"error: {address}")
         assert done.stderr.count("\n") == 1
-
-
-def test_ctrl_c_does_not_wait_for_a_server_that_does_not_answer(
-    fleet: Any, servers: ModuleType, tmp_path: Path
-) -> None:
-    asked = threading.Event()
-
-    def stalls(request: Any, before: int) -> Any:
-        if request.range:
-            asked.set()
-            return servers.Fault(stall_at=0)
-        return None
-
-    fleet.proxy.fault = stalls
-    # What a shell starts in the background ignores the signal.
-    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
-    program = f"{heeding}; from topobatch.cli.__main__ import start; start()"
-    call = [sys.executable, "-c", program, "ingest", f"{fleet.url}/fleet", "-w", tmp_path]
-    with subprocess.Popen(list(map(str, call)), stderr=subprocess.PIPE) as process:
-        assert asked.wait(60)
-        process.send_signal(signal.SIGINT)
-        _, error = process.communicate(timeout=100)  # retries take two minutes
-    assert process.returncode == 130
-    assert b"Traceback" not in error
-    assert not list((tmp_path / "maps").glob("*"))

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
-from topobatch.ingest.reading import find_logs, log_fingerprint, read_run
+from topobatch.ingest.reading import find_logs, read_run
 from topobatch.ingest.remote import store
 from topobatch.ingest.remote.path import LogPath, RemotePath, log_path
 from topobatch.topology.errors import LogError, UsageError
@@ -65,11 +63,6 @@ def test_a_connection_that_is_cut_is_taken_up_again(
     bucket.proxy.fault = once_per_range
     same_odometry(remote)
     assert len(cut) == 3
-
-
-def test_a_slow_server_is_waited_for(bucket: Any, servers: ModuleType, remote: RemotePath) -> None:
-    bucket.proxy.fault = lambda request, before: servers.Fault(pause_s=0.02)
-    same_odometry(remote)
 
 
 def faults(servers: ModuleType) -> dict[str, tuple[Any, str]]:
@@ -150,111 +143,11 @@ def test_an_object_that_changes_while_it_is_read_is_refused(
     assert bucket.proxy.gets[-1].headers["if-match"].startswith('"')
 
 
-def test_a_server_that_does_not_heed_conditions_is_found_out(
-    bucket: Any, servers: ModuleType, remote: RemotePath
-) -> None:
-    tag = servers.Fault(answer=lambda a: replace(a, headers=a.headers | {"Etag": '"other"'}))
-    bucket.proxy.fault = lambda request, before: tag if before else None
-    with pytest.raises(LogError, match=r"maze-1.mcap: changed while it was read"):
-        read_run(remote)
-
-
-def test_a_folder_that_cannot_be_looked_into_costs_itself_alone(
-    bucket: Any, servers: ModuleType
-) -> None:
-    denied = servers.Fault(answer=lambda a: servers.Answer(403, {}, b""))
-    bucket.put("runs/bag/metadata.yaml", b"rosbag2_bagfile_information:\n")
-    bucket.put("runs/bag/bag_0.mcap", LOG.read_bytes())
-    bucket.put("runs/maze-1.mcap", LOG.read_bytes())
-    bucket.proxy.fault = lambda request, before: denied if "metadata" in request.path else None
-    bag, log = find_logs([bucket.path("runs")])
-    with pytest.raises(LogError, match=r"runs/bag/metadata.yaml: access is denied"):
-        read_run(bag)
-    same_odometry(log)
-
-
 def test_no_bucket_and_no_server(bucket: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(LogError, match=r"^s3://no-such-bucket-here/x: no such bucket"):
         find_logs([log_path("s3://no-such-bucket-here/x/")])
     with pytest.raises(LogError, match=r"^http://127.0.0.1:9/log.mcap: cannot be read: .*refused"):
         find_logs([log_path("http://127.0.0.1:9/log.mcap")])
-
-
-# Names
-
-
-@pytest.mark.parametrize(
-    "key", ["a b.mcap", "50%25.mcap", "ünïcode.mcap", "q?x=1.mcap", "plus+.mcap", "#1.mcap"]
-)
-def test_keys_may_hold_any_letter(bucket: Any, key: str) -> None:
-    bucket.put(f"runs/{key}", LOG.read_bytes())
-    (found,) = find_logs([bucket.path("runs")])
-    assert str(found) == f"{bucket.url}/runs/{key}"
-    assert read_run(found).name == key.removesuffix(".mcap")
-    assert read_run(bucket.path(f"runs/{key}")).name == key.removesuffix(".mcap")
-
-
-@pytest.mark.parametrize("key", ["x%01y.mcap", "/double.mcap", "../up.mcap"])
-def test_a_key_that_is_no_path_is_an_error_that_says_so(bucket: Any, key: str) -> None:
-    bucket.put("runs/tuesday/maze-1.mcap", LOG.read_bytes())
-    bucket.put_as_named(f"runs/monday/{key}", b"x")
-    with pytest.raises(LogError, match=rf"^{bucket.url}/runs: a key cannot be read by its name"):
-        find_logs([bucket.path("runs")])
-    (tuesday,) = find_logs([bucket.path("runs/tuesday")])
-    same_odometry(tuesday)
-
-
-def test_markers_of_folders_are_no_objects(bucket: Any) -> None:
-    bucket.put_as_named("runs/", b"")
-    bucket.put_as_named("runs/monday/", b"")
-    bucket.put("runs/monday/maze-1.mcap", LOG.read_bytes())
-    bucket.put("runs/monday/maze-1.mcap.notes/text", b"x")
-    (found,) = find_logs([bucket.path("runs")])
-    assert found.name == "maze-1.mcap"
-
-
-def listing(keys: list[str], servers: ModuleType) -> Callable[[Any, bytes], Any]:
-    """An S3 server that can list, a thousand keys at a time."""
-    from urllib.parse import parse_qs, urlsplit
-
-    def upstream(request: Any, body: bytes) -> Any:
-        asked = parse_qs(urlsplit(request.path).query)
-        start = int(asked.get("continuation-token", ["0"])[0])
-        entries = "".join(
-            f"<Contents><Key>{key}</Key><Size>1000</Size><ETag>&quot;{key}&quot;</ETag>"
-            "<LastModified>2026-01-01T00:00:00.000Z</LastModified></Contents>"
-            for key in keys[start : start + 1000]
-        )
-        more = f"<NextContinuationToken>{start + 1000}</NextContinuationToken>"
-        body = (
-            f"<ListBucketResult>{entries}{more if start + 1000 < len(keys) else ''}"
-            "</ListBucketResult>"
-        ).encode()
-        return servers.Answer(200, {"Content-Type": "application/xml"}, body)
-
-    return upstream
-
-
-@pytest.mark.parametrize("count", [5_000, pytest.param(100_000, marks=pytest.mark.slow)])
-def test_many_keys_are_listed_a_thousand_at_a_time(
-    bucket: Any, servers: ModuleType, count: int
-) -> None:
-    kinds = ("run{0}.mcap", "run{0}.jpg")
-    keys = [f"runs/{k % 100}/{kinds[k % 2].format(k)}" for k in range(count)]
-    bucket.proxy.upstream = listing(keys, servers)
-    found = find_logs([bucket.path("runs")])
-    assert len(found) == count / 2
-    assert len(bucket.proxy.requests) == count / 1000
-    assert log_fingerprint(found[0]) != log_fingerprint(found[1])
-    assert len(bucket.proxy.requests) == count / 1000
-
-
-def test_objects_outside_the_folder_that_was_asked_for_are_not_read(
-    bucket: Any, servers: ModuleType
-) -> None:
-    keys = ["runs/a.mcap", "runs-other/b.mcap", "other/c.mcap", "runs.mcap", "run", "xxxxx/d.mcap"]
-    bucket.proxy.upstream = listing(keys, servers)
-    assert [path.key for path in find_logs([bucket.path("runs")])] == ["runs/a.mcap"]
 
 
 # Web servers
@@ -287,21 +180,6 @@ def test_secrets_of_an_address_are_not_told(web: Any, servers: ModuleType) -> No
             read_run(place)
         assert not {"s3cret", "word"} & set(str(caught.value).replace("=", " ").split())
         assert "s3cret" not in str(caught.value)
-
-
-def test_without_tags_and_times_the_last_bytes_tell_whether_a_log_changed(
-    web: Any, servers: ModuleType
-) -> None:
-    def bare(answer: Any) -> Any:
-        kept = {k: v for k, v in answer.headers.items() if k not in ("ETag", "Last-Modified")}
-        return replace(answer, headers=kept)
-
-    web.fault = lambda request, before: servers.Fault(answer=bare)
-    address, prints, data = f"http://127.0.0.1:{web.port}/logs/a.mcap", [], LOG.read_bytes()
-    for content in (data, data[:-100] + bytes([data[-100] ^ 1]) + data[-99:], data):
-        web.upstream = servers.files({"/logs/a.mcap": content})
-        prints.append(log_fingerprint(log_path(address)))
-    assert prints[0] == prints[2] != prints[1]
 
 
 def test_web_servers_give_no_list(web: Any) -> None:
@@ -338,31 +216,9 @@ def test_a_log_in_azure_which_does_not_know_suffixes(
         assert [request.method for request in server.requests][:2] == ["HEAD", "GET"]
 
 
-def test_a_store_without_an_account_says_what_is_missing(
-    impatient: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for name in [name for name in os.environ if name.startswith("AZURE_")]:
-        monkeypatch.delenv(name)
-    with pytest.raises(LogError, match=r"^az://c/x.mcap: no credentials .*AZURE_STORAGE_ACCOUNT"):
-        read_run(log_path("az://c/x.mcap"))
-
-
 def test_without_the_extra_one_line_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     import sys
 
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(UsageError, match=r"^s3://b/x: .*pip install 'topobatch\[remote\]'$"):
         log_path("s3://b/x")
-
-
-def test_nothing_was_read_in_vain(bucket: Any, remote: RemotePath) -> None:
-    """No byte is asked for twice."""
-    read_run(remote)
-    asked = np.zeros(LOG.stat().st_size, np.int64)
-    for request in bucket.proxy.gets:
-        first, last = request.range.removeprefix("bytes=").split("-")
-        if first:
-            asked[int(first) : int(last) + 1] += 1
-        else:
-            asked[-int(last) :] += 1
-    assert asked.max() == 1

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -11,7 +9,6 @@ from scipy import ndimage
 from topobatch.ingest.scans.crossing import (
     BendTally,
     Crossing,
-    bends,
     crossing,
     crossings,
     placed,
@@ -58,13 +55,6 @@ def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Crossi
     return node, crossing(graph, place, CELL, SkeletonSettings())
 
 
-def of_a_run(axes: int, bent: int) -> BendTally:
-    """So many axes, each of which surely bends or surely does not."""
-    tally = BendTally()
-    tally.add([20.0] * bent + [-20.0] * (axes - bent))
-    return tally
-
-
 @pytest.mark.parametrize("sharp", [40, 75])
 def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     node, found = seen(corridors(0, 180, sharp))
@@ -75,23 +65,6 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     assert apart.min(axis=0).max() < 0.15
 
 
-def test_corridors_that_bend_cross_where_their_bends_lead() -> None:
-    y, x = np.mgrid[:SIDE, :SIDE] * CELL - MIDDLE[0]
-    free = (np.abs(y - 0.05 * x * x) <= 0.7) | ((np.abs(x + 0.04 * y * y) <= 0.7) & (y >= 0))
-    node, found = seen(free, of_a_run(200, bent=180))
-    off = np.hypot(*(found.xy - MIDDLE))
-    assert off < 0.5 * np.hypot(*(node.xy - MIDDLE))
-    assert off < 3 * found.sigma_m
-
-
-def bent(free: np.ndarray, *, off_m: float = 0.0) -> np.ndarray:
-    """How branches of the one junction of a grid turn, with its centre moved along y."""
-    graph, node, clearance = fork_of(free)
-    settings = SkeletonSettings()
-    moved = replace(placed(graph, node, clearance, CELL), xy=MIDDLE + np.array([0.0, off_m]))
-    return bends(graph, crossing(graph, moved, CELL, settings), CELL, settings)
-
-
 def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
     """Nodes of the skeleton of a grid, and what places they are."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
@@ -100,21 +73,3 @@ def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
     numbers = range(len(graph.nodes))
     found = crossings(graph, numbers, clearance, CELL, settings).places.values()
     return len(numbers), [crossing(graph, node, CELL, settings) for node in found]
-
-
-@pytest.mark.parametrize("sharp", [47])
-def test_two_forks_whose_axes_cross_at_one_place_are_one(sharp: float) -> None:
-    forks, found = places(corridors(0, 180, sharp, sharp + 180))
-    assert forks == 2
-    (one,) = found
-    assert np.hypot(*(one.xy - MIDDLE)) < 0.25
-    wanted = np.radians([0, 180, sharp, sharp + 180])
-    assert len(one.headings) == 4
-    assert np.abs(wrap(one.headings[:, None] - wanted)).min(axis=0).max() < 0.2
-
-
-def test_corridors_that_leave_farther_apart_are_two_places() -> None:
-    side = np.roll(corridors(-90), 16, axis=1)
-    forks, found = places(corridors(0, 180, 90) | side)
-    assert forks == len(found) == 2
-    assert all(len(place.headings) == 3 for place in found)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -17,7 +16,7 @@ from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run
 from topobatch.topology.se2 import apply, between, wrap
 
-from .building import HALF_TURN, RING, WHOLE_TURN, Building, biased, drive, parts, scans
+from .building import HALF_TURN, RING, WHOLE_TURN, biased, drive, parts, scans
 
 BIAS = np.radians(2.0)
 # Once around the western half, then through the middle and around the eastern one.
@@ -115,19 +114,6 @@ def test_result_does_not_depend_on_batches_or_the_order_of_beams() -> None:
         )
 
 
-def test_bare_corridor_keeps_the_way_of_the_odometry_and_says_so() -> None:
-    bare = Building.of((-60, -1, 60, 1))
-    truth = drive((-20, 0), (20, 0))
-    batch = scans(bare, truth)
-    result = detect(biased(truth, 0.0, scale=1.02), [batch])
-    ends = result.odometry.pose[[0, -1], 0]
-    recorded = biased(truth, 0.0, scale=1.02).at(result.odometry.time_ns[[0, -1]])[:, 0]
-    assert ends[1] - ends[0] == pytest.approx(recorded[1] - recorded[0], rel=0.01)
-    assert np.abs(result.odometry.pose[:, 1]).max() < 0.05
-    assert len(result.scanned.passes) == 0
-    assert result.scanned.noise.along_m_per_sqrt_m > 2 * found().scanned.noise.along_m_per_sqrt_m
-
-
 def test_scans_alone() -> None:
     result = detect(None, parts(seen(), 100))
     assert not result.statistics.odometry
@@ -155,34 +141,6 @@ def test_several_lasers_see_together() -> None:
     assert np.hypot(*(true_centres(result, truth) - (10, 0)).T).min() < 0.5
 
 
-def test_blind_scans_and_gaps_in_time() -> None:
-    batch = seen()
-    ranges = batch.ranges_m.copy()
-    ranges[10:14] = np.nan
-    ranges[::7, 30:60] = np.nan
-    keep = np.ones(len(batch), bool)
-    keep[200:215] = False
-    holed = ScanBatch(batch.times_ns[keep], ranges[keep], 0.0, batch.angles_rad)
-    result = detect(biased(ROUND, BIAS), parts(holed, 64))
-    assert np.percentile(drift(result, ROUND, 20.0), 90) < 0.4
-
-
-def test_broken_odometry_stays_broken() -> None:
-    track = biased(ROUND, BIAS)
-    broken = Odometry(track.time_ns, track.pose, np.array([300]))
-    result = detect(broken, parts(seen(), 64))
-    assert len(result.odometry.breaks) == 1
-    at = result.odometry.time_ns[result.odometry.breaks[0]]
-    assert track.time_ns[299] < at <= track.time_ns[305]
-
-
-def test_one_scan() -> None:
-    result = detect(ROUND, [parts(seen(), 1)[0]])
-    assert len(result.odometry) == 1
-    assert len(result.scanned.passes) == 0
-    assert np.isnan(result.statistics.drift_before_m)
-
-
 @pytest.mark.parametrize("odometry", [ROUND, None])
 def test_nothing_to_go_by(odometry: Odometry | None) -> None:
     with pytest.raises(DataError, match="no usable scan"):
@@ -198,35 +156,3 @@ def test_beams_too_far_apart_to_show_surfaces_are_told() -> None:
     sparse = ScanBatch(batch.times_ns, ranges.astype(np.float32), 0.0, batch.angles_rad)
     assert any("too few surfaces" in line for line in detect(ROUND, [sparse]).warnings)
     assert not any("too few surfaces" in line for line in detect(ROUND, [batch]).warnings)
-
-
-def test_scans_of_another_time() -> None:
-    batch = parts(seen(), 50)[0]
-    late = ScanBatch(batch.times_ns + 10**15, batch.ranges_m, 0.0, batch.angles_rad)
-    with pytest.raises(DataError, match=r"none of the 50 scans with an echo lies within.* clocks"):
-        detect(ROUND, [late])
-
-
-def test_turning_on_the_spot_for_long_holds_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("topobatch.ingest.scans.windows.MOST_HELD", 40)
-    spins = [(0.0, 0.0), (4.0, 0.0)]
-    there = drive(*spins)
-    turn = np.arange(200) * 0.2
-    still = np.column_stack([np.full(200, 4.0), np.zeros(200), wrap(turn)])
-    pose = np.concatenate([there.pose, still])
-    truth = Odometry((10**9 + np.arange(len(pose)) * 2e8).astype(np.int64), pose, there.breaks)
-    result = detect(truth, parts(scans(RING, truth), 100))
-    off = between(truth.at(result.odometry.time_ns), result.odometry.pose)
-    assert np.abs(off).max() < 0.1
-
-
-@pytest.mark.parametrize(("half_deg", "told"), [(35, True), (75, False)])
-def test_a_narrow_view_is_told(half_deg: int, told: bool) -> None:
-    way = drive((0, 0), (6, 0))
-    whole = scans(RING, way)
-    view = np.abs(np.degrees(whole.angles_rad)) <= half_deg
-    batch = replace(whole, ranges_m=whole.ranges_m[:, view], angles_rad=whole.angles_rad[view])
-    warnings = detect(way, [batch]).warnings
-    said = [line for line in warnings if "degrees of what is around the robot" in line]
-    assert len(said) == told
-    assert all(line.startswith("the scans see some 80 degrees") for line in said)

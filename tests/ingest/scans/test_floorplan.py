@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import binary_dilation
 
-from topobatch.ingest.scans.floorplan import Floorplan, skeleton_graph
+from topobatch.ingest.scans.floorplan import skeleton_graph
 from topobatch.ingest.scans.grid import GridSettings, without_islands
 from topobatch.topology.polyline import way_of
 from topobatch.topology.se2 import wrap
@@ -55,17 +55,6 @@ def test_cross() -> None:
         assert abs(wrap(np.arctan2(leaving[1], leaving[0]) - branch)) < 0.3
 
 
-def test_ring_hangs_on_its_place_by_two_branches() -> None:
-    free = grid((20, 20, 40, 280), (20, 180, 180, 200), (160, 180, 180, 280), (20, 260, 180, 280))
-    places, corridors, _ = skeleton_graph(free, CELL)
-    (junction,) = [k for k, p in enumerate(places) if p.kind == "junction"]
-    (ring,) = [c for c in corridors if c.source == c.target]
-    assert ring.source == junction
-    assert ring.source_branch != ring.target_branch
-    assert ring.length_m == pytest.approx(2 * (8 + 14), rel=0.1)
-    assert in_free_cells(ring.path, free)
-
-
 def test_pillars_corners_and_narrow_gaps_are_no_junctions() -> None:
     """A pillar, a gap of 0.3 m and a corner beside one side corridor, which makes the only one."""
     rooms = (80, 20, 120, 280), (120, 150, 190, 153), (10, 235, 80, 265), (120, 60, 190, 90)
@@ -101,29 +90,7 @@ def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
     assert all(in_free_cells(c.path, free) for c in corridors)
 
 
-def test_a_gap_that_no_robot_fits_through_opens_nothing() -> None:
-    free = grid((90, 20, 110, 280), (110, 140, 140, 160))
-    frontier = np.zeros_like(free)
-    frontier[139, 148:152] = True
-    places = skeleton_graph(free, CELL, frontier=frontier).places
-    assert sorted(p.kind for p in places) == ["dead_end"] * 3 + ["junction"]
-
-
-@pytest.mark.parametrize("turns", range(2))
-def test_a_dead_end_is_in_the_middle_of_its_room(turns: int) -> None:
-    rooms = grid((10, 30, 41, 58), (41, 36, 61, 54), (61, 5, 79, 290))
-    free = np.ascontiguousarray(np.rot90(rooms, turns))
-    places = skeleton_graph(free, CELL).places
-    middle = np.zeros_like(rooms)
-    middle[25, 44] = True
-    row, column = np.argwhere(np.rot90(middle, turns))[0]
-    away = [np.hypot(*(p.xy - (CELL * (column + 0.5), CELL * (row + 0.5)))) for p in places]
-    nearest = int(np.argmin(away))
-    assert places[nearest].kind == "dead_end"
-    assert away[nearest] < 0.15
-
-
-def test_nothing_free() -> None:
-    assert skeleton_graph(np.zeros((20, 30), bool), CELL) == Floorplan((), ())
-    assert skeleton_graph(np.zeros((0, 0), bool), CELL) == Floorplan((), ())
-    assert skeleton_graph(grid((10, 10, 12, 12)), CELL) == Floorplan((), ())
+@pytest.mark.parametrize(("free", "cell"), [(np.ones(5, bool), 0.1), (CROSS, 0.0), (CROSS, -1.0)])
+def test_wrong_grids_are_refused(free: np.ndarray, cell: float) -> None:
+    with pytest.raises(ValueError, match="two dimensions and a positive resolution"):
+        skeleton_graph(free, cell)

@@ -5,33 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.keyframes import KEYFRAMES, in_order, keyframes, raster
-from topobatch.ingest.scans.matching import posed
 from topobatch.ingest.scans.scan import ScanBatch
-
-from .building import RING, drive, parts, scans
-
-FINEST = KEYFRAMES.raster_rad
-
-
-def test_beams_are_thinned_out_to_the_raster() -> None:
-    angles = np.linspace(-1.5, 1.5, 1001)
-    columns, start, step = raster(angles, FINEST)
-    assert 0.5 * FINEST < step <= FINEST
-    assert angles[columns] == pytest.approx(start + step * np.arange(len(columns)))
-    assert len(raster(angles[::10], FINEST)[0]) == 101
-
-
-def test_keyframes_of_two_lasers_come_by_time() -> None:
-    truth = drive((0, 0), (8, 0))
-    front, back = scans(RING, truth), scans(RING, truth, mount=np.array([-0.3, 0.0, np.pi]))
-    mixed = [b for pair in zip(parts(front, 7), parts(back, 7), strict=True) for b in pair]
-    chunks = list(in_order(keyframes(posed(truth, mixed)), 10))
-    assert all(len(chunk) == 10 for chunk in chunks[:-1])
-    times = np.concatenate([chunk.time_ns for chunk in chunks])
-    assert (np.diff(times) >= 0).all()
-    single = sum(len(k) for k in keyframes(posed(truth, [front])))
-    assert len(times) == 2 * single
 
 
 @pytest.mark.parametrize(

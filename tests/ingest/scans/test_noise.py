@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from topobatch.ingest.scans.noise import HALF, expected_drift, recorded_drift
+from topobatch.ingest.scans.noise import HALF, expected_drift
 from topobatch.topology.topomap import RunNoise
 
 NOISE = RunNoise(
@@ -33,9 +33,3 @@ def test_round_a_bend_as_many_drives_say() -> None:
     assert expected_drift(NOISE, pose, way, way[-1] - 1e-9) == pytest.approx(
         HALF * spread, rel=0.06
     )
-
-
-def test_a_run_too_short_tells_none() -> None:
-    pose, way = circle(0.1, 1.0)
-    assert np.isnan(expected_drift(NOISE, pose, way, 20.0))
-    assert np.isnan(recorded_drift(pose, pose, way, 20.0))

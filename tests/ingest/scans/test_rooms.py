@@ -7,7 +7,6 @@ import numpy as np
 from topobatch.ingest.scans.floorplan import Floorplan, Place, skeleton_graph
 
 CELL = 0.05
-WALL = 0.2
 
 
 def floor(*boxes: tuple[float, float, float, float], size: tuple[float, float]) -> np.ndarray:
@@ -54,39 +53,9 @@ def test_rooms_lie_behind_doors_that_have_a_width() -> None:
     assert all(place.area_m2 is None for place in plan.places if place.kind != "room")
 
 
-def test_furniture_along_walls_makes_no_junctions_in_a_room() -> None:
-    free = floor(HALL, *ROOMS, *DOORS, size=SIZE)
-    for box in ((7.2, 1.0, 7.6, 2.0), (9.2, 2.0, 10.0, 2.4), (5.2, 2.8, 5.8, 3.2)):
-        x, y, to_x, to_y = (round(n / CELL) for n in box)
-        free[y:to_y, x:to_x] = False
-    plan = skeleton_graph(free, CELL)
-    inside = [p for p in plan.places if 5.2 < p.xy[0] < 10.0 and 1.0 < p.xy[1] < 4.6]
-    assert [place.kind for place in inside] == ["room"]
-
-
 def test_a_room_with_two_doors_has_a_way_to_each() -> None:
     second = (9.9, 2.0, 10.3, 2.9)
     beyond = (10.2, 1.0, 14.0, 4.8)
     plan = skeleton_graph(floor(HALL, *ROOMS, beyond, *DOORS, second, size=SIZE), CELL)
     (room,) = [p for p in of_kind(plan, "room") if 5.2 < p.xy[0] < 10.0]
     assert len(room.branches) == 2
-
-
-def test_a_hall_with_ways_round_a_block_keeps_its_junctions() -> None:
-    hall, block = (1.0, 5.0, 13.0, 14.0), (6.0, 8.0, 9.0, 11.0)
-    room, door = (1.0, 1.0, 5.0, 4.8), (2.0, 4.7, 2.9, 5.1)
-    free = floor(hall, room, door, size=(14.0, 15.0))
-    x, y, to_x, to_y = (round(n / CELL) for n in block)
-    free[y:to_y, x:to_x] = False
-    plan = skeleton_graph(free, CELL)
-    assert len(of_kind(plan, "room")) == 1
-    assert of_kind(plan, "junction")
-
-
-def test_a_niche_narrowing_is_no_door() -> None:
-    """A corridor that is narrower over three metres, and one as wide as a gate."""
-    narrow = [(1.0, 1.0, 8.0, 3.0), (8.0, 1.5, 11.0, 2.5), (11.0, 1.0, 18.0, 3.0)]
-    across = (13.0, 1.0, 15.0, 9.0)
-    plan = skeleton_graph(floor(*narrow, across, size=(19.0, 10.0)), CELL)
-    assert not of_kind(plan, "door")
-    assert not of_kind(plan, "room")

@@ -9,12 +9,10 @@ import pytest
 
 from topobatch.ingest.scans.detection import detect
 from topobatch.ingest.scans.scan import ScanResult
-from topobatch.ingest.scans.views import EVERY_M, closed_by_views, grid_views
+from topobatch.ingest.scans.views import EVERY_M, grid_views
 from topobatch.topology.matching.views import TURN_RAD, ViewIndex, register
 from topobatch.topology.run import Grid
 from topobatch.topology.se2 import apply, between, compose, fit_rigid
-from topobatch.topology.topomap import RunNoise
-from topobatch.topology.views import FREE, NO_VIEWS, WALL
 
 from .building import CELL_M, RING, biased, drive, parts, scans
 
@@ -38,13 +36,6 @@ def test_every_pass_and_every_few_metres_have_a_view() -> None:
     assert nearest.max() < 1.5
 
 
-def test_a_view_shows_walls_and_free_space_around_its_place() -> None:
-    views = found().scanned.views
-    cells = views.cells[np.argmin(np.abs(views.time_ns - TWICE.time_ns[60]))]
-    assert 50 < (cells == WALL).sum() < 900
-    assert (cells[38:42, 38:42] == FREE).all()
-
-
 def test_a_track_that_comes_by_again_lies_where_it_was_driven() -> None:
     result = found()
     truth = TWICE.at(result.odometry.time_ns)[:, :2]
@@ -56,12 +47,6 @@ def test_a_track_that_comes_by_again_lies_where_it_was_driven() -> None:
     at = result.odometry.at(result.scanned.views.time_ns)
     gap = result.scanned.views.pose[:, :2] - at[:, :2]
     assert np.hypot(*gap.T).max() < 0.5
-
-
-def test_without_views_nothing_is_laid_out_again() -> None:
-    same, views, loops = closed_by_views(TWICE, NO_VIEWS, RunNoise())
-    assert same is TWICE
-    assert len(views) == len(loops) == 0
 
 
 def saved(resolution_m: float, origin: tuple[float, float, float]) -> Grid:
@@ -101,17 +86,3 @@ def test_views_of_a_saved_map_match_those_of_a_laser(resolution_m: float) -> Non
     assert np.median(same.z) > (3.0 if resolution_m < 0.2 else 2.0)
     off = np.hypot(*(same.transform - expected)[:, :2].T)
     assert np.median(off) < 0.2
-
-
-def test_views_are_cut_along_corridors_first() -> None:
-    grid = saved(0.1, (*RING.corner.tolist(), 0.0))
-    along = np.array([[0.0, 10.0], [0.5, 10.0], [0.0, 15.0]])
-    cut = grid_views(grid, along)
-    np.testing.assert_allclose(cut.pose[:2, :2], along[[0, 2]], atol=0.11)
-    apart = np.hypot(*(cut.pose[:, None, :2] - cut.pose[None, :, :2]).transpose(2, 0, 1))
-    assert apart[~np.eye(len(cut), dtype=bool)].min() >= EVERY_M - 0.3
-
-
-def test_a_grid_without_free_space_has_no_views() -> None:
-    none = np.zeros((20, 20), bool)
-    assert len(grid_views(Grid(none, ~none, 0.05, (0.0, 0.0, 0.0)), np.zeros((0, 2)))) == 0

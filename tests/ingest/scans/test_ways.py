@@ -33,14 +33,3 @@ def test_an_obstacle_is_driven_round() -> None:
     assert np.hypot(*beside.T).min() * CELL > 0.2
     assert 13.05 < way.length_m < 14.5
     np.testing.assert_allclose(way.path[[0, -1]], ALONG[[0, -1]])
-
-
-def test_what_closes_the_corridor_is_not_driven_through() -> None:
-    assert drivable_way(ALONG, corridor((0, 140, 55, 160)), REACH) is None
-
-
-def test_a_place_in_an_obstacle_is_moved_out_of_it() -> None:
-    drivable = corridor((20, 140, 45, 160))
-    moved = drivable.moved(np.array([150.0, 30.0]) * CELL)
-    assert drivable.holds(np.array([moved, moved]))
-    assert np.hypot(*(moved - np.array([150.0, 30.0]) * CELL)) < 1.2

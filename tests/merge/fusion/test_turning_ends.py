@@ -12,9 +12,7 @@ from topobatch.merge.document import merged_to_document, result_from_document
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.turning_ends import with_turning_ends
 from topobatch.merge.merged_schema import MergedDocument
-from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Alignment, MergeResult, PairVerdict, Verdict
-from topobatch.topology.columns import take
 from topobatch.topology.document import map_to_document
 from topobatch.topology.passes import NO_BRANCH
 from topobatch.topology.se2 import apply
@@ -84,28 +82,12 @@ def test_two_runs_in_one_room_have_one_end_and_in_two_rooms_two(draw):
     assert fused.edge_members[:2] == plain.edge_members
 
 
-def test_a_robot_that_turned_round_long_before_another_was_not_where_it_was(draw):
-    a, b = turned(way(draw, "a"), {1: 4.0}), turned(way(draw, "b"), {1: 2.5})
-    _, _, fused = fused_with([a, b], [matched(a, b, T=(0, 0, 0))])
-    assert fused.members[3:] == ({"a": (3,)},)
-    assert fused.length[2:].tolist() == [4.0]
-
-
 def test_where_another_run_drove_on_there_is_no_end(draw):
     a = turned(way(draw, "a"), {1: 4.0})
     far = {**WAY, "d": (10, 9)}
     b = draw("b", far, [("a", "b"), ("b", "c"), ("b", "d")])
     _, _, fused = fused_with([a, b], [matched(a, b, T=(0, 0, 0))])
     assert (fused.turned, len(fused)) == (0, 4)
-
-
-def test_an_end_by_no_branch_is_kept_unless_it_lies_beside_a_known_way(draw):
-    a = turned(way(draw, "a"), {1: 4.0}, branch=False)
-    _, _, fused = fused_with([a], [])
-    assert (fused.turned, fused.source_branch[2]) == (1, NO_BRANCH)
-    b = draw("b", {**WAY, "d": (10.3, 9)}, [("a", "b"), ("b", "c"), ("b", "d")])
-    _, _, fused = fused_with([a, b], [matched(a, b, T=(0, 0, 0))])
-    assert fused.turned == 0
 
 
 @pytest.fixture(name="two")
@@ -125,65 +107,3 @@ def test_the_document_has_them_last_and_gives_them_back(two):
     whole = component_map(doc, 0, "both")
     assert (len(whole), len(whole.source), len(whole.turning_points)) == (3, 2, 2)
     assert len(map_to_document(whole)["nodes"]) == len(whole.info["members"]["nodes"])
-
-
-def test_a_component_knows_when_its_turning_points_were_driven_to(two):
-    maps, result = two
-    timed = {
-        run: replace(m, traversal_ns=tuple(np.array([[1, 2]]) for _ in m.source))
-        for run, m in maps.items()
-    }
-    doc = MergedDocument.model_validate(merged_to_document(result))
-    whole = component_map(doc, 0, "both", timed)
-    first, second = whole.turning_points.traversal_ns
-    assert (len(first), len(second)) == (2, 4)
-    assert first.tolist() == [[5, 6], [9, 8]]
-    fewer = {**timed, "b": replace(timed["b"], turning_points=way_of_none(timed["b"]))}
-    assert stale_runs(doc, 0, fewer) == {"b": "has changed since"}
-
-
-def way_of_none(m):
-    return take(m.turning_points, np.zeros(0, np.int64))
-
-
-def test_merging_says_the_same_with_them_and_without(maze_pair):
-    a, b, _ = maze_pair(3)
-    plain = merge_maps([a, b])
-    more = [replace(m, turning_points=_anywhere(m)) for m in (a, b)]
-    told = merge_maps(more)
-    assert told.fused.turned > 0
-    one, two = merged_to_document(plain), merged_to_document(told)
-    assert one["merges"] == two["merges"]
-    assert one["graph"] == two["graph"]
-    assert two["nodes"][: len(one["nodes"])] == one["nodes"]
-    assert two["edges"][: len(one["edges"])] == one["edges"]
-
-
-def _anywhere(m):
-    """A turning point at every vertex with a branch that nobody drove."""
-    driven = {*zip(m.source.tolist(), m.source_branch.tolist(), strict=True)}
-    driven |= {*zip(m.target.tolist(), m.target_branch.tolist(), strict=True)}
-    free = [
-        (v, b)
-        for v in range(len(m))
-        for b in range(int(m.branches.counts[v]))
-        if (v, b) not in driven
-    ]
-    vertex, branch = np.array(free).T
-    heading = np.array([m.branches[v][b] for v, b in free])
-    tips = m.xy[vertex] + 2 * np.column_stack([np.cos(heading), np.sin(heading)])
-    k = len(free)
-    return TurningPoints(
-        kind=(TURNING_POINT,) * k,
-        vertex=vertex,
-        branch=branch,
-        heading=heading,
-        length=np.full(k, 2.0),
-        length_sigma=np.full(k, 0.1),
-        position_sigma=np.full(k, 0.1),
-        branch_sigma=np.full(k, 0.1),
-        traversals=np.full(k, 2),
-        paths=tuple(np.stack([m.xy[v], tip]) for v, tip in zip(vertex.tolist(), tips, strict=True)),
-        traversal_ns=tuple(np.zeros((0, 2), np.int64) for _ in free),
-        time_ns=tuple(np.array([[7]]) for _ in free),
-    )

@@ -7,9 +7,7 @@ import pytest
 
 from topobatch.merge.paper.clustering import ClusterSettings, cluster
 from topobatch.merge.paper.hypotheses import Hypotheses
-from topobatch.merge.paper.registration import fit_groups
 from topobatch.topology.matching.correspondence import Nodes
-from topobatch.topology.se2 import apply
 
 # --- clusters -------------------------------------------------------------------------------------
 
@@ -35,16 +33,6 @@ def hypotheses(groups, transforms, *, errors=None, rectilinear=False):
 XY = np.column_stack([np.arange(12.0) * 3, np.zeros(12)])
 
 
-def test_clusters_are_ordered_by_vertices_then_error_then_largest_hypothesis():
-    groups = [[(0, 0), (1, 1), (2, 2)], [(3, 3)], [(4, 5), (5, 6)], [(6, 7), (7, 8)], [(0, 6)]]
-    shift = [[0, 0, 0], [0.05, 0, 0], [-3, 0, 0], [-3.05, 0, 0], [-18, 0, 0]]
-    c = cluster(hypotheses(groups, shift), (XY, XY))
-    assert c.of.tolist() == [0, 0, 1, 1, 2]
-    assert c.vertices.tolist() == [4, 4, 1]
-    assert c.hypotheses.tolist() == [2, 2, 1]
-    assert c.largest.tolist() == [3, 2, 1]  # equal vertices and errors: the larger hypothesis
-
-
 def test_linkage_is_complete_no_chain_stretches_a_cluster():
     groups = [[(k, k)] for k in range(5)]
     chain = [[0.4 * k, 0, 0] for k in range(5)]
@@ -58,13 +46,6 @@ def test_linkage_is_complete_no_chain_stretches_a_cluster():
         assert len(c) == 3
 
 
-def test_rotations_of_a_rectilinear_world_never_share_a_cluster():
-    h = hypotheses(
-        [[(0, 0)], [(0, 0)]], [[0, 0, 0], [0, 0, np.pi / 2]], errors=[9e9, 0], rectilinear=True
-    )
-    assert len(cluster(h, (XY, XY))) == 2
-
-
 def test_iterative_clustering_readmits_a_small_hypothesis_by_its_metric_error():
     groups = [[(k, k) for k in range(5)], [(9, 9), (10, 10)]]
     # Two vertices place the second map off: wrong by a turn, near in metric error.
@@ -73,20 +54,3 @@ def test_iterative_clustering_readmits_a_small_hypothesis_by_its_metric_error():
     again = cluster(h, (XY, XY), settings=ClusterSettings(iterative=True))
     assert again.of.tolist() == [0, 0]
     assert again.vertices.tolist() == [7]
-
-
-@pytest.mark.parametrize("free", [True, False])
-def test_reweighted_registration_shrugs_off_one_wrong_pair(free):
-    rng = np.random.default_rng(4)
-    xy, T = rng.uniform(0, 20, (7, 2)), np.array([3.0, -2.0, 0.4])
-    onto = apply(T, xy)
-    onto[3] += [4.0, 1.0]
-    group = np.zeros(7, np.int64)
-    fits = {
-        weights: fit_groups(
-            onto, xy, group, np.array([0.4]), free=np.array([free]), weights=weights
-        )[0]
-        for weights in ("equal", "reweighted")
-    }
-    assert fits["reweighted"] == pytest.approx(T, abs=0.02)
-    assert np.hypot(*(fits["equal"] - T)[:2]) > 0.5

@@ -140,15 +140,6 @@ def test_degrees_and_correspondences(example):
     assert len(nodes) == 3 * 3 + 4 * 4 * 4
 
 
-def test_there_are_fifteen_hypotheses(example):
-    assert len(hypotheses_of(example)) == 15
-
-
-def test_the_table_of_degree_three(example):
-    three, _ = printed(example)
-    assert three == {(u, v): cell for u, row in DEGREE_THREE.items() for v, cell in row.items()}
-
-
 def test_the_table_of_degree_four_wherever_it_can_be_read(example):
     _, four = printed(example)
     read = 0
@@ -172,14 +163,6 @@ def test_cells_that_the_words_say_or_that_follow_where_the_table_cannot_be_read(
     assert four["a1", "b7", 0] == four["a2", "b8", 0] == "H5"
     assert four["a1", "b8", 0] == "H6"
     assert set(four.values()) == {"-", "H2"} | {f"H{k}" for k in range(4, 16)}
-
-
-def test_h1_is_a_single_pair_without_rotation(example):
-    assert (0, {("a3", "b6")}) in hypotheses_of(example)
-
-
-def test_the_half_turn_gives_h2(example):
-    assert (180, H2) in hypotheses_of(example)
 
 
 def test_the_quarter_turn_is_grown_as_far_as_it_goes_and_rejected_whole_for_one_length(example):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.merge.paper.meeting import Meeting, near_vertices, parse_meeting
+from topobatch.merge.paper.meeting import Meeting, parse_meeting
 from topobatch.merge.paper.method import PaperSettings, match, prepare_map
-from topobatch.topology.errors import DataError, UsageError
+from topobatch.topology.errors import UsageError
 from topobatch.topology.matching.correspondence import GrowthSettings
 
 GROWTH = GrowthSettings()
@@ -19,15 +19,6 @@ def test_notation():
     for bad in ("run1,run2", "run1@x,run2@3", "run1@3", "@3,run2@3", "a@1,a@2"):
         with pytest.raises(UsageError):
             parse_meeting(bad)
-
-
-def test_near_vertices_are_around_the_junctions_passed_before_and_after(draw):
-    line = {k: (6.0 * k, 0.0) for k in range(6)}
-    m = draw("a", line, [(k, k + 1) for k in range(5)])
-    assert near_vertices(m, 2_500_000_000, 1.0).tolist() == [2, 3]
-    assert near_vertices(m, 2_000_000_000, 6.5).tolist() == [0, 1, 2, 3]
-    with pytest.raises(DataError, match="run 'a' passed no junction"):
-        near_vertices(m, 200 * 10**9, 5.0)
 
 
 def test_only_hypotheses_that_pair_vertices_near_both_robots_are_formed(maze_pair):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
@@ -67,16 +66,3 @@ def test_runs_that_met_and_share_nothing_there(draw):
     met = PaperSettings(meetings=(Meeting("a", 0, "b", 0, range_m=1.0),))
     (verdict,) = decide([a, b], met)
     assert verdict.reason.startswith("1 compatible pair of junctions near both robots, none of ")
-
-
-def test_an_executor_gives_the_same_verdicts(maze_pair):
-    a, b, _ = maze_pair(1)
-    maps = [a, b, replace(a, run="c"), replace(b, run="d")]
-    seen = []
-    alone = decide(maps, on_pair=lambda done, total: seen.append((done, total)))
-    assert seen == [(k, 6) for k in range(1, 7)]
-    with ThreadPoolExecutor(2) as pool:
-        shared = decide(maps[::-1], executor=pool)
-    assert [(v.a, v.b, v.reason, v.evidence_bits) for v in alone] == [
-        (v.a, v.b, v.reason, v.evidence_bits) for v in shared
-    ]

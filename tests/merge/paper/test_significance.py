@@ -8,11 +8,9 @@ import pytest
 from topobatch.merge.paper.method import PaperSettings, judge, prepare_map
 from topobatch.merge.paper.significance import (
     SelfSimilarity,
-    cluster_bits,
     independent_lengths,
     match_bits,
     self_similarity,
-    single_bits,
 )
 from topobatch.topology.matching.association import grow
 from topobatch.topology.matching.correspondence import GrowthSettings
@@ -60,45 +58,6 @@ def test_a_match_no_larger_than_what_a_map_shares_with_itself_is_no_evidence(dra
     assert match_bits(growth, a, b, (alike, alike)).max() < 2
     maze, _, _ = maze_pair(0)
     assert self_similarity(prepare(maze), GrowthSettings()).largest <= 4
-
-
-@pytest.mark.parametrize("degree", ["exact", "inexact"])
-def test_a_slide_along_walls_that_run_through_is_no_evidence(draw, degree):
-    """Two wings on the same rows, every second gap between their columns another."""
-    rows = np.array([0.0, 4.0, 11.0, 17.0, 26.0, 31.0])
-
-    def wing(name, gaps):
-        columns = np.concatenate([[0.0], np.cumsum(gaps)])
-        at = {f"{i}{j}": (x, y) for i, x in enumerate(columns) for j, y in enumerate(rows)}
-        ways = [(f"{i}{j}", f"{i}{j + 1}") for i in range(len(columns)) for j in range(5)]
-        ways += [(f"{i}{(2 * i) % 5}", f"{i + 1}{(2 * i) % 5}") for i in range(len(gaps))]
-        return draw(name, at, ways)
-
-    settings = PaperSettings(GrowthSettings(degree=degree))
-    a, b = wing("a", [6.0]), wing("b", [6.0])
-    assert not judge(*(prepare_map(m, settings) for m in (a, b)), settings).accepted
-
-
-def test_clusters_sum_their_significant_hypotheses():
-    of = np.array([0, 0, 1, -1, 0, 1])
-    bits = np.array([12.0, -3.0, -7.0, 90.0, 2.0, -5.0])
-    assert cluster_bits(of, bits, 2).tolist() == [14.0, -5.0]
-    assert single_bits(1024) == -10
-    assert single_bits(0) == 0
-
-
-@pytest.mark.parametrize("degree", ["exact", "inexact"])
-def test_maps_of_different_mazes_seldom_offer_bits(maze_pair, degree):
-    settings = GrowthSettings(degree=degree)
-    over = []
-    for seed in range(40):
-        a, b = (prepare(maze_pair(s)[k]) for s, k in ((seed, 0), (seed + 100, 1)))
-        growth = grow(a, b, settings)
-        alike = self_similarity(a, settings), self_similarity(b, settings)
-        alive = match_bits(growth, a, b, alike)[~growth.rejected]
-        over.append(alive.max(initial=-np.inf))
-    assert np.mean(np.array(over) > 0) <= 0.2
-    assert max(over) < 6
 
 
 @pytest.mark.parametrize("degree", ["exact", "inexact"])

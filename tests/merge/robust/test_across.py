@@ -2,10 +2,9 @@
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
-from topobatch.merge.robust.across import COPY_TOGETHER, LARGER_TOGETHER, Across
+from topobatch.merge.robust.across import LARGER_TOGETHER, Across
 from topobatch.merge.robust.alignment import match
 from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.prepare import prepare
@@ -33,14 +32,6 @@ def _nothing(pairs):
     return [0.0] * len(pairs)
 
 
-def by_size(own):
-    """Components of the two maps of each size."""
-    components = Components(4, ())
-    for i, j in ((0, 1), (2, 3)):
-        components.join(i, j, own.joins[i, j].transform)
-    return components
-
-
 def test_more_runs_tell_more_than_two(sizes):
     """Their scales err apart: of two runs on either side by less than of one."""
     own, _ = sizes
@@ -56,40 +47,3 @@ def test_more_runs_tell_more_than_two(sizes):
     assert known.refusal(components, (0, 2)) is LARGER_TOGETHER
     assert own.refusal(components, (0, 2)) is None  # no pair says so by itself
     assert replace(known, locked=[(0, 2)]).refusal(components, (0, 2)) is None
-
-
-def test_a_pair_that_lies_elsewhere_says_nothing(sizes):
-    own, _ = sizes
-    components = by_size(own)
-    away = replace(own.joins[0, 3], transform=own.joins[0, 3].transform + np.array([9.0, 0.0, 0.0]))
-    assert replace(own, other={(0, 3): away}).refusal(components, (0, 2)) is None
-
-
-def test_what_pairs_across_say_of_copies_adds_up(sizes):
-    own, _ = sizes
-    components = by_size(own)
-    for bits, refused in (((-9.0, 3.0), True), ((-6.0, 3.0), False), ((1.0, 3.0), False)):
-        told = dict(zip(((0, 3), (1, 2)), bits, strict=True))
-        asked = {pair: (own.joins[pair], said) for pair, said in told.items()}
-        found = replace(own, asked=asked).refusal(components, (0, 2))
-        assert found is (COPY_TOGETHER if refused else None)
-        locked = replace(own, asked=asked, locked=[(0, 2)])
-        assert locked.refusal(components, (0, 2)) is None
-
-
-def test_pairs_that_would_be_merged_answer_whether_they_are_copies(sizes):
-    """That chance does not explain them says nothing of it."""
-    own, _ = sizes
-    components = by_size(own)
-    heard = []
-
-    def answers(bits):
-        return lambda pairs: heard.append(pairs) or [bits] * len(pairs)
-
-    asked = {(0, 3): (own.joins[0, 3], -9.0)}
-    for bits, refused in ((1.0, True), (2.0, False)):
-        known = replace(own, asked=asked, answers=answers(bits))
-        assert known.refusal(components, (0, 2)) is (COPY_TOGETHER if refused else None)
-    assert heard == [[(0, 2), (1, 2), (1, 3)]] * 2
-    assert replace(own, answers=answers(-9.0)).refusal(components, (0, 2)) is None
-    assert len(heard) == 2  # nobody was asked where no pair looks like a copy by itself

@@ -24,10 +24,3 @@ def test_the_corridor_that_one_run_left_out_is_named(drawn):
         "record with b's robot the corridor that a drove from its junction 0 to 9 (9.0 m)" in told
     )
     assert "it leaves junction 0 of b" in told
-
-
-def test_where_both_drove_everything_they_are_to_go_farther(drawn):
-    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    assert advised(a, b).startswith("record a or b again, further along the edge")
-    nothing = prepare(drawn("c", POINTS[:1], [], stubs=[(0, 0.0)]))
-    assert advised(a, nothing) is None

@@ -7,7 +7,6 @@ import pytest
 
 from topobatch.merge.codec import to_bytes
 from topobatch.merge.robust.alignment import match, match_all, same_placement
-from topobatch.merge.robust.links import candidate_links
 from topobatch.merge.robust.prepare import prepare
 from topobatch.topology.se2 import inverse
 
@@ -42,17 +41,6 @@ def test_what_a_match_is_made_of_adds_up(halves):
         ends = {frozenset(found.a[pair].tolist()) for pair in agree.ends[agree.along >= 0]}
         rows = zip(a.tail[corridors[:, 0]], a.head[corridors[:, 0]], strict=True)
         assert {frozenset(map(int, row)) for row in rows} == ends
-
-
-def test_evidence_pays_for_the_links_it_was_chosen_from_and_for_contradictions(drawn):
-    more = [*POINTS, (8.5, -6)]
-    split = [e for e in EDGES if e != (3, 4)] + [(3, 8), (8, 4)]
-    a = prepare(drawn("a", POINTS, EDGES))
-    b = prepare(drawn("b", more, split, stubs=[(8, -1.57)]))
-    (found, *_) = match(a, b, SETTINGS)
-    assert found.tested_bits == pytest.approx(np.log2(len(candidate_links(a, b)) + 1))
-    assert found.conflicts.extra_b.tolist() == [8]
-    assert found.bits < found.support.bits - found.tested_bits - 3
 
 
 def test_views_judge_what_junctions_propose(halves):

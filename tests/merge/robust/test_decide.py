@@ -8,13 +8,10 @@ import pytest
 from topobatch.merge.locks import Lock
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import RobustSettings, decide
-from topobatch.merge.robust.across import LARGER_TOGETHER
 from topobatch.merge.robust.mirror import mirrored
 from topobatch.simulation import make_world
-from topobatch.simulation.chance import Chance
-from topobatch.simulation.regions import scattered_regions
 from topobatch.topology.errors import UsageError
-from topobatch.topology.se2 import apply, compose, wrap
+from topobatch.topology.se2 import apply
 
 
 def only(maps, **options):
@@ -56,36 +53,6 @@ def test_faults_and_drift_do_not_mislead(kind, see, right_matches):
     assert right_matches(v.best.matched, a, b) > 0.97
 
 
-def test_the_frame_of_a_map_does_not_matter(halves, moved):
-    a, b = halves
-    T = np.array([12.0, -7.0, 2.1])
-    before, after = only(halves), only([a, moved(b, T)])
-    assert np.array_equal(before.best.matched, after.best.matched)
-    assert after.evidence_bits == pytest.approx(before.evidence_bits, abs=1e-3)
-    back = compose(after.best.transform, T)
-    assert np.allclose(back[:2], before.best.transform[:2], atol=1e-6)
-    assert abs(wrap(back[2] - before.best.transform[2])) < 1e-9
-
-
-def test_a_stricter_rate_asks_for_more_evidence(halves):
-    bits = only(halves).evidence_bits
-    strict = RobustSettings(false_merge_rate=2.0 ** -(bits + 5))
-    v = only(halves, settings=strict)
-    assert v.verdict is Verdict.AMBIGUOUS
-    assert not v.accepted
-    assert "chance offers as much" in v.reason
-    assert v.advice
-
-
-def test_maps_with_nothing_in_them(halves, drawn):
-    lone = drawn("lone", [(0, 0)], [], stubs=[(0, 0.0)])
-    pair = drawn("pair", [(0, 0), (5, 0)], [(0, 1)])
-    verdicts = decide(sorted([lone, pair, halves[0]], key=lambda m: m.run))
-    assert {v.verdict for v in verdicts} == {Verdict.UNRELATED}
-    assert decide([]) == ()
-    assert decide([lone]) == ()
-
-
 def test_never_holds_through_other_runs(maze, see):
     across = maze.xy[:, 0]
     edges = np.quantile(across, [0.0, 0.45, 0.25, 0.75, 0.55, 1.0])
@@ -117,25 +84,6 @@ def test_same_joins_what_the_evidence_would_not(side_by_side):
     assert "locked as the same" in v.reason
 
 
-def test_a_lock_on_a_junction_counts_on_the_corridor_that_both_drove_from_there(see):
-    world = make_world("tiles", 60, 306)
-    across = np.sort(world.xy[:, 0])
-    seen = {"missed": 0.03, "branch_fault": 0.05, "bend_m": 0.3, "centre_m": 0.06}
-    half = len(across) // 2
-    a = see(world, np.flatnonzero(world.xy[:, 0] <= across[half + 1]).tolist(), 6, "a", **seen)
-    b = see(world, np.flatnonzero(world.xy[:, 0] >= across[half - 1]).tolist(), 56, "b", **seen)
-    truth = a.info["truth"], b.info["truth"]
-    common = sorted(set(truth[0]) & set(truth[1]))
-    assert len(common) == 5
-    for vertex in common:
-        at = (truth[0].index(vertex), truth[1].index(vertex))
-        found = only([a, b], locks=[Lock("a", "b", "same", at)])
-        assert found.accepted
-        assert [truth[0][i] for i, _ in found.best.matched] == [
-            truth[1][j] for _, j in found.best.matched
-        ]
-
-
 def test_a_lock_that_no_alignment_honours_is_said_to_be_so(halves, drawn):
     assert only(halves).accepted
     crossing = next(v for v in range(len(halves[0])) if halves[0].degree[v] == 4)
@@ -164,24 +112,6 @@ def test_locks_that_cannot_be(halves):
     with pytest.raises(UsageError, match="two ways"):
         only(halves, locks=[Lock("left", "right", "same"), Lock("left", "right", "never")])
     assert only(halves, locks=[Lock("left", "elsewhere", "never")]).accepted
-
-
-def test_a_folder_of_several_buildings_is_judged_building_by_building(mixed):
-    """What offices share with other parts of themselves is no reason to doubt a maze."""
-    maze, office = mixed[:4], mixed[4:]
-    told = {(v.a, v.b): v for v in decide(sorted(mixed, key=lambda m: m.run))}
-    both = told["left", "right"]
-    assert both.accepted
-    assert "same_place_bits" not in both.extra
-    alone = {
-        (v.a, v.b): v for part in (maze, office) for v in decide(sorted(part, key=lambda m: m.run))
-    }
-    assert both.evidence_bits == alone["left", "right"].evidence_bits
-    assert "same_place_bits" in told["o-0", "o-1"].extra
-    assert all(told[pair].extra == v.extra for pair, v in alone.items())
-    # Three runs of a building do not tell that it does not repeat itself.
-    fewer = {(v.a, v.b): v for v in decide(sorted([*maze[:3], *office], key=lambda m: m.run))}
-    assert "same_place_bits" in fewer["left", "right"].extra
 
 
 def test_wings_built_alike_are_not_taken_for_each_other(see):
@@ -229,19 +159,6 @@ def test_a_wing_built_the_other_way_round_is_not_the_place(drawn):
     assert only([wing, replace(mirrored(image), run="b")]).accepted
 
 
-def test_a_copy_of_another_size_is_not_the_place(halves):
-    """Each corridor for itself may be off by the odometry's scale; not all by the same factor."""
-    a, b = (replace(m, noise=replace(m.noise, scale=0.004)) for m in halves)
-    larger = replace(b, xy=1.03 * b.xy, length=1.03 * b.length, paths=[1.03 * p for p in b.paths])
-    assert only([a, b]).accepted
-    v = only([a, larger])
-    assert v.verdict is Verdict.AMBIGUOUS
-    assert v.evidence_bits > v.threshold_bits
-    assert "another size" in v.reason
-    unsure = replace(larger, noise=replace(b.noise, scale=0.02))
-    assert only([a, unsure]).accepted
-
-
 def _wing(drawn, name, first=0, last=9):
     """Part of a corridor with crossings, rooms on one of its sides."""
     steps = np.cumsum([0.0, 4.0, 9.3, 6.1, 13.7, 5.2, 17.9, 7.7, 11.3, 3.1])
@@ -251,22 +168,6 @@ def _wing(drawn, name, first=0, last=9):
     hangs = [(k - first, len(line) + n) for n, k in enumerate(side)]
     crossed = [(k - first, -np.pi / 2) for k in side]
     return drawn(name, [*line.values(), *side.values()], [*chain, *hangs], stubs=crossed)
-
-
-def test_components_must_fit_better_than_their_mirror_images_too(drawn):
-    """Two runs of one wing say together what neither says alone; of its image they say nothing."""
-    parts = [_wing(drawn, "b", last=6), _wing(drawn, "c", first=3)]
-    images = [replace(mirrored(m), run=m.run) for m in parts]
-    wing, known = _wing(drawn, "a"), [Lock("b", "c", "same")]
-    alone = max(only([image, part]).evidence_bits for image in images for part in [wing])
-    strict = RobustSettings(false_merge_rate=3 * 2.0 ** -(alone + 2))
-    said = {(v.a, v.b): v for v in decide([wing, *parts], strict, locks=known)}
-    assert said["a", "b"].accepted
-    assert said["a", "c"].accepted
-    said = {(v.a, v.b): v for v in decide([wing, *images], strict, locks=known)}
-    assert said["b", "c"].accepted
-    assert not said["a", "b"].accepted
-    assert not said["a", "c"].accepted
 
 
 def _apart(world, size, seed):
@@ -303,27 +204,3 @@ def test_components_say_together_what_no_pair_can(maze, see):
     assert not locked["a", "c"].accepted
     assert "no alignment of the two honours the lock" in locked["a", "c"].reason
     assert not locked["b", "c"].accepted
-
-
-def test_runs_of_a_copy_of_another_size_are_told_together(see):
-    """Two of the runs have too little in common to tell; the others know."""
-    world = make_world("maze", 60, 0)
-    regions = scattered_regions(world, 3, 32, Chance("sizes", 0))
-    runs = [see(world, sorted(r), k, f"r{k}", bend_m=0.3) for k, r in enumerate(regions)]
-    larger = [
-        replace(
-            m,
-            run=f"x{m.run}",
-            xy=1.03 * m.xy,
-            length=1.03 * m.length,
-            paths=[1.03 * path for path in m.paths],
-        )
-        for m in runs
-    ]
-    alone = [(a.run, b.run) for a in runs for b in larger if only([a, b]).accepted]
-    told = decide([*runs, *larger])
-    assert alone
-    assert not [v for v in told if v.accepted and v.a[0] != v.b[0]]
-    assert all(v.accepted or v.through for v in told if v.a[0] == v.b[0])
-    refused = {(v.a, v.b): v.reason for v in told}
-    assert any(refused[pair].endswith(LARGER_TOGETHER.reason) for pair in alone)

@@ -63,19 +63,6 @@ def test_two_merged_runs_say_of_a_third_what_neither_says_alone(three, found):
         assert "together with" in reunion.reason
 
 
-def test_what_they_say_together_may_be_too_little(three, found):
-    total = sum(counted_bits(found[pair][0]) for pair in PAIRS)
-    parts, reunions = rematched(three, found, total)
-    assert not parts.together(0, 2)
-    assert reunions == {}
-
-
-def test_runs_kept_apart_stay_apart(three, found):
-    parts, reunions = rematched(three, found, 15.0, never=[(1, 2)])
-    assert not parts.together(0, 2)
-    assert reunions == {}
-
-
 def test_components_are_joined_as_locks_name_their_junctions_or_not_at_all(three, found):
     _, reunions = rematched(three, found, 15.0)
     (u, v), (_, w) = reunions[1, 2].alignment.matched[:2].tolist()

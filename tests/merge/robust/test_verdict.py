@@ -19,9 +19,7 @@ from topobatch.merge.robust.verdict import (
     _missing,
     assess,
     counted_bits,
-    in_steps,
     misfits,
-    needed_bits,
     threshold_for,
     uniformity,
 )
@@ -53,20 +51,6 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     unasked = replace(answers, same_place=None)
     assert unasked.bits == answers.carried
     assert _missing(told, unasked, None, among_many) == "chance offers as much too often"
-
-
-def test_a_contradiction_takes_back_a_junction(drawn):
-    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    told = match(a, b, SETTINGS)[0]
-    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
-    (answers,) = assess(a, b, [told], threshold).answers
-    unasked = replace(answers, same_place=None)
-    spare = len(told) - SETTINGS.min_matches
-    why = []
-    for many in (spare, spare + 1):
-        against = replace(told.conflicts, elsewhere=np.zeros((many, 2), np.int64))
-        why.append(_missing(replace(told, conflicts=against), unasked, None, threshold))
-    assert why == ["", "5 junctions at least must agree, one more for every contradiction"]
 
 
 def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
@@ -146,24 +130,3 @@ def test_a_placement_with_no_more_against_it_keeps_the_best_from_being_merged(wi
     for told in (less, replace(other, conflicts=doubt)):
         merged = assess(a, b, [best, told], threshold)
         assert (merged.verdict, merged.lead_bits) == (Verdict.MERGED, MATCH.lead_bits)
-
-
-def test_pairs_are_counted_in_steps_and_never_too_few():
-    assert [in_steps(n) for n in range(16)] == list(range(16))
-    counts = [*range(1, 3000), 19_900, 1_007_490, 49_995_000]
-    for n in counts:
-        assert n <= in_steps(n) <= 9 * n / 8
-        assert in_steps(in_steps(n)) == in_steps(n)
-    # One more run of 1,420 is no step for most.
-    steps = {in_steps(n * (n - 1) // 2) for n in range(1400, 1440)}
-    assert len(steps) == 2
-    assert needed_bits(16, SETTINGS) < needed_bits(17, SETTINGS) == needed_bits(18, SETTINGS)
-
-
-def test_a_rival_is_not_merged(halves):
-    a, b = (prepare(m) for m in halves)
-    best = match(a, b, SETTINGS)[0]
-    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
-    assert assess(a, b, [best], threshold).verdict is Verdict.MERGED
-    view = assess(a, b, [replace(best, rival=True)], threshold)
-    assert (view.verdict, view.why) == (Verdict.AMBIGUOUS, MAYBE_COPY)

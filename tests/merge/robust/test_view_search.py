@@ -4,7 +4,6 @@ import numpy as np
 
 from topobatch.merge.robust.view_search import pictured, placements
 from topobatch.topology.se2 import apply, wrap
-from topobatch.topology.views import NO_VIEWS
 
 from .rooms import line, views_of, walls_of
 
@@ -19,11 +18,3 @@ def test_the_true_placement_comes_first() -> None:
     there = apply(T_B_WORLD, np.array([20.0, 20.0]))
     assert np.hypot(*(apply(found[0], there) - [20.0, 20.0])) < 1.0
     assert abs(wrap(found[0, 2] + 2.0)) < 0.05
-
-
-def test_views_without_walls_propose_nothing() -> None:
-    bare = pictured(views_of(np.zeros((0, 4)), line((0, 0), (20, 0))))
-    some = pictured(views_of(walls_of(1), line((5, 20), (35, 20))))
-    for a, b in ((bare, some), (some, bare), (bare, bare)):
-        assert placements(a, b).shape == (0, 3)
-    assert placements(pictured(NO_VIEWS), some).shape == (0, 3)

@@ -10,7 +10,7 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.merge.robust.merged_maps import MergedMaps
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE, judged, laid, repeats
+from topobatch.merge.robust.view_evidence import judged, laid, repeats
 from topobatch.merge.robust.view_search import pictured
 from topobatch.merge.robust.view_ties import view_ties
 from topobatch.topology.se2 import apply, compose, inverse, wrap
@@ -43,11 +43,6 @@ def test_ties_say_where_junctions_lie() -> None:
     assert np.hypot(*off.T).max() < 0.5
     assert np.abs(wrap(ties.measurement[:, 2] + T_B_WORLD[2])).max() < 0.03
     np.linalg.cholesky(ties.information)  # positive definite
-
-
-def test_views_that_say_nothing_tie_nothing() -> None:
-    a, b, _ = seen_by_both()
-    assert len(view_ties(prepare(a), prepare(b), NO_VIEW_EVIDENCE).source) == 0
 
 
 def test_maps_with_one_wrong_match_are_laid_out_by_their_views() -> None:

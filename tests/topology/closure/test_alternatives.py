@@ -9,13 +9,12 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.topology.closure import alternatives
 from topobatch.topology.closure.alternatives import crossing_share, most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning, scale_noise
 from topobatch.topology.closure.estimate import optimise
-from topobatch.topology.closure.incremental import Closed, RoundSettings, full_closure
+from topobatch.topology.closure.incremental import Closed, RoundSettings
 
-from .walks import NOISE, aisles, grid_world, partition, record, to_and_fro, wander
+from .walks import NOISE, grid_world, partition, record, wander
 
 ROUNDS = RoundSettings()
 LOUD = replace(NOISE, heading_rad_per_sqrt_m=0.03)
@@ -44,24 +43,6 @@ def test_a_map_that_lies_over_itself_gives_way_to_the_closure_that_explains_the_
     closed = most_likely_closure(reckoning, first, reckoning, ROUNDS)
     assert closed.place.tolist() == partition(truth).tolist()
     assert closed.reckoning.noise == scale_noise(reckoning, ROUNDS.caution).noise
-
-
-def test_a_right_closure_stands(monkeypatch):
-    monkeypatch.setattr(alternatives, "crossing_share", lambda _: 1.0)  # as bridges do
-    odometry, passes, truth = walk(0)
-    reckoning = dead_reckoning(odometry, passes, LOUD)
-    right = partition(truth)
-    first = Closed(reckoning, right, optimise(reckoning, right), [], None)
-    assert most_likely_closure(reckoning, first, reckoning, ROUNDS) is first
-
-
-def test_a_map_that_repeats_itself_is_not_closed_anew():
-    # One row off explains the run as well.
-    odometry, passes, _ = record(aisles(8), to_and_fro(8), np.random.default_rng(1))
-    reckoning, first = unclosed(odometry, passes, NOISE)
-    assert crossing_share(first) > ROUNDS.most_crossing
-    assert len(np.unique(full_closure(reckoning).place)) < len(first.place)
-    assert most_likely_closure(reckoning, first, reckoning, ROUNDS) is first
 
 
 def test_streets_with_a_false_grid_do_not_stand_twice():

@@ -66,18 +66,3 @@ def test_identifications_that_agree_on_one_position_are_sure_together(offsets, t
     rows, odds, reason = agreeing(estimate, found, common, EvidenceSettings(), least_odds=9.0)
     assert (rows.tolist() == list(range(k))) is together
     assert (np.all(odds > 4.5), reason) == (True, "")
-
-
-@pytest.mark.parametrize(("off", "expected"), [(3.0, []), (0.4, [0, 1, 2])])
-def test_a_rival_that_agrees_as_well_leaves_it_open(off, expected):
-    """Junctions 6 m apart, passed again: by these, or each by the next one?"""
-    reckoning, estimate = _ends_of_a_long_way([[off, 0.0]] * 3, street=(0, 6, 12, 18))
-    a, b = np.array([0, 1, 2, 1, 2, 3]), np.array([8, 9, 10, 8, 9, 10])
-    found = _asked(a, b, np.full(6, -2.0), np.full(6, 5.0))
-    agreed = agreeing(
-        estimate, found, background(reckoning, reckoning.noise), EvidenceSettings(), least_odds=9.0
-    )
-    accepted = [] if agreed.reason else agreed.rows.tolist()
-    assert accepted == expected
-    assert ("exclude" in agreed.reason) is (expected == [])
-    assert len(agreed.odds) == len(accepted)

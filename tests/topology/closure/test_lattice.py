@@ -34,18 +34,3 @@ def test_a_lattice_is_found_by_its_steps():
     # Known to 3 m, the line of neighbours is a blur.
     blurred = lattice.density(np.array([[3.0, 0], [1.5, 0]]), np.tile(9.0 * np.eye(2), (2, 1, 1)))
     assert blurred[0] == pytest.approx(blurred[1], rel=0.2)
-
-
-def test_each_piece_of_a_broken_odometry_has_steps_of_its_own():
-    """Three pieces in frames turned against each other: together no step leads from most places."""
-    row = [(0, c) for c in range(72)]
-    odometry, passes, truth = record(aisles(72), row, breaks_before=(24, 48))
-    reckoning = dead_reckoning(odometry, passes, NOISE)
-    place = np.arange(len(truth))
-    estimate = optimise(reckoning, place)
-    places = tabulate(reckoning, place, estimate.pose[:, 2])
-    turn = np.repeat([0.0, 0.7, 1.4], 24)
-    at = 3.0 * np.tile(np.arange(24), 3)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    lattice = lattice_of(places, at, core_m=2.0, typical_m=3.0)
-    asked = 3.0 * np.stack([np.cos([0.0, 0.7, 1.4, 0.35]), np.sin([0.0, 0.7, 1.4, 0.35])], axis=1)
-    assert lattice.is_step(asked).tolist() == [True, True, True, False]

@@ -7,12 +7,11 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
-from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.manhattan import grid_corridors, grid_headings
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.se2 import apply, fit_rigid, wrap
+from topobatch.topology.se2 import wrap
 
-from .walks import NOISE, aisles, grid_world, record, to_and_fro, wander
+from .walks import NOISE, aisles, grid_world, record, wander
 
 
 def test_grid_headings_follow_the_drift():
@@ -60,50 +59,3 @@ def test_corridors_of_a_grid_go_straight_or_round_one_corner():
     assert (
         len(grid_corridors(replace(reckoning, leg=reckoning.leg + 3.0), grid, turn, 3.0).row) == 0
     )
-
-
-def test_along_straight_corridors_nobody_drifts_aside():
-    rng = np.random.default_rng(31)
-    world = aisles(12)
-    odometry, passes, truth = record(world, to_and_fro(12), rng)
-    reckoning, place = dead_reckoning(odometry, passes, NOISE), np.arange(len(passes))
-    grid = grid_headings(reckoning)
-    plain = optimise(reckoning, place, grid=grid)
-    corridors = grid_corridors(reckoning, grid, plain.pose[:, 2], 3.0)
-    straight = optimise(reckoning, place, grid=grid, corridors=corridors)
-    ends = np.array([0]), np.array([len(place) - 1])
-    before, after = (
-        np.linalg.eigvalsh(estimate.relative_covariance(*ends)[0][:2, :2])[-1]
-        for estimate in (plain, straight)
-    )
-    assert after < 0.5 * before
-    true = np.array([world[0][v] for v in truth])
-    off = apply(fit_rigid(true, straight.xy), straight.xy) - true
-    assert np.abs(off).max() < 3 * np.sqrt(after)
-
-
-def test_every_piece_of_a_broken_odometry_follows_the_grid_in_its_own_frame():
-    rng = np.random.default_rng(14)
-    world = grid_world(5, 5, rng)
-    odometry, passes, _ = record(world, wander(world[1], 60, rng), rng, breaks_before=(20, 45))
-    reckoning = dead_reckoning(odometry, passes, NOISE)
-    grid = grid_headings(reckoning)
-    assert grid is not None
-    pieces = [reckoning.piece[grid.row] == k for k in range(3)]
-    for piece in pieces:
-        aligned = [
-            passes.branches[i] + t for i, t in zip(grid.row[piece], grid.turn[piece], strict=True)
-        ]
-        quarter = np.exp(4j * np.concatenate(aligned))
-        spread = np.angle(quarter / quarter.mean()) / 4
-        assert np.abs(spread).max() < 0.2
-        assert grid.turn[piece][0] == 0.0
-    # Laid out, every piece is as straight as the grid.
-    estimate = optimise(reckoning, np.arange(len(reckoning)), grid=grid)
-    start = optimise(reckoning, np.arange(len(reckoning)))
-    for k in range(3):
-        rows = np.flatnonzero(reckoning.piece == k)
-        along = np.diff(estimate.xy[rows], axis=0)
-        plain = np.diff(start.xy[rows], axis=0)
-        heading, bent = (np.exp(4j * np.arctan2(d[:, 1], d[:, 0])) for d in (along, plain))
-        assert abs(heading.mean()) > max(0.99, abs(bent.mean()))

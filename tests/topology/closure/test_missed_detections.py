@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
-from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.incremental import full_closure
 from topobatch.topology.closure.missed_detections import correct_detections, phantoms
 from topobatch.topology.closure.places import tabulate
@@ -27,20 +24,6 @@ def test_a_missed_junction_becomes_an_unseen_visit():
     assert int((~corrected.visits.seen).sum()) == 1
     again = corrected.visits.vertex.tolist()
     assert again == partition(route).tolist()
-
-
-def test_a_place_is_not_missed_where_its_double_is_seen():
-    """A second round that was not recognised lies beside the first: each of its places would be
-    missed in the other, and cut the corridors there."""
-    route = [(0, 0), (0, 1), (0, 2), (0, 1), (0, 0)]
-    odometry, passes, _ = record(grid_world(1, 3), route)
-    reckoning = dead_reckoning(odometry, passes, NOISE)
-    place = np.arange(len(route))
-    estimate = optimise(reckoning, place)
-    beside = replace(estimate, xy=estimate.xy + np.where(place < 3, 0.0, 0.5)[:, None] * [1.0, 0.0])
-    corrected = correct_detections(reckoning, odometry, place, beside)
-    assert corrected.visits.seen.all()
-    assert corrected.visits.vertex.tolist() == place.tolist()
 
 
 def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import set_apart
 from topobatch.topology.closure.incremental import full_closure
 
-from .walks import NOISE, grid_world, partition, record
+from .walks import NOISE, grid_world, record
 
 
 def test_pieces_of_a_broken_odometry_stay_apart():
@@ -31,16 +29,3 @@ def test_pieces_of_a_broken_odometry_stay_apart():
         np.diff(closed.estimate.xy[closed.place[5:]], axis=0),
         atol=1e-9,
     )
-
-
-def test_a_break_parts_what_lies_on_each_other():
-    """The odometry goes on where it was, as far as it says: nobody knows how far it is off."""
-    route = [(0, 0), (0, 1), (1, 1), (1, 0)] * 3
-    odometry, passes, truth = record(grid_world(2, 2), route)
-    whole = full_closure(dead_reckoning(odometry, passes, NOISE))
-    assert whole.place.tolist() == partition(truth).tolist()
-    row = int(np.searchsorted(odometry.time_ns, passes.time_ns[6])) - 10
-    broken = replace(odometry, breaks=np.array([row]))
-    place = full_closure(dead_reckoning(broken, passes, NOISE)).place
-    assert set(place[:6]).isdisjoint(place[6:])
-    assert place[:6].tolist() == partition(truth[:6]).tolist()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -56,14 +54,6 @@ def test_two_forks_in_place_of_a_crossing_are_the_crossing_that_was_seen_better(
     assert all(q.accepted and q.bits > 0 for q in corrected.identifications)
 
 
-def test_two_forks_that_were_seen_better_are_no_crossing():
-    route = [*THERE, *THERE[-2::-1], *THERE[1:], "crossing", "west"]
-    corrected, number = corrected_by_sight(route, 1.3)
-    assert number["left"] != number["right"]
-    assert number["crossing"] in (number["left"], number["right"])
-    assert len(corrected.xy) == 4
-
-
 def test_what_a_detector_tells_apart_stays_apart():
     route = [*THERE, "crossing", "west"]
     assert len(corrected_by_sight(route, 0.0)[0].xy) == 5
@@ -71,13 +61,3 @@ def test_what_a_detector_tells_apart_stays_apart():
     told, number = corrected_by_sight([*THERE, *THERE[-2::-1]], 1.3)
     assert number["left"] != number["right"]
     assert told.identifications == []
-
-
-def test_places_that_may_well_be_farther_apart_stay_two():
-    odometry, passes, truth = record(a_crossing_seen_as_two_forks(), [*THERE, "crossing", "west"])
-    vague = replace(NOISE, along_m_per_sqrt_m=0.2)
-    reckoning, place = dead_reckoning(odometry, passes, vague), partition(truth)
-    corrected = correct_detections(
-        reckoning, odometry, place, optimise(reckoning, place), resolution_m=1.3
-    )
-    assert len(corrected.xy) == 5

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.view_loops import view_loops
@@ -57,14 +56,6 @@ def test_a_track_that_comes_by_again_is_laid_out_again():
     np.testing.assert_allclose(np.hypot(*gap.T), np.hypot(*loops.measurement[:, :2].T), atol=0.5)
 
 
-def test_a_track_that_never_comes_by_again_has_no_loops():
-    line = [(8, 8), (52, 8), (52, 25), (8, 25), (8, 42), (52, 42)]
-    reckoning, index, way, _ = driven(floor(12), line, 2)
-    closed, estimate = view_loops(reckoning, index, way)
-    assert len(closed.loops) == 0
-    np.testing.assert_allclose(estimate.pose[:, :2], reckoning.passes.centre, atol=1e-6)
-
-
 def test_equal_places_make_no_loops():
     # Four aisles with the same walls beside each: each looks like the others.
     wall = np.zeros((600, 600), bool)
@@ -76,13 +67,3 @@ def test_equal_places_make_no_loops():
     closed, _ = view_loops(reckoning, index, way)
     gap = truth[closed.loops.second] - truth[closed.loops.first]
     assert not np.any(np.hypot(*gap.T) > 5.0)
-
-
-@pytest.mark.parametrize("count", [0, 1])
-def test_too_few_views_have_no_loops(count):
-    reckoning, index, way, _ = driven(floor(11), ROUND, 1)
-    short = Odometry(np.arange(3), np.zeros((3, 3)), np.zeros(0, np.int64))
-    seen = reckoning.passes
-    none = dead_reckoning(short, passes_at(seen.time_ns[:count], seen.centre[:count]), NOISE)
-    closed, _ = view_loops(none, index, way[:count])
-    assert len(closed.loops) == 0

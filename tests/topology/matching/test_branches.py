@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from topobatch.topology.matching.branches import agreeing, mutual_nearest
-from topobatch.topology.matching.likelihood import LIKELIHOOD, log_density
+from topobatch.topology.matching.branches import mutual_nearest
+from topobatch.topology.matching.likelihood import LIKELIHOOD
 from topobatch.topology.se2 import wrap
 
 
@@ -29,15 +29,3 @@ def test_pairs_are_those_of_brute_force():
             if same:
                 assert pairs.nearest[row, i] == j
                 assert pairs.chord2[row, i] == pytest.approx(4 * np.sin(off[row, i, j] / 2) ** 2)
-
-
-def test_paired_branches_tell_by_how_near_and_how_free_they_are():
-    a = np.exp(1j * np.array([[0.0, 1.5, 3.0]]))
-    b = np.exp(1j * np.array([[0.1, 1.5]]))
-    pairs = mutual_nearest(a, b)
-    assert pairs.paired.tolist() == [[True, True, False]]
-    variance, free = np.array([0.01]), np.array([[1.0, 2.0, 50.0]])
-    fit = log_density(pairs.chord2 / 0.01, np.full((1, 3), 0.01))[0]
-    told = agreeing(pairs, variance, free, np.inf)
-    assert told == pytest.approx(fit[0] + 1.0 + fit[1] + 2.0)
-    assert agreeing(pairs, variance, free, 0.5) == pytest.approx(1.0)

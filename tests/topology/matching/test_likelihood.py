@@ -6,7 +6,6 @@ from scipy.stats import chi2
 
 from topobatch.topology.matching.likelihood import (
     LIKELIHOOD,
-    density_of_equals,
     doubted,
     length_log_density,
     log_density,
@@ -32,30 +31,6 @@ def test_what_is_common_is_worth_little():
     peak = LIKELIHOOD.cells_per_m / LIKELIHOOD.kernel_cells
     assert worth[0] == pytest.approx(-np.log(0.95 * 0.95 * peak), abs=0.01)
     assert len(rarity(np.zeros(0))) == 0
-
-
-def test_rarity_is_of_a_density():
-    """Summed over cells, the density of lengths like each is that of all of them."""
-    length = np.random.default_rng(0).gamma(4.0, 2.0, 4000)
-    cell = (length * LIKELIHOOD.cells_per_m).astype(int)
-    _, first = np.unique(cell, return_index=True)
-    total = np.exp(-rarity(length)[first]).sum() / LIKELIHOOD.cells_per_m
-    assert total == pytest.approx(1.0, abs=0.02)
-
-
-@pytest.mark.parametrize("scale", [3.0, 400.0])
-def test_density_of_equals_is_that_of_all_differences(scale):
-    one_way = np.random.default_rng(1).uniform(1, scale, 300)
-    length = np.concatenate([one_way, one_way])
-    total, count = density_of_equals(length)
-    cell = (length * LIKELIHOOD.cells_per_m).astype(int)
-    reach = LIKELIHOOD.kernel_cells
-    off = np.abs(cell[:, None] - cell)
-    weight = np.maximum(reach - off, 0) / reach**2 * LIKELIHOOD.cells_per_m
-    own = np.eye(600, dtype=bool) | np.roll(np.eye(600, dtype=bool), 300, axis=1)
-    assert total == pytest.approx(weight[~own].sum())
-    assert count == np.count_nonzero(~own)
-    assert density_of_equals(np.zeros(0)) == (0.0, 0.0)
 
 
 def test_a_look_in_doubt_tells_less_for_and_against():

@@ -23,20 +23,6 @@ def test_a_grid_is_found_by_its_direction(grid):
     assert grid_direction(np.zeros(0)) is None
 
 
-def test_every_corridor_is_seen_from_both_of_its_ends():
-    east, north, west = 0.0, np.pi / 2, np.pi
-    m = topomap([[east, north], [-west], [-north]], [(0, 0, 1, 0, 5.0), (0, 1, 2, 0, 7.0)])
-    found = prepare(m)
-    assert found.start.tolist() == [0, 1, 0, 2]
-    assert found.end.tolist() == [1, 0, 2, 0]
-    assert found.length.tolist() == [5.0, 5.0, 7.0, 7.0]
-    assert found.slot[:, 0].tolist() == [0, 2, 3]
-    assert found.mask.tolist() == [0b0011, 0b0100, 0b1000]
-    # Two corridors that a quarter turn takes to each other are of one kind only if their ends are.
-    assert found.slot_kind[0] != found.slot_kind[2]
-    assert not found.crowded
-
-
 def test_an_unknown_branch_is_the_free_one_along_the_path():
     def ends(branches):
         m = topomap([branches, [np.pi]], [(0, NO_BRANCH, 1, 0, 5.0)])

@@ -11,7 +11,6 @@ from topobatch.topology.matching.views import (
     CONTRADICTS,
     SILENT,
     TURN_RAD,
-    Registered,
     ViewIndex,
     ViewNull,
     compared,
@@ -49,12 +48,6 @@ def test_any_turn_is_found_among_those_that_are_tried():
     assert abs(wrap(found.transform[0, 2] - expected[2])) < 0.03
 
 
-def test_far_shifts_are_found_around_where_they_are_expected():
-    one, other = (30.0, 30.0, 0.0), (33.5, 28.0, 0.0)
-    found = registered(floor(3), one, other, reach_m=1.2, centre=np.array([[3.0, -1.5]]))
-    np.testing.assert_allclose(found.transform[0, :2], [3.5, -2.0], atol=0.15)
-
-
 def test_other_places_contradict():
     wall = floor(4)
     poses = np.array([[x, y, 0.0] for x in (15, 30, 45) for y in (15, 30, 45)])
@@ -67,16 +60,6 @@ def test_other_places_contradict():
     assert same.z.min() > other.z.max() + 1.0
 
 
-def test_what_only_one_side_saw_says_nothing():
-    wall = floor(5)
-    whole = ViewIndex.of(views_at(wall, [(30, 30, 0)]))
-    half = ViewIndex.of(views_at(wall, [(30, 30, 0)], known=lambda x, y: x < 30))
-    zero = np.zeros(1, int)
-    found = register(whole, half, zero, zero, TURNS[None])
-    assert found.contradict[0] <= 2
-    assert found.agree[0] > 50
-
-
 def test_a_bare_corridor_does_not_tell_how_far_along_it_one_is():
     wall = np.zeros((600, 600), bool)
     wall[[288, 289, 311, 312], :] = True
@@ -85,17 +68,6 @@ def test_a_bare_corridor_does_not_tell_how_far_along_it_one_is():
     assert across > 20 * along
     crossing = registered(floor(6), (30, 30, 0), (30, 30, 0))
     assert crossing.information[0, 0, 0] > 5 * along
-
-
-def test_views_without_a_wall_are_registered_as_telling_nothing():
-    empty = ViewIndex.of(views_at(np.zeros((600, 600), bool), [(30, 30, 0)]))
-    zero = np.zeros(1, int)
-    found = register(empty, empty, zero, zero, TURNS[None])
-    assert found.z[0] == 0
-    assert np.isfinite(found.transform).all()
-    none = register(empty, empty, zero[:0], zero[:0], TURNS[None][:0])
-    assert isinstance(none, Registered)
-    assert len(none.z) == 0
 
 
 def test_odds_are_measured_against_other_places_of_the_same_run():
@@ -110,11 +82,6 @@ def test_odds_are_measured_against_other_places_of_the_same_run():
     # Better than usual counts as usual, and nothing counts without bound.
     assert plain.odds(z)[2] == plain.odds(z)[3] <= 9 * BIT
     assert plain.odds(np.array([-5.0]))[0] >= -5 * BIT
-
-
-def test_too_few_pairs_tell_nothing_of_a_distribution():
-    usual = ViewNull.of(np.zeros(0), np.zeros(0))
-    assert ViewNull.of(np.full(5, 9.0), np.full(2, 9.0)) == usual
 
 
 def test_walls_of_two_views_are_told_apart():

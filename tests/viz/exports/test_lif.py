@@ -7,11 +7,6 @@ import numpy as np
 from .readers import BOUND_M, distance, read_lif, text_of
 
 
-def test_a_map_without_corridors_has_nodes(bare_map) -> None:
-    (layout,) = read_lif(text_of(bare_map, "lif")).layouts
-    assert (len(layout.nodes), layout.edges) == (2, [])
-
-
 def test_lif_gives_curves_as_trajectories(driven, odd_map) -> None:
     for topomap in (driven[1], odd_map):
         (layout,) = read_lif(text_of(topomap, "lif")).layouts

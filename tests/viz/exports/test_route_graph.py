@@ -62,15 +62,3 @@ def test_the_sigmas_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> No
             assert whole == pytest.approx(np.maximum(topomap.length_sigma, least))
     assert (topomap.measured.scale * topomap.length < topomap.length_sigma).all()
     assert np.bincount(route_graph(topomap, 0.02).edge).max() > 1
-
-
-def test_the_lengths_of_the_pieces_add_up_to_those_of_the_corridors(driven) -> None:
-    """However coarse the pieces: they cut bends short, which is no part of the way."""
-    topomap = driven[1]
-    for bound in (0.02, 0.3):
-        graph = route_graph(topomap, bound)
-        assert np.bincount(graph.edge, graph.length) == pytest.approx(topomap.length)
-    for form in ("nav2", "tmap2"):
-        edges = READERS[form](text_of(topomap, form)).edges(data=True)
-        told = sum(data["length"] for *_, data in edges)
-        assert told == pytest.approx(2 * float(topomap.length.sum()), rel=1e-3)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
 from topobatch.viz.exports import MAP_FORMATS
 
 from .readers import read_csv
@@ -18,17 +15,6 @@ def test_tables_have_a_row_for_everything(driven) -> None:
     assert [int(row["source"]) for row in corridors] == driven[1].source.tolist()
     assert sum(int(row["passes"]) for row in junctions) == len(driven[1].observation_vertex)
     assert all(0.2 < float(row["speed_m_per_s"]) < 1.5 for row in corridors)
-
-
-def test_tables_tell_how_sure_junctions_are(driven) -> None:
-    doubted = replace(driven[1], confidence=np.linspace(0.25, 1.0, len(driven[1])))
-    rows = read_csv(MAP_FORMATS["csv"][".junctions.csv"](doubted, 0.1))
-    assert [float(row["confidence"]) for row in rows] == pytest.approx(doubted.confidence, abs=1e-3)
-
-
-def test_a_map_without_corridors_has_an_empty_table(bare_map) -> None:
-    junctions, corridors = (read_csv(write(bare_map, 0.1)) for write in MAP_FORMATS["csv"].values())
-    assert (len(junctions), corridors) == (2, [])
 
 
 def test_formulas_in_tables_are_quoted(driven) -> None:

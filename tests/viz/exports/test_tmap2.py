@@ -12,11 +12,6 @@ import yaml
 from .readers import read_tmap2, text_of
 
 
-def test_a_map_without_corridors_has_nodes(bare_map) -> None:
-    graph = read_tmap2(text_of(bare_map, "tmap2"))
-    assert (len(graph), graph.number_of_edges()) == (2, 0)
-
-
 def test_the_planner_finds_the_shortest_way(driven) -> None:
     """A* over `weight`, with the way as the crow flies for what is left, as LCAS plans; one edge
     between two nodes, for it keeps no more."""
@@ -38,11 +33,3 @@ def test_areas_of_nodes_do_not_touch(driven) -> None:
     at = [(p["x"], p["y"]) for p in (n["node"]["pose"]["position"] for n in nodes)]
     for a, b in combinations(range(len(nodes)), 2):
         assert reach[a] + reach[b] < math.dist(at[a], at[b]) + 0.005
-
-
-def test_the_frame_is_the_maps_own(odd_map) -> None:
-    """The map manager publishes where it lies, which it must not do for an odometry's frame."""
-    assert odd_map.frame == "odom"
-    text = text_of(odd_map, "tmap2")
-    assert '"odom"' not in text
-    read_tmap2(text)
