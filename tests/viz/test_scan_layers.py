@@ -9,8 +9,11 @@ import pytest
 
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Anchored, Scanned, ScanPasses, ScanPicture
+from topobatch.topology.run import Scanned, ScanPasses
+from topobatch.topology.se2 import apply
 from topobatch.topology.topomap import TopoMap
+from topobatch.topology.views import CELL_M, SIDE, WALL, Views
+from topobatch.viz import scan_layers
 from topobatch.viz.map_recording import write_map_recording
 
 from .readback import Readback
@@ -58,6 +61,28 @@ def recorded(path: Path, topomap: TopoMap, odometry: Odometry) -> tuple[Scanned,
     return found, Readback(path)
 
 
+def test_walls_lie_where_the_views_of_the_map_are(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1", (2.0, 1.0, 0.5))
+    odometry = drive(topomap)
+    topomap = seen_walls(topomap, odometry)
+    _, got = recorded(tmp_path / "a.rrd", topomap, odometry)
+    walls = np.array(
+        [at for row in got.rows("/map/scans/walls", "Points2D:positions") for at in row]
+    )
+    pose = topomap.views.pose
+    wanted = apply(np.repeat(pose, 2, axis=0), np.tile(LEFT, (len(pose), 1)))
+    off = np.hypot(*(walls[:, None] - wanted).transpose(2, 0, 1))
+    assert off.min(axis=1).max() < 0.25
+    assert off.min(axis=0).max() < 0.25
+    cells = np.round(walls / CELL_M - 0.5).astype(int)
+    assert len(np.unique(cells, axis=0)) == len(cells) < len(wanted)
+    times = got.times("/map/scans/walls", "message_log_time")
+    assert np.all(np.diff(times) >= 0)
+    assert set(times.tolist()) <= set(topomap.views.time_ns.tolist())
+
+
 def test_junctions_tell_their_confidence_and_their_window(
     tmp_path: Path, make_map: Make, drive: Drive
 ) -> None:
@@ -88,3 +113,27 @@ def test_junctions_tell_their_confidence_and_their_window(
     (summary,) = got.value("/summary", "TextDocument:text")
     assert "walls that the laser saw" in summary
     assert f"**{len(topomap) - 1}** vert" in summary
+
+
+def test_without_scans_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: Drive) -> None:
+    topomap = make_map("run1")
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=drive(topomap))
+    assert not [entity for entity in Readback(tmp_path / "a.rrd").entities if "scans" in entity]
+
+
+def test_many_walls_are_drawn_by_larger_cells(
+    make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from topobatch.viz.robot_track import robot_track
+
+    topomap = make_map("run1")
+    odometry = drive(topomap)
+    topomap = seen_walls(topomap, odometry)
+    track = robot_track(topomap, odometry)
+    assert track is not None
+    found = scanned(topomap)
+    fine = scan_layers.scan_layers(found, topomap, odometry, track)
+    monkeypatch.setattr(scan_layers, "MOST_CELLS", len(fine.walls) - 1)
+    coarse = scan_layers.scan_layers(found, topomap, odometry, track)
+    assert (fine.cell_m, coarse.cell_m) == (CELL_M, 2 * CELL_M)
+    assert 0 < len(coarse.walls) < len(fine.walls)
