@@ -12,6 +12,7 @@ from urllib.parse import urlsplit
 from urllib.request import urlopen
 
 import pytest
+import rerun as rr
 
 
 @pytest.fixture
@@ -62,9 +63,15 @@ def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None
     assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out
 
 
-def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, workspace) -> None:
-    view = ("view", "run1", "-w", str(workspace))
-    call = [sys.executable, "-m", "topobatch.cli", *view, "--web"]
+def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, tmp_path) -> None:
+    with rr.RecordingStream("topobatch") as recording:
+        recording.save(tmp_path / "merged.rrd")
+        recording.log("text", rr.TextLog("shown"))
+    view = ("view", "-w", str(tmp_path))
+    # Tests may run in the background, where processes are started deaf to Ctrl-C.
+    heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
+    code = f"{heeding}; from topobatch.cli.main import main; main()"
+    call = [sys.executable, "-c", code, *view, "--web"]
     with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as served:
         try:
             address = served.stdout.readline().split()[0]
