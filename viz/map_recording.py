@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -149,6 +150,8 @@ def _junctions(
     if n == 0:
         return
     path = (*MAP, "junctions")
+    of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
+    sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
     recording.static(
         path,
         rr.Points2D.from_fields(
@@ -168,8 +171,7 @@ def _junctions(
             passes=topomap.passes,
             confidence=topomap.confidence,
             position_sigma_m=topomap.position_sigma,
-            area_m2=topomap.area_m2,
-            width_m=topomap.width_m,
+            **sizes,
         ),
     )
     colours = palette.by_degree(topomap.degree)

@@ -41,7 +41,7 @@ def nameless(place):
 
 def test_nothing_new_is_not_merged_but_said_again_and_noted(topobatch, place):
     (place / "cache" / "merged" / "merged.json").unlink()
-    first = topobatch("merge", "--all", "-w", place)
+    first = topobatch("merge", "--all", "-v", "-w", place)
     before, noted = files(place), (place / "history.jsonl").read_text().splitlines()
     again = topobatch("merge", "--all", "-v", "-w", place)
     assert NOTHING_NEW in again.err

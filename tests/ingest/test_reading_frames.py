@@ -128,36 +128,6 @@ def test_transforms_of_foxglove(logs, drive, tmp_path, encoding, many):
     same(run.detections, expected)
 
 
-@pytest.mark.parametrize(
-    ("off", "told"),
-    [
-        ((0.0, 0.0), ""),
-        ((0.001, 0.0), ""),
-        ((0.25, 0.0), "0.25 m and 0.0°"),
-        ((0.0, 4.0), "0.00 m and 4.0°"),
-    ],
-)
-def test_transforms_that_contradict_each_other_are_told(logs, drive, tmp_path, off, told):
-    """A sensor on a mast, placed directly as well; rounded to a millimetre they still agree."""
-    odometry, seen = drive
-    expected = read_run(logs.mcap(tmp_path / "plain.mcap", logs.drive())).detections
-    up, shift = np.array([0.0, 0.0, 1.0]), np.array([off[0], 0.0, 0.0])
-    turned = Rotation.from_euler("z", off[1], degrees=True)
-    tf = [
-        transform(logs, "base_footprint", "sensor"),
-        transform(logs, "base_footprint", "mast", Rotation.identity(), up, k=1),
-        transform(logs, "mast", "sensor", turned * LEVEL, XYZ - up + shift, k=2),
-    ]
-    both = [mounted(m, LEVEL, XYZ, "sensor") for m in seen]
-    run = read_run(logs.mcap(tmp_path / "a.mcap", [*odometry, *both, *tf]))
-    warning = (
-        "transforms contradict each other; the shortest chain counts, from which these differ: "
-        f"mast → sensor by {told}"
-    )
-    assert run.warnings == ((warning,) if told else ())
-    same(run.detections, expected)
-
-
 def test_the_base_frame_chooses_among_robots(logs, drive, tmp_path):
     odometry, seen = drive
     expected = read_run(logs.mcap(tmp_path / "plain.mcap", logs.drive())).detections

@@ -67,16 +67,6 @@ def test_an_odometry_that_runs_well_has_no_jumps():
         assert len(odometry.jumps) == 0
 
 
-def test_jumps_too_frequent_to_be_told_from_noise_are_said():
-    time, pose = drive()
-    for row in range(300, 3900, 450):
-        pose = jumped(pose, row, (0.4, 0.2, -0.5))
-    odometry, track = read(time, pose)
-    assert len(odometry.jumps) == 0
-    (warning,) = track.warnings
-    assert warning.startswith("odometry leaves its course by 0.4")
-
-
 def test_a_silence_is_driven_through():
     time, pose = drive()
     keep = np.ones(len(time), bool)
@@ -95,15 +85,3 @@ def test_back_to_the_origin_or_to_the_begin_is_a_reset():
         assert len(odometry.jumps) == 0
         assert "odometry is reset once" in track.warnings[0]
         assert "the chain is split there" in track.warnings[0]
-
-
-def test_odometry_that_stands_and_leaps_to_the_robot_was_late():
-    time, pose = drive()
-    stuck = pose.copy()
-    stuck[2010:2040] = pose[2010]
-    odometry, track = read(time, stuck)
-    # What the odometry repeated meanwhile is not where the robot was.
-    np.testing.assert_allclose(odometry.pose, np.delete(stuck, slice(2011, 2040), 0), atol=1e-9)
-    assert odometry.jumps.tolist() == [2011]
-    assert "stands still and leaps once" in track.warnings[0]
-    assert odometry.jump_sigma[0, 0] > 1.0

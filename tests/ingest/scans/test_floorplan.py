@@ -88,9 +88,3 @@ def test_a_short_way_into_the_unknown_is_a_way(slope: float) -> None:
     assert followed.pop(int(up), "frontier") == "frontier"
     assert set(followed.values()) == {"dead_end"}
     assert all(in_free_cells(c.path, free) for c in corridors)
-
-
-@pytest.mark.parametrize(("free", "cell"), [(np.ones(5, bool), 0.1), (CROSS, 0.0), (CROSS, -1.0)])
-def test_wrong_grids_are_refused(free: np.ndarray, cell: float) -> None:
-    with pytest.raises(ValueError, match="two dimensions and a positive resolution"):
-        skeleton_graph(free, cell)
