@@ -1,6 +1,6 @@
 """Saved grids: junctions that come back, corridors that can be driven, time of a map.
 
-    python benchmarks/grids.py [--maps DIR ...] [--only again,recordings,ways,time] [--worlds 1]
+    python benchmarks/grids.py [--maps DIR ...] [--only again,…,merged] [--worlds 1]
 
 Maps are plans of simulated worlds, drawn in cells of 0.04 m, and the saved maps in the folders DIR
 (`*.yaml` and their pictures; `truth.json` beside them holds the placements of pairs).
@@ -17,6 +17,9 @@ Maps are plans of simulated worlds, drawn in cells of 0.04 m, and the saved maps
               radius of the robot; median clearance; lengths stated over lengths of paths; share of
               the reachable free space within 1 m of the discs along ways; of simulated worlds the
               share of junctions found within 0.5 m, and the median error of their corridors' length
+  merged      a map and the same changed, two a batch: turned, cropped to 70 and 50 % of its length,
+              turned with furniture (25 boxes of .3 to .9 m) and speckle, turned in cells twice as
+              large. Merged and right (within 1 m), merged wrongly, open
   time        seconds of one core for plans of 1,000 m² of free space, and the largest map of each
               group
 """
@@ -40,6 +43,7 @@ from scipy.spatial import cKDTree
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
 from topobatch.ingest.logs.saved_map import read_saved_map
+from topobatch.merge.merging import merge_maps
 from topobatch.simulation import World, make_world
 from topobatch.simulation.walls import free_space
 from topobatch.topology.arrays import BoolArray, FloatArray
@@ -148,7 +152,7 @@ def plans(count: int, cell_m: float = 0.04) -> Iterator[Plan]:
 def saved(folder: Path) -> Iterator[Plan]:
     for file in sorted(folder.glob("*.yaml")):
         try:
-            yield Plan(file.stem, read_saved_map(file))
+            yield Plan(file.stem, read_saved_map(file).grid)
         except TopobatchError as error:
             print(f"{file.name}: {error}")
 
@@ -225,6 +229,35 @@ def thicker(grid: Grid) -> Grid:
     return grid._replace(free=grid.free & ~ndimage.binary_dilation(occupied))
 
 
+def cropped(grid: Grid, share: float) -> Grid:
+    """A share of what is known of a grid, along its longer side."""
+    rows, columns = (np.flatnonzero(~grid.unknown.all(axis=axis)) for axis in (1, 0))
+    known = np.ones(grid.free.shape, bool)
+    if np.ptp(columns) >= np.ptp(rows):
+        known[:, columns[0] + int(share * np.ptp(columns)) :] = False
+    else:
+        known[rows[0] + int(share * np.ptp(rows)) :] = False
+    return grid._replace(free=grid.free & known, unknown=grid.unknown | ~known)
+
+
+def furnished(grid: Grid) -> Grid:
+    rng, free = np.random.default_rng(3), grid.free.copy()
+    rows, columns = np.nonzero(grid.free)
+    for k in rng.integers(0, len(rows), 25).tolist():
+        half = int(rng.uniform(0.3, 0.9) / grid.resolution_m / 2) + 1
+        y, x = rows[k], columns[k]
+        free[max(y - half, 0) : y + half, max(x - half, 0) : x + half] = False
+    return grid._replace(free=free)
+
+
+MERGED: dict[str, Callable[[Grid], Grid]] = {
+    "30 deg": lambda g: turned(g, 30),
+    "70 %, 37 deg": lambda g: turned(cropped(g, 0.7), 37),
+    "50 %, 30 deg": lambda g: turned(cropped(g, 0.5), 30),
+    "furniture, 37": lambda g: turned(speckled(furnished(g)), 37),
+    "2x, 103 deg": lambda g: coarser(turned(g, 103), 2),
+}
+
 CHANGES: dict[str, Callable[[Grid], Grid]] = {
     **{f"{d} deg": partial(turned, degrees=d) for d in TURNS_DEG},
     "2x cells": lambda g: coarser(g, 2),
@@ -268,6 +301,25 @@ def again(groups: dict[str, list[Plan]]) -> None:
         print(f"{group:18} {own:9} " + " ".join(cells), flush=True)
         turns = sum((sums[f"{d} deg"] for d in TURNS_DEG), np.zeros(3, int))
         print(f"{'':18} all turns {turns[0] / max(turns[1], 1):.3f}", flush=True)
+
+
+def merged(groups: dict[str, list[Plan]]) -> None:
+    """The frame of a changed map is that of the map: the true placement moves nothing."""
+    print(f"\nmerged{'':12} maps " + " ".join(f"{name:>14}" for name in MERGED))
+    for group, members in groups.items():
+        counts = {name: np.zeros(3, int) for name in MERGED}
+        for plan in members:
+            for name, change in MERGED.items():
+                other = Plan(f"{plan.name}-changed", change(plan.grid))
+                both = [found for p in (plan, other) if (found := topomap(p)) is not None]
+                (pair,) = merge_maps(both).verdicts if len(both) == 2 else (None,)
+                if pair is None or not pair.accepted or pair.best is None:
+                    counts[name][2] += 1
+                    continue
+                off = apply(pair.best.transform, both[1].xy) - both[1].xy
+                counts[name][int(np.hypot(*off.T).max() > 1.0)] += 1
+        cells = (f"{a:>6} {b:>3} {c:>3}" for a, b, c in counts.values())
+        print(f"{group:18} {len(members):4} " + " ".join(cells))
 
 
 def known_well(found: TopoMap, own: Grid, other: Grid, placement: FloatArray) -> BoolArray:
@@ -464,6 +516,8 @@ def main() -> None:
         seconds(groups)
     if "again" in only:
         again(groups)
+    if "merged" in only:
+        merged(groups)
 
 
 if __name__ == "__main__":
