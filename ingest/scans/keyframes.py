@@ -172,6 +172,8 @@ def raster(angles_rad: FloatArray, finest_rad: float) -> tuple[IntArray, float, 
     bearing and their step [rad]."""
     order = np.argsort(angles_rad, kind="stable").astype(np.int64)
     first, last = angles_rad[order[[0, -1]]].tolist()
+    if last <= first:  # beams that all look one way
+        return order[:1], first, finest_rad
     spacing = (last - first) / (len(order) - 1)
     stride = max(1, int(finest_rad / spacing + 0.01))
     return order[::stride], first, stride * spacing

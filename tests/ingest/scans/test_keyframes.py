@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from topobatch.ingest.scans.keyframes import raster
 from topobatch.ingest.scans.scan import ScanBatch
 
 
@@ -30,3 +31,8 @@ def test_batches_are_checked_at_birth(change: dict[str, object], message: str) -
     ScanBatch(**good)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=message):
         ScanBatch(**(good | change))  # type: ignore[arg-type]
+
+
+def test_beams_that_all_look_one_way_are_one() -> None:
+    columns, first, step = raster(np.full(5, 0.3), 0.01)
+    assert (len(columns), first, step) == (1, 0.3, 0.01)
