@@ -63,7 +63,6 @@ from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.track import way_at
 from topobatch.topology.turning_points import TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points
-from topobatch.topology.views import CELL_M, REACH_M, WALL
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
@@ -487,10 +486,7 @@ def draw(path: Path, result: ScanResult, topomap: TopoMap) -> None:
     """Walls of views and passes on the corrected track, and beside it the map."""
     from PIL import Image, ImageDraw
 
-    views = result.scanned.views
-    view, row, column = np.nonzero(views.cells == WALL)
-    own = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
-    walls = apply(views.pose[view], own)
+    walls, _ = result.scanned.views.walls()
     low, high = walls.min(axis=0) - 1, walls.max(axis=0) + 1
     scale = 1400 / float((high - low).max())
     width, height = ((high - low) * scale).astype(int).tolist()

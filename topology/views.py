@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from .arrays import FloatArray, IntArray
 from .frozen import freeze
-from .se2 import compose
+from .se2 import apply, compose
 
 UNKNOWN, FREE, WALL = 0, 1, 2
 """States of a cell of a view."""
@@ -56,6 +56,13 @@ class Views:
         """The same views in another frame: their poses moved by one transform (3,), or by one each
         (n, 3)."""
         return replace(self, pose=compose(T, self.pose))
+
+    def walls(self) -> tuple[FloatArray, IntArray]:
+        """(w, 2) centres of all cells that are walls, in the frame of the poses [m], and (w,) the
+        view that each is of."""
+        view, row, column = np.nonzero(self.cells == WALL)
+        own = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
+        return apply(self.pose[view], own), view
 
 
 NO_VIEWS = Views(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, SIDE, SIDE), np.uint8))

@@ -13,7 +13,7 @@ from ..topology.odometry import Odometry
 from ..topology.run import Scanned, ScanPasses
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
-from ..topology.views import CELL_M, REACH_M, WALL, Views
+from ..topology.views import CELL_M
 from . import palette
 from .recording import CLOCKS, HAIR, PathParts, Recording, entity
 from .robot_track import RobotTrack
@@ -50,7 +50,8 @@ def scan_layers(
 ) -> ScanLayers:
     """The walls of the map's views, and the junctions, placed on the map by the track."""
     passes = scanned.passes
-    walls, seen_ns, cell_m = _cells(*_walls_seen(topomap.views))
+    walls, view = topomap.views.walls()
+    walls, seen_ns, cell_m = _cells(walls, topomap.views.time_ns[view])
     pose = track.at(passes.time_ns)
     # Windows are aligned with the axes of the odometry's frame.
     turn = pose[:, 2] - odometry.at(passes.time_ns)[:, 2]
@@ -78,14 +79,6 @@ def _surest(passes: ScanPasses, topomap: TopoMap) -> IntArray:
     out = np.full(len(topomap), -1, np.int64)
     out[known] = of[best[first]]
     return out
-
-
-def _walls_seen(views: Views) -> tuple[FloatArray, IntArray]:
-    """(n, 2) centres of the walls' cells in all views, in the map's frame, and the times (n,) at
-    which the robot was at these views."""
-    view, row, column = np.nonzero(views.cells == WALL)
-    own = (np.column_stack([column, row]) + 0.5) * CELL_M - REACH_M
-    return apply(views.pose[view], own), views.time_ns[view]
 
 
 def _cells(xy: FloatArray, time_ns: IntArray) -> tuple[FloatArray, IntArray, float]:

@@ -100,7 +100,7 @@ class _Pair:
         """What the two maps say by themselves, as one of all pairs of the merge."""
         settings, pairs = self.merge.settings, in_steps(pairs_of(self.merge.runs))
         one_of = replace(settings, false_merge_rate=settings.false_merge_rate / pairs)
-        return decide(self.matcher.maps, one_of)[0]
+        return decide(self.matcher.maps, one_of, means=self.matcher.means)[0]
 
     @cached_property
     def plain(self) -> tuple[Candidate, ...]:
@@ -278,7 +278,7 @@ def _of_components(
         and v.best is not None
     }
     x, y = (tuple(row[run] for run in side) for side in sides)
-    one, two, candidates = matches_of_components(maps, (x, y), inside, merge.settings)
+    one, two, candidates = matches_of_components(maps, (x, y), inside, merge.settings, merge.kept)
     if told.best is None or not candidates:
         return []
     ends, asked = (row[told.a], row[told.b]), told.best.matched.tolist()

@@ -195,10 +195,11 @@ def matches_of_components(
     sides: tuple[Runs, Runs],
     accepted: Mapping[Pair, Alignment],
     settings: RobustSettings,
+    kept: Kept,
 ) -> tuple[MergedMap, MergedMap, tuple[Candidate, ...]]:
     """The merged maps of two components, and how these can be matched. sides: the runs of each,
-    sorted; accepted: the alignments by which each was joined."""
-    merged = MergedMaps(maps, Kept())
+    sorted; accepted: the alignments by which each was joined; kept: results of earlier merges."""
+    merged = MergedMaps(maps, kept)
     one, two = (merged.of(runs, accepted) for runs in sides)
     return one, two, merged.matched(one, two, settings)
 
