@@ -136,13 +136,18 @@ def open_space(free: BoolArray, cell_m: float, radius_m: float, island_m: float)
     radius_m: of the robot. What it does not fit between is one obstacle; those up to `island_m`
     which touch no border are driven round, but make no junctions: furniture moves. O(h w).
     """
-    specks = GridSettings(cell_m=cell_m, island_m=max(SPECK_M, 2 * cell_m))
-    solid = without_islands(free, specks)
+    solid = without_specks(free, cell_m)
     everything = _distance(free, cell_m)
     room = everything if np.array_equal(solid, free) else _distance(solid, cell_m)
     filled = _filled(solid, room <= radius_m, island_m / cell_m)
     clearance = room if np.array_equal(filled, solid) else _distance(filled, cell_m)
     return OpenSpace(clearance, room, everything, cell_m)
+
+
+def without_specks(free: BoolArray, cell_m: float) -> BoolArray:
+    """Free cells (h, w), and specks (`SPECK_M`) among them."""
+    specks = GridSettings(cell_m=cell_m, island_m=max(SPECK_M, 2 * cell_m))
+    return without_islands(free, specks)
 
 
 def _distance(free: BoolArray, cell_m: float) -> FloatArray:

@@ -33,6 +33,7 @@ from ...topology.views import (
 )
 from ...topology.visits import Visits, in_map_frame
 from .junctions import Driven
+from .open_space import without_specks
 from .windows import Seen
 
 EVERY_M = 3.0
@@ -142,9 +143,9 @@ LEAST_CLEARANCE_M = 0.3
 
 def _states(grid: Grid) -> NDArray[np.uint8]:
     """(h, w) states of a grid in cells of a view's size: a wall if any of its cells there is
-    one."""
-    wall = ~grid.free & ~grid.unknown
-    states = np.where(wall, WALL, np.where(grid.free & ~grid.unknown, FREE, UNKNOWN))
+    one, specks aside."""
+    free = without_specks(grid.free & ~grid.unknown, grid.resolution_m)
+    states = np.where(free, FREE, np.where(grid.unknown, UNKNOWN, WALL))
     for axis in (0, 1):
         count = states.shape[axis]
         first = np.arange(0, count * grid.resolution_m - 1e-9, CELL_M) / grid.resolution_m

@@ -46,6 +46,14 @@ class Conflicts:
         unseen = float(self.extra_b_bits.sum()) + float(self.extra_a_bits.sum())
         return unseen + self.elsewhere_bits * len(self.elsewhere)
 
+    @property
+    def junctions(self) -> float:
+        """As how many junctions they weigh: each as its bits, of which `MATCH.junction_bits` are
+        one, at most one."""
+        extra = np.concatenate([self.extra_b_bits, self.extra_a_bits]) / MATCH.junction_bits
+        elsewhere = min(self.elsewhere_bits / MATCH.junction_bits, 1.0)
+        return float(np.minimum(extra, 1.0).sum()) + elsewhere * len(self.elsewhere)
+
     def __len__(self) -> int:
         return len(self.extra_b) + len(self.extra_a) + len(self.elsewhere)
 

@@ -21,8 +21,9 @@ class RobustSettings:
     """Upper bound of the probability that a whole batch holds any false merge: the user's
     choice."""
     min_matches: int = 5
-    """Least number of matched junctions of a merge, plus one for every contradiction: four carry no
-    more than the 10 bits that two runs alone need (`junction_bits`). Without counting
+    """Least number of matched junctions of a merge, plus up to one for every contradiction
+    (`Conflicts.junctions`): four carry no more than the 10 bits that two runs alone need
+    (`junction_bits`). Without counting
     contradictions two runs in tunnels are merged wrongly 21 times instead of 12 (of 15,660 pairs),
     most of them by five junctions of one standard part; of 2,688 right pairs one is lost."""
     copy_margin_bits: float = 4.0

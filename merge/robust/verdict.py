@@ -395,10 +395,13 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
         return "chance offers as much too often"
     if best.rival:
         return MAYBE_COPY
-    few = best.witnesses - len(best.conflicts) < threshold.settings.min_matches
-    if few and best.views.total < threshold.need_bits:
+    if best.witnesses - best.conflicts.junctions < threshold.settings.min_matches:
         fewest = f"{threshold.settings.min_matches} junctions at least must agree"
-        return f"{fewest}, one more for every contradiction" if len(best.conflicts) else fewest
+        return (
+            f"{fewest}, and up to one more for every contradiction"
+            if len(best.conflicts)
+            else fewest
+        )
     if margin is not None and margin < MATCH.lead_bits:
         return NEARLY
     return ""

@@ -61,6 +61,18 @@ def saved(resolution_m: float, origin: tuple[float, float, float]) -> Grid:
     return Grid(free, ~near[2:-2, 2:-2] & ~free, resolution_m, origin)
 
 
+def test_specks_of_a_saved_map_are_no_walls_of_its_views() -> None:
+    grid = saved(0.06, (0.0, 0.0, 0.0))
+    rows, columns = np.nonzero(grid.free)
+    some = np.random.default_rng(0).random(len(rows)) < 0.005
+    free = grid.free.copy()
+    free[rows[some], columns[some]] = False
+    along = np.array([[12.0, 2.0], [22.0, 2.0]])
+    clean, speckled = (grid_views(g, along).cells[:2] for g in (grid, grid._replace(free=free)))
+    assert some.sum() > 100
+    assert (speckled != clean).mean() < 0.001
+
+
 @pytest.mark.parametrize("resolution_m", [0.06, 0.3])
 def test_views_of_a_saved_map_match_those_of_a_laser(resolution_m: float) -> None:
     corner = compose(np.array([3.0, -2.0, 0.4]), np.append(RING.corner, 0.0))

@@ -2,7 +2,12 @@
 
 from dataclasses import replace
 
+import numpy as np
+import pytest
+
+from topobatch.merge.robust.conflicts import NO_CONFLICTS
 from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.settings import MATCH
 
 from .plans import EDGES, POINTS, against, laid
 
@@ -27,3 +32,14 @@ def test_corridors_that_lead_elsewhere_contradict_once(drawn):
     assert ends + passed == [{6, 7}]
     assert told.bits > 1
     assert len(against(laid(a, a)).elsewhere) == 0
+
+
+def test_a_contradiction_weighs_as_one_junction_at_most():
+    told = replace(
+        NO_CONFLICTS,
+        extra_a=np.arange(2),
+        extra_a_bits=np.array([0.2, 4.0]) * MATCH.junction_bits,
+        elsewhere=np.zeros((2, 2), np.int64),
+        elsewhere_bits=0.5 * MATCH.junction_bits,
+    )
+    assert told.junctions == pytest.approx(0.2 + 1.0 + 2 * 0.5)
