@@ -329,9 +329,9 @@ def _with_views(
     cases = [(found[k], told[k], laid(one, two, told[k], MOST)) for k in sorted(chosen)]
     for T in fresh:
         here = laid(one, two, compose(T, two.pose), MOST)
-        better = here.better(one, two, T)
+        better = here.better(T)
         here = laid(one, two, compose(better, two.pose), MOST)
-        proposed = _placed(a, b, here.better(one, two, better), settings)
+        proposed = _placed(a, b, here.better(better), settings)
         if proposed is not None:
             cases.append((proposed, compose(proposed.transform, two.pose), here))
     placed = [(compose(T, two.pose), some) for T, some in asked]

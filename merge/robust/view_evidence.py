@@ -40,7 +40,7 @@ LEAST_Z = 1.5
 five real buildings."""
 LEVER_M = 3.0
 """Lever of the turn of one view: half of the way from its middle to where its walls are."""
-APART_M = 20.0
+PASSES_M = 20.0
 """Way between two passes that do not share scans."""
 AT_HAND_M = 1.5
 """Passes of one run by one place lie within as much."""
@@ -105,13 +105,14 @@ NO_VIEW_EVIDENCE = ViewEvidence(
 class Laid:
     """Views of two maps laid over each other, and registered.
 
-    first, second: (k,) rows; predicted: (k, 3) pose of the second in the frame of the first map;
-    found: their registration.
+    first, second: (k,) rows; predicted: (k, 3) poses of the second in the frame of the first map;
+    there: the same by registration; found: their registration.
     """
 
     first: IntArray
     second: IntArray
     predicted: FloatArray
+    there: FloatArray
     found: Registered
 
     def __len__(self) -> int:
@@ -135,21 +136,32 @@ class Laid:
             np.bincount(self.cell[some], self.found.z[some])[count > 0] / count[count > 0]
         )
 
-    def better(self, a: Picture, b: Picture, T_a_b: FloatArray) -> FloatArray:
-        """The placement that fits the registrations best, (3,); unchanged if none agrees."""
+    @cached_property
+    def correction(self) -> FloatArray:
+        """(3,) what moves the predicted poses to the registered ones best; zeros if none agrees."""
         weight = np.clip(self.found.z - LEAST_Z, 0.0, 2.0)
         total = weight.sum()
         if total <= 0:
-            return T_a_b
-        there = compose(a.pose[self.first], self.found.transform)
-        za, zb = there[:, 0] + 1j * there[:, 1], b.place[self.second]
+            return np.zeros(3)
+        za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.there, self.predicted))
         ma, mb = (weight * za).sum() / total, (weight * zb).sum() / total
-        turned = np.exp(1j * (there[:, 2] - b.pose[self.second, 2]))
+        turned = np.exp(1j * (self.there[:, 2] - self.predicted[:, 2]))
         cross = (weight * (za - ma) * np.conj(zb - mb)).sum()
         cross += LEVER_M**2 * (weight * turned).sum()
         unit = cross / abs(cross)
         shift = ma - unit * mb
         return np.array([shift.real, shift.imag, float(np.angle(unit))])
+
+    def better(self, T_a_b: FloatArray) -> FloatArray:
+        """The placement (3,) that led to the predicted poses, corrected."""
+        return compose(self.correction, T_a_b)
+
+    @cached_property
+    def apart_m(self) -> FloatArray:
+        """(c,) mean distance of registered from corrected poses in every part of the overlap [m]:
+        views of one place agree on how one map lies in the other."""
+        off = self.there[:, :2] - compose(self.correction, self.predicted)[:, :2]
+        return np.asarray(np.bincount(self.cell, np.hypot(*off.T)) / np.bincount(self.cell))
 
 
 def laid(
@@ -168,7 +180,8 @@ def laid(
     found = register(
         a.index, b.index, first, second, turns, reach_m=slack_m, centre=relative[:, :2]
     )
-    return Laid(first, second, predicted[second], found)
+    there = compose(a.pose[first], found.transform)
+    return Laid(first, second, predicted[second], there, found)
 
 
 def refined(
@@ -179,7 +192,7 @@ def refined(
     out = []
     for T in proposed:
         some = laid(a, b, compose(T, b.pose), most, 2 * SLACK_M)
-        out.append((some.better(a, b, T), some))
+        out.append((some.better(T), some))
     order = sorted(range(len(out)), key=lambda k: -_agreement(out[k][1]))
     return [out[k] for k in order]
 
@@ -208,6 +221,7 @@ def judged(
     # Every part contributes its share, more or less as its z lies above or below the mean.
     slope = (_against_chance(mean + SLOPE_Z, len(part), null, true) - total) / SLOPE_Z
     bits = (total + slope * (part - mean)) / len(part)
+    bits += _consistent(here.apart_m, null)
     size = max(own.size for own in selves)
     repeated = min(max(2.0 - _size(part) / size, 0.0), 1.0) if size > 0 else 0.0
     # If none of n others is as good, the next one is at a rate of .5 / (n + 1) (Jeffreys' prior).
@@ -261,6 +275,12 @@ them: a tenth lies above 2.7 with one part, less with more; from there on the de
 by exp(-1.6 z) with one part, faster with more. Of the pairs 12 % exceed 0 bits by it, 6 % 2, 2.7 %
 4, .3 % 6, and none 8; of 517 others of different kinds of building, many of whose placements lay no
 junctions over each other, 13, 5.5, 2.9, .8 and .4 %."""
+CONSISTENT_BITS, CONSISTENT_M, APART_M = 1.5, 0.2, 0.4
+"""What a part tells that lies within the second of where the others put it; nothing at the third,
+and as much against the placement from .6 m on. Of 134 true placements the parts are .19 m apart in
+the median, of 1,344 false ones with four parts .5 m, with eight and more .75 m. With these bits
+1.6 % of 1,568 pairs of different kinds of building exceed 4 bits by their views, .7 % 6, .3 % 8 and
+none 9.6; without them 1.5, .5, .1 and none. The true ones gain 4 bits in the median."""
 FAR_SIGMAS = 3.0
 """Beyond so many standard deviations the tails of normal distributions are exponential."""
 SLOPE_Z = 0.05
@@ -294,6 +314,19 @@ def _against_chance(mean: float, parts: int, null: Level, true: Level) -> float:
     level = null.mean - null.sigma
     tail += max(level - USUAL.mean, 0.0) + min(level - USUAL.mean + USUAL.sigma, 0.0)
     return _ratio(_log_true(mean, true), float(np.log(0.1 * rate)) - rate * max(mean - tail, 0.0))
+
+
+def _consistent(apart_m: FloatArray, null: Level) -> FloatArray:
+    """(c,) evidence that the parts of the overlap agree on one placement, against chance [bits]:
+    parts laid over another building move on their own. The placement is fitted to the first.
+
+    Where a building repeats itself, so that the level of copies is high, parts of others of its
+    kind agree as well, and that they do is no evidence."""
+    known = (min(len(apart_m), MOST_PARTS) - 1) / len(apart_m)
+    off = np.clip((apart_m - CONSISTENT_M) / (APART_M - CONSISTENT_M), 0.0, 2.0)
+    bits = CONSISTENT_BITS * known * (1.0 - off)
+    alike = (null.mean - null.sigma - USUAL.mean) / USUAL.sigma
+    return np.where(bits > 0, bits * np.clip(1.0 - alike, 0.0, 1.0), bits)
 
 
 def _odds(mean: float, null: Level, true: Level) -> float:
@@ -357,7 +390,7 @@ def revisits(a: Picture) -> FloatArray:
     """z of views of a map with others of the same place, of another pass."""
     way = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(a.place)))])
     near = a.nearest.query_pairs(AT_HAND_M, output_type="ndarray")
-    near = np.sort(near[np.abs(np.diff(way[near], axis=1)[:, 0]) > APART_M], axis=1)
+    near = np.sort(near[np.abs(np.diff(way[near], axis=1)[:, 0]) > PASSES_M], axis=1)
     first, second = near[np.lexsort((near[:, 1], near[:, 0]))].T
     few = np.unique(np.rint(np.linspace(0, len(first) - 1, min(len(first), MOST))))
     first, second = first[few.astype(np.int64)], second[few.astype(np.int64)]

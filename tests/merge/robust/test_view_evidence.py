@@ -1,5 +1,7 @@
 """What views say of a placement."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from topobatch.merge.robust.view_evidence import (
@@ -41,7 +43,7 @@ def test_a_placement_that_is_off_is_corrected() -> None:
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((5, 20), (35, 20)), T_B_WORLD))
     off = compose(np.array([0.4, -0.3, 0.03]), inverse(T_B_WORLD))
-    better = laid(a, b, compose(off, b.pose), 24).better(a, b, off)
+    better = laid(a, b, compose(off, b.pose), 24).better(off)
     left = compose(better, T_B_WORLD)
     assert np.hypot(*left[:2]) < 0.25
     assert abs(wrap(left[2])) < 0.01
@@ -58,3 +60,19 @@ def test_where_the_maps_repeat_themselves_the_place_may_be_a_copy() -> None:
     assert repeats(a).size > 5
     assert told.total > 10
     assert told.repeated > 0.5
+
+
+def test_parts_that_move_apart_speak_against_a_placement() -> None:
+    walls = walls_of(1)
+    a = pictured(views_of(walls, line((5, 20), (35, 20))))
+    b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
+    here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
+    assert here.apart_m.max() < 0.15
+    torn = replace(here, there=here.there + np.outer(1.4 * (here.cell % 2), [1.0, 0.0, 0.0]))
+    assert torn.apart_m.mean() > 0.5
+    elsewhere = [some for _, some in refined(a, b, placements(a, b))[1:]]
+    whole, less = (
+        judged(some, elsewhere, (repeats(a), repeats(b)), revisits(a)) for some in (here, torn)
+    )
+    assert whole.total > less.total + 2 * (len(whole.bits) - 1)
+    assert whole.copies == less.copies
