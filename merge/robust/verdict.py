@@ -381,10 +381,11 @@ def _no_copy(lengths: float, views: float) -> float:
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
     """Alignments better than chance (`lead_bits`): those with enough junctions to be merged, or, if
-    there are none, smaller ones that reach the threshold."""
+    there are none, smaller ones that reach the threshold, or by their views that of two runs."""
     odd = [c for c in candidates if c.bits > MATCH.lead_bits]
     enough = [c for c in odd if c.witnesses >= threshold.settings.min_matches]
-    return enough or [c for c in odd if c.bits > threshold.need_bits]
+    alone = needed_bits(1, threshold.settings)
+    return enough or [c for c in odd if c.bits > threshold.need_bits or counted_bits(c) > alone]
 
 
 def _missing(best: Candidate, answers: Answers, margin: float | None, threshold: Threshold) -> str:
