@@ -312,6 +312,7 @@ def _cells(z: NDArray[Any]) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
     x = ((z.real + REACH_M) / FINE_M).astype(np.int32)
     y = ((z.imag + REACH_M) / FINE_M).astype(np.int32)
     inside = (np.abs(z.real) < REACH_M) & (np.abs(z.imag) < REACH_M)
+    inside &= (x < side) & (y < side)  # within the rim by rounding
     return np.where(inside, y * side + x, 0), inside
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -17,6 +19,7 @@ from topobatch.topology.matching.views import (
     register,
 )
 from topobatch.topology.se2 import apply, between, wrap
+from topobatch.topology.views import REACH_M
 
 from ..floors import floor, views_at
 
@@ -100,3 +103,12 @@ def test_walls_of_two_views_are_told_apart():
     assert against.sum() > 10
     assert new.all(axis=1)[against].all()
     assert np.array_equal(seen.swapped.of_second, ~seen.of_second)
+
+
+def test_walls_at_the_very_rim_say_nothing():
+    """Between the rim and the number before it, a sum of numbers of 32 bits rounds to the rim."""
+    index = ViewIndex.of(views_at(floor(1), [(30.0, 30.0, 0.0)]))
+    points = index.points.copy()
+    points[0, 0] = 1j * np.nextafter(np.float32(REACH_M), np.float32(0))
+    told = compared(index, replace(index, points=points), (0, 0), np.zeros(3))
+    assert told.kind[told.of_second][0] == SILENT
