@@ -9,7 +9,7 @@ from itertools import compress, pairwise
 
 import numpy as np
 
-from ...topology.arrays import ComplexArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
@@ -40,7 +40,9 @@ class Candidate:
     unit numbers; support, conflicts: evidence for and against; tested_bits: log2 of the number of
     hypotheses tested; bits: log2 odds against chance, the first minus the other two; rmse_m: of the
     matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`);
-    views: what the views of both say, which is part of `bits`; by_views: whether they proposed it.
+    searched: whether contradictions were looked for, which is done where the rest is beyond chance
+    and where views may make it so; views: what the views of both say, which is part of `bits`;
+    by_views: whether they proposed it.
     """
 
     transform: FloatArray
@@ -53,6 +55,7 @@ class Candidate:
     bits: float
     rmse_m: float
     rival: bool = False
+    searched: bool = True
     views: ViewEvidence = NO_VIEW_EVIDENCE
     by_views: bool = False
 
@@ -68,11 +71,6 @@ class Candidate:
     def corridors(self) -> IntArray:
         """(c, 2) directed rows of the matched corridors."""
         return self.support.corridors
-
-    @property
-    def searched(self) -> bool:
-        """Whether contradictions were looked for: only where the rest is beyond chance."""
-        return self.by_views or self.support.bits - self.tested_bits > MATCH.lead_bits
 
     @cached_property
     def contradicting_bits(self) -> float:
@@ -196,7 +194,8 @@ def _best_of_some(
         grown = grow(_lanes(cases), sown, settings)
         of = np.arange(len(cases)).repeat([len(case[2]) for case in cases])
         tested_bits = np.log2(np.array([case[3] for case in cases]) + 1.0)
-        judged = _judged(grown, tested_bits[of])
+        seen = np.array([len(a.views) > 0 and len(b.views) > 0 for a, b, _, _ in cases])
+        judged = _judged(grown, tested_bits[of], search=seen[of])
         for case, seed, candidate in zip(of.tolist(), sown, judged, strict=True):
             if candidate is not None:
                 found[case].append(replace(candidate, rival=seed.rival))
@@ -254,22 +253,24 @@ def as_sown(
     """Hypotheses of two junctions or more as candidates, without growth, and their lanes; `tested`
     is the number of links that they were chosen from."""
     lanes = _lanes([(a, b, hypotheses, tested)])
-    told = _judged(ungrown(lanes, hypotheses), np.full(len(hypotheses), np.log2(tested + 1.0)))
+    tested_bits = np.full(len(hypotheses), np.log2(tested + 1.0))
+    told = _judged(ungrown(lanes, hypotheses), tested_bits, search=False)
     return lanes, [candidate for candidate in told if candidate is not None]
 
 
 def _judged(
-    grown: Grown, tested_bits: FloatArray, *, all_searched: bool = False
+    grown: Grown, tested_bits: FloatArray, *, search: BoolArray | bool
 ) -> list[Candidate | None]:
-    """The candidate of each lane with its evidence; None where nothing is matched. all_searched:
-    look for contradictions also where nothing is beyond chance."""
+    """The candidate of each lane with its evidence; None where nothing is matched. search: lanes
+    whose contradictions are looked for also if nothing is beyond chance."""
     lanes = grown.lanes
     if not len(grown.row):
         return [None] * len(lanes)
     agree = supports(grown)
     bits = np.array([s.bits for s in agree]) - tested_bits
     first = cuts(grown.lane, len(lanes))
-    against = conflicts(grown, (bits > MATCH.lead_bits) | all_searched)
+    searched = (bits > MATCH.lead_bits) | search
+    against = conflicts(grown, searched)
     a = grown.a - lanes.a.vertex[lanes.of_a[grown.lane]]
     b = grown.b - lanes.b.vertex[lanes.of_b[grown.lane]]
     turn = grown.turn[grown.row]
@@ -287,6 +288,7 @@ def _judged(
                 tested_bits=float(tested_bits[k]),
                 bits=float(bits[k] - against[k].bits),
                 rmse_m=float(rmse[k]),
+                searched=bool(searched[k]),
             )
     return out
 
@@ -378,13 +380,13 @@ def _placed(
         return replace(NO_JUNCTIONS, transform=T_a_b)
     seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)
     lanes = _lanes([(a, b, [seed], 0)])
-    (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), all_searched=True)
+    (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), search=True)
     if candidate is None:
         # Junctions that lie near each other but look different are not taken for one place.
         alike = ungrown(lanes, [seed]).branch
         kept = np.flatnonzero((alike >= 0) | (alike == alike.max()))
         seed = replace(seed, a=seed.a[kept], b=seed.b[kept])
-        (candidate,) = _judged(ungrown(lanes, [seed]), np.zeros(1), all_searched=True)
+        (candidate,) = _judged(ungrown(lanes, [seed]), np.zeros(1), search=True)
     if candidate is None:
         return None
     return replace(candidate, transform=T_a_b, by_views=True)
