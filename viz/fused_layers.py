@@ -19,17 +19,17 @@ from ..topology.views import Views
 from . import palette
 from .drawing import Strand, branch_arrows, pen_m, strands
 from .grid_layer import write_grid
-from .growing import colour_columns, light_up_by_step
+from .growing import light_up_by_step
 from .map_sheet import write_cards, write_contradictions, write_own_maps
 from .parts import Part, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import UP, PathParts, Recording, placed, strips
 from .sheet import Cell
-from .story import Step, first_steps, shared_from
+from .story import Step, first_steps
 from .walls import FINE_M, walls_of
 
-FUSED, AGREEMENT, RUNS, LEGEND = "map", "agreement", "runs", "legend"
-"""Entity roots of the three views of the components, and of the key to the runs' colours."""
+FUSED, RUNS, LEGEND = "map", "runs", "legend"
+"""Entity roots of the two views of the components, and of the key to the runs' colours."""
 
 LEGEND_ROWS, LEGEND_COLUMN = 34, 8.0
 """Rows of a column of the key, and the distance of columns in rows."""
@@ -44,9 +44,9 @@ def write_fused_layers(
     colours: Mapping[str, palette.Colour],
     steps: Sequence[Step],
 ) -> None:
-    """Write the fused map in the runs' colours as it grew by the steps of merging, the number of
-    runs that share each part of it, and each run's own map in its place."""
-    for root in (FUSED, AGREEMENT, RUNS):
+    """Write the fused map in the runs' colours as it grew by the steps of merging, and each run's
+    own map in its place."""
+    for root in (FUSED, RUNS):
         recording.static((root,), UP)
         titles = [part.titles for part in parts] if len(parts) > 1 else []
         write_cards(recording, root, [part.cell for part in parts], titles)
@@ -54,15 +54,10 @@ def write_fused_layers(
             recording.static((root, part.name), placed(part.cell.T_sheet_map))
     pen = pen_m([result.fused])
     first = first_steps(steps)
-    own_steps: dict[int, list[tuple[int, Step]]] = {}
-    for number, step in enumerate(steps, start=1):
-        own_steps.setdefault(step.component, []).append((number, step))
     _ribbons(recording, result.fused, parts, colours, pen=pen, first=first)
-    _agreement(recording, result.fused, parts, pen)
     _junctions(recording, result.fused, parts, pen)
     for part in parts:
-        own = own_steps.get(part.component.id, ())
-        _junctions_in_time(recording, result.fused, part, own, first)
+        _junctions_in_time(recording, result.fused, part, first)
     _unexplored(recording, result.fused, parts, pen)
     lying = [(part, run) for part in parts for run in sorted(part.component.poses)]
     for part, run in lying:
@@ -193,22 +188,6 @@ def _ribbons(
             recording.static(path, rr.LineStrips2D.from_fields(colors=colours[run]))
 
 
-def _agreement(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    edges = np.concatenate([np.zeros(0, np.int64), *(part.edges for part in parts)])
-    if len(edges) == 0:
-        return
-    runs = np.array([len({run for run, _ in fused.edge_members[i]}) for i in edges.tolist()])
-    lines = rr.LineStrips2D(
-        strips([fused.paths[i] for i in edges.tolist()]),
-        radii=pen * (0.4 + 0.2 * np.minimum(runs, 4)),
-        colors=palette.by_count(runs),
-        draw_order=palette.Order.CORRIDOR,
-    )
-    paths = [(AGREEMENT, part.name, "corridors") for part in parts]
-    counts = [len(part.edges) for part in parts]
-    recording.static_each(paths, counts, lines, _corridor_info(fused, edges))
-
-
 def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
     rows = edges.tolist()
     return rr.AnyValues(
@@ -222,8 +201,7 @@ def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
 
 
 def _junctions(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    """Write the junctions of the fused map, whose colours `_junctions_in_time` adds, and of the
-    view of agreement."""
+    """Write the junctions of the fused map, whose colours `_junctions_in_time` adds."""
     rows = np.concatenate([np.zeros(0, np.int64), *(part.vertices for part in parts)])
     if len(rows) == 0:
         return
@@ -236,49 +214,33 @@ def _junctions(recording: Recording, fused: FusedMap, parts: list[Part], pen: fl
         fused_from=[_members_told(fused.members[i]) for i in rows.tolist()],
         passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
     )
-    for root, colours in ((AGREEMENT, palette.by_count(runs)), (FUSED, None)):
-        points = rr.Points2D.from_fields(
-            positions=fused.xy[rows],
-            radii=pen * np.where(runs > 1, 2.4, 1.4),
-            colors=colours,
-            labels=list(map(str, rows.tolist())),
-            show_labels=False,
-            draw_order=palette.Order.JUNCTION,
-        )
-        paths = [(root, part.name, "junctions") for part in parts]
-        recording.static_each(paths, [len(part.vertices) for part in parts], points, told)
+    points = rr.Points2D.from_fields(
+        positions=fused.xy[rows],
+        radii=pen * np.where(runs > 1, 2.4, 1.4),
+        labels=list(map(str, rows.tolist())),
+        show_labels=False,
+        draw_order=palette.Order.JUNCTION,
+    )
+    paths = [(FUSED, part.name, "junctions") for part in parts]
+    recording.static_each(paths, [len(part.vertices) for part in parts], points, told)
 
 
 def _junctions_in_time(
-    recording: Recording,
-    fused: FusedMap,
-    part: Part,
-    steps: Sequence[tuple[int, Step]],
-    first: Mapping[str, int],
+    recording: Recording, fused: FusedMap, part: Part, first: Mapping[str, int]
 ) -> None:
-    """Write the junctions' colours by step: dim until a run that saw it is joined, grey until two
-    such runs are joined with each other, then white."""
+    """Write the junctions' colours by step: dim until a run that saw it is joined with another,
+    then white if several runs saw it, else grey."""
     if len(part.vertices) == 0:
         return
     path = (FUSED, part.name, "junctions")
-    runs = sorted(part.component.poses)
     members = [fused.members[i] for i in part.vertices.tolist()]
-    runs_at = np.array([[run in at for run in runs] for at in members], bool)
-    single = np.array(palette.SINGLE, np.uint8)
-    if not first.keys() & set(runs):
-        colours = np.tile(single, (len(members), 1))
-        colours[runs_at.sum(axis=1) > 1] = palette.WHITE
+    several = np.array([len(runs) > 1 for runs in members])[:, None]
+    colours = np.where(several, palette.WHITE, palette.SINGLE).astype(np.uint8)
+    if first.keys() & part.component.poses.keys():
+        when = np.array([min(first.get(run, 0) for run in runs) for runs in members])
+        light_up_by_step(recording, path, rr.Points2D, when, colours)
+    else:
         recording.static(path, rr.Points2D.from_fields(colors=colours))
-        return
-    joined = np.array([first.get(run, 0) for run in runs])
-    when = np.where(runs_at, joined[None, :], np.iinfo(np.int64).max).min(axis=1)
-    shared = shared_from(part, steps, runs_at)
-    numbers = np.unique(np.concatenate([[0], when, shared]))
-    rows = np.where(
-        (when[None, :] <= numbers[:, None])[:, :, None], single, np.array(palette.UNLIT, np.uint8)
-    )
-    rows[(shared[None, :] > 0) & (shared[None, :] <= numbers[:, None])] = palette.WHITE
-    recording.over_steps(path, numbers, colour_columns(rr.Points2D, rows.astype(np.uint8)))
 
 
 def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:

@@ -15,15 +15,9 @@ from ..topology.topomap import TopoMap
 from .drawing import bounds
 from .recording import CLOCKS, PathParts, blueprint, entity, map_view
 from .robot_track import RobotTrack
-from .scan_layers import overrides_of_scans
+from .scan_layers import WALLS_SO_FAR
 
 MAP: PathParts = ("map",)
-
-MOST_NODES = 300
-"""Above this many vertices the graph view is left out."""
-
-GRAPH_CORRIDOR = 90.0
-"""Length of the median corridor in the graph view, where a node is about 20 units wide."""
 
 TRAIL_S, DETECTION_S = 60.0, 0.3
 """How long before the cursor the robot's trail and its detections are shown."""
@@ -39,22 +33,17 @@ WHOLE_RUN = rrb.TimeAxis(
 )
 
 
-def map_blueprint(
-    topomap: TopoMap, track: RobotTrack | None, *, health: bool, scans: bool
-) -> rrb.Blueprint:
-    """Blueprint of a map's recording: the map, and beside it its summary, the drift and the health
-    of the odometry."""
+def map_blueprint(topomap: TopoMap, track: RobotTrack | None) -> rrb.Blueprint:
+    """Blueprint of a map's recording: the map, and beside it its summary and the drift."""
     side: list[rrb.View | rrb.Container] = [
         rrb.Tabs(*_pages(topomap), active_tab=0, name="Details")
     ]
     if track is not None:
         side.append(_drift_view(1.8 * max(float(track.drift_m.max()), 0.1)))
-    if health:
-        side.append(_health_view())
     return _blueprint(
         rrb.Horizontal(
-            _maps(topomap, track, moving=track is not None, scans=scans),
-            rrb.Vertical(*side, row_shares=[5, 2, 2][: len(side)], name="Run"),
+            _map_view(topomap, track, moving=track is not None),
+            rrb.Vertical(*side, row_shares=[5, 2][: len(side)], name="Run"),
             column_shares=[3, 1],
             name="Map of one run",
         ),
@@ -67,13 +56,13 @@ def log_blueprint(topomap: TopoMap, views: Sequence[rrb.View]) -> rrb.Blueprint:
     time."""
     pages = _pages(topomap)
     if len(topomap.observation_time_ns):
-        pages += [_drift_view(), _health_view()]
+        pages.append(_drift_view())
     side = [rrb.Tabs(*pages, active_tab=0, name="Details")]
     if views:
         side.insert(0, rrb.Tabs(*views, active_tab=0, name="Raw log"))
     return _blueprint(
         rrb.Horizontal(
-            _maps(topomap, None, moving=True, scans=True),
+            _map_view(topomap, None, moving=True),
             rrb.Vertical(*side, row_shares=[3, 2][: len(side)], name="Run"),
             column_shares=[3, 2],
             name="Map and raw log of one run",
@@ -88,23 +77,6 @@ def _blueprint(root: rrb.Container, *, in_time: bool) -> rrb.Blueprint:
     # "following" starts with the cursor at the end, where the whole map is shown.
     end = rrb.TimePanel(state=state, timeline=CLOCKS[0], play_state="following")
     return blueprint(root, end)
-
-
-def _maps(
-    topomap: TopoMap, track: RobotTrack | None, *, moving: bool, scans: bool
-) -> rrb.Container:
-    views: list[rrb.View] = [_map_view(topomap, track, moving=moving, scans=scans)]
-    if 0 < len(topomap) <= MOST_NODES:
-        low, high = bounds([on_graph(topomap)])
-        around = rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[low[1], high[1]])
-        views.append(rrb.GraphView(origin="/graph", name="Graph", visual_bounds=around))
-    return rrb.Tabs(*views, active_tab=0, name="Maps")
-
-
-def on_graph(topomap: TopoMap) -> FloatArray:
-    """(n, 2) positions of the vertices in the graph view; y points down."""
-    usual = float(np.median(topomap.length)) if len(topomap.length) else 1.0
-    return GRAPH_CORRIDOR / usual * topomap.xy * [1.0, -1.0]
 
 
 def _pages(topomap: TopoMap) -> list[rrb.View]:
@@ -125,10 +97,6 @@ def _drift_view(most_m: float | None = None) -> rrb.TimeSeriesView:
     )
 
 
-def _health_view() -> rrb.StateTimelineView:
-    return rrb.StateTimelineView(origin="/health", name="Odometry, health", time_view=WHOLE_RUN)
-
-
 def _event_columns() -> rrb.TextLogColumns:
     return rrb.TextLogColumns(
         timeline_columns=[TimelineColumn(CLOCKS[0])],
@@ -139,9 +107,7 @@ def _event_columns() -> rrb.TextLogColumns:
     )
 
 
-def _map_view(
-    topomap: TopoMap, track: RobotTrack | None, *, moving: bool, scans: bool
-) -> rrb.Spatial2DView:
+def _map_view(topomap: TopoMap, track: RobotTrack | None, *, moving: bool) -> rrb.Spatial2DView:
     """moving: show what happened shortly before the cursor."""
     shown: list[FloatArray] = [topomap.xy, *topomap.paths]
     low, high = bounds(shown)
@@ -153,12 +119,11 @@ def _map_view(
     overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
         entity((*MAP, "branches driven")): hidden,
         entity((*MAP, "closures", "refused")): hidden,
+        entity((*MAP, "scans", "walls")): WALLS_SO_FAR,
     }
     if moving:
         overrides[entity((*MAP, "detection"))] = _behind_cursor(DETECTION_S)
         overrides[entity((*MAP, "trail"))] = _behind_cursor(TRAIL_S)
-    if scans:
-        overrides |= overrides_of_scans(MAP)
     return map_view(MAP[0], "Map", low, high, overrides)
 
 

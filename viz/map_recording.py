@@ -23,13 +23,12 @@ from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .grid_layer import write_grid
 from .growing import light_up
 from .history import History, Question, history, questions
-from .map_blueprint import MAP, MOST_NODES, map_blueprint, on_graph
+from .map_blueprint import MAP, map_blueprint
 from .map_sheet import corridors_told
 from .map_summary import correction, map_summary
-from .odometry_health import Lane, lanes
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
-from .scan_layers import scan_layers, write_scans
+from .scan_layers import write_scans
 
 FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
 """Radii, in pens, of the rings round a junction, one for each accepted closure."""
@@ -37,17 +36,6 @@ FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
 _CIRCLE = np.stack(
     [np.cos(np.linspace(0, 2 * np.pi, 25)), np.sin(np.linspace(0, 2 * np.pi, 25))], 1
 )
-
-HEALTH_COLOURS = {
-    "steady": palette.MERGED,
-    "gap": palette.AMBIGUOUS,
-    "jump": palette.KEPT_OUT,
-    "broken": palette.REFUSED,
-    "driving": palette.CORRIDOR,
-    "standing": palette.FAINT,
-    "new ground": palette.TRAIL,
-    "known ground": palette.SINGLE,
-}
 
 
 def write_map_recording(
@@ -69,10 +57,6 @@ def write_map_recording(
     track = robot_track(topomap, odometry) if odometry is not None else None
     known = history(topomap)
     asked = questions(topomap, known.visit)
-    health = lanes(odometry, topomap) if odometry is not None else []
-    seen = None
-    if track is not None and odometry is not None and scanned is not None:
-        seen = scan_layers(scanned, topomap, odometry, track)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
@@ -84,21 +68,18 @@ def write_map_recording(
         _corridors(recording, whole, grown, begin)
         _branches(recording, whole, grown, begin)
         _junctions(recording, whole, grown, begin)
-        _graph(recording, whole)
         _closures(recording, topomap, asked, begin)
-        _visits(recording, topomap, known, asked)
+        _visits(recording, topomap, known, asked, odometry)
         if track is not None:
             _track(recording, track)
             _drift(recording, track, topomap)
             if detections is not None:
                 x, y = (correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
                 _detections(recording, MAP, detections.moved((-x, -y)), track)
-        if seen is not None:
-            write_scans(recording, MAP, seen)
-        for lane in health:
-            _lane(recording, lane)
+            if scanned is not None:
+                write_scans(recording, MAP, scanned.passes, topomap, track)
         recording.static(("summary",), markdown(map_summary(topomap, asked)))
-        return map_blueprint(topomap, track, health=bool(health), scans=seen is not None)
+        return map_blueprint(topomap, track)
 
     write_recording(path, topomap.run, fill)
 
@@ -183,22 +164,6 @@ def _dot(topomap: TopoMap) -> FloatArray:
     return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
 
-def _graph(recording: Recording, topomap: TopoMap) -> None:
-    """Write the map as a node-link graph: topology without geometry."""
-    if not 0 < len(topomap) <= MOST_NODES:
-        return
-    ids = [str(i) for i in range(len(topomap))]
-    nodes = rr.GraphNodes(
-        ids,
-        labels=ids,
-        colors=palette.by_degree(topomap.degree),
-        positions=on_graph(topomap),
-    )
-    ends = zip(topomap.source.tolist(), topomap.target.tolist(), strict=True)
-    edges = [(str(u), str(v)) for u, v in ends if u != v]
-    recording.static(("graph",), nodes, *([rr.GraphEdges(edges)] if edges else []))
-
-
 def _closures(
     recording: Recording, topomap: TopoMap, asked: Sequence[Question], begin_ns: int | None
 ) -> None:
@@ -251,9 +216,14 @@ def _closure_lines(
 
 
 def _visits(
-    recording: Recording, topomap: TopoMap, known: History, asked: Sequence[Question]
+    recording: Recording,
+    topomap: TopoMap,
+    known: History,
+    asked: Sequence[Question],
+    odometry: Odometry | None,
 ) -> None:
-    """Write over time the junction passed last, and a log of passes and closures."""
+    """Write over time the junction passed last, and a log of passes, closures, and what is wrong
+    with the odometry."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex
     if len(time_ns) == 0:
         return
@@ -273,20 +243,15 @@ def _visits(
         )
     ]
     log += [(q.closure.time_b_ns, "INFO" if q.closure.accepted else "WARN", q.told) for q in asked]
+    if odometry is not None:
+        for rows, told in ((odometry.jumps, "jumps"), (odometry.breaks, "breaks")):
+            log += [(t, "WARN", f"the odometry {told}") for t in odometry.time_ns[rows].tolist()]
     log.sort()
     recording.over_time(
         ("events",),
         np.array([t for t, _, _ in log], np.int64),
         rr.TextLog.columns(text=[text for _, _, text in log], level=[level for _, level, _ in log]),
     )
-
-
-def _lane(recording: Recording, lane: Lane) -> None:
-    path = ("health", lane.name)
-    states = list(HEALTH_COLOURS)
-    colours = [HEALTH_COLOURS[state] for state in states]
-    recording.static(path, rr.StateConfiguration(values=states, labels=states, colors=colours))
-    recording.over_time(path, lane.time_ns, rr.StateChange.columns(state=list(lane.states)))
 
 
 def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from ..topology.document import map_to_document
 from ..topology.driven_branches import driven_branches
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
 from .history import Question
-
-CORRECTIONS = {
-    "bias_rad_per_m": ("heading, turned on per metre", np.degrees(1.0), "°"),
-    "turn_scale": ("turns, larger by", 100.0, "%"),
-    "lag_s": ("stamps of the odometry, earlier by", 1.0, "s"),
-    "length_scale": ("lengths, shorter by", 100.0, "%"),
-    "lever_x_m": ("junctions, moved backward by", 1.0, "m"),
-    "lever_y_m": ("junctions, moved to the right by", 1.0, "m"),
-}
-"""Names, factors and units of what a document states of a run's `calibration`."""
 
 MOST_LINES = 40
 """Longer lists are cut; the JSON document has all entries."""
@@ -37,26 +29,24 @@ at first): two junctions that were not taken for one.
 Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). **White**: the
 robot at the cursor, behind it its last minute (**bright green**). **Violet** dots: raw detections,
 a star of branches at the cursor; or junctions that scans show, dull where variants of the detector
-do not agree. Under the map: walls that the laser saw up to then (**slate**), the window about the
-last junction; or the grid that the map was made from.
+do not agree. Under the map: walls that the laser saw up to then (**slate**), or the grid that the
+map was made from.
 
 Drag the time line below: the map grows as it was driven. Point at anything for what is known about
 it, or select it and open the panels at the top right; the left one shows and hides layers.
-**Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of the map.
-**Health**: gaps, jumps and breaks of the odometry; standing; new ground."""
+**Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of the map."""
 
 
 def map_summary(topomap: TopoMap, asked: Sequence[Question]) -> str:
-    """A Markdown page about one map: counts, closures, noise, warnings, and a legend."""
+    """A Markdown page about one map: counts, a legend, closures, warnings, and what its document
+    states of its source, its calibration and its noise."""
     parts = [
         f"# {plain(topomap.run)}",
         _counts(topomap),
         LEGEND if len(topomap) else "The map is empty: no junction was found in this run.",
         _closures(asked),
         _warnings(topomap),
-        _source(topomap),
-        _corrected(topomap),
-        _noise(topomap),
+        _stated(topomap),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -136,27 +126,6 @@ def _warnings(topomap: TopoMap) -> str:
     return "## Warnings\n\n" + bulleted(plain(w) for w in warnings)
 
 
-def _source(topomap: TopoMap) -> str:
-    """What the map was made from, by its document."""
-    source = topomap.info.get("source")
-    if not isinstance(source, Mapping):
-        return ""
-    lines = []
-    for name, value in sorted(source.items()):
-        told = value
-        if isinstance(value, Mapping):
-            told = ", ".join(
-                v
-                if isinstance(v, str)
-                else counted(v, "message")
-                if k == "messages" and isinstance(v, int)
-                else f"{k} {v}"
-                for k, v in value.items()
-            )
-        lines.append(f"{plain(name)}: {plain(told)}")
-    return "## Made from\n\n" + bulleted(lines) if lines else ""
-
-
 def correction(topomap: TopoMap, name: str) -> float:
     """What the map was corrected by, by its name in `graph.calibration`; 0 if it was not."""
     told = topomap.info.get("calibration")
@@ -165,37 +134,12 @@ def correction(topomap: TopoMap, name: str) -> float:
     return float(applied) if isinstance(applied, (int, float)) else 0.0
 
 
-def _corrected(topomap: TopoMap) -> str:
-    """What the map was corrected by, by its document."""
-    told = topomap.info.get("calibration")
-    rows = []
-    for name in told if isinstance(told, Mapping) else ():
-        applied = correction(topomap, name)
-        if name in CORRECTIONS and applied:
-            what, factor, unit = CORRECTIONS[name]
-            rows.append(f"| {what} | {factor * applied:.3f} {unit} |")
-    if not rows:
-        return ""
-    return "## Corrected\n\n| what | by |\n| --- | ---: |\n" + "\n".join(rows)
+STATED = ("source", "driven", "calibration", "noise")
+"""Parts of the document's `graph` that the page shows."""
 
 
-def _noise(topomap: TopoMap) -> str:
-    n = topomap.noise
-    degrees = np.degrees([n.heading_rad_per_sqrt_m, n.branch_rad])
-    per_sqrt_degree = np.sqrt(np.degrees(1.0)) * n.heading_rad_per_sqrt_rad
-    alike = topomap.measured.shared_centre_m
-    shared = [("junction centre, all passes alike", f"{alike:.3f} m")] if alike else []
-    rows = [
-        ("odometry, along", f"{n.along_m_per_sqrt_m:.3f} m/√m"),
-        ("odometry, heading", f"{degrees[0]:.2f} °/√m"),
-        ("odometry, turning", f"{per_sqrt_degree:.2f} °/√°"),
-        ("odometry, scale", f"{100 * topomap.measured.scale:.2f} %"),
-        ("junction centre", f"{n.centre_m:.3f} m"),
-        *shared,
-        ("branch heading", f"{degrees[1]:.1f} °"),
-        ("passes missed", f"{100 * n.miss_rate:.1f} %"),
-        ("invented per corridor", f"{100 * n.phantom_rate:.1f} %"),
-        ("wrong branches", f"{100 * n.branch_fault_rate:.1f} %"),
-    ]
-    table = "\n".join(f"| {name} | {value} |" for name, value in rows)
-    return f"## Noise of this run (one sigma)\n\n| what | value |\n| --- | ---: |\n{table}"
+def _stated(topomap: TopoMap) -> str:
+    """What the map was made from, what was corrected, and the noise of its run (one sigma)."""
+    graph = map_to_document(topomap)["graph"]
+    told = {name: graph[name] for name in STATED if name in graph}
+    return f"## Stated by its document\n\n~~~json\n{json.dumps(told, indent=1)}\n~~~"

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import rerun.blueprint as rrb
+from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .fused_layers import (
-    AGREEMENT,
     FUSED,
     LEGEND,
     RUNS,
@@ -66,7 +66,6 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
         write_walls(recording, walls, parts)
         views = [
             sheet_view(FUSED, "Map", sheet),
-            sheet_view(AGREEMENT, "Agreement", sheet),
             sheet_view(RUNS, "Runs", sheet),
         ]
         if pairs:
@@ -113,7 +112,11 @@ def _blueprint(
         rrb.TextDocumentView(origin="/pairs", name="Pairs"),
     ]
     if told:
-        pages.append(rrb.TextDocumentView(origin=f"/{STORY}", name="Story"))
+        columns = rrb.TextLogColumns(
+            timeline_columns=[TimelineColumn(JOIN)],
+            text_log_columns=[TextLogColumn(TextLogColumnKind.Body)],
+        )
+        pages.append(rrb.TextLogView(origin=f"/{STORY}", name="Story", columns=columns))
     return blueprint(
         rrb.Horizontal(
             rrb.Tabs(*maps, active_tab=0, name="Maps"),

@@ -23,7 +23,6 @@ class Order(IntEnum):
     CARD = auto()
     GRID = auto()
     WALL = auto()
-    WINDOW = auto()
     CLOSURE = auto()
     RECORDED = auto()
     CORRECTED = auto()
@@ -104,19 +103,10 @@ READABLE = 0.21
 """Rec. 709 weights of linear RGB, and the luminance that text needs: a contrast of 4.5 to the
 background by WCAG 2.1 (1.4.3), rounded up."""
 
-COUNTS = np.array(
-    [(84, 98, 122), (64, 158, 205), (70, 205, 145), (240, 220, 90), (250, 250, 235)], np.uint8
-)
-
 
 def by_degree(degree: IntArray) -> Colours:
     """Colours (n, 3) by the number of branches."""
     return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
-
-
-def by_count(count: IntArray) -> Colours:
-    """Colours (n, 3) by the number of runs, brighter with more runs."""
-    return COUNTS[np.clip(count, 1, len(COUNTS)) - 1]
 
 
 def of_rank(rank: int) -> Colour:

@@ -1,5 +1,5 @@
 """A merge step by step: the order in which runs were joined, what is highlighted on the timeline
-JOIN, and a page of text for each step."""
+JOIN, and a line of text for each step."""
 
 from __future__ import annotations
 
@@ -10,18 +10,14 @@ import numpy as np
 import rerun as rr
 
 from ..merge.result import MergeResult, PairVerdict, shown_bits
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from . import palette
 from .growing import light_up_by_step
-from .map_summary import plain
 from .parts import Part
 from .recording import Recording
-
-STORY_BEFORE, STORY_AFTER = 8, 12
-"""Steps listed before and after a step on its page."""
 
 Group = tuple[str, ...]
 
@@ -98,22 +94,7 @@ def first_steps(steps: Iterable[Step]) -> dict[str, int]:
 
 
 STORY = "story"
-"""Entity of the pages."""
-
-
-def shared_from(part: Part, steps: Iterable[tuple[int, Step]], runs_at: BoolArray) -> IntArray:
-    """(n,) the step at which two runs that share a junction are joined first, 0 for never.
-
-    steps: of this component, with their numbers; runs_at: (n, r) whether each of its runs, sorted
-    by name, has the junction. O(steps · n · r).
-    """
-    column = {run: k for k, run in enumerate(sorted(part.component.poses))}
-    shared = np.zeros(len(runs_at), np.int64)
-    for number, step in steps:
-        one = runs_at[:, [column[run] for run in step.joins]].any(axis=1)
-        two = runs_at[:, [column[run] for run in step.into]].any(axis=1)
-        shared[(shared == 0) & one & two] = number
-    return shared
+"""Entity of the texts."""
 
 
 def write_story(
@@ -124,7 +105,7 @@ def write_story(
     maps: Mapping[str, TopoMap],
 ) -> None:
     """Write for each step a line between the centres of its two runs, white at that step, hidden
-    before and thin after it; and a page of text for each step."""
+    before and thin after it; and what happens there as a line of text."""
     parted = {run: part for part in parts for run in part.component.poses}
 
     def middle(run: str) -> FloatArray:
@@ -157,30 +138,13 @@ def write_story(
         now=palette.WHITE,
         dim=palette.BACKGROUND,
     )
-    pages = joining_told(steps)
-    columns = rr.TextDocument.columns(text=pages, media_type=["text/markdown"] * len(pages))
-    recording.over_steps((STORY,), np.arange(len(pages)), columns)
-
-
-def joining_told(steps: Sequence[Step]) -> list[str]:
-    """A page of markdown for every step, that of step 0 first: what happens there, and around it.
-
-    A page shows STORY_BEFORE steps before its own and STORY_AFTER after it.
-    """
-    lines = [_step_told(step) for step in steps]
-    reasons = [f"{plain(s.pair.a)} - {plain(s.pair.b)}: {plain(s.pair.reason)}" for s in steps]
-    pages = []
-    for now in range(len(steps) + 1):
-        head = f"# Step {now} of {len(steps)}\n\n"
-        head += f"{lines[now - 1]}\n\n{reasons[now - 1]}" if now else "Every run is by itself."
-        shown = range(max(0, now - 1 - STORY_BEFORE), min(len(steps), now + STORY_AFTER))
-        rest = [f"- {'→ ' if i + 1 == now else ''}{i + 1}: {lines[i]}" for i in shown]
-        pages.append(head + "\n\n## Before and after\n\n" + "\n".join(rest) + "\n")
-    return pages
+    told = [f"{_step_told(step)}: {step.pair.reason}" for step in steps]
+    numbers = np.arange(1, len(steps) + 1)
+    recording.over_steps((STORY,), numbers, rr.TextLog.columns(text=told))
 
 
 def _step_told(step: Step) -> str:
-    joins, into = (listed(list(map(plain, group)), 4) for group in (step.joins, step.into))
+    joins, into = (listed(group, 4) for group in (step.joins, step.into))
     if len(step.joins) == len(step.into) == 1:
-        return f"**{joins}** and **{into}** join"
-    return f"**{joins}** {'joins' if len(step.joins) == 1 else 'join'} **{into}**"
+        return f"{joins} and {into} join"
+    return f"{joins} {'joins' if len(step.joins) == 1 else 'join'} {into}"

@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -70,10 +71,6 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
         "/drift/drift",
         "/drift/plus\\ sigma",
         "/drift/minus\\ sigma",
-        "/health/odometry",
-        "/health/motion",
-        "/health/ground",
-        "/graph",
         "/summary",
     } == got.entities
     at = np.array(got.value("/map/junctions", "Points2D:positions"))
@@ -87,8 +84,17 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
     assert got.value(accepted, "junctions") == ["0"]
     told = "junction 0: visit 2 recognised as visit 1, +21.5 bits: the square closes"
     assert got.value(accepted, "closure") == [told]
-    assert len(got.value("/graph", "GraphEdges:edges")) == 5
     assert "# run1" in got.value("/summary", "TextDocument:text")[0]
+
+
+def test_jumps_and_breaks_of_the_odometry_are_events(
+    tmp_path: Path, make_map: Make, drive: Drive
+) -> None:
+    topomap = make_map("run1")
+    odometry = replace(drive(topomap), breaks=np.array([100]))
+    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry)
+    events = Readback(tmp_path / "a.rrd").rows("/events", "TextLog:text")
+    assert ["the odometry breaks"] in events
 
 
 def test_an_empty_map_and_a_single_vertex_are_written(

@@ -24,16 +24,17 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
     assert got.identity == ("topobatch", "merged")
     assert got.blueprints == 1
     assert got.timelines == {"join"}
-    for root in ("map", "agreement"):
-        at = np.array(got.value(f"/{root}/component_0/junctions", "Points2D:positions"))
-        assert at == pytest.approx(result.fused.xy[:5], abs=1e-5)
+    at = np.array(got.value("/map/component_0/junctions", "Points2D:positions"))
+    assert at == pytest.approx(result.fused.xy[:5], abs=1e-5)
     assert got.value("/map/component_0/junctions", "runs") == [3] * 5
     assert got.value("/map/component_1/junctions", "fused_from") == [f"d: {i}" for i in range(5)]
     for run in "abc":
         strands = got.value(f"/map/component_0/corridors/{run}", "LineStrips2D:strips")
         assert len(strands) == 5
         assert f"/runs/component_0/{run}/corridors" in got.entities
-    assert got.value("/agreement/component_0/corridors", "driven_by") == ["a, b, c"] * 5
+    assert got.value("/map/component_0/corridors/a", "driven_by") == ["a, b, c"] * 5
+    (first_told, _) = got.rows("/story", "TextLog:text")
+    assert first_told == ["a and c join: all fits"]
     assert got.value("/verdicts/evidence", "reason") == [p.reason for p in result.verdicts]
     numbers = got.value("/verdicts/bits", "Points2D:labels")
     assert numbers[0] == "3.9"  # as reasons and documents have it

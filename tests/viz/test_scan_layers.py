@@ -83,33 +83,18 @@ def test_walls_lie_where_the_views_of_the_map_are(
     assert set(times.tolist()) <= set(topomap.views.time_ns.tolist())
 
 
-def test_junctions_tell_their_confidence_and_their_window(
-    tmp_path: Path, make_map: Make, drive: Drive
-) -> None:
+def test_junctions_tell_their_confidence(tmp_path: Path, make_map: Make, drive: Drive) -> None:
     topomap = make_map("run1", (2.0, 1.0, 0.5))
     topomap = replace(topomap, confidence=np.linspace(0.5, 1.0, len(topomap)))
     odometry = drive(topomap)
     found, got = recorded(tmp_path / "a.rrd", topomap, odometry)
     sure = found.passes.confidence
-    for layer in ("junctions", "windows"):
-        assert got.value(f"/map/scans/{layer}", "confidence") == pytest.approx(sure)
-        assert got.value(f"/map/scans/{layer}", "branches") == [3] * len(sure)
-    (first, *_), outlines = (
-        found.passes.time_ns,
-        got.value("/map/scans/windows", "LineStrips2D:strips"),
-    )
-    square = np.array(outlines[0])
-    assert square.mean(axis=0)[:2] == pytest.approx(odometry.at(np.array([first]))[0, :2], abs=2.5)
-    assert np.hypot(*np.diff(square, axis=0).T) == pytest.approx([12.0] * 4, abs=1e-3)
-    assert (
-        got.times("/map/scans/window", "message_log_time").tolist() == found.passes.time_ns.tolist()
-    )
+    assert got.value("/map/scans/junctions", "confidence") == pytest.approx(sure)
+    assert got.value("/map/scans/junctions", "branches") == [3] * len(sure)
+    at = np.array(got.value("/map/scans/junctions", "Points2D:positions"))
+    passed = odometry.at(found.passes.time_ns)[:, :2]
+    assert np.hypot(*(at - passed).T).max() < 2.5
     assert got.value("/map/junctions", "confidence") == pytest.approx(topomap.confidence)
-    # A junction that is selected shows the window of its surest pass, here the last of those seen.
-    vertex = topomap.observation_vertex[:-1]
-    surest = [np.flatnonzero(vertex == v)[-1] for v in range(len(topomap))]
-    shown = np.array(got.value("/map/junctions", "LineStrips2D:strips"))
-    assert shown == pytest.approx(np.array(outlines)[surest])
     (summary,) = got.value("/summary", "TextDocument:text")
     assert "walls that the laser saw" in summary
     assert f"**{len(topomap) - 1}** vert" in summary
@@ -122,18 +107,20 @@ def test_without_scans_nothing_is_drawn(tmp_path: Path, make_map: Make, drive: D
 
 
 def test_many_walls_are_drawn_by_larger_cells(
-    make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, make_map: Make, drive: Drive, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from topobatch.viz.robot_track import robot_track
-
     topomap = make_map("run1")
     odometry = drive(topomap)
     topomap = seen_walls(topomap, odometry)
-    track = robot_track(topomap, odometry)
-    assert track is not None
-    found = scanned(topomap)
-    fine = scan_layers.scan_layers(found, topomap, odometry, track)
-    monkeypatch.setattr(scan_layers, "MOST_CELLS", len(fine.walls) - 1)
-    coarse = scan_layers.scan_layers(found, topomap, odometry, track)
-    assert (fine.cell_m, coarse.cell_m) == (CELL_M, 2 * CELL_M)
-    assert 0 < len(coarse.walls) < len(fine.walls)
+
+    def cells(path: Path) -> tuple[int, float]:
+        _, got = recorded(path, topomap, odometry)
+        rows = got.rows("/map/scans/walls", "Points2D:positions")
+        (radius,) = got.value("/map/scans/walls", "Points2D:radii")
+        return sum(map(len, rows)), 2 * radius
+
+    fine, fine_m = cells(tmp_path / "fine.rrd")
+    monkeypatch.setattr(scan_layers, "MOST_CELLS", fine - 1)
+    coarse, coarse_m = cells(tmp_path / "coarse.rrd")
+    assert (fine_m, coarse_m) == (pytest.approx(CELL_M), pytest.approx(2 * CELL_M))
+    assert 0 < coarse < fine
