@@ -1,13 +1,11 @@
-"""`topobatch ingest` of many logs in parallel processes with a common progress count."""
+"""`topobatch ingest` of many logs, each in a process of its own, with a common progress count."""
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
 from collections.abc import Callable, Generator, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from multiprocessing.connection import Connection, wait
 from typing import Any
 
 from ..ingest.read_cost import read_cost
@@ -19,127 +17,79 @@ from .ingest_worker import IngestJob, IngestOutcome, ingest_one, is_unchanged, j
 from .output import Screen
 from .process import ENDING, start_worker
 
-POLL_S = 0.1
-"""Interval of progress updates."""
-
-TOGETHER = 2
-"""Attempts at reading logs in parallel if processes die; after that one by one."""
-
 
 def outcomes_of(
-    jobs: list[IngestJob], workers: int, advance: Callable[[int], None]
+    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
 ) -> Generator[IngestOutcome, None, None]:
     """Outcomes as they are completed; `advance` is called with the bytes read so far over all
     logs."""
+    done = 0
+
+    def on_bytes(more: int) -> None:
+        nonlocal done
+        done += more
+        advance(done)
+
     if workers == 1:
-        done = 0
-
-        def on_bytes(more: int) -> None:
-            nonlocal done
-            done += more
-            advance(done)
-
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
-    left = list(jobs)
-    for _ in range(TOGETHER):
-        unfinished = []
-        for job, outcome in _side_by_side(left, workers, advance):
-            if outcome is None:
-                unfinished.append(job)
-            else:
-                yield outcome
-        left = unfinished
-    for job in left:  # one by one: a log that ends its process costs no other
-        for _, outcome in _side_by_side([job], 1, advance):
-            text = f"{job.log}: the process that read it was killed (out of memory?)"
-            yield outcome or IngestOutcome(job.run, "failed", text)
+    lost = []
+    for job, outcome in _side_by_side(jobs, workers, on_bytes):
+        if outcome is None:
+            lost.append(job)
+        else:
+            yield outcome
+    # Once more one by one: each has all memory for itself, and ends no process but its own.
+    for job, outcome in _side_by_side(lost, 1, on_bytes):
+        text = f"{job.log}: the process that read it was killed (out of memory?)"
+        yield outcome or IngestOutcome(job.run, "failed", text)
 
 
 def _side_by_side(
-    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
+    jobs: Sequence[IngestJob], workers: int, on_bytes: Callable[[int], None]
 ) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
-    """Jobs with their outcomes; None if the processes ended before."""
-    if not jobs:
-        return
-    context = _context()
-    counter, begin = context.Value("q", 0), context.Semaphore(0)
-    with ProcessPoolExecutor(workers, context, _start_worker, (counter, begin)) as pool:
-        try:
-            with _signals_deferred():  # a worker stopped half-started would complain
-                futures = dict(_submitted(pool, jobs))
-            # A process that dies while others are started can block the pool for good; one that
-            # dies waiting for an Event, who sets it.
-            for _ in range(workers):
-                begin.release()
-            yield from ((job, None) for job in jobs[len(futures) :])
-            waiting = set(futures)
-            while waiting:
-                finished, waiting = wait(waiting, POLL_S, FIRST_COMPLETED)
-                advance(counter.value)
-                for future in finished:
-                    yield futures[future], _result(future)
-        except BaseException:  # Ctrl-C: nobody waits for half-read logs
-            for process in multiprocessing.active_children():
-                process.terminate()
+    """Jobs with their outcomes; None if the process ended before. on_bytes: called with the number
+    of further bytes read."""
+    context, waiting = _context(), list(reversed(jobs))
+    running: dict[Connection, tuple[Any, IngestJob]] = {}
+    try:
+        while waiting or running:
+            while waiting and len(running) < workers:
+                ours, theirs = context.Pipe(duplex=False)
+                process = context.Process(target=_ingest, args=(waiting[-1], theirs))
+                process.start()
+                theirs.close()
+                running[ours] = process, waiting.pop()
+            for pipe in wait([*running]):
+                assert isinstance(pipe, Connection)
+                told = _received(pipe)
+                if isinstance(told, int):
+                    on_bytes(told)
+                    continue
+                process, job = running.pop(pipe)
                 process.join()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
+                pipe.close()
+                yield job, told
+    finally:  # Ctrl-C: nobody waits for half-read logs
+        for process, _ in running.values():
+            process.terminate()
+        for process, _ in running.values():
+            process.join()
 
 
-_bytes_done: Any = None  # in a worker process: the counter shared with the parent
-
-
-def _start_worker(counter: Any, begin: Any) -> None:
-    global _bytes_done  # noqa: PLW0603 - set once per worker process
-    _bytes_done = counter
-    start_worker()
-    begin.acquire()
-
-
-def _counted(job: IngestJob) -> IngestOutcome:
-    """`ingest_one` in a worker process, with its progress added to the shared counter."""
-
-    def on_bytes(more: int) -> None:
-        with _bytes_done.get_lock():
-            _bytes_done.value += more
-
-    return ingest_one(job, on_bytes)
-
-
-@contextmanager
-def _signals_deferred() -> Iterator[None]:
-    """Defers Ctrl-C and other signals that end the process in the body to its end."""
-    came: list[int] = []
-    before = {
-        number: signal.signal(number, lambda number, _: came.append(number))
-        for number in (signal.SIGINT, *ENDING)
-    }
+def _received(pipe: Connection) -> int | IngestOutcome | None:
+    """What a process says: further bytes read, or its outcome; None if it ended without one."""
     try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-    for number in came:
-        signal.raise_signal(number)
-
-
-def _submitted(
-    pool: ProcessPoolExecutor, jobs: Sequence[IngestJob]
-) -> Iterator[tuple[Future[IngestOutcome], IngestJob]]:
-    """The submitted jobs, as long as all processes live."""
-    for job in jobs:
-        try:
-            yield pool.submit(_counted, job), job
-        except (BrokenProcessPool, EOFError, ConnectionError):  # the last two: no server any more
-            return
-
-
-def _result(future: Future[IngestOutcome]) -> IngestOutcome | None:
-    try:
-        return future.result()
-    except BrokenProcessPool:
+        told: int | IngestOutcome = pipe.recv()
+    except (EOFError, OSError):
         return None
+    return told
+
+
+def _ingest(job: IngestJob, to: Connection) -> None:
+    """`ingest_one` in a process of its own."""
+    start_worker()
+    to.send(ingest_one(job, to.send))
 
 
 def _context() -> Any:
@@ -150,13 +100,11 @@ def _context() -> Any:
 
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["topobatch.cli.ingest_pool", "rerun"])
-    # Signals to a terminal's or a service's processes reach the server and the tracker that it
-    # needs as well, and would end them before their time. Both begin with what is blocked here. The
-    # tracker would unblock Ctrl-C and SIGTERM again, also here, and ignores them itself.
-    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGHUP})
+    # Signals to a terminal's or a service's processes reach the server as well, and would end it
+    # before its time. It begins with what is blocked here. Its tracker would unblock them again.
+    resource_tracker.ensure_running()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
     try:
-        resource_tracker.ensure_running()
-        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, *ENDING})
         forkserver.ensure_running()
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)

@@ -82,14 +82,22 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
 
 
 WORKERS = """
-import multiprocessing.forkserver, os, signal
-from concurrent.futures import ProcessPoolExecutor
-from topobatch.cli.ingest_pool import _context, _start_worker
-context = _context()
-{before}
-known = context.Value("q", 0), context.Semaphore(1)
-with ProcessPoolExecutor(1, context, _start_worker, known) as pool:
-    print(pool.submit(abs, -7).result(), flush=True)
+import multiprocessing.forkserver, os, signal, time
+from topobatch.cli.ingest_pool import _context
+from topobatch.cli.process import start_worker
+
+def work(to):
+    start_worker()
+    to.send(7)
+    time.sleep(60)
+
+if __name__ == "__main__":
+    context = _context()
+    {before}
+    ours, theirs = context.Pipe(duplex=False)
+    worker = context.Process(target=work, args=(theirs,))
+    worker.start()
+    print(ours.recv(), flush=True)
     {after}
 """
 
@@ -100,16 +108,18 @@ with ProcessPoolExecutor(1, context, _start_worker, known) as pool:
     [
         (
             "os.kill(multiprocessing.forkserver._forkserver._forkserver_pid, signal.SIGINT)",
-            "pass",
+            "worker.terminate()",
             0,
         ),
         ("pass", "os.kill(os.getpid(), signal.SIGKILL)", -9),
     ],
     ids=["a Ctrl-C does not end the server", "a worker ends with who started it"],
 )
-def test_workers(before, after, code):
+def test_workers(tmp_path, before, after, code):
     """Its output is at its end only when every process that shares it has ended."""
-    command = [sys.executable, "-c", WORKERS.format(before=before, after=after)]
+    script = tmp_path / "workers.py"
+    script.write_text(WORKERS.format(before=before, after=after))
+    command = [sys.executable, str(script)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stdout) == (code, "7\n"), done
     assert "Traceback" not in done.stderr
