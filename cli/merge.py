@@ -26,7 +26,7 @@ from .options import (
     complete_run,
     grouped,
 )
-from .output import Screen, say_lines
+from .output import Screen, folded, say_lines
 from .paper_options import PaperOptions
 from .settings_file import by_settings
 from .site_names import sites_before, with_sites
@@ -38,7 +38,9 @@ if TYPE_CHECKING:
     from ..merge.result import MergeResult, PairVerdict
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
-    from .unchanged import Line, Said
+
+Line = tuple[Literal["line", "folded", "verbose", "warning"], str]
+"""A line of output and how it is printed; verbose: folded, and with --verbose only."""
 
 MOST_AMBIGUOUS, MOST_SITES, MOST_RUNS = 5, 12, 8
 """Limits of what is printed: ambiguous pairs, sites, runs of a site. The end of a merge fits on a
@@ -150,18 +152,21 @@ def merge(
     with place.held(screen.warn, make=False), _seldom_collected():
         chosen = place.chosen_runs(runs or [], everything)
         before = partial(_merged_before, place, chosen, everything, screen)
-        said, broken = _merged_or_recalled(
+        result, moved, broken = _merged_or_standing(
             place, chosen, everything, (how, paper), dict if replace_last else before, where, screen
         )
-        note(place, "merge", f"{said.note}{by_settings(place)}", screen.warn)
-    said.show(screen)
+        runs_of = counted(sum(len(c.poses) for c in result.components), "run")
+        told = "; ".join([f"{place.merge}: {runs_of}, {_counts(result)}", *moved])
+        note(place, "merge", f"{told}{by_settings(place)}", screen.warn)
+    for line in (*_summary(result, place), *(("folded", each) for each in moved)):
+        _show(line, screen)
     if as_json:
-        say_lines(json.dumps(_told(place)))
+        say_lines(json.dumps(_told(place, result)))
     if broken:
         raise typer.Exit(1)
 
 
-def _merged_or_recalled(
+def _merged_or_standing(
     place: Workspace,
     chosen: list[str],
     everything: bool,
@@ -169,31 +174,37 @@ def _merged_or_recalled(
     merged_before: Callable[[], dict[str, str]],
     where: MatchOptions,
     screen: Screen,
-) -> tuple[Said, list[str]]:
-    """What a merge says that is made, or lies there; and the runs whose maps cannot be read.
-    merged_before: gives the runs that it may not leave out, with their sites."""
-    from .unchanged import Said, contents, made_from, recalled, remember
+) -> tuple[MergeResult, list[str], list[str]]:
+    """A merge that is made, or stands; what became of sites; and the runs whose maps cannot be
+    read. merged_before: gives the runs that it may not leave out, with their sites."""
+    from .unchanged import contents, made_from, remember, stands
 
     documents = contents(place, chosen)
     key = made_from(place, documents, asked)
-    said = recalled(place, key)
-    if said is not None:
+    if stands(place, key):
         screen.detail("nothing is new: the merge of these maps lies there")
-        return said, []
+        return read_result(place), [], []
     how, paper = asked
     settings, before = how.settings(paper), merged_before()
     maps, broken = read_maps(place, chosen, screen)
     if lost := before.keys() & set(broken):
         raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
-    result = _merged(place, maps, settings, where.workers, everything, screen)
-    result, moved = with_sites(place, result, maps, before or sites_before(place))
-    with screen.progress("writing", 0):
-        _write(place, result, maps, documents)
-    told = "; ".join([f"{place.merge}: {counted(len(maps), 'run')}, {_counts(result)}", *moved])
-    said = Said((*_summary(result, place), *(("folded", each) for each in moved)), told)
+    result, moved = _merged(
+        place, maps, settings, before or sites_before(place), where.workers, everything, screen
+    )
     if not broken:
-        remember(place, key, said, screen)
-    return said, broken
+        remember(place, key, screen)
+    return result, moved, broken
+
+
+def _show(line: Line, screen: Screen) -> None:
+    """Print a line."""
+    kind, text = line
+    if kind == "warning":
+        screen.warn(text)
+    elif kind != "verbose" or screen.verbose:
+        for each in [text] if kind == "line" else folded(text):
+            screen.line(each)
 
 
 @contextmanager
@@ -223,7 +234,6 @@ def _repeat(
 ) -> None:
     """Repeat one merge; see `merge_again`."""
     from ..merge.document import read_merged
-    from .unchanged import contents
 
     try:
         graph = read_merged(place.merged_json).graph
@@ -241,15 +251,18 @@ def _repeat(
         place.merged_rrd.unlink(missing_ok=True)
         screen.line(f"{place.merged_json}: removed; none of its runs is left")
         return
-    settings = _about(settings, new, runs)
-    documents = contents(place, runs)
     maps, _ = read_maps(place, runs, screen)
-    everything = runs == place.runs()
-    result = _merged(place, maps, settings, MatchOptions().workers, everything, screen)
     # A run alone is a site of its own name, old or new.
     before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
-    result, moved = with_sites(place, result, maps, before)
-    _write(place, result, maps, documents)
+    result, moved = _merged(
+        place,
+        maps,
+        _about(settings, new, runs),
+        before,
+        MatchOptions().workers,
+        runs == place.runs(),
+        screen,
+    )
     name = "" if place.merge == MERGED else f", {place.merge}"
     screen.line(f"merged again{name}: {counted(len(maps), 'run')}, {_counts(result)}")
     for each in moved:
@@ -326,13 +339,22 @@ def _merged(
     place: Workspace,
     maps: list[TopoMap],
     settings: MergeSettings,
+    before: Mapping[str, str],
     workers: Callable[[int], Workers | None],
     everything: bool,
     screen: Screen,
-) -> MergeResult:
+) -> tuple[MergeResult, list[str]]:
+    """Merge maps and write the files of the merge; and what became of the sites of the last one.
+    before: the site of every run then."""
+    from ..merge.document import write_merged
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
+    from ..topology.files import write_together
+    from ..viz.merged_recording import write_merged_recording
+    from .unchanged import contents
 
+    # From these, later changes of maps are recognised.
+    documents = contents(place, [m.run for m in maps])
     kept = kept_results(place, settings.robust, screen.warn)
     with matching(place, pairs_of(len(maps)), kept, workers, screen) as means:
         result = merge_maps(
@@ -340,29 +362,16 @@ def _merged(
         )
     if everything and settings.method == "robust":
         kept.settle()
-    return result
-
-
-def _write(
-    place: Workspace,
-    result: MergeResult,
-    maps: list[TopoMap],
-    documents: Mapping[str, str | None],
-) -> None:
-    """Write the files of a merge. documents: `contents` of the maps, from which later changes are
-    recognised."""
-    from ..merge.document import write_merged
-    from ..topology.files import write_together
-    from ..viz.merged_recording import write_merged_recording
-
-    merged = {m.run: documents[m.run] for m in maps}
-    result = replace(result, info={**result.info, "maps": merged})
-    write_together(
-        {
-            place.merged_json: partial(write_merged, result=result),
-            place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
-        }
-    )
+    result, moved = with_sites(place, result, maps, before)
+    result = replace(result, info={**result.info, "maps": documents})
+    with screen.progress("writing", 0):
+        write_together(
+            {
+                place.merged_json: partial(write_merged, result=result),
+                place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
+            }
+        )
+    return result, moved
 
 
 def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
@@ -441,9 +450,8 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
         yield f"{pairs}; what to record to settle most: {place.call('next', *merge)}"
 
 
-def _told(place: Workspace) -> dict[str, Any]:
+def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:
     """The merge as JSON values: its files, its sites, the number of pairs by standing."""
-    result = read_result(place)
     home = {run: component.id for component in result.components for run in component.poses}
     return {
         "merged": str(place.merged_json),

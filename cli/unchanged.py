@@ -1,8 +1,7 @@
-"""Recognising a merge without changes since the last one, whose output is then repeated.
+"""Recognising what changed since a merge, or that nothing did.
 
-A record in the cache is used if the program, its libraries, the options, the documents of all runs,
-locks, discards, names of sites and the files of the merge all have the recorded checksums; else the
-merge is done.
+A merge stands if the program, its libraries, the options, the documents of all runs, locks,
+discards, names of sites and its own files all have the checksums of a record in the cache.
 """
 
 from __future__ import annotations
@@ -11,40 +10,18 @@ import hashlib
 import os
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
 
 from ..topology.errors import DocumentError
 from ..topology.files import encoded, opened, read_json, write_json
 from ..topology.wording import listed
-from .output import Screen, folded
+from .output import Screen
 from .workspace import Workspace
-
-Line = tuple[Literal["line", "folded", "verbose", "warning"], str]
-"""A line of output and how it is printed; verbose: folded, and with --verbose only."""
 
 FOLDERS = ("topology", "merge", "viz", "cli")
 LIBRARIES = ("numpy", "scipy", "pydantic", "rerun-sdk", "pyarrow")
 """Libraries on which the files of a merge depend."""
-
-
-@dataclass(frozen=True, slots=True)
-class Said:
-    """The output of a merge on the screen and in the journal."""
-
-    lines: Sequence[Line]
-    note: str
-
-    def show(self, screen: Screen) -> None:
-        """On the screen."""
-        for kind, text in self.lines:
-            if kind == "warning":
-                screen.warn(text)
-            elif kind != "verbose" or screen.verbose:
-                for line in [text] if kind == "line" else folded(text):
-                    screen.line(line)
 
 
 def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
@@ -79,46 +56,32 @@ def made_from(place: Workspace, documents: Mapping[str, str | None], options: ob
     from ..merge.digests import program_digest  # which loads large arrays
 
     decisions = (place.locks_json, place.discards_json, place.sites_json)
-    spoken = [(os.path.lexists(path), _content(path)) for path in decisions]
-    libraries = [sys.version, *map(version, LIBRARIES)]
-    where = [str(place.root), place.call("view", place.merge)]  # which is said
     every = [
         program_digest(*FOLDERS).hex(),
-        libraries,
-        where,
+        [sys.version, *map(version, LIBRARIES)],
         repr(options),
         dict(documents),
-        spoken,
+        [(os.path.lexists(path), _content(path)) for path in decisions],
     ]
     return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
 
 
-def recalled(place: Workspace, asked: str) -> Said | None:
-    """The output of the last merge, if it was made from the same digest and its files are
-    unchanged."""
+def stands(place: Workspace, asked: str) -> bool:
+    """Whether the last merge was made from the same digest and its files are unchanged."""
+    files = _files(place)
     try:
         found = read_json(place.merge_record)
-        if not isinstance(found, dict) or _check(found["record"]) != found["check"]:
-            return None
-        record, files = found["record"], _files(place)
-        if record["made_from"] != asked or record["files"] != files or None in files.values():
-            return None
-        return Said([(kind, str(text)) for kind, text in record["lines"]], str(record["note"]))
-    except (DocumentError, OSError, KeyError, TypeError, ValueError):
-        return None  # a cache: without it the merge is made
+    except DocumentError:
+        return False  # a cache: without it the merge is made
+    return None not in files.values() and bool(found == {"made_from": asked, "files": files})
 
 
-def remember(place: Workspace, asked: str, said: Said, screen: Screen) -> None:
-    """Record the output of the current merge, all of whose maps were readable."""
-    record = {"made_from": asked, "files": _files(place), **asdict(said)}
+def remember(place: Workspace, asked: str, screen: Screen) -> None:
+    """Record what the current merge, all of whose maps were readable, was made from."""
     try:
-        write_json(place.merge_record, {"check": _check(record), "record": record})
+        write_json(place.merge_record, {"made_from": asked, "files": _files(place)})
     except OSError as error:
         screen.warn(f"{place.merge_record}: {error.strerror or error}; not kept")
-
-
-def _check(record: Any) -> str:
-    return hashlib.blake2b(encoded(record), digest_size=16).hexdigest()
 
 
 def _files(place: Workspace) -> dict[str, str | None]:

@@ -23,7 +23,6 @@ def merged(tmp_path_factory, fleet_maps):
 def place(merged, topobatch, tmp_path):
     topobatch("merge", "--all", "-w", merged)
     shutil.copytree(merged, tmp_path / "ws")
-    assert NOTHING_NEW not in topobatch("merge", "--all", "-v", "-w", tmp_path / "ws").err
     return tmp_path / "ws"
 
 
