@@ -7,24 +7,29 @@ from __future__ import annotations
 
 import io
 import re
-import unicodedata
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import ceil, floor, log10
+from textwrap import wrap
 from typing import Any, Literal
 
 import numpy as np
 from matplotlib import rc_context, rcdefaults, rcParams
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
 from matplotlib.lines import Line2D
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path as Outline
+from matplotlib.transforms import ScaledTranslation
+from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 
+from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
+from ..topology.run import Grid
 from ..topology.wording import legible
 from .palette import Order, Theme
 
@@ -40,10 +45,13 @@ EDGE_PT = 12.0
 """Margin of the page."""
 
 HANDLE_PT, GAP_PT = 26.0, 14.0
-"""Width of the sample mark in a key entry, and the gap between two columns of entries."""
+"""Room for the sample mark in a key entry, and the gap between two columns of entries."""
+
+BAR_PT = 26.0
+"""Room for the scale bar below the drawing."""
 
 LETTER = 0.62
-"""Estimated width of a letter over the font size; East Asian wide letters count 1."""
+"""Estimated width of a letter over the font size."""
 
 TALLEST = 1.6
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
@@ -58,6 +66,7 @@ _STYLE: dict[Any, Any] = {
     "svg.fonttype": "none",
     "font.sans-serif": ["DejaVu Sans", "Verdana", "sans-serif"],
     "path.simplify": False,
+    "text.parse_math": False,
 }
 _SVG = "http://www.w3.org/2000/svg"
 _XLINK = "http://www.w3.org/1999/xlink"
@@ -75,21 +84,12 @@ class Key:
     label: str
 
 
-@dataclass(frozen=True, slots=True)
-class _Block:
-    """Entries laid out in columns, `step` points apart, of `rows` rows each."""
-
-    keys: Sequence[Key]
-    step: float
-    rows: int
-
-
 @dataclass(slots=True)
 class Canvas:
     """A drawing of the rectangle between two corners, `low` and `high`, (2,) each [m].
 
     width_pt: width of the whole page. Text may hold any characters: `legible` replaces unprintable
-    ones and `fitting` shortens what is too long.
+    ones, and what is too long is shortened.
     """
 
     low: FloatArray
@@ -102,17 +102,21 @@ class Canvas:
     _titles: dict[str, str] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.figure = Figure()
+        # The figure is the drawing; the page is what holds it with all texts around it.
+        self.figure = Figure(np.array(self._size_pt) / POINTS_PER_INCH)
         self._axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         self._axes.set_axis_off()
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
     @property
+    def _room_pt(self) -> float:
+        return self.width_pt - 2 * EDGE_PT
+
+    @property
     def _size_pt(self) -> tuple[float, float]:
         """Width and height of the drawing in metres, on the page [points]."""
         width, height = np.maximum(self.high - self.low, 1e-6).tolist()
-        room = self.width_pt - 2 * EDGE_PT
-        scale = min(room / width, TALLEST * room / height)
+        scale = min(self._room_pt / width, TALLEST * self._room_pt / height)
         return scale * width, scale * height
 
     @property
@@ -173,6 +177,24 @@ class Canvas:
             markeredgewidth=1.2 if ring else 0.5,
         )
 
+    def cells(self, grid: Grid, colour: str, alpha: float = 1.0) -> None:
+        """Draw the occupied cells of a grid that lies along the axes."""
+        pixels = np.zeros((*grid.free.shape, 4))
+        pixels[~grid.free & ~grid.unknown] = (*to_rgb(colour), alpha)
+        x, y, _ = grid.origin
+        high, wide = (count * grid.resolution_m for count in grid.free.shape)
+        picture = self._axes.imshow(
+            pixels,
+            origin="lower",
+            extent=(x, x + wide, y, y + high),
+            aspect="auto",
+            interpolation="none",
+            zorder=Order.WALL,
+        )
+        picture.set_clip_on(False)
+        # What is drawn as a picture must not move the corners.
+        self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
+
     def words(
         self,
         at: tuple[float, float],
@@ -182,10 +204,19 @@ class Canvas:
         room_m: float | None = None,
     ) -> None:
         """Write a text centred at a point [m], shortened to `room_m` if given."""
-        text = legible(text)
         if room_m is not None:
-            text = fitting(text, room_m * self.points_per_m, size_pt)
-        self._write(self._axes, *at, text, size_pt=size_pt, ha="center", va="center")
+            text = short(text, letters(room_m * self.points_per_m, size_pt))
+        self._axes.text(*at, legible(text), ha="center", va="center", **self._font(size_pt))
+
+    def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:
+        return {
+            "fontsize": size_pt,
+            "fontweight": "bold" if bold else "normal",
+            "fontfamily": "sans-serif",
+            "color": self.theme["ink"],
+            "zorder": Order.WORDS,
+            "parse_math": False,  # run names may hold dollar signs
+        }
 
     def _add(self, artist: Any, told: str) -> None:
         artist.set_clip_on(False)
@@ -196,109 +227,86 @@ class Canvas:
         self._axes.add_artist(artist)
 
     def finish(self, heading: Sequence[str], keys: Sequence[Sequence[Key]]) -> None:
-        """Lay out the page: heading lines above (empty ones are skipped; the first one is larger),
-        a scale bar and the groups of keys below."""
-        wide, high = self._size_pt
-        room = self.width_pt - 2 * EDGE_PT
-        lines = [fitting(text, room, HEADING_PT) for text in heading[:1]]
-        lines += [line for text in heading[1:] if text for line in folded(text, room, TEXT_PT)]
-        top = LINE_PT * len(lines) + (8.0 if lines else 0.0)
-        blocks = [_columns(group, room) for group in keys if group]
-        bottom = 26.0 + sum(LINE_PT * block.rows + 6.0 for block in blocks)
-        total = 2 * EDGE_PT + top + high + bottom
-        self.figure.set_size_inches(self.width_pt / POINTS_PER_INCH, total / POINTS_PER_INCH)
-        self.figure.set_facecolor(self.theme["paper"])
-        left = EDGE_PT + (room - wide) / 2
-        size = np.array([self.width_pt, total])
-        corner, extent = np.array([left, EDGE_PT + bottom]), np.array([wide, high])
-        self._axes.set_position((*(corner / size), *(extent / size)))
-        page = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
-        page.set(xlim=(0.0, self.width_pt), ylim=(0.0, total))
-        page.set_axis_off()
-        page.patch.set_visible(False)
-        for k, line in enumerate(lines):
-            y = total - EDGE_PT - LINE_PT * (k + 0.5)
-            size_pt = TEXT_PT if k else HEADING_PT
-            self._write(page, EDGE_PT, y, line, bold=k == 0, size_pt=size_pt)
-        self._scale_bar(page, EDGE_PT + bottom - 14.0)
-        self._keys(page, blocks, EDGE_PT + bottom - 26.0)
+        """Write what stands around the drawing: heading lines above (empty ones are skipped; the
+        first one is larger), a scale bar and the groups of keys below."""
+        with _styled():
+            title, *others = map(legible, heading)
+            room = letters(self._room_pt, TEXT_PT)
+            lines = [line for text in others for line in wrap(text, room)]
+            rise = 8.0
+            for k, line in enumerate(
+                [short(title, letters(self._room_pt, HEADING_PT)), *lines][::-1]
+            ):
+                font = self._font() if k < len(lines) else self._font(HEADING_PT, bold=True)
+                self._axes.text(0.0, 1.0, line, va="bottom", transform=self._below(-rise), **font)
+                rise += LINE_PT
+            length = round_length(0.2 * float(self.high[0] - self.low[0]))
+            bar = AnchoredSizeBar(
+                self._axes.transData,
+                length,
+                f"{length:g} m",
+                "upper left",
+                frameon=False,
+                borderpad=0.0,
+                color=self.theme["ink"],
+                fontproperties=FontProperties(size=TEXT_PT),
+                bbox_to_anchor=(0.0, 0.0),
+                bbox_transform=self._below(4.0),
+            )
+            self._add(bar, "")
+            below = BAR_PT
+            for group in filter(None, keys):
+                columns = max(1, floor(self._room_pt / _widest_pt(group)))
+                most = letters(self._room_pt / columns - HANDLE_PT - GAP_PT, TEXT_PT)
+                legend = self._axes.legend(
+                    [self._mark(key) for key in group],
+                    [short(legible(key.label), most) for key in group],
+                    loc="upper left",
+                    bbox_to_anchor=(0.0, 0.0),
+                    bbox_transform=self._below(below),
+                    ncols=columns,
+                    frameon=False,
+                    fontsize=TEXT_PT,
+                    labelcolor=self.theme["ink"],
+                    labelspacing=LINE_PT / TEXT_PT - 1,
+                    borderpad=0.0,
+                    borderaxespad=0.0,
+                )
+                for key, text in zip(group, legend.get_texts(), strict=True):
+                    text.set_fontweight("bold" if key.form == "title" else "normal")
+                self._add(legend, "")
+                below += LINE_PT * ceil(len(group) / columns) + 6.0
 
-    def _scale_bar(self, page: Any, y: float) -> None:
-        """Draw a scale bar of at most a fifth of the drawing's width, see `round_length`."""
-        length = round_length(0.2 * float(self.high[0] - self.low[0]))
-        end = EDGE_PT + length * self.points_per_m
-        ticks = [((x, x), (y - 2.5, y + 2.5)) for x in (EDGE_PT, end)]
-        for xs, ys in (((EDGE_PT, end), (y, y)), *ticks):
-            page.add_artist(Line2D(xs, ys, color=self.theme["ink"], linewidth=1.0))
-        self._write(page, end + 5.0, y, f"{length:g} m")
+    def _below(self, down_pt: float) -> Any:
+        """The transform of the drawing's fractions, moved down the page."""
+        down = ScaledTranslation(0.0, -down_pt / POINTS_PER_INCH, self.figure.dpi_scale_trans)
+        return self._axes.transAxes + down
 
-    def _keys(self, page: Any, blocks: Sequence[_Block], y: float) -> None:
-        for block in blocks:
-            for k, key in enumerate(block.keys):
-                x = EDGE_PT + block.step * (k // block.rows)
-                row = y - LINE_PT * (k % block.rows + 0.5)
-                titled = key.form == "title"
-                if not titled:
-                    self._mark(page, key, x, row)
-                room = block.step - (0.0 if titled else HANDLE_PT) - 2.0
-                label = fitting(key.label, room, TEXT_PT)
-                self._write(page, x + (0.0 if titled else HANDLE_PT), row, label, bold=titled)
-            y -= LINE_PT * block.rows + 6.0
-
-    def _write(
-        self,
-        axes: Any,
-        x: float,
-        y: float,
-        text: str,
-        *,
-        bold: bool = False,
-        size_pt: float = TEXT_PT,
-        ha: str = "left",
-        va: str = "center_baseline",
-    ) -> None:
-        axes.text(
-            x,
-            y,
-            text,
-            ha=ha,
-            va=va,
-            fontsize=size_pt,
-            fontweight="bold" if bold else "normal",
-            color=self.theme["ink"],
-            zorder=Order.WORDS,
-            parse_math=False,  # run names may hold dollar signs
-            fontfamily="sans-serif",
-        )
-
-    def _mark(self, page: Any, key: Key, x: float, y: float) -> None:
-        middle = x + 0.4 * HANDLE_PT
-        if key.form in ("line", "wide line", "stub"):
-            half = 3.0 if key.form == "stub" else 0.32 * HANDLE_PT
-            width = {"line": 2.0, "wide line": 4.0, "stub": 1.5}[key.form]
-            mark = Line2D((middle - half, middle + half), (y, y), color=key.colour, linewidth=width)
-        else:
-            size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form]
-            at = np.array([(middle, y)])
-            mark = self._markers(at, key.colour, size, ring=key.form == "ring")
-        page.add_artist(mark)
+    def _mark(self, key: Key) -> Line2D:
+        """The sample of an entry."""
+        if key.form in ("line", "wide line", "stub", "title"):
+            width = {"line": 2.0, "wide line": 4.0, "stub": 1.5, "title": 0.0}[key.form]
+            return Line2D([], [], color=key.colour, linewidth=width)
+        size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form]
+        return self._markers(np.zeros((0, 2)), key.colour, size, ring=key.form == "ring")
 
     def as_bytes(self, form: Format) -> bytes:
         """The finished drawing as a file; deterministic."""
         out = io.BytesIO()
-        with rc_context(), warnings.catch_warnings():
-            rcdefaults()  # independent of the user's and the process's settings
-            rcParams.update(_STYLE)
+        about = {"Software": "topobatch"} if form == "png" else {"Date": None, "Creator": None}
+        with _styled(), warnings.catch_warnings():
             # Glyphs that the font of a PNG lacks are drawn as boxes.
             warnings.filterwarnings("ignore", message="Glyph .* missing from")
-            if form == "png":
-                self.figure.set_dpi(PNG_DPI)
-                agg: Any = FigureCanvasAgg(self.figure)
-                agg.print_png(out, metadata={"Software": "topobatch"})
-                return out.getvalue()
-            vector: Any = FigureCanvasSVG(self.figure)
-            vector.print_svg(out, metadata={"Date": None, "Creator": "topobatch"})
-        return self._tidied(out.getvalue())
+            self.figure.savefig(
+                out,
+                format=form,
+                dpi=PNG_DPI,
+                metadata=about,
+                facecolor=self.theme["paper"],
+                bbox_inches="tight",
+                pad_inches=EDGE_PT / POINTS_PER_INCH,
+            )
+        return out.getvalue() if form == "png" else self._tidied(out.getvalue())
 
     def _tidied(self, svg: bytes) -> bytes:
         """The SVG with tooltips and numbers rounded to two decimals."""
@@ -327,37 +335,18 @@ def _two_decimals(found: re.Match[str]) -> str:
     return f"{float(found[0]) + 0.0:.2f}".rstrip("0").rstrip(".")
 
 
-def width_of(text: str, size_pt: float) -> float:
-    """Estimated width of a text [points]."""
-    return size_pt * sum(1.0 if unicodedata.east_asian_width(c) in "WF" else LETTER for c in text)
+@contextmanager
+def _styled() -> Iterator[None]:
+    """Our style, independent of the user's and the process's settings."""
+    with rc_context():
+        rcdefaults()
+        rcParams.update(_STYLE)
+        yield
 
 
-def fitting(text: str, room_pt: float, size_pt: float) -> str:
-    """The text, shortened in the middle to at most `room_pt`; "" if not even that fits."""
-    text = legible(text)
-    if width_of(text, size_pt) <= room_pt:
-        return text
-    most = floor(room_pt / (LETTER * size_pt)) - 1
-    while most > 1:
-        half = most // 2
-        short = f"{text[: most - half]}…{text[len(text) - half :]}"
-        if width_of(short, size_pt) <= room_pt:
-            return short
-        most -= 1
-    return ""
-
-
-def folded(text: str, room_pt: float, size_pt: float) -> list[str]:
-    """The text wrapped into lines of at most `room_pt`."""
-    lines: list[str] = []
-    line = ""
-    for word in legible(text).split():
-        longer = f"{line} {word}" if line else word
-        if line and width_of(longer, size_pt) > room_pt:
-            lines.append(line)
-            longer = word
-        line = fitting(longer, room_pt, size_pt)
-    return [*lines, line] if line else lines
+def letters(room_pt: float, size_pt: float) -> int:
+    """About how many letters have room, at least one."""
+    return max(floor(room_pt / (LETTER * size_pt)), 1)
 
 
 def round_length(most_m: float) -> float:
@@ -368,10 +357,7 @@ def round_length(most_m: float) -> float:
     )
 
 
-def _columns(keys: Sequence[Key], room_pt: float) -> _Block:
-    """The layout with as many columns as the longest label allows; a column takes at most half of
-    the page."""
-    longest = max(width_of(legible(key.label), TEXT_PT) for key in keys)
-    step = min(longest + HANDLE_PT + GAP_PT, room_pt / 2)
-    columns = max(1, floor(room_pt / step))
-    return _Block(keys, step, ceil(len(keys) / columns))
+def _widest_pt(keys: Sequence[Key]) -> float:
+    """Width of a column of entries."""
+    longest = max(len(key.label) for key in keys)
+    return LETTER * TEXT_PT * longest + HANDLE_PT + GAP_PT

@@ -21,14 +21,14 @@ from ..topology.driven_branches import driven_branches
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
 from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import Graph, TopoMap
-from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M, REACH_M, Views
 from ..topology.wording import counted, to_turning_points
-from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, width_of
+from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, letters
 from .drawing import (
     MOST_NUMBERED,
     SHEET_MARGIN,
+    TURNED,
     bounds,
     branch_arrows,
     extent,
@@ -38,7 +38,7 @@ from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
 from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
-from .walls import FINE_M, map_walls, site_walls, strokes, wall_points, walls_of
+from .walls import FINE_M, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
 
@@ -61,7 +61,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     """Draw one run's map: corridors, junctions coloured by their number of branches, branches that
     were never driven, and below them walls, where a laser or a saved map showed them."""
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
-    seen = wall_points(map_walls(topomap))
+    seen = wall_points(walls_of([topomap.views], topomap.frame))
     low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
@@ -83,24 +83,17 @@ the file than the page has room for."""
 
 
 def _walls(
-    canvas: Canvas,
-    views: Sequence[Views],
-    T: FloatArray,
-    colour: str,
-    label: str = "wall",
-    *,
-    width: float = 1.0,
+    canvas: Canvas, views: Sequence[Views], T: FloatArray, colour: str, alpha: float = 1.0
 ) -> list[Key]:
-    """Draw the walls that views show, moved onto the sheet by T; width: of lines, over that of a
-    cell."""
+    """Draw the walls that views show, moved onto the sheet by T."""
     cell_m = FINE_M
     while cell_m * canvas.points_per_m < LEAST_CELL_PT:
         cell_m *= 2
     grid = walls_of([v.moved(T) for v in views], "", cell_m)
-    lines = [] if grid is None else strokes(grid)
-    width_pt = width * cell_m * canvas.points_per_m
-    canvas.lines(lines, colour, width_pt, order=Order.WALL)
-    return [Key("wide line", colour, label)] if lines else []
+    if grid is None:
+        return []
+    canvas.cells(grid, colour, alpha)
+    return [Key("wide line", colour, "wall")]
 
 
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
@@ -157,8 +150,7 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
             canvas.dots(xy[i : i + 1], colour, size, told=told)
         keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
     if len(m) <= MOST_NUMBERED:
-        for i, where in enumerate(_beside(m, T, xy, 8.0 / canvas.points_per_m)):
-            canvas.words((float(where[0]), float(where[1])), str(i), size_pt=SMALL_PT)
+        _numbered(canvas, m, T, dict(enumerate(map(str, range(len(m))))))
     return keys
 
 
@@ -171,13 +163,6 @@ def _size_told(m: TopoMap, vertex: int) -> str:
     return ""
 
 
-TURNED = {
-    TURNING_POINT: "robot turned round",
-    TRACK_END: "log begins or ends",
-    FRONTIER: "unknown beyond",
-}
-
-
 def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     """Draw where the robot turned round and where the log begins or ends between junctions."""
     points, colour = m.turning_points, canvas.theme["degree 1"]
@@ -188,19 +173,18 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     return [Key("dot", colour, label) for kind, label in TURNED.items() if kind in points.kind]
 
 
-def _beside(m: TopoMap, T: FloatArray, xy: FloatArray, away_m: float) -> FloatArray:
-    """(n, 2) positions of the junctions' numbers: `away_m` along the middle of the widest gap
-    between the junction's branches."""
-    out = np.array(xy)
-    for i in range(len(m)):
+def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str]) -> None:
+    """Write the numbers of junctions in the middle of the widest gap between their branches."""
+    away_m = 8.0 / canvas.points_per_m
+    for i, number in numbers.items():
         heading = np.sort(np.mod(m.branches[i] + T[2], 2 * np.pi))
         middle = np.pi / 4
         if len(heading):
             gaps = np.diff(np.r_[heading, heading[0] + 2 * np.pi])
             k = int(gaps.argmax())
             middle = heading[k] + gaps[k] / 2
-        out[i] += away_m * np.array([np.cos(middle), np.sin(middle)])
-    return out
+        x, y = apply(T, m.xy[i : i + 1])[0] + away_m * np.array([np.cos(middle), np.sin(middle)])
+        canvas.words((float(x), float(y)), number, size_pt=SMALL_PT)
 
 
 def draw_site(
@@ -226,8 +210,7 @@ def draw_merged(
     whose walls are drawn as well.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
-    walls = {c.id: site_walls(result.fused, c, maps) for c in result.components}
-    seen = {c: wall_points(grid) for c, grid in walls.items() if grid is not None}
+    seen = {c: wall_points(walls_of(own, "")) for c, own in views.items()}
     parts = lay_out(result, for_paper=True, walls=seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
@@ -239,7 +222,9 @@ def draw_merged(
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers and result.fused.junctions <= MOST_NUMBERED:
-            _numbered(canvas, result.fused, part, numbers)
+            rows = [k for k in part.vertices.tolist() if result.fused.kind[k] not in TURNED]
+            own = {k: str(numbers[k]) for k in rows}
+            _numbered(canvas, result.fused, part.cell.T_sheet_map, own)
         own = views[part.component.id]
         walled = [*walled, *_walls(canvas, own, part.cell.T_sheet_map, theme["wall"])]
     pairs = sum(pair.accepted for pair in result.verdicts)
@@ -258,18 +243,10 @@ def draw_merged(
     return canvas
 
 
-def _numbered(canvas: Canvas, fused: FusedMap, part: Part, numbers: Sequence[int]) -> None:
-    """Write the numbers of a part's junctions beside them."""
-    rows = [k for k in part.vertices.tolist() if fused.kind[k] not in TURNED]
-    xy = apply(part.cell.T_sheet_map, fused.xy[rows].reshape(-1, 2)) + 8.0 / canvas.points_per_m
-    for k, (x, y) in zip(rows, xy.tolist(), strict=True):
-        canvas.words((x, y), str(numbers[k]), size_pt=SMALL_PT)
-
-
 def _title(canvas: Canvas, part: Part) -> str:
     """The longest of the component's titles that fits its cell."""
-    room = (part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
-    fitting = (title for title in part.titles if width_of(title, TEXT_PT) < room)
+    room = float(part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
+    fitting = (title for title in part.titles if len(title) < letters(room, TEXT_PT))
     return next(fitting, part.titles[-1])
 
 
@@ -431,7 +408,9 @@ def _over(
     beside: Sequence[Overlay] = (),
 ) -> tuple[Canvas, list[Cell]]:
     """Draw map b over map a once for each (title, T_a_b), and views beside these."""
-    of_a, of_b = (np.concatenate([extent(m), wall_points(map_walls(m))]) for m in (a, b))
+    of_a, of_b = (
+        np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
+    )
     points = [np.concatenate([of_a, apply(T, of_b)]) for _, T in laid]
     turn = upright_rad(a.paths)
     wide = min(float(np.ptp(p, axis=0).max()) for p in points)
@@ -445,10 +424,9 @@ def _over(
     for (_, T), cell in zip(laid, cells, strict=False):
         _own_map(canvas, a, cell.T_sheet_map, theme.run(0))
         _own_map(canvas, b, compose(cell.T_sheet_map, T), theme.run(1))
-        # The walls of b are thinner, so that those of a show where both lie.
         _walls(canvas, [a.views], cell.T_sheet_map, theme.pale_run(0))
-        T_sheet_b = compose(cell.T_sheet_map, T)
-        _walls(canvas, [b.views], T_sheet_b, theme.pale_run(1), width=0.5)
+        # Those of a show through.
+        _walls(canvas, [b.views], compose(cell.T_sheet_map, T), theme.pale_run(1), alpha=0.75)
     return canvas, cells
 
 

@@ -12,12 +12,20 @@ from ..merge.result import FusedMap
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.polyline import way_of
 from ..topology.topomap import Graph
+from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
 
 MOST_NUMBERED = 150
 """Up to this many junctions their numbers are always shown; above, only for the one pointed at."""
 
 WIDEST_RIBBON = 4
 """Largest width of a ribbon, in pens; with more runs its strands get thinner."""
+
+TURNED = {
+    TURNING_POINT: "the robot turned round",
+    TRACK_END: "a log begins or ends",
+    FRONTIER: "unknown beyond",
+}
+"""What is there where the track leads to no junction."""
 
 MARGIN, SHEET_MARGIN = 0.05, 0.02
 """Margin around a map and around a sheet of maps, as shares of the extent."""

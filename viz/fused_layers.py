@@ -19,11 +19,10 @@ from ..topology.views import Views
 from . import palette
 from .drawing import Strand, branch_arrows, pen_m, strands
 from .grid_layer import write_grid
-from .growing import light_up_by_step
 from .map_sheet import write_cards, write_contradictions, write_own_maps
 from .parts import Part, rows_of
 from .placements import Spot, contradiction_spots
-from .recording import UP, PathParts, Recording, placed, strips
+from .recording import UP, PathParts, Recording, light_up, placed, strips
 from .sheet import Cell
 from .story import Step, first_steps
 from .walls import FINE_M, walls_of
@@ -183,7 +182,7 @@ def _ribbons(
         run = path[-1]
         if run in first:
             when = np.array([first[run]])
-            light_up_by_step(recording, path, rr.LineStrips2D, when, colours[run])
+            light_up(recording.over_steps, path, rr.LineStrips2D, when, colours[run], begin=0)
         else:
             recording.static(path, rr.LineStrips2D.from_fields(colors=colours[run]))
 
@@ -238,7 +237,7 @@ def _junctions_in_time(
     colours = np.where(several, palette.WHITE, palette.SINGLE).astype(np.uint8)
     if first.keys() & part.component.poses.keys():
         when = np.array([min(first.get(run, 0) for run in runs) for runs in members])
-        light_up_by_step(recording, path, rr.Points2D, when, colours)
+        light_up(recording.over_steps, path, rr.Points2D, when, colours, begin=0)
     else:
         recording.static(path, rr.Points2D.from_fields(colors=colours))
 

@@ -21,12 +21,11 @@ from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .grid_layer import write_grid
-from .growing import light_up
 from .history import History, Question, history, questions
 from .map_blueprint import MAP, map_blueprint
 from .map_sheet import corridors_told
 from .map_summary import correction, map_summary
-from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
+from .recording import HAIR, UP, PathParts, Recording, light_up, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
 from .scan_layers import write_scans
 
@@ -102,7 +101,7 @@ def _corridors(
         ),
         corridors_told(topomap),
     )
-    light_up(recording, path, rr.LineStrips2D, known.corridor_ns, colours, begin_ns=begin_ns)
+    light_up(recording.over_time, path, rr.LineStrips2D, known.corridor_ns, colours, begin=begin_ns)
 
 
 def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None) -> None:
@@ -121,7 +120,7 @@ def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: 
             )
             recording.static(path, arrows)
             when = known.vertex_ns[topomap.branches.owner[which]]
-            light_up(recording, path, rr.Arrows2D, when, colour, begin_ns=begin_ns)
+            light_up(recording.over_time, path, rr.Arrows2D, when, colour, begin=begin_ns)
 
 
 def _junctions(
@@ -156,7 +155,7 @@ def _junctions(
         ),
     )
     colours = palette.by_degree(topomap.degree)
-    light_up(recording, path, rr.Points2D, known.vertex_ns, colours, begin_ns=begin_ns)
+    light_up(recording.over_time, path, rr.Points2D, known.vertex_ns, colours, begin=begin_ns)
 
 
 def _dot(topomap: TopoMap) -> FloatArray:
@@ -191,7 +190,9 @@ def _closures(
             _closure_lines(recording, path, topomap, drawn)
             when = np.array([q.closure.time_b_ns for q, _ in drawn], np.int64)
             hidden = palette.BACKGROUND
-            light_up(recording, path, rr.LineStrips2D, when, colour, begin_ns=begin_ns, dim=hidden)
+            light_up(
+                recording.over_time, path, rr.LineStrips2D, when, colour, begin=begin_ns, dim=hidden
+            )
 
 
 def _closure_lines(

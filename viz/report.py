@@ -24,7 +24,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from ..merge.change import Change
 from ..merge.decision import Decision
 from ..merge.drive import Drive
-from ..merge.result import Component, MergeResult, Standing, shown_bits
+from ..merge.result import Component, MergeResult, Standing, shown_bits, site_views
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
@@ -41,7 +41,6 @@ from .report_pairs import (
 )
 from .sheet import upright_rad
 from .verdicts import runs_in_order
-from .walls import site_walls
 
 MOST_MAPS = 60
 """Sites that have a map, those of most runs first; a run's own map is there for each."""
@@ -243,7 +242,7 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
         maps = report.maps if report.as_merged else {}
         layers = SiteLayers(
             {run: maps[run] for run in c.poses if run in maps},
-            site_walls(result.fused, c, maps),
+            site_views(result.fused, c, maps),
             [change for change in report.changes if change.component == c.id],
             [(k, d) for k, d in enumerate(report.drives, 1) if d.component == c.id],
         )

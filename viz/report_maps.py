@@ -22,21 +22,22 @@ from PIL import Image
 from ..merge.change import Change
 from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, fused_of
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.driven_branches import driven_branches
 from ..topology.polyline import simplify
 from ..topology.run import Grid
-from ..topology.se2 import apply, compose, inverse
+from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
+from ..topology.views import Views
 from ..topology.wording import counted, legible, listed
-from .drawing import bounds, strands
+from .drawing import TURNED, bounds, strands
 from .history import history, questions
 from .palette import LIGHT
 from .parts import ranks, rows_of
 from .sheet import upright_rad
-from .walls import wall_points
+from .walls import wall_points, walls_of
 
 INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"
 """Text and junctions, corridors, and what was clicked: a contrast of 4 or more, 2.5, and 4 on white
@@ -52,11 +53,6 @@ PEN_PX, PEN_SHARE = 2.4, 0.12
 drawings."""
 
 MARKERS = {TURNING_POINT: "triangle", TRACK_END: "square", FRONTIER: "diamond"}
-TURNED = {
-    TURNING_POINT: "the robot turned round",
-    TRACK_END: "a log begins or ends",
-    FRONTIER: "unknown beyond",
-}
 
 SCALE_BAR = 0.04
 """Room for the scale bar below a map, over its extent."""
@@ -70,11 +66,11 @@ MOST_RUNS = 8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SiteLayers:
-    """What a site's map shows besides the fused map. maps: of its runs; walls: in its frame;
-    changes: of its runs; drives: that begin in it, with their ranks."""
+    """What a site's map shows besides the fused map. maps: of its runs; views: of its runs, in its
+    frame; changes: of its runs; drives: that begin in it, with their ranks."""
 
     maps: Mapping[str, TopoMap] = field(default_factory=dict)
-    walls: Grid | None = None
+    views: Sequence[Views] = ()
     changes: Sequence[Change] = ()
     drives: Sequence[tuple[int, Drive]] = ()
 
@@ -88,12 +84,13 @@ def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
     T = np.array([0.0, 0.0, upright_rad([fused.paths[e] for e in edges.tolist()])])
     extents = [fused.xy[vertices], *(fused.paths[e] for e in edges.tolist())]
     extents += [drive.path for _, drive in layers.drives]
-    extents.append(wall_points(layers.walls))
-    plot = map_figure([apply(T, points.reshape(-1, 2)) for points in extents])
+    walls = walls_of([v.moved(T) for v in layers.views], own.name)
+    turned = [apply(T, points.reshape(-1, 2)) for points in extents]
+    plot = map_figure([*turned, wall_points(walls)])
     plot.update(tags=[usual_m(fused.length[edges])])
     site = _Site(plot, fused, T, vertices, edges)
-    if layers.walls is not None:
-        site.walls(layers.walls)
+    if walls is not None:
+        site.walls(walls)
     site.corridors(alone=len(own.poses) == 1)
     site.runs(ranks(result), len(own.poses))
     site.closures(layers.maps)
@@ -181,15 +178,15 @@ class _Site:
     edges: IntArray
 
     def walls(self, grid: Grid) -> None:
-        """Walls dark, free space light."""
-        low, size, (free, unknown) = _upright(grid, self.T)
-        pixels = np.zeros((*free.shape, 4), np.uint8)
-        pixels[free] = (128, 138, 154, 28)
-        pixels[~free & ~unknown] = (112, 122, 138, 150)
+        """Walls dark, free space light. grid: along the axes of the figure."""
+        pixels = np.zeros((*grid.free.shape, 4), np.uint8)
+        pixels[grid.free] = (128, 138, 154, 28)
+        pixels[~grid.free & ~grid.unknown] = (112, 122, 138, 150)
         out = io.BytesIO()
         Image.fromarray(pixels[::-1]).quantize(4).save(out, "PNG", optimize=True)
         url = "data:image/png;base64," + b64encode(out.getvalue()).decode()
-        place = {"x": [low[0]], "y": [low[1]], "w": [size[0]], "h": [size[1]]}
+        high, wide = (count * grid.resolution_m for count in grid.free.shape)
+        place = {"x": [grid.origin[0]], "y": [grid.origin[1]], "w": [wide], "h": [high]}
         self.plot.image_url(
             url="url",
             source=ColumnDataSource({"url": [url], **place}),
@@ -478,31 +475,6 @@ class _Site:
 
 NUMBERS = "junction numbers"
 """The page shows this layer where the map is large enough."""
-
-
-def _corners(grid: Grid) -> FloatArray:
-    """(4, 2) the corners of a grid in its frame [m]."""
-    high, wide = (n * grid.resolution_m for n in grid.free.shape)
-    return apply(np.array(grid.origin), np.array([(0, 0), (wide, 0), (0, high), (wide, high)]))
-
-
-def _upright(grid: Grid, T: FloatArray) -> tuple[list[float], list[float], list[BoolArray]]:
-    """A grid along the axes of the figure in which its frame has the pose T: low corner, width and
-    height [m], and which cells are free and unknown, by the nearest of the grid's."""
-    pose, cell = compose(T, np.array(grid.origin)), grid.resolution_m
-    high, wide = grid.free.shape
-    corners = apply(T, _corners(grid))
-    low = corners.min(axis=0)
-    count = np.ceil((corners.max(axis=0) - low) / cell).astype(np.int64)
-    x, y = (low[k] + cell * (np.arange(count[k]) + 0.5) for k in (0, 1))
-    points = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    column, row = np.floor(apply(inverse(pose), points) / cell).astype(np.int64).T
-    within = (column >= 0) & (column < wide) & (row >= 0) & (row < high)
-    at = np.where(within, row * wide + column, 0)
-    shape = (int(count[1]), int(count[0]))
-    free = (grid.free.ravel()[at] & within).reshape(shape)
-    unknown = (grid.unknown.ravel()[at] | ~within).reshape(shape)
-    return low.tolist(), (cell * count).tolist(), [free, unknown]
 
 
 HIDDEN = ("closures", "closures refused")

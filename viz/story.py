@@ -15,9 +15,8 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from . import palette
-from .growing import light_up_by_step
 from .parts import Part
-from .recording import Recording
+from .recording import Recording, light_up
 
 Group = tuple[str, ...]
 
@@ -129,12 +128,13 @@ def write_story(
             reason=[s.pair.reason for s in steps],
         ),
     )
-    light_up_by_step(
-        recording,
+    light_up(
+        recording.over_steps,
         path,
         rr.LineStrips2D,
         np.arange(1, len(steps) + 1),
         palette.PAST,
+        begin=0,
         now=palette.WHITE,
         dim=palette.BACKGROUND,
     )

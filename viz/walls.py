@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import Component, FusedMap, site_views
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.grids import cell_for, cropped, grid_at
 from ..topology.run import Grid
 from ..topology.se2 import apply
-from ..topology.topomap import TopoMap
 from ..topology.views import CELL_M, FREE, REACH_M, SIDE, UNKNOWN, WALL, Views
 
 FINE_M = CELL_M / 2
@@ -21,19 +19,6 @@ does."""
 
 WALL_SHARE = 0.5
 """Share of the views of a cell that show a wall there, from which on it is one."""
-
-
-def map_walls(topomap: TopoMap, cell_m: float = FINE_M) -> Grid | None:
-    """The walls and the free space of a run's map, in its frame; None without views."""
-    return walls_of([topomap.views], topomap.frame, cell_m)
-
-
-def site_walls(
-    fused: FusedMap, component: Component, maps: Mapping[str, TopoMap], cell_m: float = FINE_M
-) -> Grid | None:
-    """The walls and the free space of all runs of a component, in its frame; None if no run has
-    views. maps: as they were merged; runs that are not among them are left out."""
-    return walls_of(site_views(fused, component, maps), component.name, cell_m)
 
 
 def walls_of(views: Sequence[Views], frame: str, cell_m: float = FINE_M) -> Grid | None:
@@ -75,42 +60,11 @@ def _resampled(
     return corner, np.where(within, cells[row % SIDE, column % SIDE], np.uint8(UNKNOWN))
 
 
-def strokes(grid: Grid) -> list[FloatArray]:
-    """The walls of a grid as lines (2, 2) through the middles of cells [m], to be drawn as wide as
-    a cell with round ends: rows of cells along the axis on which they are longer.
-
-    The first point of a line lies a hundredth of a cell before the middle, so that single cells
-    have a length.
-    """
-    wall = ~grid.free & ~grid.unknown
-    wide, high = _run_lengths(wall), _run_lengths(wall.T).T
-    ends = [*_ends(wall & (wide >= high)), *(e[:, ::-1] for e in _ends((wall & (wide < high)).T))]
-    own = (np.concatenate(ends).reshape(-1, 2, 2) + 0.5) * grid.resolution_m
-    return list(apply(np.array(grid.origin), own))
-
-
 def wall_points(grid: Grid | None) -> FloatArray:
-    """(k, 2) points that a picture of the walls of a grid has to hold, in its frame [m]."""
-    return np.concatenate([np.zeros((0, 2)), *([] if grid is None else strokes(grid))])
-
-
-def _ends(cells: BoolArray) -> Iterator[FloatArray]:
-    """The first and the last cell (x, y) of every row of cells, (2, 2)."""
-    row, first, last = _rows(cells)
-    for y, a, b in zip(row.tolist(), first.tolist(), last.tolist(), strict=True):
-        yield np.array([(a - 0.01, y), (b, y)])
-
-
-def _rows(cells: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
-    """Row, first and last column of every unbroken row of cells."""
-    edge = np.diff(np.pad(cells, ((0, 0), (1, 1))).astype(np.int8), axis=1)
-    row, first = np.nonzero(edge == 1)
-    return row, first, np.nonzero(edge == -1)[1] - 1
-
-
-def _run_lengths(cells: BoolArray) -> IntArray:
-    """(h, w) length of the unbroken row that each cell is in, 0 for others."""
-    _, first, last = _rows(cells)
-    out = np.zeros(cells.shape, np.int64)
-    out[cells] = (last - first + 1).repeat(last - first + 1)
-    return out
+    """(k, 2) points that a picture of the walls of a grid has to hold, in its frame [m]: the
+    middles of their cells."""
+    if grid is None:
+        return np.zeros((0, 2))
+    row, column = np.nonzero(~grid.free & ~grid.unknown)
+    own = (np.stack([column, row], axis=-1) + 0.5) * grid.resolution_m
+    return apply(np.array(grid.origin), own)

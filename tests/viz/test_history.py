@@ -1,12 +1,7 @@
 from dataclasses import replace
 
-import numpy as np
-import pytest
-
-from topobatch.topology.odometry import Odometry
 from topobatch.topology.topomap import Closure
 from topobatch.viz.history import history, questions
-from topobatch.viz.odometry_health import lanes
 
 S = 10**9
 
@@ -30,16 +25,3 @@ def test_closures_are_told_by_junctions(make_map) -> None:
         "2 | 1 have *other* branches",
         "a pass that is no junction not taken for junction 0 (visit 1), +1.0 bits: no junction",
     ]
-
-
-def states(odometry: Odometry, topomap, name: str) -> list[tuple[float, str]]:
-    (lane,) = (lane for lane in lanes(odometry, topomap) if lane.name == name)
-    return list(zip((lane.time_ns / S).tolist(), lane.states, strict=True))
-
-
-@pytest.fixture
-def straight() -> Odometry:
-    """Ten minutes straight on at 1 m/s, 10 poses a second."""
-    times = np.arange(6000) * (S // 10)
-    pose = np.column_stack([times / S, np.zeros(6000), np.zeros(6000)])
-    return Odometry(times, pose, np.zeros(0, np.int64))

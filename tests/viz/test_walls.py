@@ -2,9 +2,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from topobatch.merge.result import site_views
 from topobatch.topology.se2 import apply, compose, inverse
 from topobatch.topology.views import CELL_M
-from topobatch.viz.walls import site_walls, walls_of
+from topobatch.viz.walls import walls_of
 
 from ..topology.floors import CELL_M as TRUE_M
 from ..topology.floors import floor, views_at
@@ -58,8 +59,7 @@ def test_runs_of_a_site_show_its_walls_in_one_frame(merge_of) -> None:
         T_run_floor = inverse(compose(T_floor_site, component.poses[m.run]))
         views = views_at(FLOOR, pose)
         seen[m.run] = replace(m, views=replace(views, pose=compose(T_run_floor, pose)))
-    grid = site_walls(result.fused, component, seen)
-    assert grid.frame == component.name
+    grid = walls_of(site_views(result.fused, component, seen), "site")
     assert max(wrong(grid, T_floor_site)) < 0.01
-    one = site_walls(result.fused, component, {"a": seen["a"]})
+    one = walls_of(site_views(result.fused, component, {"a": seen["a"]}), "site")
     assert (~one.unknown).sum() < (~grid.unknown).sum()
