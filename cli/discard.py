@@ -119,17 +119,7 @@ def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> 
 
 def _discard_run(place: Workspace, run: str) -> None:
     """Remove a run's files, its map last, so that an interrupted call can be repeated."""
-    locks = place.locks()
-    left = tuple(lock for lock in locks if run not in (lock.a, lock.b))
-    if len(left) < len(locks):
-        place.write_locks(left)
-    sites = place.sites()
-    if any(run in runs for runs in sites.values()):
-        place.write_sites({site: set(runs) - {run} for site, runs in sites.items()})
-    discards = place.discards()
-    kept = frozenset(pair for pair in discards if run not in pair)
-    if len(kept) < len(discards):
-        place.write_discards(kept)
+    place.rename_decided(lambda each: None if each == run else each)
     made = (*place.recordings_of(run), *place.exports_of(run), place.map_views(run))
     for path in (place.ingest_record(run), *made, place.map_json(run)):
         path.unlink(missing_ok=True)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import DocumentError, UsageError
-from ..topology.wording import counted, listed
+from ..topology.wording import counted
 from .matching import kept_results
 from .options import (
     DEFAULT_WORKSPACE,
@@ -25,13 +25,12 @@ from .paper_options import PaperOptions
 from .workspace import MERGED, Workspace, pair_named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
     from pathlib import Path
 
     from ..merge.decision import Decision
     from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
-    from ..merge.robust.explained import Merge
     from ..merge.robust.settings import RobustSettings
     from ..topology.topomap import TopoMap
 
@@ -79,8 +78,7 @@ def explain(
     recording: explain/A+B.rrd, which topobatch view A:B opens, or of the paper's method
     explain/A+B.paper.rrd, for rerun.
 
-    Runs that were not merged yet are explained as a merge of all runs would decide on them; of more
-    than 100 runs by their two maps alone. A note says so.
+    Runs that were not merged yet are explained by their two maps alone; a note says so.
 
     The paper's method takes the settings of merged.json, or of the merge that --merge names, if
     that is a merge by it, else the defaults; its options given here take the place of those.
@@ -144,8 +142,7 @@ def _here(place: Workspace, note: str) -> str:
 
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
     """The maps of a pair and the decision on it, with the settings and runs of the merge that had
-    both. Without such a merge the decision is the one that a merge would come to, or, of very many
-    maps, that of the two by themselves."""
+    both. Without such a merge the decision is that of the two by themselves."""
     from dataclasses import replace
 
     from ..merge.document import poses_from_document, verdict_from_entry
@@ -155,81 +152,31 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     document = _last_merge(place)
     why_not = _not_merged(document, pair, place.merged_json.name)
     settings, read = settings_of(place, document), cache(place.read_map)
+    kept = kept_results(place, settings, warn)
     if document is None or why_not:
-        own = ""
-        if document is not None:
-            what = "at the rate" if document.graph.method == "paper" else "with the settings"
-            own = f", {what} of {place.merged_json.name}"
         held = document is not None and _holds(document, pair)
         runs = sorted(document.graph.home) if document is not None and held else place.runs()
-        merge, notes = _before_a_merge(place, runs, read, settings, pair, own)
-        notes[0] = f"{why_not}; {notes[0]}"
+        merge = Merge(read, len(runs), {}, settings, place.locks(), kept=kept)
+        own = "" if document is None else f", with the settings of {place.merged_json.name}"
+        notes = [
+            f"{why_not}; this is what the two maps say by themselves, asked as one pair of "
+            f"{counted(len(runs), 'map')}{own}; a merge also counts what the others say"
+        ]
+        told = {"same": "locked as the same", "never": "locked apart"}
+        locks = [k for k in place.locks() if (k.a, k.b) == pair]
+        notes += [f"{told[k.decision]}, which is not counted here" for k in locks]
+        if pair in place.discards():
+            notes.append("the match was discarded, which is not counted here")
     else:
         said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
         poses = poses_from_document(document)
-        kept = kept_results(place, settings, warn)
         merge = Merge(read, len(poses), said, settings, place.locks(), poses, kept)
         new = changed_since(place, document.graph.maps or {}, pair)
         notes = [f"{told_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
-    told = replace(decision, notes=(*notes, *decision.notes))
     a, b = map(read, pair)
-    return a, b, replace(told, of_merge=told.of_merge and not why_not)
-
-
-def _before_a_merge(
-    place: Workspace,
-    runs: Sequence[str],
-    read: Callable[[str], TopoMap],
-    settings: RobustSettings,
-    pair: tuple[str, str],
-    own: str,
-) -> tuple[Merge, list[str]]:
-    """Maps that were not merged, as a merge, and notes on what is told of a pair. own: whose the
-    settings are."""
-    from ..merge.merging import MOST_LISTED, MergeSettings, merge_maps
-    from ..merge.result import pairs_of
-    from ..merge.robust import Means
-    from ..merge.robust.explained import Merge
-
-    locks, gone = place.locks(), place.discards()
-    if pairs_of(len(runs)) <= MOST_LISTED:
-        maps, lost = _readable(runs, read, pair)
-        means = Means(kept=kept_results(place, settings, warn))
-        result = merge_maps(
-            maps, MergeSettings(robust=settings), locks=locks, discarded=gone, means=means
-        )
-        said = {(v.a, v.b): v for v in result.verdicts}
-        poses = {run: pose for c in result.components for run, pose in c.poses.items()}
-        notes = [f"this is what a merge of {counted(len(maps), 'map')} would say{own}"]
-        if lost:
-            what = f"the map{'' if len(lost) == 1 else 's'} of {listed(lost, 3)}"
-            notes.append(f"{what} cannot be read: the merge is told without")
-        return Merge(read, len(maps), said, settings, locks, poses, means.kept), notes
-    notes = [
-        f"this is what the two maps say by themselves, asked as one pair of "
-        f"{counted(len(runs), 'map')}{own}; a merge also counts what the others say"
-    ]
-    told = {"same": "locked as the same", "never": "locked apart"}
-    notes += [f"{told[k.decision]}, which is not counted here" for k in locks if (k.a, k.b) == pair]
-    if pair in gone:
-        notes.append("the match was discarded, which is not counted here")
-    return Merge(read, len(runs), {}, settings, locks), notes
-
-
-def _readable(
-    runs: Sequence[str], read: Callable[[str], TopoMap], pair: tuple[str, str]
-) -> tuple[list[TopoMap], list[str]]:
-    """The maps of these runs, and the names of those that cannot be read; a pair has to be."""
-    maps, lost = [], []
-    for run in runs:
-        try:
-            maps.append(read(run))
-        except (DocumentError, FileNotFoundError):
-            if run in pair:
-                raise
-            lost.append(run)
-    return maps, lost
+    notes += decision.notes
+    return a, b, replace(decision, notes=tuple(notes), of_merge=decision.of_merge and not why_not)
 
 
 def settings_of(place: Workspace, document: MergedDocument | None) -> RobustSettings:

@@ -8,17 +8,18 @@ import os
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence, Set
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
+
+from pydantic import TypeAdapter, ValidationError
 
 from ..ingest.grid_log import GridLog
 from ..ingest.mapping import map_of_log
 from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, RemotePath
-from ..ingest.scans.slicing import SliceSettings
 from ..topology.document import map_to_document
 from ..topology.errors import DataError, DocumentError, TopobatchError, UsageError
 from ..topology.files import read_json, write_json, write_together
@@ -136,7 +137,7 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
             job.place.map_views(m.run).unlink(missing_ok=True)  # of a map that was replaced
     _clear_away(job.place, before, job.run, set(runs))
     # Written last: a run is finished only when all of its files exist.
-    doc = {"key": key, "log": origin(job.log), "runs": runs, "read": _read_how(job.read)}
+    doc = {"key": key, "log": origin(job.log), "runs": runs, "read": asdict(job.read)}
     doc["content"] = content
     if seen := [m.run for m in maps if len(m.views)]:
         doc["views"] = seen
@@ -201,37 +202,14 @@ def _in_one_piece(topomap: TopoMap) -> tuple[TopoMap, ...]:
     return joined_pieces(topomap)
 
 
-READ_OPTIONS = tuple(
-    each.name
-    for each in fields(ReadSettings)
-    if each.name not in ("slices", "strict", "track", "sightings")
-)
-"""Options about reading a log that are recorded, to read it again in the same way; beside them the
-heights of clouds."""
-
-
-def _read_how(settings: ReadSettings) -> dict[str, Any]:
-    values = {name: getattr(settings, name) for name in READ_OPTIONS}
-    values["cloud_band"] = settings.slices.band_m
-    return {name: value for name, value in values.items() if value is not None}
-
-
 def read_again(record: Mapping[str, Any]) -> ReadSettings:
     """The settings by which the log of a run was read, from the record of its ingest, as far as
-    that states them."""
-    told = record.get("read")
-    how: dict[str, Any] = told if isinstance(told, dict) else {}
-    known = {name: how[name] for name in READ_OPTIONS if isinstance(how.get(name), str)}
-    pose, band = (_numbers(how.get(name), n) for name, n in (("laser_pose", 3), ("cloud_band", 2)))
-    return ReadSettings(**known, laser_pose=pose, slices=SliceSettings(band))
-
-
-def _numbers(value: object, count: int) -> Any:
-    """A list of so many numbers as a tuple; None for anything else."""
-    if not isinstance(value, list) or len(value) != count:
-        return None
-    numbers = [float(part) for part in value if isinstance(part, int | float)]
-    return tuple(numbers) if len(numbers) == count else None
+    that states them; damage does not matter any more."""
+    try:
+        known = TypeAdapter(ReadSettings).validate_python(record.get("read"))
+    except (ValidationError, UsageError):
+        return ReadSettings()
+    return replace(known, strict=False)
 
 
 def _all_there(place: Workspace, runs: Sequence[str], views: Sequence[Path]) -> bool:

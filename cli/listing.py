@@ -118,27 +118,19 @@ def _by_site(rows: Sequence[Listed], merged: _Merge) -> list[tuple[str, list[int
 
 @dataclass(frozen=True, slots=True)
 class _Merge:
-    """The last merge: component and its size of every run, `contents` of the merged maps if
-    recorded, and its time [ns], None without a merge; sites: the name of every run's site; sizes:
-    of every component, in words."""
+    """The last merge, if any: component and its size of every run, `contents` of the merged maps;
+    sites: the name of every run's site; sizes: of every component, in words."""
 
     home: Mapping[str, tuple[int, int]] = field(default_factory=dict)
     documents: Mapping[str, str] = field(default_factory=dict)
-    when_ns: int | None = None
     sites: Mapping[str, str] = field(default_factory=dict)
     sizes: Mapping[int, str] = field(default_factory=dict)
 
-    def change(self, place: Workspace, run: str, made_ns: int) -> list[str]:
-        """How a map changed since; without its content, by its time."""
-        if self.when_ns is None:
-            return []
-        if run not in self.home:
+    def change(self, place: Workspace, run: str) -> list[str]:
+        """How a map changed since."""
+        if self.home and run not in self.home:
             return ["not merged"]
-        if run in self.documents:
-            changed = bool(changed_since(place, self.documents, [run]))
-        else:
-            changed = made_ns > self.when_ns
-        return ["map changed since the merge"] if changed else []
+        return ["map changed since the merge"] * len(changed_since(place, self.documents, [run]))
 
 
 def _merge(place: Workspace) -> _Merge:
@@ -147,12 +139,11 @@ def _merge(place: Workspace) -> _Merge:
     try:
         document = place.read_merged()
         graph = document.graph
-        when = os.stat(place.merged_json).st_mtime_ns
-    except (DataError, OSError) as error:
+    except DataError as error:
         warn(f"{error}; listed without it")
         return _Merge()
     home = {run: (c.id, len(c.runs)) for c in graph.components for run in c.runs}
-    return _Merge(home, graph.maps or {}, when, graph.sites, _sizes(document))
+    return _Merge(home, graph.maps or {}, graph.sites, _sizes(document))
 
 
 def _sizes(document: MergedDocument) -> dict[int, str]:
@@ -178,7 +169,7 @@ def _sizes(document: MergedDocument) -> dict[int, str]:
 def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
     path = place.maps / f"{run}.json"
     made_ns = os.lstat(path).st_mtime_ns
-    old = merged.change(place, run, made_ns)
+    old = merged.change(place, run)
     component, runs = merged.home.get(run, (None, None))
     site = merged.sites.get(run)
     try:

@@ -14,14 +14,8 @@ from ..topology.wording import counted, listed
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
 
-PACKED = {
-    b"\x1f\x8b": "gzip",
-    b"PK\x03\x04": "zip",
-    b"BZh": "bzip2",
-    b"\xfd7zXZ\x00": "xz",
-    b"7z\xbc\xaf\x27\x1c": "7-Zip",
-}
-"""Archives by their first bytes; zstd, which rosbag2 writes, is read directly."""
+PACKED = {".gz": "gzip", ".zip": "zip", ".bz2": "bzip2", ".xz": "xz", ".7z": "7-Zip"}
+"""Archives by their suffix; zstd, which rosbag2 writes, is read directly."""
 
 _PACKED_LOG = re.compile(r"\.(mcap|bag|db3)(\.active)?\.(gz|zip|bz2|xz|7z)$", re.IGNORECASE)
 
@@ -73,7 +67,7 @@ def logs_at(path: LogPath, *, separate: bool = False) -> list[LogPath]:
             folder = find_logs([path.parent])
             if folder == [path.parent]:
                 return folder
-        kind = _packed(path)
+        kind = PACKED.get(path.suffix.lower()) if path.is_file() else None
         if kind is not None:
             raise LogError(f"{path}: is packed ({kind}); unpack it, and name the log") from error
         below = packed_below(path)
@@ -106,15 +100,3 @@ def _files_below(folder: Path) -> Iterator[str]:
             continue
         waiting += [e.path for e in shown if e.is_dir(follow_symlinks=False)]
         yield from (entry.path for entry in shown if entry.is_file(follow_symlinks=False))
-
-
-def _packed(path: Path) -> str | None:
-    """The kind of an archive; None for other or unreadable files."""
-    if not path.is_file():
-        return None
-    try:
-        with path.open("rb") as file:
-            begin = file.read(8)
-    except OSError:
-        return None
-    return next((kind for magic, kind in PACKED.items() if begin.startswith(magic)), None)

@@ -39,7 +39,7 @@ def rename(
         names = _names(place, old, new)
         for before, after in names.items():
             _rename(place, before, after)
-        _in_decisions(place, names)
+        place.rename_decided(lambda run: names.get(run, run))
         note(place, "rename", f"{old} → {new}", screen.warn)
         screen.line(f"{old} is {new} now")
         merge_again(place, names, screen, names)
@@ -83,21 +83,3 @@ def _rename(place: Workspace, old: str, new: str) -> None:
         write_json(place.ingest_record(old), {"renamed": new})
     for path in (*place.recordings_of(old), place.map_views(old), place.map_json(old)):
         path.unlink(missing_ok=True)
-
-
-def _in_decisions(place: Workspace, names: dict[str, str]) -> None:
-    """Replace the names in locks, discarded matches and sites."""
-    from ..merge.locks import Lock
-
-    locks = place.locks()
-    if any(run in names for lock in locks for run in (lock.a, lock.b)):
-        place.write_locks(
-            [Lock(names.get(k.a, k.a), names.get(k.b, k.b), k.decision, k.at) for k in locks]
-        )
-    discards = place.discards()
-    if any(run in names for pair in discards for run in pair):
-        renamed = (sorted(names.get(run, run) for run in pair) for pair in discards)
-        place.write_discards((a, b) for a, b in renamed)
-    sites = place.sites()
-    if any(run in names for runs in sites.values() for run in runs):
-        place.write_sites({s: [names.get(run, run) for run in own] for s, own in sites.items()})

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TextIO
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -95,13 +95,10 @@ def transfer(
     to_file = output is not None and str(output) != "-"
     if output is not None and to_file:
         checked_output(output)
-    table = read_places(places)
-    found, why = _carried(place, table, source, target)
-    rows = [
-        _row(p, table, None if found is None else (found, k), within, why)
-        for k, p in enumerate(table.rows)
-    ]
-    text = places_text(_header(table), rows)
+    columns, known = read_places(places)
+    found, why = _carried(place, known, source, target)
+    rows = [_row(p, found, k, within, why) for k, p in enumerate(known)]
+    text = places_text(_header(columns), rows)
     if output is None or not to_file:
         say_text(text)
     else:
@@ -112,55 +109,50 @@ def transfer(
     if found is None:
         screen.complain(f"{places}: nothing was carried: {why}")
         raise typer.Exit(1)
-    left = [(p, row["note"]) for p, row in zip(table.rows, rows, strict=True) if row["note"]]
+    left = [(p, row["note"]) for p, row in zip(known, rows, strict=True) if row["note"]]
     for p, note in left[:MOST_LINES]:
-        screen.complain(f"{places}:{p.line}: {p.name}: not carried: {note}")
+        screen.complain(f"{places}:{p.line}: {p.cells['name']}: not carried: {note}")
     if len(left) > MOST_LINES:
         screen.complain(f"… and {len(left) - MOST_LINES} more places, by their notes")
     if left:
         raise typer.Exit(1)
 
 
-def _header(table: Places) -> list[str]:
-    theta, sigma = (["theta"], ["sigma_rad"]) if table.headings else ([], [])
+def _header(columns: Sequence[str]) -> list[str]:
+    theta, sigma = (["theta"], ["sigma_rad"]) if "theta" in columns else ([], [])
     own = ["name", "x", "y", *theta, "sigma_m", *sigma, "nearest_m"]
-    return [*own, *(c for c in table.columns if c not in (*own, "note")), "note"]
+    return [*own, *(c for c in columns if c not in (*own, "note")), "note"]
 
 
 def _row(
-    place: Place,
-    table: Places,
-    found: tuple[Transferred, int] | None,
-    within: float,
-    why: str,
+    place: Place, found: Transferred | None, k: int, within: float, why: str
 ) -> dict[str, str]:
-    """The row of a place: with new coordinates, or with a note."""
+    """The row of the k-th place: with new coordinates, or with a note."""
     from ..merge.transfer import WITHIN_SIGMAS
     from ..topology.se2 import wrap
 
-    row = dict.fromkeys(_header(table), "") | dict(place.more) | {"name": place.name}
-    row["note"] = why
+    gone = dict.fromkeys(("x", "y", "theta", "sigma_m", "sigma_rad", "nearest_m"), "")
+    row = {**place.cells, **gone, "note": why}
     if found is None:
         return row
-    all_of, k = found
-    reach = WITHIN_SIGMAS * float(all_of.sigma_m[k])
-    row["nearest_m"] = f"{all_of.nearest_m[k]:.2f}"
-    row["sigma_m"] = f"{all_of.sigma_m[k]:.3f}"
+    reach = WITHIN_SIGMAS * float(found.sigma_m[k])
+    row["nearest_m"] = f"{found.nearest_m[k]:.2f}"
+    row["sigma_m"] = f"{found.sigma_m[k]:.3f}"
     if reach > within:
         row["note"] = (
-            f"the nearest matched junction is {all_of.nearest_m[k]:.1f} m away: it would be "
+            f"the nearest matched junction is {found.nearest_m[k]:.1f} m away: it would be "
             f"right to {reach:.2f} m (95 %), not to {within:g} m"
         )
         return row
-    row["x"], row["y"] = (f"{v:.3f}" for v in all_of.xy[k].tolist())
+    row["x"], row["y"] = (f"{v:.3f}" for v in found.xy[k].tolist())
     if place.theta is not None:
-        row["theta"] = f"{float(wrap(place.theta + all_of.turn[k])):.4f}"
-        row["sigma_rad"] = f"{all_of.sigma_rad[k]:.4f}"
+        row["theta"] = f"{float(wrap(place.theta + found.turn[k])):.4f}"
+        row["sigma_rad"] = f"{found.sigma_rad[k]:.4f}"
     return row
 
 
 def _carried(
-    place: Workspace, table: Places, source: str, target: str
+    place: Workspace, known: Sequence[Place], source: str, target: str
 ) -> tuple[Transferred | None, str]:
     """The transferred places, or why there are none."""
     import numpy as np
@@ -170,7 +162,7 @@ def _carried(
     matched, why = _matched(place, source, target)
     if matched is None or len(matched) == 0:
         return None, why or f"no junction of {source} is matched to one of {target}"
-    return carry(np.array([(p.x, p.y) for p in table.rows]), matched), ""
+    return carry(np.array([(p.x, p.y) for p in known]), matched), ""
 
 
 def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctions | None, str]:
@@ -206,36 +198,25 @@ def _verdict(document: MergedDocument, a: str, b: str) -> str:
 
 
 MOST_BYTES = 16 << 20
-MOST_PLACES = 100_000
-"""A row takes a kilobyte in memory; a site has some hundreds."""
+"""Largest table: a site has some hundreds of places."""
 MOST_VALUES = 1 << 20
 """Limit on cells of the table, of a hundred bytes each."""
-OWN = ("name", "x", "y", "theta")
 
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A named place in a map; more: the other columns of its row."""
+    """A named place in a map. line: number of its row; cells: texts of the row, by column."""
 
     line: int
-    name: str
+    cells: Mapping[str, str]
     x: float
     y: float
     theta: float | None
-    more: Mapping[str, str]
 
 
-@dataclass(frozen=True, slots=True)
-class Places:
-    """The rows of a table; columns: the other columns, in order."""
-
-    rows: tuple[Place, ...]
-    columns: tuple[str, ...]
-    headings: bool
-
-
-def read_places(path: Path) -> Places:
-    """The places of a CSV file; DataError with the line number if it is invalid."""
+def read_places(path: Path) -> tuple[list[str], list[Place]]:
+    """The columns and the places of a CSV file; DataError with the line number if it is
+    invalid."""
     try:
         with path.open("rb") as file:
             raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end
@@ -249,46 +230,32 @@ def read_places(path: Path) -> Places:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise DataError(f"{path}: is no UTF-8 text ({error.reason})") from error
-    return _places(path, io.StringIO(text, newline=""))
-
-
-def _places(path: Path, file: TextIO) -> Places:
-    reader = csv.DictReader(file, strict=True)
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     try:
-        names = [_unquoted(name.strip()) for name in reader.fieldnames or ()]
-        reader.fieldnames = names
-        missing = [name for name in OWN[:3] if name not in names]
+        names = [_unquoted(name.strip()) for name in next(reader, [])]
+        missing = [name for name in ("name", "x", "y") if name not in names]
         if missing or len(set(names)) < len(names):
             wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
             raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
-        most = min(MOST_PLACES, MOST_VALUES // len(names))
-        rows = tuple(_place(path, reader.line_num, row) for row in islice(reader, most))
-        if next(reader, None) is not None:
-            raise DataError(
-                f"{path}: holds more than {most:,} places of {len(names):,} columns; cut it into "
-                "parts"
-            )
+        most = MOST_VALUES // len(names)
+        filled = ((reader.line_num, row) for row in reader if row)
+        places = [_place(path, line, names, row) for line, row in islice(filled, most)]
+        if next(filled, None) is not None:
+            raise DataError(f"{path}: holds more than {most:,} places; cut it into parts")
     except csv.Error as error:
         raise DataError(f"{path}:{reader.line_num}: is not CSV: {error}") from error
-    if not rows:
+    if not places:
         raise DataError(f"{path}: holds no place")
-    columns = tuple(name for name in names if name not in OWN)
-    return Places(rows, columns, "theta" in names)
+    return names, places
 
 
-def _place(path: Path, line: int, row: Mapping[str | None, str | None]) -> Place:
-    if None in row or None in row.values():
+def _place(path: Path, line: int, names: Sequence[str], row: Sequence[str]) -> Place:
+    if len(row) != len(names):
         raise DataError(f"{path}:{line}: has more or fewer values than the first line")
-    values = {str(key): _unquoted(str(value)) for key, value in row.items()}
-    theta = values.get("theta", "").strip()
-    return Place(
-        line=line,
-        name=values["name"],
-        x=_number(path, line, "x", values["x"]),
-        y=_number(path, line, "y", values["y"]),
-        theta=_number(path, line, "theta", theta) if theta else None,
-        more={key: value for key, value in values.items() if key not in OWN},
-    )
+    cells = dict(zip(names, map(_unquoted, row), strict=True))
+    theta = cells.get("theta", "").strip()
+    x, y = (_number(path, line, name, cells[name]) for name in ("x", "y"))
+    return Place(line, cells, x, y, _number(path, line, "theta", theta) if theta else None)
 
 
 def _number(path: Path, line: int, column: str, text: str) -> float:

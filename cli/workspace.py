@@ -8,9 +8,9 @@ import shlex
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import listed
@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from ..merge.merged_schema import MergedDocument, MergedGraph
     from ..topology.topomap import TopoMap
 
+
+T = TypeVar("T")
 
 RUN, MERGE = "a run", "a merge"
 """What is named."""
@@ -356,7 +358,10 @@ class Workspace:
         if number is not None and site is not None:
             raise UsageError("name a site or a --component, not both")
         if number is not None and number not in {c.id for c in graph.components}:
-            raise self.no_component(number, [c.id for c in graph.components])
+            there = listed([str(c.id) for c in graph.components]) or "none"
+            raise UsageError(
+                f"{self.merged_json}: there is no component {number}; there are: {there}"
+            )
         if site is None:
             return number
         ids = {c.site: c.id for c in graph.components if c.site is not None}
@@ -377,11 +382,6 @@ class Workspace:
             f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}"
         )
 
-    def no_component(self, number: int, ids: Sequence[int]) -> UsageError:
-        """What to say where a component is named that the merge does not have."""
-        there = listed([str(component) for component in sorted(ids)]) or "none"
-        return UsageError(f"{self.merged_json}: there is no component {number}; there are: {there}")
-
     def maps_as_merged(
         self, document: MergedDocument, component: int, runs: Sequence[str]
     ) -> dict[str, TopoMap]:
@@ -401,11 +401,8 @@ class Workspace:
     def locks(self) -> tuple[Lock, ...]:
         """What a person decided about pairs of runs; DocumentError if it cannot be read."""
         from ..merge.locks import locks_from_document
-        from ..topology.files import read_json
 
-        if not os.path.lexists(self.locks_json):
-            return ()
-        return locks_from_document(read_json(self.locks_json), str(self.locks_json))
+        return _decided(self.locks_json, locks_from_document, ())
 
     def write_locks(self, locks: Sequence[Lock]) -> None:
         """Keep these locks."""
@@ -427,11 +424,8 @@ class Workspace:
     def discards(self) -> frozenset[tuple[str, str]]:
         """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
         from ..merge.discards import discards_from_document
-        from ..topology.files import read_json
 
-        if not os.path.lexists(self.discards_json):
-            return frozenset()
-        return discards_from_document(read_json(self.discards_json), str(self.discards_json))
+        return _decided(self.discards_json, discards_from_document, frozenset())
 
     def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Keep these pairs; none leave no document."""
@@ -447,11 +441,8 @@ class Workspace:
     def sites(self) -> dict[str, tuple[str, ...]]:
         """Names that a person gave sites, with their runs; DocumentError if that cannot be read."""
         from ..merge.sites import sites_from_document
-        from ..topology.files import read_json
 
-        if not os.path.lexists(self.sites_json):
-            return {}
-        return sites_from_document(read_json(self.sites_json), str(self.sites_json))
+        return _decided(self.sites_json, sites_from_document, {})
 
     def write_sites(self, given: Mapping[str, Iterable[str]]) -> None:
         """Keep these names."""
@@ -459,6 +450,24 @@ class Workspace:
         from ..topology.files import write_json
 
         write_json(self.sites_json, sites_to_document(given))
+
+    def rename_decided(self, renamed: Callable[[str], str | None]) -> None:
+        """Rename the runs in what a person decided; what names a run without a name goes."""
+        locks, discards, sites = self.locks(), self.discards(), self.sites()
+        kept = [
+            replace(lock, a=a, b=b)
+            for lock in locks
+            if (a := renamed(lock.a)) and (b := renamed(lock.b))
+        ]
+        if kept != list(locks):
+            self.write_locks(kept)
+        both = [[new for run in pair if (new := renamed(run))] for pair in discards]
+        left = {(min(pair), max(pair)) for pair in both if len(pair) == 2}
+        if left != discards:
+            self.write_discards(left)
+        named = {site: tuple(filter(None, map(renamed, runs))) for site, runs in sites.items()}
+        if named != sites:
+            self.write_sites(named)
 
     @contextmanager
     def held(self, say: Callable[[str], None], *, make: bool = True) -> Iterator[None]:
@@ -517,6 +526,13 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+def _decided(path: Path, from_document: Callable[[Any, str], T], none: T) -> T:
+    """What a document of decisions says; none where there is no such document."""
+    from ..topology.files import read_json
+
+    return from_document(read_json(path), str(path)) if os.path.lexists(path) else none
 
 
 def _remove_folder(folder: Path) -> None:

@@ -103,7 +103,8 @@ class Canvas:
 
     def __post_init__(self) -> None:
         # The figure is the drawing; the page is what holds it with all texts around it.
-        self.figure = Figure(np.array(self._size_pt) / POINTS_PER_INCH)
+        width, height = self._size_pt
+        self.figure = Figure((width / POINTS_PER_INCH, height / POINTS_PER_INCH))
         self._axes = self.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         self._axes.set_axis_off()
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))

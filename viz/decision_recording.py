@@ -3,46 +3,40 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ..merge.decision import AGAINST, LINKS, Decision, Placement
-from ..merge.decision_text import headline, lines, short
-from ..topology.arrays import FloatArray
+from ..merge.decision import Decision
+from ..merge.decision_text import digits_of, headline, lines, short
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
-from ..topology.se2 import apply, turned
+from ..topology.se2 import turned
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import CELL_M
 from . import palette
-from .drawing import MOST_NUMBERED, extent, pen_m
+from .drawing import pen_m
 from .map_sheet import (
     LaidOver,
     sheet_view,
     write_cards,
     write_laid_over,
-    write_own_maps,
-    write_rings,
     write_words,
 )
 from .map_summary import bulleted
-from .placements import CORNERS, WIDTHS, Overlay, contradiction_spots, overlays, placements
+from .placements import CORNERS, WIDTHS, Mark, Overlay, marks, overlays, placements
 from .recording import (
     UP,
     PathParts,
     Recording,
     blueprint,
     markdown,
-    placed,
     screen,
     write_recording,
 )
-from .sheet import Cell, arrange, sheet_margin_m, upright_rad
-
-Drawn = tuple[FloatArray, FloatArray]
-"""Where the junctions of a and of b are drawn, in a's frame."""
+from .sheet import Cell, arrange, upright_rad
 
 PLACEMENTS, VIEWS = "placements", "views"
 
@@ -57,9 +51,6 @@ MOST_LINKS = 1000
 
 FOOT = 0.06
 """Height of the runs' names above the foot of a cell, over its smaller side."""
-
-FULL_BITS = 6.0
-"""A link of this many bits is drawn widest."""
 
 
 def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decision) -> None:
@@ -81,26 +72,29 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
 
 
 def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) -> list[Cell]:
-    drawn = placements(a, b, decision)
-    if not drawn:  # nothing to lay over each other: the two maps as they are
-        return _side_by_side(recording, a, b)
-    laid = []
-    for number, p in enumerate(drawn):
-        of_b, terms = apply(p.T_a_b, b.xy), p.placement.of(*AGAINST) if p.placement else ()
-        against = ((f"{t.bits:+.2f} bits: {t.told}", (t.a, t.b)) for t in terms if t.a or t.b)
-        spots = contradiction_spots(against, a.xy, of_b)
-        none = np.zeros(0, np.int64)
-        laid.append(LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, number, none, spots))
+    drawn, none = placements(a, b, decision), np.zeros(0, np.int64)
+    laid = [LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, k, none) for k, p in enumerate(drawn)]
     cells = write_laid_over(recording, PLACEMENTS, laid)
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):
-        here = (PLACEMENTS, picture.name)
-        if picture.placement is not None:
-            xy = (a.xy, apply(picture.T_a_b, b.xy))
-            _ties(recording, here, picture.placement, xy, pen=pen, apart=picture.tied)
-            _links(recording, here, picture.placement, xy, pen=pen, both=picture.tied)
+        for mark in marks(picture, a, b, digits_of(decision)):
+            _mark(recording, (PLACEMENTS, picture.name), mark, pen)
         _names(recording, picture.name, cell, (a.run, b.run))
     return cells
+
+
+def _mark(recording: Recording, here: PathParts, mark: Mark, pen: float) -> None:
+    """Write a mark of a placement below an entity."""
+    path = (*here, *mark.name)
+    colours = [palette.rgb(palette.DARK[ink]) for ink in mark.ink]
+    if mark.form == "number":
+        write_words(recording, path, mark.xy, list(mark.told), colours=colours, order=mark.order)
+        return
+    look: dict[str, Any] = {"colors": colours, "draw_order": mark.order}
+    shape: Any = rr.Points2D(mark.xy, radii=1.8 * pen, **look)
+    if mark.form == "line":
+        shape = rr.LineStrips2D(list(mark.xy), radii=0.4 * pen * mark.pens, **look)
+    recording.static(path, shape, *([rr.AnyValues(**mark.info)] if mark.info else []))
 
 
 def _views(recording: Recording, shown: list[Overlay], turn_rad: float) -> list[Cell]:
@@ -127,19 +121,6 @@ def _views(recording: Recording, shown: list[Overlay], turn_rad: float) -> list[
     return cells
 
 
-def _side_by_side(recording: Recording, a: TopoMap, b: TopoMap) -> list[Cell]:
-    maps = [a, b]
-    points = [extent(m) for m in maps]
-    cells = arrange(points, [upright_rad(m.paths) for m in maps], sheet_margin_m(points))
-    recording.static((PLACEMENTS,), UP)
-    write_cards(recording, PLACEMENTS, cells, [(short(m.run),) for m in maps])
-    for k, (m, cell) in enumerate(zip(maps, cells, strict=True)):
-        here = (PLACEMENTS, "maps", m.run)
-        recording.static(here, placed(cell.T_sheet_map))
-        write_own_maps(recording, [here], [m], [palette.of_rank(k)], pen_m(maps))
-    return cells
-
-
 def _names(recording: Recording, name: str, cell: Cell, runs: tuple[str, str]) -> None:
     """The runs' names in their colours, at the foot of a cell."""
     width, height = cell.high - cell.low
@@ -152,62 +133,6 @@ def _names(recording: Recording, name: str, cell: Cell, runs: tuple[str, str]) -
         [short(run) for run in runs],
         colours=[palette.of_rank(0), palette.of_rank(1)],
     )
-
-
-def _ties(
-    recording: Recording,
-    here: PathParts,
-    placement: Placement,
-    xy: Drawn,
-    *,
-    pen: float,
-    apart: bool,
-) -> None:
-    """Matched junctions with their numbers, of b only where it is drawn `apart`, and a line from
-    each to its partner."""
-    pairs = placement.alignment.matched
-    if not len(pairs):
-        return
-    one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
-    lines = rr.LineStrips2D(
-        list(np.stack([one, two], axis=1)),
-        radii=0.25 * pen,
-        colors=palette.WHITE,
-        draw_order=palette.Order.TIE,
-    )
-    info = rr.AnyValues(junction_of_a=pairs[:, 0], junction_of_b=pairs[:, 1])
-    recording.static((*here, "ties"), lines, info)
-    for k, (name, at) in enumerate((("a", one), ("b", two))):
-        write_rings(recording, (*here, "matched", name), at, 1.8 * pen, palette.Order.RING)
-        if (apart or k == 0) and len(pairs) <= MOST_NUMBERED:
-            path, numbers = (*here, "numbers", name), [str(v) for v in pairs[:, k].tolist()]
-            write_words(recording, path, at, numbers, colours=palette.of_rank(k))
-
-
-def _links(
-    recording: Recording,
-    here: PathParts,
-    placement: Placement,
-    xy: Drawn,
-    *,
-    pen: float,
-    both: bool,
-) -> None:
-    """Every link between two junctions of a; `both`: also between those of b."""
-    links = placement.of(*LINKS)
-    for ends, at, name in ((0, xy[0], "a"), (1, xy[1], "b")):
-        shown = [t for t in links if len((t.a, t.b)[ends]) == 2]
-        if not shown or (ends and not both):
-            continue
-        bits = np.array([t.bits for t in shown])
-        lines = rr.LineStrips2D(
-            at[np.array([(t.a, t.b)[ends] for t in shown])],
-            radii=pen * (0.9 + 1.3 * np.minimum(np.abs(bits) / FULL_BITS, 1.0)),
-            colors=[palette.MERGED if t.bits >= 0 else palette.REFUSED for t in shown],
-            draw_order=palette.Order.EVIDENCE,
-        )
-        told = rr.AnyValues(bits=[t.bits for t in shown], what=[t.told for t in shown])
-        recording.static((*here, "links", name), lines, told)
 
 
 _LEGEND = "# How to read it\n\n" + bulleted(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
 
-from ..merge.decision import Decision, Term
-from ..merge.decision_text import because, digits_of, headline, itemised, missing
+from ..merge.decision import Decision
+from ..merge.decision_text import because, digits_of, headline, missing
 from ..merge.result import (
-    Alignment,
     FusedMap,
     MergeResult,
     of_site,
@@ -36,7 +35,7 @@ from .drawing import (
 )
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import CORNERS, WIDTHS, Overlay, against, overlays, placements
+from .placements import CORNERS, WIDTHS, Mark, Overlay, marks, overlays, placements
 from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
@@ -223,8 +222,9 @@ def draw_merged(
         _fused(canvas, result.fused, part, rank, pen)
         if numbers and result.fused.junctions <= MOST_NUMBERED:
             rows = [k for k in part.vertices.tolist() if result.fused.kind[k] not in TURNED]
-            own = {k: str(numbers[k]) for k in rows}
-            _numbered(canvas, result.fused, part.cell.T_sheet_map, own)
+            _numbered(
+                canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
+            )
         own = views[part.component.id]
         walled = [*walled, *_walls(canvas, own, part.cell.T_sheet_map, theme["wall"])]
     pairs = sum(pair.accepted for pair in result.verdicts)
@@ -324,31 +324,34 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     drawn, beside = placements(a, b, decision), overlays(decision)
     heading = [headline(decision), because(decision), missing(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
-    if not drawn:
-        return _side_by_side(a, b, heading, theme, "pair")
     laid = [(p.title, p.T_a_b) for p in drawn]
     canvas, cells = _over(a, b, laid, theme, "pair", beside=beside)
-    links = contradicted = matched = False
-    digits = digits_of(decision)
+    kinds = {"contradictions"} if beside else set()
     for picture, cell in zip(drawn, cells, strict=False):
-        T_b = compose(cell.T_sheet_map, picture.T_a_b)
-        if picture.placement is not None:
-            xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
-            agreeing, others = (
-                itemised(picture.placement, k, digits) for k in ("corridor", "unseen")
-            )
-            links |= _links(canvas, agreeing, xy, digits, both=picture.tied)
-            contradicted |= _against(canvas, others, xy, digits)
-            matched |= _ties(canvas, picture.placement.alignment, xy, apart=picture.tied)
-    keys = _pair_keys(
-        *(theme, a.run, b.run),
-        matched=matched,
-        links=links,
-        against=contradicted or bool(beside),
-        walls=bool(len(a.views) and len(b.views)),
-    )
-    canvas.finish(heading, [keys])
+        for mark in marks(picture, a, b, digits_of(decision)):
+            _mark(canvas, mark, cell.T_sheet_map)
+            kinds.add(mark.name[0])
+    canvas.finish(heading, [_pair_keys(theme, (a, b), kinds)])
     return canvas
+
+
+PEN_PT, RING_PT = 1.6, 6.5
+"""Width of a run's line in the picture of a pair, and of the ring round a junction."""
+
+
+def _mark(canvas: Canvas, mark: Mark, T: FloatArray) -> None:
+    """Draw a mark of a placement, moved onto the sheet by T."""
+    pens = np.broadcast_to(mark.pens, len(mark.xy))
+    aside = 7.0 / canvas.points_per_m
+    for xy, ink, told, width in zip(mark.xy, mark.ink, mark.told, pens, strict=True):
+        at, colour = apply(T, xy.reshape(-1, 2)), canvas.theme[ink]
+        if mark.form == "line":
+            canvas.lines([at], colour, PEN_PT * width, order=mark.order, told=told)
+        elif mark.form == "ring":
+            canvas.dots(at, colour, RING_PT, order=mark.order, told=told, ring=True)
+        else:
+            x, y = at[0].tolist()
+            canvas.words((x - aside, y + aside), told, size_pt=SMALL_PT)
 
 
 FILLED, TINY_M = 0.85, 1e-3
@@ -374,28 +377,19 @@ def _views(canvas: Canvas, overlay: Overlay, cell: Cell, turn_rad: float) -> Non
         canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, dot_pt * WIDTHS[run])
 
 
-def _pair_keys(
-    theme: Theme,
-    a: str,
-    b: str,
-    *,
-    matched: bool = False,
-    links: bool = False,
-    against: bool = False,
-    walls: bool = False,
-) -> list[Key]:
-    keys = [Key("line", theme.run(0), a), Key("line", theme.run(1), b)]
-    if walls:
+def _pair_keys(theme: Theme, maps: tuple[TopoMap, TopoMap], kinds: Collection[str]) -> list[Key]:
+    """kinds: of the marks that there are."""
+    keys = [Key("line", theme.run(k), m.run) for k, m in enumerate(maps)]
+    if all(len(m.views) for m in maps):
         keys += [
-            Key("wide line", theme.pale_run(k), f"walls of {run}") for k, run in ((0, a), (1, b))
+            Key("wide line", theme.pale_run(k), f"walls of {m.run}") for k, m in enumerate(maps)
         ]
-    if matched:
-        keys.append(Key("ring", theme["ink"], "matched junctions, tied"))
-    if links:
-        keys.append(Key("wide line", theme["agrees"], "link that speaks for it"))
-    if against:
-        keys.append(Key("ring", theme["against"], "what speaks against it"))
-    return keys
+    of_kind = {
+        "matched": Key("ring", theme["ink"], "matched junctions, tied"),
+        "links": Key("wide line", theme["agrees"], "link that speaks for it"),
+        "contradictions": Key("ring", theme["against"], "what speaks against it"),
+    }
+    return [*keys, *(key for kind, key in of_kind.items() if kind in kinds)]
 
 
 def _over(
@@ -413,7 +407,7 @@ def _over(
     )
     points = [np.concatenate([of_a, apply(T, of_b)]) for _, T in laid]
     turn = upright_rad(a.paths)
-    wide = min(float(np.ptp(p, axis=0).max()) for p in points)
+    wide = min((float(np.ptp(p, axis=0).max()) for p in points if len(p)), default=0.0)
     square = CORNERS * max(VIEW_SHARE * wide / (2 * REACH_M), 1.0)
     shown = [*points, *(turned(square, -turn) for _ in beside)]
     cells = arrange(shown, [turn] * len(shown), sheet_margin_m(points))
@@ -431,87 +425,6 @@ def _over(
 
 
 def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, colour: str) -> None:
-    canvas.lines([apply(T, path) for path in m.paths], colour, 1.6, told=m.run)
+    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, told=m.run)
     if len(m):
         canvas.dots(apply(T, m.xy), colour, 3.6)
-
-
-def _side_by_side(
-    a: TopoMap, b: TopoMap, heading: Sequence[str], theme: Theme, name: str
-) -> Canvas:
-    points = [extent(m) for m in (a, b)]
-    cells = arrange(points, [upright_rad(m.paths) for m in (a, b)], sheet_margin_m(points))
-    canvas = _sheet(cells, theme, WIDTH_PT, name)
-    _frames(canvas, cells, [a.run, b.run])
-    for k, (m, cell) in enumerate(zip((a, b), cells, strict=True)):
-        _own_map(canvas, m, cell.T_sheet_map, theme.run(k))
-    canvas.finish(heading, [_pair_keys(theme, a.run, b.run)])
-    return canvas
-
-
-def _ties(
-    canvas: Canvas, alignment: Alignment, xy: tuple[FloatArray, FloatArray], *, apart: bool
-) -> bool:
-    """Draw rings round matched junctions, their numbers, of b only where it is drawn `apart`, and a
-    line between each two; returns whether there are any."""
-    pairs = alignment.matched
-    if len(pairs) == 0:
-        return False
-    one, two = xy[0][pairs[:, 0]], xy[1][pairs[:, 1]]
-    ink = canvas.theme["ink"]
-    for (u, v), p, q in zip(pairs.tolist(), one, two, strict=True):
-        canvas.lines(
-            [np.stack([p, q])], ink, 0.7, order=Order.TIE, told=f"junction {u} = junction {v}"
-        )
-    canvas.dots(one, ink, 6.5, order=Order.TIE, ring=True)
-    canvas.dots(two, ink, 6.5, order=Order.TIE, ring=True)
-    aside = 7.0 / canvas.points_per_m
-    for k, at in enumerate((one, two) if apart else (one,)):
-        for v, (x, y) in zip(pairs[:MOST_NUMBERED, k].tolist(), at.tolist(), strict=False):
-            canvas.words((x - aside, y + aside), str(v), size_pt=SMALL_PT)
-    return True
-
-
-def _links(
-    canvas: Canvas,
-    links: Sequence[Term],
-    xy: tuple[FloatArray, FloatArray],
-    digits: int,
-    *,
-    both: bool,
-) -> bool:
-    """Draw every link between two junctions of a, and if `both` also between those of b; returns
-    whether any was drawn."""
-    drawn = False
-    for side in (0, 1) if both else (0,):
-        for t in links:
-            ends = (t.a, t.b)[side]
-            if len(ends) == 2 and t.bits > 0:
-                width = 2.0 + 0.5 * min(t.bits, 6.0)
-                told = f"{t.bits:+.{digits}f} bits: {t.told}"
-                line = xy[side][list(ends)]
-                canvas.lines([line], canvas.theme["agrees"], width, order=Order.EVIDENCE, told=told)
-                drawn = True
-    return drawn
-
-
-def _against(
-    canvas: Canvas, terms: Sequence[Term], xy: tuple[FloatArray, FloatArray], digits: int
-) -> bool:
-    """Mark junctions that the other run drove past without seeing them, and corridors that cross;
-    returns whether there are any."""
-    found = list(against(terms, *xy))
-    for term, at in found:
-        told = f"{term.bits:+.{digits}f} bits: {term.told}"
-        if len(at) == 1:
-            _ring(canvas, at[0], told)
-        else:
-            colour, order = canvas.theme["against"], Order.CONTRADICTION
-            canvas.lines([at], colour, 2.2, order=order, told=told)
-    return bool(found)
-
-
-def _ring(canvas: Canvas, xy: FloatArray, told: str) -> None:
-    """Draw a ring in the colour of contradictions."""
-    colour, order = canvas.theme["against"], Order.CONTRADICTION
-    canvas.dots(xy[None], colour, 9.0, order=order, ring=True, told=told)

@@ -36,7 +36,6 @@ from .story import STORY, joining_steps, write_story
 from .verdicts import (
     MOST_PLACEMENTS,
     merge_summary,
-    pairs_told,
     runs_in_order,
     undecided,
 )
@@ -76,8 +75,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
             write_story(recording, FUSED, steps, parts, by_name)
         write_matrix(recording, result, runs, colours)
         recording.static(("summary",), markdown(merge_summary(result)))
-        recording.static(("pairs",), markdown(pairs_told(result)))
-        side += [_matrix_view(result, runs)] if len(runs) > 1 else []
+        side += [_matrix_view(runs)] if len(runs) > 1 else []
         return _blueprint(views, side, told=bool(steps))
 
     write_recording(path, RECORDING_ID, fill)
@@ -94,8 +92,8 @@ def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]
     return {run: with_turning_points(by_name[run]) for run in sorted(needed)}
 
 
-def _matrix_view(result: MergeResult, runs: list[str]) -> rrb.Spatial2DView:
-    low, high = matrix_bounds(result, runs)
+def _matrix_view(runs: list[str]) -> rrb.Spatial2DView:
+    low, high = matrix_bounds(runs)
     return rrb.Spatial2DView(
         origin=f"/{MATRIX}",
         name="Verdicts",
@@ -107,10 +105,7 @@ def _matrix_view(result: MergeResult, runs: list[str]) -> rrb.Spatial2DView:
 def _blueprint(
     maps: list[rrb.Spatial2DView], side: list[rrb.Spatial2DView], *, told: bool
 ) -> rrb.Blueprint:
-    pages: list[rrb.View] = [
-        rrb.TextDocumentView(origin="/summary", name="Summary"),
-        rrb.TextDocumentView(origin="/pairs", name="Pairs"),
-    ]
+    pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
     if told:
         columns = rrb.TextLogColumns(
             timeline_columns=[TimelineColumn(JOIN)],

@@ -23,14 +23,10 @@ MATRIX, UNDECIDED = "verdicts", "undecided"
 """Entity roots of the two views."""
 
 MOST_NAMES = 16
-"""Above this many runs the matrix has the names of sites in place of those of runs."""
+"""Above this many runs the matrix shows their names on hovering only."""
 
 MOST_NUMBERS = 8
 """Up to this many runs the evidence is written into the matrix, above only shown by dots."""
-
-LEAST_BLOCK = 0.05
-"""A site is named beside a large matrix if it has at least this share of the runs (the height of a
-name)."""
 
 MOST_DOTS = 300
 """Above this many runs the matrix has no dots."""
@@ -57,66 +53,47 @@ def write_matrix(
     runs: list[str],
     colours: Mapping[str, palette.Colour],
 ) -> None:
-    """Write the verdicts of all pairs as an image and their evidence as dots, with names at the
-    left, the runs of a site framed, and a mark for each run with its name on hovering."""
+    """Write the verdicts of all pairs as an image and their evidence as dots, the runs of a site
+    framed, and at the left a mark for each run with its name."""
     if not runs:
         return
     count = len(runs)
     recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
     matrix = verdict_matrix(result, runs)
     recording.static((MATRIX, "pairs"), rr.SegmentationImage(matrix, opacity=1.0))
-    frames = [outline((k, k), (k + n, k + n)) for _, k, n in _blocks(result, runs)]
+    frames = [outline((k, k), (k + n, k + n)) for k, n in _sites(result, runs)]
     lines = rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING)
     recording.static((MATRIX, "components"), lines)
-    middle = np.arange(count) + 0.5
     marks = rr.Points2D(
-        np.stack([np.full(count, -0.012 * count), middle], axis=-1),
+        np.stack([np.full(count, -0.5 * _names_width(runs)), np.arange(count) + 0.5], axis=-1),
         radii=0.012 * count,
         colors=[colours[run] for run in runs],
         labels=runs,
-        show_labels=False,
+        show_labels=count <= MOST_NAMES,
         draw_order=palette.Order.CONTRADICTION,
     )
     recording.static((MATRIX, "runs"), marks, rr.AnyValues(run=runs))
-    names = _row_names(result, runs)
-    # LABEL_RISE in cells, which are the smaller the larger the matrix.
-    rise = LABEL_RISE * max(count / MOST_NUMBERS, 1.0)
-    left = -0.55 * _names_width(names, count)
-    places = np.array([(left, at - rise) for _, at in names]).reshape(-1, 2)
-    _labels(recording, "rows", places, [name for name, _ in names])
-    if count <= MOST_NAMES:
-        above = np.stack([middle, np.full(count, -0.09 * count)], axis=-1)
-        _labels(recording, "columns", above, [str(k) for k in range(1, count + 1)])
     if count <= MOST_DOTS:
         _evidence(recording, result, runs)
 
 
-def matrix_bounds(result: MergeResult, runs: list[str]) -> tuple[FloatArray, FloatArray]:
+def matrix_bounds(runs: list[str]) -> tuple[FloatArray, FloatArray]:
     """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
-    count = len(runs)
-    left = _names_width(_row_names(result, runs), count)
-    return np.array([-left, -0.09 * count - 0.1]), np.full(2, 1.01 * count + 0.2)
+    return np.array([-_names_width(runs), -0.2]), np.full(2, 1.01 * len(runs) + 0.2)
 
 
-def _blocks(result: MergeResult, runs: list[str]) -> list[tuple[str, int, int]]:
-    """(name, first row, rows) of every site of several runs."""
+def _sites(result: MergeResult, runs: list[str]) -> list[tuple[int, int]]:
+    """(first row, rows) of every site of several runs."""
     row = {run: i for i, run in enumerate(runs)}
     several = [c for c in result.components if len(c.poses) > 1]
-    return [(c.name, min(row[run] for run in c.poses), len(c.poses)) for c in several]
+    return [(min(row[run] for run in c.poses), len(c.poses)) for c in several]
 
 
-def _row_names(result: MergeResult, runs: list[str]) -> list[tuple[str, float]]:
-    """Names at the left, with the middles of their rows."""
-    if len(runs) <= MOST_NAMES:
-        return [(f"{i}  {run}", i - 0.5) for i, run in enumerate(runs, start=1)]
-    large = [block for block in _blocks(result, runs) if block[2] >= LEAST_BLOCK * len(runs)]
-    return [(name, k + n / 2) for name, k, n in large]
-
-
-def _names_width(names: list[tuple[str, float]], cells: int) -> float:
-    """Width of the names at the left [cells], from their share of a view of typical width."""
-    share = min(0.08 + 0.024 * max((len(name) for name, _ in names), default=0), 0.6)
-    return cells * share / (1 - share)
+def _names_width(runs: list[str]) -> float:
+    """Room for the names at the left [cells], from their share of a view of typical width."""
+    longest = max(map(len, runs), default=0) if len(runs) <= MOST_NAMES else 0
+    share = min(0.08 + 0.024 * longest, 0.6)
+    return len(runs) * share / (1 - share)
 
 
 def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
@@ -140,15 +117,13 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         accepted=[p.accepted for p in pairs],
         evidence_bits=bits,
         reason=[p.reason for p in pairs],
+        advice=[p.advice for p in pairs],
     )
     recording.static((MATRIX, "evidence"), dots, info)
     if len(runs) <= MOST_NUMBERS:
         labels = [shown_bits(p.evidence_bits) + f"\n{LOCKED}" * bool(p.locked) for p in pairs]
-        _labels(recording, "bits", ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE], labels)
-
-
-def _labels(recording: Recording, name: str, places: FloatArray, labels: list[str]) -> None:
-    write_words(recording, (MATRIX, name), places, labels, order=palette.Order.TIE)
+        places = ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE]
+        write_words(recording, (MATRIX, "bits"), places, labels, order=palette.Order.TIE)
 
 
 def write_undecided(

@@ -97,12 +97,6 @@ _RUNS = (
 )
 """Colours of runs: ten that are easy to tell apart."""
 
-GAMMA = 2.2
-LUMINANCE = np.array((0.2126, 0.7152, 0.0722))
-READABLE = 0.21
-"""Rec. 709 weights of linear RGB, and the luminance that text needs: a contrast of 4.5 to the
-background by WCAG 2.1 (1.4.3), rounded up."""
-
 
 def by_degree(degree: IntArray) -> Colours:
     """Colours (n, 3) by the number of branches."""
@@ -114,16 +108,7 @@ def of_rank(rank: int) -> Colour:
     angle in hue."""
     if rank < len(_RUNS):
         return _RUNS[rank]
-    return readable(stepped(rank - len(_RUNS), 0.45, 0.95))
-
-
-def readable(colour: Colour) -> Colour:
-    """The colour, mixed with white until text in it is readable on the background."""
-    linear = (np.array(colour) / 255) ** GAMMA
-    luminance = float(linear @ LUMINANCE)
-    white = max(0.0, (READABLE - luminance) / (1.0 - luminance))
-    red, green, blue = (255 * (linear + white * (1.0 - linear)) ** (1.0 / GAMMA)).tolist()
-    return round(red), round(green), round(blue)
+    return stepped(rank - len(_RUNS), 0.45, 0.95)
 
 
 def dimmed(colour: Colour) -> Colour:
@@ -133,10 +118,9 @@ def dimmed(colour: Colour) -> Colour:
 
 
 def stepped(step: int, saturation: float, value: float) -> Colour:
-    """The colour after `step` golden-angle steps in hue; saturation is raised by 0, 0.15 and 0.3 in
-    turn."""
+    """The colour after `step` golden-angle steps in hue."""
     hue = (0.31 + 0.61803398875 * step) % 1.0
-    red, green, blue = colorsys.hsv_to_rgb(hue, saturation + 0.15 * (step % 3), value)
+    red, green, blue = colorsys.hsv_to_rgb(hue, saturation, value)
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
@@ -175,24 +159,31 @@ _LIGHT_RUNS = (
 )
 
 
+def rgb(colour: str) -> Colour:
+    """The colour of #rrggbb."""
+    red, green, blue = bytes.fromhex(colour[1:])
+    return red, green, blue
+
+
 def _hex(colour: Iterable[int]) -> str:
     return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run."""
+    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run ("run 0")."""
 
     inks: Mapping[str, str]
     run: Callable[[int], str]
     """The colour of a run by its rank among those drawn together, from 0."""
 
     def __getitem__(self, ink: str) -> str:
-        return self.inks[ink]
+        rank = ink.removeprefix("run ")
+        return self.inks[ink] if rank == ink else self.run(int(rank))
 
     def pale_run(self, rank: int) -> str:
         """The colour of a run half-way to that of the paper: of its walls, below its map."""
-        of_run, paper = (bytes.fromhex(c[1:]) for c in (self.run(rank), self["paper"]))
+        of_run, paper = rgb(self.run(rank)), rgb(self["paper"])
         return _hex((x + y) // 2 for x, y in zip(of_run, paper, strict=True))
 
 

@@ -3,20 +3,23 @@ views that speak most for a placement and against it, laid over each other."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal
 
 import numpy as np
 
 from ..merge.decision import Decision, Placement, Term
-from ..merge.decision_text import listed, other_name
+from ..merge.decision_text import itemised, listed, other_name
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
 from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
-from ..topology.se2 import apply, compose, turned
+from ..topology.se2 import apply, compose, inverse, turned
 from ..topology.topomap import TopoMap
 from ..topology.views import REACH_M
 from ..topology.wording import counted
+from .drawing import MOST_NUMBERED, extent
+from .palette import Order
 from .sheet import upright_rad
 
 APART, ASIDE = 0.15, 0.2
@@ -39,7 +42,8 @@ class Picture:
 def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
     """The pictures of a decision: the verdict's placement, the same with the maps drawn apart, and
     the next best placement. An undecided pair has no picture with the maps apart; a pair joined
-    through other runs starts with the placement that follows from those."""
+    through other runs starts with the placement that follows from those. Where nothing fits, the
+    maps are shown apart alone."""
     out: list[Picture] = []
     if decision.by_others is not None:
         title = f"joined through {listed(decision.said.through, 2)}"
@@ -57,7 +61,7 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
             count = len(placement.alignment.matched)
             title = f"the {counted(count, 'matched junction')} tied"
             out.append(Picture("tied", title, placement, _apart(a, b, T), tied=True))
-    return out
+    return out or [Picture("maps", "no placement", None, _below(a, b), tied=False)]
 
 
 def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
@@ -65,22 +69,21 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     turn = upright_rad(a.paths)
     upright = np.array([0.0, 0.0, turn])
     of_a, of_b = apply(upright, a.xy), apply(compose(upright, T_a_b), b.xy)
-    extent = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
-    drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * extent
-    away = np.array([ASIDE * extent, drop, 0.0])
+    reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
+    drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * reach
+    away = np.array([ASIDE * reach, drop, 0.0])
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
 
 
-def against(
-    terms: Iterable[Term], of_a: FloatArray, of_b: FloatArray
-) -> Iterator[tuple[Term, FloatArray]]:
-    """The given terms against a placement, each with where it lies, from the positions of both
-    maps' junctions, (n, 2) each in one frame: (1, 2) a junction that the other run passed without
-    seeing it, or (2, 2) a corridor that crosses another."""
-    for term in terms:
-        for of, ends in ((of_a, term.a), (of_b, term.b)):
-            if len(ends) == 1 or (len(ends) == 2 and term.kind != "unseen"):
-                yield term, of[list(ends)]
+def _below(a: TopoMap, b: TopoMap) -> FloatArray:
+    """A pose of b below a, both upright where a is."""
+    upright = [np.array([0.0, 0.0, upright_rad(m.paths)]) for m in (a, b)]
+    drawn = [extent(m) if len(m) else np.zeros((1, 2)) for m in (a, b)]
+    of_a, of_b = map(apply, upright, drawn)
+    gap = APART * max(float(np.ptp(of_a, axis=0).max()), float(np.ptp(of_b, axis=0).max()), 4.0)
+    low, high = of_a.min(axis=0), of_b.max(axis=0)
+    away = np.array([low[0] - of_b[:, 0].min(), low[1] - high[1] - gap, 0.0])
+    return compose(inverse(upright[0]), compose(away, upright[1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +108,79 @@ def contradiction_spots(
         alone = [points for points in ends if len(points) == 1]
         spots.append(Spot(np.concatenate(alone or ends).mean(axis=0), told))
     return spots
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mark:
+    """Lines, rings or numbers on a picture of a placement, in the frame of a.
+
+    name: of its entity; xy: (n, 2, 2) ends of lines, or (n, 2) points [m]; ink: of `Theme`, of
+    each; told: of each what is said of it, or the number; info: columns for queries; pens: widths
+    of lines, over that of a map's.
+    """
+
+    name: tuple[str, ...]
+    form: Literal["line", "ring", "number"]
+    xy: FloatArray
+    ink: Sequence[str]
+    told: Sequence[str]
+    order: Order
+    info: Mapping[str, Any] = field(default_factory=dict)
+    pens: FloatArray = field(default_factory=lambda: np.ones(1))
+
+
+FULL_BITS = 6.0
+"""A link of this many bits is drawn widest."""
+
+
+def marks(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator[Mark]:
+    """What a picture shows besides the two maps: matched junctions with a line between each two and
+    their numbers, of b only where it is drawn apart; links between junctions of a, with b apart
+    also of b; contradictions. digits: decimals of bits."""
+    placement = picture.placement
+    if placement is None:
+        return
+    at = (a.xy, apply(picture.T_a_b, b.xy))
+    pairs = placement.alignment.matched
+    ends = [at[k][pairs[:, k]] for k in (0, 1)]
+    n, sides = len(pairs), ((0, "a"), (1, "b"))
+    if n:
+        same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
+        info = {"junction_of_a": pairs[:, 0].tolist(), "junction_of_b": pairs[:, 1].tolist()}
+        tied = np.stack(ends, axis=1)
+        half = np.full(n, 0.5)
+        yield Mark(("ties",), "line", tied, ["ink"] * n, same, Order.TIE, info, half)
+        for k, side in sides:
+            yield Mark(("matched", side), "ring", ends[k], ["ink"] * n, same, Order.RING)
+        for k, side in sides[: 1 + picture.tied] if n <= MOST_NUMBERED else ():
+            told = [str(v) for v in pairs[:, k].tolist()]
+            yield Mark(("numbers", side), "number", ends[k], [f"run {k}"] * n, told, Order.WORDS)
+    links = itemised(placement, "corridor", digits)
+    for k, side in sides[: 1 + picture.tied]:
+        shown = [t for t in links if len((t.a, t.b)[k]) == 2]
+        if shown:
+            bits = np.array([t.bits for t in shown])
+            yield Mark(
+                ("links", side),
+                "line",
+                at[k][np.array([(t.a, t.b)[k] for t in shown])],
+                ["agrees" if t.bits >= 0 else "against" for t in shown],
+                [_bits_told(t, digits) for t in shown],
+                Order.EVIDENCE,
+                {"bits": bits.tolist(), "what": [t.told for t in shown]},
+                1.2 + 1.8 * np.minimum(np.abs(bits) / FULL_BITS, 1.0),
+            )
+    terms = [t for t in itemised(placement, "unseen", digits) if t.a or t.b]
+    spots = contradiction_spots(((_bits_told(t, digits), (t.a, t.b)) for t in terms), *at)
+    if spots:
+        told = [spot.told for spot in spots]
+        where = np.array([spot.xy for spot in spots])
+        ink, info = ["against"] * len(spots), {"contradiction": told}
+        yield Mark(("contradictions",), "ring", where, ink, told, Order.CONTRADICTION, info)
+
+
+def _bits_told(term: Term, digits: int) -> str:
+    return f"{term.bits:+.{digits}f} bits: {term.told}"
 
 
 CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])

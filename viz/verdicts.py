@@ -1,4 +1,4 @@
-"""A merge's verdicts on all pairs of runs: as a matrix, and as text."""
+"""A merge's verdicts on all pairs of runs as a matrix, and a summary of a merge."""
 
 from __future__ import annotations
 
@@ -15,9 +15,6 @@ from .map_summary import bulleted, plain, several
 DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
 """Class of each standing in the verdict matrix."""
-
-MOST_PAIRS = 60
-"""Pairs of a kind with full text in the recording; `merged.json` has all."""
 
 MOST_PLACEMENTS = 12
 """Undecided pairs that are drawn, strongest evidence first: with more, their names have no room."""
@@ -60,8 +57,8 @@ contradictions in red.
 
 **Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
 other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
-unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits
-and the reason.
+unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits,
+the reason and what would settle it.
 
 Point at anything for what is known about it, or select it and open the panels at the top right;
 the left one shows and hides runs."""
@@ -118,33 +115,6 @@ def _notes(result: MergeResult) -> str:
     return "## Warnings\n\n" + bulleted(plain(w) for w in warnings) if warnings else ""
 
 
-def pairs_told(result: MergeResult) -> str:
-    """Markdown with every pair's verdict and reason, the strongest of each kind first."""
-    parts = ["# Pairs of runs"]
-    of_kind: dict[Standing, list[PairVerdict]] = {standing: [] for standing in Standing}
-    for pair in result.verdicts:
-        of_kind[pair.standing].append(pair)
-    count = result.standings()
-    for standing, title in (
-        (Standing.AMBIGUOUS, "Ambiguous"),
-        (Standing.KEPT_OUT, "Fitting, but kept out"),
-        (Standing.MERGED, "Merged"),
-        (Standing.JOINED, "Joined through others"),
-        (Standing.UNRELATED, "Unrelated"),
-    ):
-        pairs, everyone = strongest(of_kind[standing]), count[standing]
-        if everyone:
-            parts.append(f"## {title} ({everyone:,})")
-            parts.append("\n".join(map(_told, pairs[:MOST_PAIRS])))
-            if len(pairs) > MOST_PAIRS:
-                parts.append(f"… and {len(pairs) - MOST_PAIRS:,} more, in `merged.json`")
-            if everyone > len(pairs):
-                parts.append(f"{everyone - len(pairs):,} pairs that a large merge only counts")
-    if len(parts) == 1:
-        parts.append("There is no pair: fewer than two runs.")
-    return "\n\n".join(parts) + "\n"
-
-
 def undecided(result: MergeResult) -> list[PairVerdict]:
     """Pairs that fit somewhere and were not joined, the strongest first."""
     open_ = (Standing.AMBIGUOUS, Standing.KEPT_OUT)
@@ -154,12 +124,3 @@ def undecided(result: MergeResult) -> list[PairVerdict]:
 def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
     """Pairs in descending order of evidence, then by name."""
     return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))
-
-
-def _told(pair: PairVerdict) -> str:
-    lines = [f"- **{plain(pair.a)} - {plain(pair.b)}**: {plain(pair.reason)}"]
-    if pair.advice:
-        lines.append(f"to settle it: {plain(pair.advice)}")
-    if pair.locked:
-        lines.append(f"decided by a person: {plain(pair.locked)}")
-    return "\n  - ".join(lines)

@@ -61,8 +61,8 @@ def test_a_merged_pair_is_drawn_over_and_tied(tmp_path: Path, make_map) -> None:
         "the 5 matched junctions tied",
     ]
     assert got.value("/placements/placement/contradictions", "contradiction") == [
-        "-2.00 bits: junction unseen in a corridor",
-        "-1.00 bits: corridors that lead elsewhere",
+        "-2.0 bits: junction unseen in a corridor",
+        "-1.0 bits: corridors that lead elsewhere",
     ]
     page = got.value("/decision", "TextDocument:text")[0]
     assert [*lines(told)] == page.splitlines()[1:-1]  # between fences

@@ -11,7 +11,6 @@ from topobatch.viz.verdicts import (
     CLASS,
     DIAGONAL,
     merge_summary,
-    pairs_told,
     runs_in_order,
     verdict_matrix,
 )
@@ -31,23 +30,12 @@ def test_the_matrix_says_what_the_verdicts_say(merge_of: Merge) -> None:
     assert np.array_equal(verdict_matrix(result, runs), expected)
 
 
-def test_every_pair_is_told_with_its_reason(merge_of: Merge) -> None:
-    result, _ = merge_of([["a", "b"], ["c"]], ambiguous=[("b", "c")])
-    told = pairs_told(result)
-    assert "all fits" in told
-    assert "two ways" in told
-    assert "to settle it: go on" in told
-    assert "a - c" in told
-    assert told.index("Ambiguous (1)") < told.index("Merged (1)") < told.index("Unrelated (1)")
-
-
 def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -> None:
     result, _ = merge_of([["a", "b"], ["c"]])
     joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
     result = replace(result, verdicts=joined)
     assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == CLASS[Standing.JOINED]
     assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(result)
-    assert "Joined through others (2)" in pairs_told(result)
 
 
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
