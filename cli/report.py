@@ -10,8 +10,7 @@ import typer
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted
 from .draw import read_result
-from .explain import settings_of
-from .matching import kept_results
+from .explain import as_merged
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
 from .output import Screen, checked_output, complain, say
 from .version import VERSION
@@ -119,7 +118,7 @@ def _decisions(
     """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
     the merged ones with the least evidence."""
     from ..merge.result import Standing
-    from ..merge.robust.explained import Merge, explain
+    from ..merge.robust.explained import explain
 
     document = place.read_merged()
     if document.graph.method == "paper":
@@ -129,11 +128,7 @@ def _decisions(
     merged = [v for v in result.verdicts if v.standing is Standing.MERGED]
     open_.sort(key=lambda v: (-v.evidence_bits, v.a, v.b))
     merged.sort(key=lambda v: (v.evidence_bits, v.a, v.b))
-    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
-    said = {(v.a, v.b): v for v in result.verdicts}
-    settings = settings_of(place, document)
-    kept = kept_results(place, settings, complain)
-    merge = Merge(maps.__getitem__, len(poses), said, settings, place.locks(), poses, kept)
+    merge = as_merged(place, document, maps.__getitem__)
     chosen = [*open_, *merged][:MOST_EXPLAINED]
     out = {}
     for done, v in enumerate(chosen):

@@ -117,7 +117,7 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         accepted=[p.accepted for p in pairs],
         evidence_bits=bits,
         reason=[p.reason for p in pairs],
-        advice=[p.advice for p in pairs],
+        advice=[p.advice or "" for p in pairs],
     )
     recording.static((MATRIX, "evidence"), dots, info)
     if len(runs) <= MOST_NUMBERS:
