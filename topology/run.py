@@ -116,13 +116,11 @@ NOT_SEEN_AGAIN = SeenAgain(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zero
 @dataclass(frozen=True, slots=True, eq=False)
 class Scanned:
     """Junctions detected in scans; noise: of the odometry corrected by scan matching and of the
-    passes; window_m: half the side of the windows that junctions were found in [m]; views: around
-    places of the track, posed in the odometry frame; loops: where the track came by a place
-    again."""
+    passes; views: around places of the track, posed in the odometry frame; loops: where the track
+    came by a place again."""
 
     passes: ScanPasses
     noise: RunNoise
-    window_m: float
     views: Views = NO_VIEWS
     loops: SeenAgain = NOT_SEEN_AGAIN
 

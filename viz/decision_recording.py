@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -72,8 +71,8 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
 
 
 def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) -> list[Cell]:
-    drawn, none = placements(a, b, decision), np.zeros(0, np.int64)
-    laid = [LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, k, none) for k, p in enumerate(drawn)]
+    drawn = placements(a, b, decision)
+    laid = [LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, k) for k, p in enumerate(drawn)]
     cells = write_laid_over(recording, PLACEMENTS, laid)
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -175,7 +175,7 @@ class LaidOver:
     maps: tuple[TopoMap, TopoMap]
     T_a_b: FloatArray
     group: int
-    matched: IntArray
+    matched: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     spots: Sequence[Spot] = ()
 
 

@@ -31,16 +31,14 @@ class RobotTrack:
 
     time_ns: (n,); raw: (n, 3) odometry, each unbroken stretch moved rigidly to the least-squares
     fit of its passes to the map's vertices; bent: (n, 3) the same rows, corrected so that every
-    pass lies on its vertex; starts: rows at which a stretch begins (never 0). passed: (k, 2) the
-    raw position at each observation of the map, NaN if not known; drift_m: (k,) its distance from
-    the observation's vertex.
+    pass lies on its vertex; starts: rows at which a stretch begins (never 0). drift_m: (k,) the
+    distance of the raw position at each observation of the map from the observation's vertex.
     """
 
     time_ns: IntArray
     raw: FloatArray
     bent: FloatArray
     starts: IntArray
-    passed: FloatArray
     drift_m: FloatArray
 
     @property
@@ -79,7 +77,7 @@ def robot_track(
     chain = stretch_of(odometry, topomap.observation_time_ns)
     finest = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
     spacing = 0.0 if every_row else finest
-    drift_m, passed = np.zeros(len(chain)), np.full((len(chain), 2), np.nan)
+    drift_m = np.zeros(len(chain))
     parts = []
     for number, (a, b) in enumerate(edges):
         seen = np.flatnonzero(chain == number)
@@ -94,7 +92,7 @@ def robot_track(
                 jump_other=odometry.jump_other[:0],
             )
             parts.append(_placed(topomap, seen, stretch, spacing))
-            drift_m[seen], passed[seen] = parts[-1].drift_m, parts[-1].passed
+            drift_m[seen] = parts[-1].drift_m
     if not parts:
         return None
     return RobotTrack(
@@ -102,7 +100,6 @@ def robot_track(
         np.concatenate([part.raw for part in parts]),
         np.concatenate([part.bent for part in parts]),
         np.cumsum([len(part.time_ns) for part in parts])[:-1],
-        passed,
         drift_m,
     )
 
@@ -114,13 +111,12 @@ def _placed(topomap: TopoMap, seen: IntArray, stretch: Odometry, spacing: float)
     seen_at = topomap.xy[vertices[first]]
     passed = stretch.at(time_ns)
     T_map_odom = fit_rigid(seen_at, passed[:, :2])
-    passed_at = apply(T_map_odom, stretch.at(times)[:, :2])
-    drift = passed_at - topomap.xy[vertices]
+    drift = apply(T_map_odom, stretch.at(times)[:, :2]) - topomap.xy[vertices]
     rows = thinned(stretch.pose[:, :2], spacing)
     raw = compose(T_map_odom, stretch.pose[rows])
     bent = _bent(stretch.time_ns[rows], raw, time_ns, compose(T_map_odom, passed), seen_at)
     drift_m = np.hypot(drift[:, 0], drift[:, 1])
-    return RobotTrack(stretch.time_ns[rows], raw, bent, stretch.breaks, passed_at, drift_m)
+    return RobotTrack(stretch.time_ns[rows], raw, bent, stretch.breaks, drift_m)
 
 
 def _bent(

@@ -186,7 +186,7 @@ def _result(
     views = chosen_views(seen, passes, driven)
     odometry, views, loops = closed_by_views(odometry, views, noise)
     warnings = (*counted.warnings(), *_warnings(statistics))
-    scanned = Scanned(passes, noise, WINDOWS.half_m, views, loops)
+    scanned = Scanned(passes, noise, views, loops)
     return ScanResult(odometry, scanned, statistics, warnings)
 
 

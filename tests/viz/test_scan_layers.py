@@ -51,7 +51,7 @@ def scanned(topomap: TopoMap) -> Scanned:
         clearance_m=np.ones(p),
         shared_m=np.zeros(p),
     )
-    return Scanned(passes, topomap.noise, 6.0)
+    return Scanned(passes, topomap.noise)
 
 
 def recorded(path: Path, topomap: TopoMap, odometry: Odometry) -> tuple[Scanned, Readback]:
