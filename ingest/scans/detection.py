@@ -22,7 +22,7 @@ from .scan_odometry import scan_odometry
 from .step_errors import SpanErrors
 from .turns import LaggingError, MirroredError, Turns, clock_lag
 from .views import chosen_views, closed_by_views
-from .windows import WINDOWS, Seen, windows
+from .windows import Seen, windows
 
 LEAST_FIT = 0.5
 """Least fit to the previous keyframe at which a keyframe counts as matched."""
