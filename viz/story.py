@@ -24,9 +24,8 @@ Group = tuple[str, ...]
 @dataclass(frozen=True, slots=True, eq=False)
 class Step:
     """Two groups of runs are joined because of a pair. joins, into: their runs, sorted, the smaller
-    group first; component: id of the one that holds them in the end."""
+    group first."""
 
-    component: int
     joins: Group
     into: Group
     pair: PairVerdict
@@ -39,48 +38,24 @@ def joining_steps(result: MergeResult) -> list[Step]:
     Pairs within one group give no step. O(pairs · log pairs).
     """
     home = {run: component.id for component in result.components for run in component.poses}
-    groups = _Groups(home)
-    inside = [p for p in result.verdicts if p.accepted and home.get(p.a) == home.get(p.b)]
-    inside = [p for p in inside if p.a in home]
-    alone = [p for p in inside if p.accepted_by != "components"]
-    steps: list[Step] = []
-    for pair in sorted(alone, key=_strength):
-        steps += groups.joined(pair)
-    waiting = sorted((p for p in inside if p.accepted_by == "components"), key=_strength)
-    while waiting:
-        pair = next((p for p in waiting if groups.are_sides(p)), waiting[0])
-        waiting.remove(pair)
-        steps += groups.joined(pair)
+    group: dict[str, Group] = {run: (run,) for run in home}
+    steps = []
+    for pair in sorted((p for p in result.verdicts if p.accepted), key=_order):
+        if pair.a not in home or home[pair.a] != home.get(pair.b):
+            continue
+        one, two = group[pair.a], group[pair.b]
+        if one != two:
+            # Equal sizes: in the pair's order.
+            joins, into = sorted((one, two), key=len)
+            steps.append(Step(joins, into, pair))
+            both = tuple(sorted((*one, *two)))
+            group |= dict.fromkeys(both, both)
     return steps
 
 
-def _strength(pair: PairVerdict) -> tuple[bool, float, str, str]:
-    return (pair.accepted_by != "lock", -pair.evidence_bits, pair.a, pair.b)
-
-
-class _Groups:
-    """The groups of runs joined so far."""
-
-    def __init__(self, home: dict[str, int]) -> None:
-        self._home = home
-        self._of: dict[str, Group] = {run: (run,) for run in home}
-
-    def are_sides(self, pair: PairVerdict) -> bool:
-        """Whether both components that the pair's evidence is from are groups now."""
-        sides = pair.together or ()
-        return all(self._of.get(side[0]) == tuple(sorted(side)) for side in sides if side)
-
-    def joined(self, pair: PairVerdict) -> Iterable[Step]:
-        """The step that joins the pair's groups; none if they are one already."""
-        one, two = self._of[pair.a], self._of[pair.b]
-        if one == two:
-            return
-        joins, into = sorted((one, two), key=lambda group: (len(group), group))
-        if len(one) == len(two):  # equal sizes: in the pair's order
-            joins, into = one, two
-        both = tuple(sorted((*one, *two)))
-        self._of |= dict.fromkeys(both, both)
-        yield Step(self._home[pair.a], joins, into, pair)
+def _order(pair: PairVerdict) -> tuple[bool, bool, float, str, str]:
+    by = pair.accepted_by
+    return by != "lock", by == "components", -pair.evidence_bits, pair.a, pair.b
 
 
 def first_steps(steps: Iterable[Step]) -> dict[str, int]:
