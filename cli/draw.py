@@ -111,13 +111,8 @@ def _walled(
 ) -> dict[str, TopoMap]:
     """The maps of the runs of a merge, or of one component, that can be read and are as they were
     merged."""
-    from contextlib import suppress
-
     runs = [r for c in result.components if component in (None, c.id) for r in c.poses]
-    maps = {}
-    for run in runs if len(runs) <= MOST_WALLED else ():
-        with suppress(DocumentError):  # what is merged is drawn, if without its walls
-            maps[run] = place.read_map(run)
+    maps, _ = place.read_maps(runs if len(runs) <= MOST_WALLED else ())
     return maps
 
 

@@ -194,12 +194,9 @@ def _component(
 ) -> Exported:
     from ..merge.component_map import component_map, stale_runs
 
-    maps = {}
-    for run in document.graph.runs_of(component):
-        try:
-            maps[run] = place.read_map(run)
-        except DocumentError as error:
-            screen.warn(f"{error}; exported without it")
+    maps, errors = place.read_maps(document.graph.runs_of(component))
+    for error in errors.values():
+        screen.warn(f"{error}; exported without it")
     stale = stale_runs(document, component, maps)
     if stale:
         told = ", ".join(f"{run} {why}" for run, why in list(stale.items())[:3])

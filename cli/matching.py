@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted
 from .output import Screen
 from .process import start_worker
@@ -85,16 +85,12 @@ def read_maps(
     place: Workspace, names: list[str], screen: Screen
 ) -> tuple[list[TopoMap], list[str]]:
     """The readable maps, and the names of the others."""
-    maps, broken = [], []
-    for name in names:
-        try:
-            maps.append(place.read_map(name))
-        except DocumentError as error:
-            screen.complain(f"{error}; left out")
-            broken.append(name)
+    maps, errors = place.read_maps(names)
+    for error in errors.values():
+        screen.complain(f"{error}; left out")
     if not maps:
         raise DataError(f"{place.maps}: none of the {counted(len(names), 'map')} can be read")
-    return maps, broken
+    return list(maps.values()), list(errors)
 
 
 def kept_results(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted
 from .draw import read_result
 from .explain import as_merged
@@ -71,7 +71,11 @@ def report(
     screen = Screen(quiet=False)
     screen.begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
     with screen.progress("reading maps", 0) as advance:
-        maps, unread = _maps(place)
+        maps, errors = place.read_maps(place.runs())
+        for error in errors.values():
+            complain(f"{error}; left out")
+        told = "The map of {} cannot be read and is left out: {}"
+        unread = [told.format(run, error) for run, error in errors.items()]
         new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
         same = result is not None and not new and not unread
         decisions = _decisions(place, result, maps, advance) if result and same else {}
@@ -135,18 +139,6 @@ def _decisions(
         advance(done, f"{done} of {counted(len(chosen), 'pair')}", "explaining")
         out[v.a, v.b] = explain(merge, v.a, v.b)
     return out
-
-
-def _maps(place: Workspace) -> tuple[dict[str, TopoMap], list[str]]:
-    """The readable maps by run, and errors of the others."""
-    maps, unread = {}, []
-    for run in place.runs():
-        try:
-            maps[run] = place.read_map(run)
-        except DocumentError as error:
-            complain(f"{error}; left out")
-            unread.append(f"The map of {run} cannot be read and is left out: {error}")
-    return maps, unread
 
 
 def _versions() -> list[tuple[str, str]]:

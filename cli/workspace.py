@@ -324,6 +324,17 @@ class Workspace:
             raise with_way_out(error, "map") from error
         return topomap
 
+    def read_maps(self, runs: Iterable[str]) -> tuple[dict[str, TopoMap], dict[str, DocumentError]]:
+        """The maps of runs that can be read, and why the others cannot."""
+        maps: dict[str, TopoMap] = {}
+        errors: dict[str, DocumentError] = {}
+        for run in runs:
+            try:
+                maps[run] = self.read_map(run)
+            except DocumentError as error:
+                errors[run] = error
+        return maps, errors
+
     def read_merged(self) -> MergedDocument:
         """The merged document; as `require_merge`, and DocumentError with the way out if it is
         none."""
