@@ -72,7 +72,7 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
 
 def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) -> list[Cell]:
     drawn = placements(a, b, decision)
-    laid = [LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, k) for k, p in enumerate(drawn)]
+    laid = [LaidOver((p.name,), (p.title,), (a, b), p.T_a_b) for p in drawn]
     cells = write_laid_over(recording, PLACEMENTS, laid)
     pen = pen_m([a, b])
     for picture, cell in zip(drawn, cells, strict=True):

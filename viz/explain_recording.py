@@ -46,7 +46,15 @@ def write_explain_recording(path: Path, a: TopoMap, b: TopoMap, e: Explanation) 
         if not len(e.hypotheses.size):
             return blueprint(rrb.Tabs(page), rrb.TimePanel(state="hidden"))
         views = rrb.Tabs(
-            sheet_view(PLACEMENTS, "Placements", cells), _space_view(e), active_tab=0, name="Maps"
+            sheet_view(PLACEMENTS, "Placements", cells),
+            rrb.Spatial3DView(
+                origin=f"/{SPACE}",
+                name="Transform space",
+                background=palette.BACKGROUND,
+                line_grid=False,
+            ),
+            active_tab=0,
+            name="Maps",
         )
         root = rrb.Horizontal(views, page, column_shares=[2, 1], name="Match of two maps")
         return blueprint(root, rrb.TimePanel(state="hidden"))
@@ -62,20 +70,13 @@ def _title(e: Explanation, k: int) -> str:
     return f"{k + 1}: {counted(int(e.clusters.vertices[k]), 'pair')}"
 
 
-def _space(e: Explanation) -> tuple[FloatArray, FloatArray, float]:
-    """Low and high corner (2,) of all translations [m], and the height of a radian in the plot
-    [m/rad]."""
-    shift = e.hypotheses.transform[:, :2]
-    low, high = shift.min(axis=0), shift.max(axis=0)
-    return low, high, HEIGHT * max(float((high - low).max()), 1.0) / (2 * np.pi)
-
-
 def _transform_space(recording: Recording, e: Explanation) -> None:
     """Write hypotheses and clusters as points (x, y, rotation), with the rotation upwards."""
     h, c = e.hypotheses, e.clusters
     if len(h.size) == 0:
         return
-    _, _, rise = _space(e)
+    extent = float(np.ptp(h.transform[:, :2], axis=0).max())
+    rise = HEIGHT * max(extent, 1.0) / (2 * np.pi)
 
     def drawn(transform: FloatArray) -> FloatArray:
         return np.asarray(transform) * [1.0, 1.0, rise]
@@ -114,22 +115,5 @@ def _placements(recording: Recording, a: TopoMap, b: TopoMap, e: Explanation) ->
     for k in range(min(len(c.vertices), MOST_PLACEMENTS)):
         matched = np.unique(h.vertex_a[c.of[h.of] == k])
         path, title = (f"cluster {k + 1}",), (_title(e, k),)
-        laid.append(LaidOver(path, title, (a, b), c.transform[k], k, matched))
+        laid.append(LaidOver(path, title, (a, b), c.transform[k], matched))
     return write_laid_over(recording, PLACEMENTS, laid)
-
-
-def _space_view(e: Explanation) -> rrb.View:
-    """The view of the transforms, with the camera placed so that all of them are visible."""
-    low, high, _ = _space(e)
-    middle, extent = (low + high) / 2, max(float((high - low).max()), 1.0)
-    return rrb.Spatial3DView(
-        origin=f"/{SPACE}",
-        name="Transform space",
-        background=palette.BACKGROUND,
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=(middle[0] - 0.7 * extent, middle[1] - 1.7 * extent, 0.8 * extent),
-            look_target=(middle[0], middle[1], 0.0),
-            eye_up=(0.0, 0.0, 1.0),
-        ),
-    )

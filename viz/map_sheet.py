@@ -168,13 +168,12 @@ def write_own_maps(
 @dataclass(frozen=True, slots=True, eq=False)
 class LaidOver:
     """Map b over map a, at T_a_b. titles: forms, longest first; matched: junctions of a; spots:
-    where the two contradict each other; group: equal for neighbours that belong in one row."""
+    where the two contradict each other."""
 
     path: PathParts
     titles: tuple[str, ...]
     maps: tuple[TopoMap, TopoMap]
     T_a_b: FloatArray
-    group: int
     matched: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
     spots: Sequence[Spot] = ()
 
@@ -186,8 +185,7 @@ def write_laid_over(recording: Recording, root: str, laid: Sequence[LaidOver]) -
         for each in laid
     ]
     turns = [upright_rad(each.maps[0].paths) for each in laid]
-    groups = [each.group for each in laid]
-    cells = arrange(points, turns, sheet_margin_m(points), groups=groups)
+    cells = arrange(points, turns, sheet_margin_m(points))
     recording.static((root,), UP)
     write_cards(recording, root, cells, [each.titles for each in laid])
     pen = pen_m([m for each in laid for m in each.maps])

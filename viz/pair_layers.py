@@ -135,7 +135,7 @@ def write_undecided(
     Returns the cells, one for each placement.
     """
     laid = []
-    for group, p in enumerate(pairs):
+    for p in pairs:
         a, b, pair = maps[p.a], maps[p.b], f"{p.a} - {p.b}"
         for name, alignment in (("best", p.best), ("runner-up", p.runner_up)):
             if alignment is None:
@@ -145,5 +145,5 @@ def write_undecided(
             against = zip(alignment.contradictions, alignment.contradicting, strict=False)
             spots = contradiction_spots(against, a.xy, apply(T, b.xy))
             path = ("pairs", p.a, p.b, name)
-            laid.append(LaidOver(path, titles, (a, b), T, group, alignment.matched[:, 0], spots))
+            laid.append(LaidOver(path, titles, (a, b), T, alignment.matched[:, 0], spots))
     return write_laid_over(recording, UNDECIDED, laid)

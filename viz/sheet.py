@@ -74,20 +74,14 @@ def upright_rad(polylines: Sequence[FloatArray]) -> float:
 
 
 def arrange(
-    point_sets: Sequence[FloatArray],
-    turns_rad: Sequence[float],
-    margin_m: float,
-    *,
-    groups: Sequence[int] | None = None,
+    point_sets: Sequence[FloatArray], turns_rad: Sequence[float], margin_m: float
 ) -> list[Cell]:
     """A cell for each map from its points (n, 2) and rotation, in the given order.
 
-    groups: a number for each map, equal for neighbours that belong in one row. Cells are laid in
-    rows, left to right, the top row first (y points up); the row width is chosen so that a sheet of
-    ASPECT shows them largest. O(points).
+    Cells are laid in rows, left to right, the top row first (y points up); the row width is chosen
+    so that a sheet of ASPECT shows them largest. O(points).
     """
     lows, sizes = [], []
-    groups = range(len(point_sets)) if groups is None else groups
     for points, turn in zip(point_sets, turns_rad, strict=True):
         turned = apply(np.array([0.0, 0.0, turn]), points) if len(points) else np.zeros((1, 2))
         low, high = turned.min(axis=0), turned.max(axis=0)
@@ -95,50 +89,33 @@ def arrange(
         lows.append(low - spare)
         sizes.append(high - low + 2 * spare + 2 * margin_m)
     cells = []
-    for corner, low, size, turn in zip(
-        _shelves(sizes, groups), lows, sizes, turns_rad, strict=True
-    ):
+    for corner, low, size, turn in zip(_shelves(sizes), lows, sizes, turns_rad, strict=True):
         shift = corner + margin_m - low
         cells.append(Cell(np.array([*shift, turn]), corner, corner + size))
     return cells
 
 
-def _shelves(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[FloatArray]:
+def _shelves(sizes: Sequence[FloatArray]) -> list[FloatArray]:
     """The low corner of each box, laid in top-aligned rows, for the row width that gives the
     largest scale."""
     if not sizes:
         return []
-    ahead = _group_widths(sizes, groups)
-    widest = max(ahead)
+    widest = max(float(w) for w, _ in sizes)
     widths = np.linspace(widest, max(widest, sum(float(w) for w, _ in sizes)), WIDTHS_TRIED)
     if len(sizes) > WIDTHS_TRIED:
         area = sum(float(w * h) for w, h in sizes)
         widths = np.maximum(widest, np.sqrt(area * ASPECT) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
-    laid = [_rows(sizes, ahead, float(width)) for width in widths]
+    laid = [_rows(sizes, float(width)) for width in widths]
     best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / ASPECT, laid[i][2]), i))
     return laid[best][0]
 
 
-def _group_widths(sizes: Sequence[FloatArray], groups: Sequence[int]) -> list[float]:
-    """The width of its whole group for the first box of each, 0 for the others."""
-    starts = np.flatnonzero(np.diff(groups, prepend=-1))
-    totals = np.add.reduceat([float(w) for w, _ in sizes], starts)
-    ahead = np.zeros(len(sizes))
-    ahead[starts] = totals
-    return [float(width) for width in ahead]
-
-
-def _rows(
-    sizes: Sequence[FloatArray], ahead: Sequence[float], width: float
-) -> tuple[list[FloatArray], float, float]:
-    """Low corners of the boxes in rows of at most `width`, and the sheet's width and height.
-
-    ahead: width that must be free for a box to start in a row, see `_group_widths`.
-    """
+def _rows(sizes: Sequence[FloatArray], width: float) -> tuple[list[FloatArray], float, float]:
+    """Low corners of the boxes in rows of at most `width`, and the sheet's width and height."""
     corners = []
     x = top = row = used = 0.0
-    for (w, h), needed in zip(sizes, ahead, strict=True):
-        if x > 0 and needed > 0 and x + needed > width * (1 + 1e-9):
+    for w, h in sizes:
+        if x > 0 and x + w > width * (1 + 1e-9):
             x, top, row = 0.0, top - row, 0.0
         corners.append(np.array([x, top - h]))
         x, row = x + w, max(row, h)
