@@ -120,6 +120,6 @@ def test_workers(tmp_path, before, after, code):
     script = tmp_path / "workers.py"
     script.write_text(WORKERS.format(before=before, after=after))
     command = [sys.executable, str(script)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert (done.returncode, done.stdout) == (code, "7\n"), done
     assert "Traceback" not in done.stderr
