@@ -436,9 +436,8 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
             yield f"name a site: {place.call('site', run, 'NAME')}"
             break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
-        merge = () if place.merge == MERGED else ("--merge", place.merge)
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
-        yield f"{pairs}; what to record to settle most: {place.call('next', *merge)}"
+        yield f"{pairs}; what to record to settle most: {place.call('next', *place.named)}"
 
 
 def _told(place: Workspace) -> dict[str, Any]:

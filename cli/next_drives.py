@@ -88,6 +88,8 @@ def next_drives(
         return
     for line in _lines(found):
         say(line)
+    if found:
+        say(f"on the map, with numbers: {place.call('report', *place.named)}")
     for path in output or ():
         say(f"{path}")
 

@@ -91,6 +91,11 @@ class Workspace:
         return () if self.root == usual else ("-w", str(self.root))
 
     @property
+    def named(self) -> tuple[str, ...]:
+        """The options that name this merge in a call of what reads one."""
+        return () if self.merge == MERGED else ("--merge", self.merge)
+
+    @property
     def maps(self) -> Path:
         """Folder of the runs' maps."""
         return self.root / "maps"

@@ -98,7 +98,7 @@ def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
     site.runs(ranks(result), len(own.poses))
     site.closures(layers.maps)
     site.unexplored()
-    site.changes(layers.changes)
+    site.changes(own.name, layers.changes)
     site.drives(own.name, layers.drives)
     site.junctions()
     site.frame()
@@ -292,14 +292,14 @@ class _Site:
             name="branches never driven",
         )
 
-    def changes(self, found: Sequence[Change]) -> None:
+    def changes(self, home: str, found: Sequence[Change]) -> None:
         """What is gone, new, or there at times."""
         shown = [c for c in found if c.sure]
         if not shown:
             return
         paths = [self._changed(c) for c in shown]
         x, y = path_columns(apply(self.T, p) for p in paths)
-        told = [change_told(c) for c in shown]
+        told = [described_change(c, home) for c in shown]
         self._lines(x, y, told, BAD, "changes", width=9.0, alpha=0.4)
         self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", size=16.0, filled=False)
 
@@ -509,18 +509,9 @@ HIDDEN = ("closures", "closures refused")
 """Layers that are switched on by hand."""
 
 
-def change_told(change: Change) -> str:
-    """A change with its witnesses, on one line."""
-    verb = {"gone": "Gone", "new": "New", "differs": "There at times"}[str(change.kind)]
-    ends = change.junctions
-    what = f"junction {ends[0]}"
-    if change.thing == "corridor":
-        what = f"corridor of {change.length:.1f} m between junctions {ends[0]} and {ends[1]}"
-    there, missing = ([w.run for w in ws] for ws in (change.there, change.missing))
-    return (
-        f"{verb}: {what}. Passed by {listed(there, MOST_RUNS)}; not there for "
-        f"{listed(missing, MOST_RUNS)}. {change.bits:.1f} bits, {change.needed:.1f} needed"
-    )
+def described_change(change: Change, site: str) -> str:
+    """What changed, when, for whom and how surely, as sentences on one line."""
+    return " ".join(f"{words[0].upper()}{words[1:]}." for words in change.words(site))
 
 
 def own_map(topomap: TopoMap) -> dict[str, Any]:
