@@ -305,7 +305,7 @@ def needs(decision: Decision) -> str:
     need = decision.requirement
     pairs = counted(need.pairs, "pair")
     if need.unrounded_pairs is not None:
-        pairs = f"{need.pairs:,} for {counted(need.unrounded_pairs, 'pair')}"
+        pairs = f"{counted(need.unrounded_pairs, 'pair')}, counted as {need.pairs:,},"
     return (
         f"log2({pairs} / rate {need.false_merge_rate:g}), "
         f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, METRES, rounded
+from ..topology.wording import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +61,18 @@ class Drive:
         if self.onto is None:
             return where, f"a branch of {self.site} that nobody drove"
         number = len(self.pairs)
-        pairs = "1 pair" if number == 1 else f"{number} pairs"
-        return where, f"joins {self.site} and {self.onto}, {pairs}, if they are one place"
+        pairs = counted(number, "open pair")
+        return where, f"joins {self.site} and {self.onto}, if they are one place: settles {pairs}"
 
     @property
     def way(self) -> str:
         """The stops in words."""
         known = [s for s in self.stops if s.junction is not None]
-        told = "by junctions " + ", ".join(s.label(self.site) for s in known)
+        parts = []
+        for site, stops in groupby(known, key=lambda s: s.site):
+            numbers = ", ".join(f"{s.junction}" for s in stops)
+            parts.append(f"in {site}: {numbers}" if parts else numbers)
+        told = "by junctions " + "; ".join(parts)
         if self.heading_rad is None:
             return told
         rest = self.length_m - self.known_m

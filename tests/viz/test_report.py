@@ -120,8 +120,8 @@ def test_the_page_answers_first(merge_of) -> None:
         "2 of 4 runs are of one site: site 0 (2).",
         "Two stand alone: c, d.",
         "1 pair of runs is undecided.",
-        "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, 1 pair, "
-        "if they are one place.",
+        "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, if "
+        "they are one place: settles 1 open pair.",
         "1 change between runs.",
         "take care",
     ):
@@ -148,7 +148,7 @@ def test_the_page_holds_drives_changes_health_settings_versions(merge_of) -> Non
     )
     told = " ".join(Page(html).text.split())
     for part in (
-        "by junctions 0, c:12",
+        "by junctions 0; in c: 12",
         "18.0 bits expected",
         "Gone: corridor of 10.0 m between junctions 0 and 1 of site 0, at (5.0, 0.0) m. Last found "
         "1970-01-01 00:00 (a), first missing 1970-01-01 00:00 (b). Driven by a; missing for b in 3 "
