@@ -53,6 +53,11 @@ class Drive:
         return self.bits / self.length_m
 
     @property
+    def known_path(self) -> FloatArray:
+        """(k, 2) the path without the way straight on into the unknown, if it ends in one."""
+        return self.path if self.heading_rad is None else self.path[:-1]
+
+    @property
     def words(self) -> tuple[str, str]:
         """Where it is and what it would settle."""
         start, second = self.stops[:2]

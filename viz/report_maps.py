@@ -87,7 +87,8 @@ def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
     (own,) = (c for c in result.components if c.id == component)
     T = np.array([0.0, 0.0, upright_rad([fused.paths[e] for e in edges.tolist()])])
     extents = [fused.xy[vertices], *(fused.paths[e] for e in edges.tolist())]
-    extents += [drive.path for _, drive in layers.drives]
+    # A way straight on into the unknown may leave the picture: it would make the map tiny.
+    extents += [drive.known_path for _, drive in layers.drives]
     extents.append(wall_points(layers.walls))
     plot = map_figure([apply(T, points.reshape(-1, 2)) for points in extents])
     plot.update(tags=[usual_m(fused.length[edges])])
