@@ -73,7 +73,7 @@ class Drive:
     def way(self) -> str:
         """The stops in words."""
         known = [s for s in self.stops if s.junction is not None]
-        parts = []
+        parts: list[str] = []
         for site, stops in groupby(known, key=lambda s: s.site):
             numbers = ", ".join(f"{s.junction}" for s in stops)
             parts.append(f"in {site}: {numbers}" if parts else numbers)
