@@ -95,7 +95,7 @@ def report(
         write_text(page, html)
     except PermissionError as error:
         raise DataError(f"{page}: {error.strerror}; name another OUT.html") from error
-    say(f"{page}  (open it in a browser)")
+    say(f"{page}")
     if unread:
         raise typer.Exit(1)
 
