@@ -6,26 +6,24 @@ Degrees and decimals for people; documents hold radians.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from textwrap import wrap
+from dataclasses import dataclass
+from textwrap import shorten, wrap
 
 import numpy as np
 
 from ..topology.arrays import FloatArray
-from ..topology.digits import BITS
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
-from .decision import AGAINST, LINKS, Decision, Placement, Start, Term, TermKind, rounded_terms
+from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .discards import REASON, discarded
-from .result import PairVerdict, Verdict, shown_bits, shown_lead
+from .result import PairVerdict, Verdict, shown_bits
 from .wording import AGREES_BITS, decimals, what_agrees
 
-WIDTH, HEIGHT = 79, 22
-"""Columns and lines of the smallest usual terminal, minus two lines for the file and the prompt;
-the default of `lines`."""
+WIDTH = 79
+"""Columns of the smallest usual terminal."""
 
-NOTABLE_BITS = 0.05
-"""Smaller evidence against a placement is not listed first."""
+MOST_LINKS = 8
+"""Rows of links by default: with them most decisions fit a terminal of 24 lines."""
 
 LONGEST_NAME = 18
 """Longer names of runs are shortened in the middle."""
@@ -93,26 +91,8 @@ def threshold(decision: Decision) -> str:
 
 
 def digits_of(decision: Decision) -> int:
-    """Decimals that show on which side of the threshold the evidence lies, and whether the lead
-    over the next best placement is the required one."""
-    margin, required = decision.said.margin_bits, decision.requirement.lead_bits
-    fewest = decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
-    if margin is None:
-        return fewest
-    enough = (
-        digits
-        for digits in range(fewest, BITS)
-        if (_lead(decision, margin, digits) < required) == (margin < required)
-    )
-    return next(enough, BITS)
-
-
-def _lead(decision: Decision, margin: float, digits: int) -> float:
-    """The lead of the first placement, as the difference of the two sums that are shown."""
-    if len(decision.placements) < 2:
-        return float(shown_bits(margin, digits))
-    one, two = (p.alignment.evidence_bits for p in decision.placements[:2])
-    return shown_lead(one, two, digits)
+    """Decimals that show on which side of the threshold the evidence lies."""
+    return decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
 
 
 def because(decision: Decision) -> str:
@@ -121,9 +101,7 @@ def because(decision: Decision) -> str:
     if decided := _by_a_person(said):
         return decided
     if not decision.placements:
-        return "No significant match: no similar corridors."
-    if decision.start is not None:
-        return _given_up(said, decision.start, decision.placements[0])
+        return "No significant match: no alignment of the two maps holds."
     agree = agreement(decision.placements[0])
     if said.accepted or decision.why:
         but = f", but {decision.why}" if decision.why else ""
@@ -142,18 +120,6 @@ def _by_a_person(said: PairVerdict) -> str:
         undo = "topobatch discard A:B --undo lets it count"
         return f"{REASON[0].upper()}{REASON[1:]}: what is shown does not count ({undo})."
     return ""
-
-
-def _given_up(said: PairVerdict, start: Start, shown: Placement) -> str:
-    """Why the best hypothesis was rejected. shown: the placement that it began with."""
-    count = counted(start.hypotheses, "hypothesis", "hypotheses")
-    begun = counted(len(shown.alignment.matched), "junction")
-    found = f"{start.found} {'was' if start.found == 1 else 'were'} found"
-    return (
-        f"No significant match: the best of {count}, begun with the {begun} shown, was rejected. "
-        f"Of {counted(start.expected, 'junction')} of {short(said.b)} that it places where "
-        f"{short(said.a)} has been, {found}; {start.needed} needed. It counts as 0 bits."
-    )
 
 
 def agreement(placement: Placement) -> str:
@@ -194,20 +160,14 @@ def lies(decision: Decision) -> str:
         )
     if not decision.placements:
         return ""
-    if decision.start is not None and not _by_a_person(said):
-        return (
-            f"By it {short(said.b)} would lie at {pose(decision.placements[0])}, {frame}; a lock "
-            "needs --at for that, and more for it than against it"
-        )
     told = "lies" if said.accepted else "would lie"
     return f"{short(said.b)} {told} at {pose(decision.placements[0])}, {frame}"
 
 
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: the sums of every placement, and at most `links` of the largest links
-    of the first one. The column of each placement adds up as shown."""
-    digits = digits_of(decision)
-    columns = [_groups(p, digits) for p in decision.placements]
+    of the first one."""
+    columns = [_groups(p) for p in decision.placements]
     if not columns:
         return []
     first = decision.placements[0]
@@ -216,7 +176,7 @@ def rows(decision: Decision, links: int) -> list[Row]:
         bits = tuple(column.get(kind) for column in columns)
         out.append(Row(_group_told(kind, decision.placements), bits))
         if kind in ("corridor", "unseen") and bits[0] is not None:
-            out += _parts(itemised(first, kind, digits), links, digits)
+            out += _parts(itemised(first, kind), links)
     return out
 
 
@@ -232,17 +192,13 @@ _GROUPS: dict[TermKind, tuple[TermKind, ...]] = {
 """Kinds of terms that are summed in one row, in the order of rows."""
 
 
-def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
-    """The sum of every group of terms, rounded so that the sums add up; contradictions are listed
-    even if there are none."""
-    sums = [sum(t.bits for t in placement.of(*kinds)) for kinds in _GROUPS.values()]
-    total = float(shown_bits(placement.alignment.evidence_bits, digits))
-    shown = rounded_terms(sums, digits, total)
+def _groups(placement: Placement) -> dict[TermKind, float]:
+    """The sum of every group of terms; contradictions are listed even if there are none."""
     there = {t.kind for t in placement.terms}
     always = ("corridor", "branches", "unseen", "hypotheses")
     return {
-        kind: bits
-        for kind, bits in zip(_GROUPS, shown, strict=True)
+        kind: sum(t.bits for t in placement.of(*kinds))
+        for kind, kinds in _GROUPS.items()
         if kind in always or kind in there
     }
 
@@ -277,22 +233,18 @@ def _against_told(placements: Sequence[Placement]) -> str:
     return f"{told}; next: {counted(others[0], 'contradiction')}" if any(others) else told
 
 
-def itemised(placement: Placement, group: TermKind, digits: int) -> list[Term]:
-    """The terms of a group, evidence against it and the largest first, rounded so that they add up
-    to the group's sum: each reads alike wherever it is shown."""
-    terms = placement.of(*_GROUPS[group])
-    ordered = sorted(terms, key=lambda t: (t.bits > -NOTABLE_BITS, -abs(t.bits)))
-    bits = rounded_terms([t.bits for t in ordered], digits, _groups(placement, digits)[group])
-    return [replace(t, bits=told) for t, told in zip(ordered, bits, strict=True)]
+def itemised(placement: Placement, group: TermKind) -> list[Term]:
+    """The terms of a group, evidence against the placement and the largest first."""
+    return sorted(placement.of(*_GROUPS[group]), key=lambda t: t.bits >= 0)
 
 
-def _parts(terms: Sequence[Term], most: int, digits: int) -> list[Row]:
+def _parts(terms: Sequence[Term], most: int) -> list[Row]:
     """The first terms of a group, and the rest in one row."""
     count = len(terms) if len(terms) <= most else max(most - 1, 0)
     if count == 0:
         return []
     out, left = list(map(_link, terms[:count])), [t.bits for t in terms[count:]]
-    return [*out, Row(f"{len(left)} more", (round(sum(left), digits),), level=1)] if left else out
+    return [*out, Row(f"{len(left)} more", (sum(left),), level=1)] if left else out
 
 
 def _link(term: Term) -> Row:
@@ -303,49 +255,27 @@ def _link(term: Term) -> Row:
 def needs(decision: Decision) -> str:
     """What the threshold is made of, and the other requirements."""
     need = decision.requirement
-    pairs = counted(need.pairs, "pair")
-    if need.unrounded_pairs is not None:
-        pairs = f"{need.pairs:,} for {counted(need.unrounded_pairs, 'pair')}"
     return (
-        f"log2({pairs} / rate {need.false_merge_rate:g}), "
+        f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
         f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
     )
 
 
-def missing(decision: Decision) -> str:
-    """What an ambiguous pair lacks and what would settle it; "" for others."""
+def advice(decision: Decision) -> str:
+    """What would settle an ambiguous pair; "" for others."""
     said = decision.said
-    if said.verdict is not Verdict.AMBIGUOUS or said.accepted:
-        return ""
-    lacks = []
-    digits, needed = digits_of(decision), decision.requirement.threshold_bits
-    if said.evidence_bits < needed:
-        lacking = float(threshold(decision)) - float(decision_bits(decision))
-        lacks.append(f"{shown_bits(lacking, digits)} bits of evidence")
-    required = decision.requirement.lead_bits
-    if said.margin_bits is not None and said.margin_bits < required:
-        lacking = required - _lead(decision, said.margin_bits, digits)
-        lacks.append(f"{shown_bits(lacking, digits)} bits of lead")
-    best = decision.placements[0].alignment if decision.placements else None
-    count = len(best.matched) - len(best.contradictions) if best else 0
-    if count < decision.requirement.least_junctions:
-        lacks.append(counted(decision.requirement.least_junctions - count, "junction"))
-    told = "Missing: " + " and ".join(lacks) if lacks else ""
-    advice = f"To settle it: {said.advice}" if said.advice else ""
-    return ". ".join(part for part in (told, advice) if part)
+    open_ = said.verdict is Verdict.AMBIGUOUS and not said.accepted
+    return f"To settle it: {said.advice}" if open_ and said.advice else ""
 
 
 def sum_told(decision: Decision) -> str:
     """Label of the sum of the terms, with the lead over the next best placement."""
-    if decision.start is not None:
-        return "what the hypothesis had, not counted"
     if discarded(decision.said):
         return "what the match had, not counted"
     margin = decision.said.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
-    digits = digits_of(decision)
-    lead = shown_bits(abs(_lead(decision, margin, digits)), digits)
+    lead = shown_bits(abs(margin), digits_of(decision))
     which = "behind" if other_name(decision) == OTHER else "ahead of"
     return f"evidence, {lead} bits {which} the {other_name(decision)}"
 
@@ -357,9 +287,7 @@ def other_name(decision: Decision) -> str:
     """What the second placement is called. It has more evidence than the first one where a person
     or other runs chose that."""
     margin = decision.said.margin_bits
-    if margin is None or _lead(decision, margin, digits_of(decision)) >= 0:
-        return NEXT
-    return OTHER
+    return NEXT if margin is None or margin >= 0 else OTHER
 
 
 def matched(placement: Placement) -> str:
@@ -369,39 +297,29 @@ def matched(placement: Placement) -> str:
 
 def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> list[str]:
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
-    rows of links; by default as many as fit one screen."""
-    if links is not None:
-        return _lines(decision, links, width)
-    tried = (_lines(decision, most, width) for most in range(HEIGHT, -1, -1))
-    whole = next((found for found in tried if len(found) <= HEIGHT), None)
-    return _lines(decision, 0, width, brief=True) if whole is None else whole
-
-
-def _lines(decision: Decision, links: int, width: int, *, brief: bool = False) -> list[str]:
-    """brief: without what the recording shows better, if long names leave too little room."""
+    rows of links, `MOST_LINKS` by default."""
     said = decision.said
     out = [
         *_folded(headline(decision), width),
-        *_folded(because(decision), width, "  ", most=2 if brief else 3),
+        *_folded(because(decision), width, "  "),
+        *_folded(lies(decision), width, "  "),
     ]
-    out += _folded(lies(decision), width, "  ")
     if len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {pose(decision.placements[1])}"
         out += _folded(second, width, "  ")
-    out += _table(decision, links, width)[brief:]
-    if decision.placements and not brief:
+    out += _table(decision, MOST_LINKS if links is None else links, width)
+    if decision.placements:
         pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"
-        out += _folded(pairs, width, "  ", most=1)
-    out += _folded(missing(decision), width, "  ", most=4)
+        out.append("  " + shorten(pairs, width - 2, placeholder=" …"))
+    out += _folded(advice(decision), width, "  ")
     for note in decision.notes:
         out += _folded(f"Note: {note}", width, "  ")
     return out
 
 
-def _folded(text: str, width: int, indent: str = "", most: int = 3) -> list[str]:
-    """A text wrapped to several lines, cut after `most`. Long words, paths for instance, stay
-    whole."""
-    found = wrap(
+def _folded(text: str, width: int, indent: str = "") -> list[str]:
+    """A text wrapped to several lines. Long words, paths for instance, stay whole."""
+    return wrap(
         text,
         width,
         initial_indent=indent,
@@ -409,9 +327,6 @@ def _folded(text: str, width: int, indent: str = "", most: int = 3) -> list[str]
         break_long_words=False,
         break_on_hyphens=False,
     )
-    if len(found) > most:
-        found = [*found[: most - 1], found[most - 1][: width - 2].rstrip() + " …"]
-    return found
 
 
 def _table(decision: Decision, links: int, width: int) -> list[str]:
@@ -423,7 +338,7 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     out = ["", _row(head, "for (+) and against it (-)", width, names)]
     for row in rows(decision, links):
-        cells = ["" if bits is None else f"{bits:+.{digits}f}" for bits in row.bits]
+        cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
         told = row.told
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
             told, cells = f"{cells[0]:>7}  {told}", [""]

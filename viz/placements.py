@@ -49,8 +49,7 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
         bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
         name = ("placement", "next best")[k]
         called = other_name(decision) if k else name
-        title = f"{called}: {bits}" if decision.start is None else "best hypothesis, rejected"
-        out.append(Picture(name, title, placement, T, tied=False))
+        out.append(Picture(name, f"{called}: {bits}", placement, T, tied=False))
         alone = len(decision.placements) == 1 or decision.said.accepted
         alone &= decision.by_others is None
         if k == 0 and alone and len(placement.alignment.matched):
