@@ -101,7 +101,7 @@ class Case:
             return self._accepted(view.best, by="pair")
         if self.reunion is not None:
             said = self.reunion
-            found = (said.alignment, None, said.view.margin)
+            found = (said.alignment, None, said.assessment.margin)
             return self._joined(said.reason, found, by="components")
         if self.corroborated is not None:
             told = "joined with the help of other runs, which place the two in the same way: {}"
@@ -136,7 +136,7 @@ class Case:
         """found: the alignment that joins the two, the next best one, the margin [bits]."""
         best, runner_up, margin = found
         reunion = self.reunion if by == "components" else None
-        view = self.view if reunion is None else reunion.view
+        view = self.view if reunion is None else reunion.assessment
         return PairVerdict(
             a=self.a.run,
             b=self.b.run,

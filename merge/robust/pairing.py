@@ -113,7 +113,7 @@ class Pairwise:
         out = dict(enumerate(known))
         missing = np.array([k for k, found in out.items() if found is None], np.int64)
         tell(len(wanted) - len(missing))
-        if said:
+        if said and len(wanted):
             known_already = f"{len(wanted) - len(missing)} are known already"
             self.means.say(f"{kind}: {len(wanted)}, of which {known_already}")
         for places, results in self._matched(kind, wanted, missing):
