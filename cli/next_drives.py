@@ -11,7 +11,6 @@ import typer
 
 from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted
-from .draw import read_result
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
@@ -72,7 +71,7 @@ def next_drives(
         if path.suffix.lower() not in PLANS:
             raise UsageError(f"{path}: a plan's name ends in .csv or .geojson")
     place = Workspace(workspace, merge)
-    result = read_result(place)
+    result = place.read_result()
     from ..merge.drives import drives
 
     names = {c.name: c.id for c in result.components}

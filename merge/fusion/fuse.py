@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.columns import joined
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
@@ -98,10 +96,10 @@ CLASSES = {cls.__name__: cls for cls in (FusedComponent, FusedMap, Spread, Ragge
 
 def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -> list[list[str]]:
     """Runs connected by accepted verdicts, each list sorted, lists by their first runs."""
-    joined = DisjointSet(runs)
+    partition = DisjointSet(runs)
     for v in accepted:
-        joined.merge(v.a, v.b)
-    return sorted(sorted(component) for component in joined.subsets())
+        partition.merge(v.a, v.b)
+    return sorted(sorted(component) for component in partition.subsets())
 
 
 def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Names]) -> IntArray:
@@ -195,8 +193,8 @@ def _settle(
     joint = settle(pool, groups.labels(), start, within, across)
     for _ in range(COINCIDENCE.rounds):
         pairs = coincident(pool, groups, joint.pose, matched)
-        joined = [groups.join(u, v) for u, v in pairs]
-        if not any(joined):
+        fused = [groups.join(u, v) for u, v in pairs]
+        if not any(fused):
             break
         joint = settle(pool, groups.labels(), start, within, across)
     return joint
@@ -256,41 +254,19 @@ def _fused_map(
 
 
 def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
-    """All components concatenated into one FusedMap, with consecutive vertex numbers."""
+    """All components concatenated into one FusedMap, with consecutive vertex numbers; sigmas are
+    NaN for components without, and None if none has any."""
+    if any(p.position_sigma is not None for p in parts):
+        parts = [
+            replace(p, position_sigma=np.full(len(p), np.nan)) if p.position_sigma is None else p
+            for p in parts
+        ]
     sizes = [len(p) for p in parts]
     first = np.cumsum([0, *sizes])[:-1].repeat([len(p.source) for p in parts])
-
-    def joined(name: str, none: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([none, *(getattr(p, name) for p in parts)])
-
-    def chained(name: str) -> tuple[Any, ...]:
-        return tuple(chain.from_iterable(getattr(p, name) for p in parts))
-
-    ints, floats = np.zeros(0, np.int64), np.zeros(0)
-    return FusedMap(
+    whole = joined(parts or [_fused_map(Pool.of([]), np.zeros((0, 2)), [], [])])
+    return replace(
+        whole,
         component=np.repeat(np.arange(len(parts)), sizes),
-        xy=joined("xy", np.zeros((0, 2))),
-        branches=Ragged.joined([p.branches for p in parts]),
-        kind=chained("kind"),
-        members=chained("members"),
-        observations=chained("observations"),
-        source=joined("source", ints) + first,
-        target=joined("target", ints) + first,
-        source_branch=joined("source_branch", ints),
-        target_branch=joined("target_branch", ints),
-        length=joined("length", floats),
-        length_sigma=joined("length_sigma", floats),
-        traversals=joined("traversals", ints),
-        paths=chained("paths"),
-        edge_members=chained("edge_members"),
-        position_sigma=_sigmas_in_a_row(parts),
+        source=whole.source + first,
+        target=whole.target + first,
     )
-
-
-def _sigmas_in_a_row(parts: Sequence[FusedMap]) -> FloatArray | None:
-    """Concatenated sigmas, NaN for components without; None if none has any."""
-    if all(p.position_sigma is None for p in parts):
-        return None
-    nothing = (np.full(len(p), np.nan) for p in parts)
-    rows = zip((p.position_sigma for p in parts), nothing, strict=True)
-    return np.concatenate([none if known is None else known for known, none in rows])

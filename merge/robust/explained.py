@@ -23,7 +23,7 @@ from ..decision import Decision, Placement, Requirement, Term
 from ..discards import discarded
 from ..kept import Kept
 from ..locks import Lock, lock_table
-from ..result import Alignment, CopyTest, PairVerdict, Verdict, pairs_of
+from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of
 from ..through import joined_through
 from ..wording import told_bits
 from .alignment import Candidate, match
@@ -58,6 +58,20 @@ class Merge:
     locks: Sequence[Lock] = ()
     poses: Mapping[str, FloatArray] = field(default_factory=dict)
     kept: Kept = field(default_factory=Kept)
+
+    @classmethod
+    def of(
+        cls,
+        result: MergeResult,
+        read: Callable[[str], TopoMap],
+        settings: RobustSettings = DEFAULT_ROBUST,
+        locks: Sequence[Lock] = (),
+        kept: Kept | None = None,
+    ) -> Merge:
+        """The merge of a result."""
+        verdicts = {(v.a, v.b): v for v in result.verdicts}
+        poses = {run: pose for c in result.components for run, pose in c.poses.items()}
+        return cls(read, len(poses), verdicts, settings, locks, poses, kept or Kept())
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from topobatch.merge.decision_text import lines
-from topobatch.merge.document import merged_to_document, verdict_from_entry
+from topobatch.merge.document import merged_to_document, result_from_document
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict
@@ -17,16 +17,10 @@ def documented(maps, settings=None, locks=()):
     chosen = MergeSettings(robust=settings or RobustSettings())
     result = merge_maps(maps, chosen, locks=locks)
     document = MergedDocument.model_validate(merged_to_document(result))
-    said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
     known = settings_from_document(document.graph.settings)
     assert known == chosen.robust
-    return merge_of(maps, said, known, locks)
-
-
-def merge_of(maps, said=(), settings=None, locks=(), poses=()):
     by_run = {m.run: m for m in maps}
-    settings = settings or RobustSettings()
-    return Merge(by_run.__getitem__, len(maps), dict(said), settings, locks, dict(poses))
+    return Merge.of(result_from_document(document), by_run.__getitem__, known, locks)
 
 
 def explained(batch, a, b):
