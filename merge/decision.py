@@ -36,7 +36,7 @@ AGAINST: tuple[TermKind, ...] = ("unseen", "elsewhere")
 class Term:
     """A part of the evidence, in bits, positive if for the placement.
 
-    told: in words; a, b: the junctions of the two maps that it concerns, a corridor as its two
+    text: in words; a, b: the junctions of the two maps that it concerns, a corridor as its two
     ends, as far as these runs have them; size_m: for a link its length in a and in b [m]; seen: of
     the views that speak most for a placement, and most against it, the walls of both, laid over
     each other, in the axes of a; a and b are then the junctions nearest to them.
@@ -44,7 +44,7 @@ class Term:
 
     kind: TermKind
     bits: float
-    told: str
+    text: str
     a: tuple[int, ...] = ()
     b: tuple[int, ...] = ()
     size_m: tuple[float, float] | None = None
@@ -54,7 +54,7 @@ class Term:
     def with_size(self) -> str:
         """The words, with both lengths of a link."""
         size = self.size_m
-        return self.told if size is None else f"{self.told}: {size[0]:.2f} m, {size[1]:.2f} m"
+        return self.text if size is None else f"{self.text}: {size[0]:.2f} m, {size[1]:.2f} m"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,13 +95,13 @@ class Requirement:
 class Decision:
     """Why two runs were merged, or not.
 
-    said: the verdict, as the last merge gave it (`of_merge`), or else as the notes say. placements:
+    pair: the verdict, as the last merge gave it (`of_merge`), or else as the notes say. placements:
     the one that the verdict refers to, and the next best with another position of b; none if
     nothing in the two maps is compatible. by_others: (3,) T_a_b of runs that only others join. why:
     what a rejected pair lacks; notes: on the documents that it was made from.
     """
 
-    said: PairVerdict
+    pair: PairVerdict
     of_merge: bool
     requirement: Requirement
     placements: tuple[Placement, ...]
@@ -112,27 +112,27 @@ class Decision:
 
 def to_document(decision: Decision) -> dict[str, Any]:
     """The decision as JSON values; angles in radians."""
-    said, need = decision.said, decision.requirement
+    pair, need = decision.pair, decision.requirement
     tested = decision.placements[0].alignment.copy_test if decision.placements else None
     return {
         "schema": DECISION_SCHEMA,
-        "a": said.a,
-        "b": said.b,
-        "verdict": str(said.verdict),
-        "accepted": said.accepted,
-        "accepted_by": said.accepted_by,
+        "a": pair.a,
+        "b": pair.b,
+        "verdict": str(pair.verdict),
+        "accepted": pair.accepted,
+        "accepted_by": pair.accepted_by,
         "of_merge": decision.of_merge,
-        "reason": said.reason,
+        "reason": pair.reason,
         "why": decision.why,
-        "advice": said.advice,
-        "locked": said.locked,
-        "through": list(said.through),
-        "together": said.together and [list(side) for side in said.together],
-        "placed": sigmas_to_document(said.placed),
+        "advice": pair.advice,
+        "locked": pair.locked,
+        "through": list(pair.through),
+        "together": pair.together and [list(side) for side in pair.together],
+        "placed": sigmas_to_document(pair.placed),
         "by_others": None if decision.by_others is None else pose_to_document(decision.by_others),
-        "evidence_bits": rounded(said.evidence_bits, BITS),
+        "evidence_bits": rounded(pair.evidence_bits, BITS),
         "threshold_bits": rounded(need.threshold_bits, BITS),
-        "margin_bits": bits_to_document(said.margin_bits),
+        "margin_bits": bits_to_document(pair.margin_bits),
         "requirement": {
             "pairs": need.pairs,
             "false_merge_rate": need.false_merge_rate,
@@ -162,7 +162,7 @@ def _placement(placement: Placement) -> dict[str, Any]:
             {
                 "kind": term.kind,
                 "bits": rounded(term.bits, BITS),
-                "told": term.told,
+                "told": term.text,
                 "a": list(term.a),
                 "b": list(term.b),
             }

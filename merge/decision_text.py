@@ -33,11 +33,11 @@ LONGEST_NAME = 18
 class Row:
     """A row of the table of evidence.
 
-    told: in words; bits: of each placement, None if it has no such part; a, b: the junctions
+    text: in words; bits: of each placement, None if it has no such part; a, b: the junctions
     concerned; level: 0 for sums, 1 for their parts.
     """
 
-    told: str
+    text: str
     bits: tuple[float | None, ...]
     a: str = ""
     b: str = ""
@@ -54,25 +54,25 @@ def short(run: str, most: int = LONGEST_NAME) -> str:
 
 def headline(decision: Decision) -> str:
     """The verdict and its numbers, in one line."""
-    said = decision.said
-    pair = f"{short(said.a)} and {short(said.b)}"
+    pair = decision.pair
+    names = f"{short(pair.a)} and {short(pair.b)}"
     bits = f"{decision_bits(decision)} bits of evidence"
     need = f"{threshold(decision)} needed"
-    if said.accepted:
-        others = sorted({*(run for side in said.together or () for run in side)} - {said.a, said.b})
+    if pair.accepted:
+        others = sorted({*(run for side in pair.together or () for run in side)} - {pair.a, pair.b})
         by = {
             "pair": "merged",
             "components": f"merged, together with {listed(others)}",
             "runs": "merged, as other runs say",
             "lock": "merged, locked as the same",
             None: "merged",
-        }[said.accepted_by]
-        return f"{pair}: {by}: {bits}, {need}"
-    if said.through:
-        alone = f"by itself {said.verdict}, {decision_bits(decision)} bits"
-        return f"{pair}: joined through {listed(said.through)}: {alone}"
-    by = "locked apart" if said.locked == "never" else said.standing
-    return f"{pair}: {by}: {bits}, {need}"
+        }[pair.accepted_by]
+        return f"{names}: {by}: {bits}, {need}"
+    if pair.through:
+        alone = f"by itself {pair.verdict}, {decision_bits(decision)} bits"
+        return f"{names}: joined through {listed(pair.through)}: {alone}"
+    by = "locked apart" if pair.locked == "never" else pair.standing
+    return f"{names}: {by}: {bits}, {need}"
 
 
 def listed(runs: Sequence[str], most: int = 3) -> str:
@@ -82,7 +82,7 @@ def listed(runs: Sequence[str], most: int = 3) -> str:
 
 def decision_bits(decision: Decision) -> str:
     """The evidence, with the decimals of this decision."""
-    return shown_bits(decision.said.evidence_bits, digits_of(decision))
+    return shown_bits(decision.pair.evidence_bits, digits_of(decision))
 
 
 def threshold(decision: Decision) -> str:
@@ -92,31 +92,31 @@ def threshold(decision: Decision) -> str:
 
 def digits_of(decision: Decision) -> int:
     """Decimals that show on which side of the threshold the evidence lies."""
-    return decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
+    return decimals(decision.pair.evidence_bits, decision.requirement.threshold_bits)
 
 
 def because(decision: Decision) -> str:
     """The reason in one sentence."""
-    said = decision.said
-    if decided := _by_a_person(said):
+    pair = decision.pair
+    if decided := _by_a_person(pair):
         return decided
     if not decision.placements:
         return "No significant match: no alignment of the two maps holds."
     agree = agreement(decision.placements[0])
-    if said.accepted or decision.why:
+    if pair.accepted or decision.why:
         but = f", but {decision.why}" if decision.why else ""
         alone = "" if len(decision.placements) > 1 else "; no other placement comes near"
         return f"{agree}{but}{alone}."
-    if said.verdict is Verdict.UNRELATED:
+    if pair.verdict is Verdict.UNRELATED:
         return f"No significant match: {agree}; too little evidence."
-    return f"{agree}; {said.reason.rsplit('; ', 1)[-1]}."
+    return f"{agree}; {pair.reason.rsplit('; ', 1)[-1]}."
 
 
-def _by_a_person(said: PairVerdict) -> str:
+def _by_a_person(pair: PairVerdict) -> str:
     """What a person decided against a pair; "" where nobody did."""
-    if said.locked == "never":
+    if pair.locked == "never":
         return "Locked apart by a person."
-    if discarded(said):
+    if discarded(pair):
         undo = "topobatch discard A:B --undo lets it count"
         return f"{REASON[0].upper()}{REASON[1:]}: what is shown does not count ({undo})."
     return ""
@@ -138,10 +138,10 @@ def _contradicted(placement: Placement) -> str:
 
 def pose(placement: Placement) -> str:
     """Position of b in a's frame."""
-    return pose_told(placement.alignment.transform)
+    return describe_pose(placement.alignment.transform)
 
 
-def pose_told(transform: FloatArray) -> str:
+def describe_pose(transform: FloatArray) -> str:
     """A transform in metres and degrees."""
     x, y, theta = transform.tolist()
     return f"({x:.2f}, {y:.2f}) m, turned by {np.degrees(theta):.1f}°"
@@ -149,19 +149,18 @@ def pose_told(transform: FloatArray) -> str:
 
 def lies(decision: Decision) -> str:
     """Where b lies in a's frame, or would lie; "" if unknown."""
-    said = decision.said
-    frame = f"in {short(said.a)}'s frame"
+    pair = decision.pair
+    frame = f"in {short(pair.a)}'s frame"
     if decision.by_others is not None:
         sure = ""
-        if said.placed is not None:
-            sure = f", to {said.placed[0]:.1f} m and {np.degrees(said.placed[1]):.1f}° (1 sigma)"
-        return (
-            f"By the others {short(said.b)} lies at {pose_told(decision.by_others)}, {frame}{sure}"
-        )
+        if pair.placed is not None:
+            sure = f", to {pair.placed[0]:.1f} m and {np.degrees(pair.placed[1]):.1f}° (1 sigma)"
+        where = describe_pose(decision.by_others)
+        return f"By the others {short(pair.b)} lies at {where}, {frame}{sure}"
     if not decision.placements:
         return ""
-    told = "lies" if said.accepted else "would lie"
-    return f"{short(said.b)} {told} at {pose(decision.placements[0])}, {frame}"
+    text = "lies" if pair.accepted else "would lie"
+    return f"{short(pair.b)} {text} at {pose(decision.placements[0])}, {frame}"
 
 
 def rows(decision: Decision, links: int) -> list[Row]:
@@ -174,7 +173,7 @@ def rows(decision: Decision, links: int) -> list[Row]:
     out = []
     for kind in [kind for kind in _GROUPS if any(kind in column for column in columns)]:
         bits = tuple(column.get(kind) for column in columns)
-        out.append(Row(_group_told(kind, decision.placements), bits))
+        out.append(Row(_group_text(kind, decision.placements), bits))
         if kind in ("corridor", "unseen") and bits[0] is not None:
             out += _parts(itemised(first, kind), links)
     return out
@@ -203,34 +202,34 @@ def _groups(placement: Placement) -> dict[TermKind, float]:
     }
 
 
-def _group_told(kind: TermKind, placements: Sequence[Placement]) -> str:
+def _group_text(kind: TermKind, placements: Sequence[Placement]) -> str:
     first = placements[0]
     count = len(first.of("branches"))
     return {
         "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
         "branches": f"branches of {counted(count, 'junction')}",
-        "views": _views_told(placements),
-        "unseen": _against_told(placements),
-        "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
-        "few": next((t.told for p in placements for t in p.of("few")), ""),
-        "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
+        "views": _views_text(placements),
+        "unseen": _against_text(placements),
+        "hypotheses": next((t.text for t in first.of("hypotheses")), ""),
+        "few": next((t.text for p in placements for t in p.of("few")), ""),
+        "copies": next((t.text for t in first.of("copies")), "is it a copy?"),
     }[kind]
 
 
-def _views_told(placements: Sequence[Placement]) -> str:
+def _views_text(placements: Sequence[Placement]) -> str:
     """In how many parts of the overlap views speak for the first placement, and against it."""
     bits = [t.bits for t in placements[0].of("views")]
     agree, against = sum(b > 0 for b in bits), sum(b < 0 for b in bits)
     return f"views in {counted(len(bits), 'part')} of the overlap: {agree} for, {against} against"
 
 
-def _against_told(placements: Sequence[Placement]) -> str:
+def _against_text(placements: Sequence[Placement]) -> str:
     """The number of contradictions of the first placement, or that only the next one has some."""
     first, *others = (len(p.of(*AGAINST)) for p in placements)
     if first:
         return counted(first, "contradiction")
-    told = _contradicted(placements[0])
-    return f"{told}; next: {counted(others[0], 'contradiction')}" if any(others) else told
+    text = _contradicted(placements[0])
+    return f"{text}; next: {counted(others[0], 'contradiction')}" if any(others) else text
 
 
 def itemised(placement: Placement, group: TermKind) -> list[Term]:
@@ -263,16 +262,16 @@ def needs(decision: Decision) -> str:
 
 def advice(decision: Decision) -> str:
     """What would settle an ambiguous pair; "" for others."""
-    said = decision.said
-    open_ = said.verdict is Verdict.AMBIGUOUS and not said.accepted
-    return f"To settle it: {said.advice}" if open_ and said.advice else ""
+    pair = decision.pair
+    open_ = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted
+    return f"To settle it: {pair.advice}" if open_ and pair.advice else ""
 
 
-def sum_told(decision: Decision) -> str:
+def sum_label(decision: Decision) -> str:
     """Label of the sum of the terms, with the lead over the next best placement."""
-    if discarded(decision.said):
+    if discarded(decision.pair):
         return "what the match had, not counted"
-    margin = decision.said.margin_bits
+    margin = decision.pair.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
     lead = shown_bits(abs(margin), digits_of(decision))
@@ -286,7 +285,7 @@ NEXT, OTHER = "next best", "other placement"
 def other_name(decision: Decision) -> str:
     """What the second placement is called. It has more evidence than the first one where a person
     or other runs chose that."""
-    margin = decision.said.margin_bits
+    margin = decision.pair.margin_bits
     return NEXT if margin is None or margin >= 0 else OTHER
 
 
@@ -298,7 +297,7 @@ def matched(placement: Placement) -> str:
 def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> list[str]:
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
     rows of links, `MOST_LINKS` by default."""
-    said = decision.said
+    pair = decision.pair
     out = [
         *_folded(headline(decision), width),
         *_folded(because(decision), width, "  "),
@@ -309,7 +308,7 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
         out += _folded(second, width, "  ")
     out += _table(decision, MOST_LINKS if links is None else links, width)
     if decision.placements:
-        pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"
+        pairs = f"{short(pair.a)} = {short(pair.b)}: {matched(decision.placements[0])}"
         out.append("  " + shorten(pairs, width - 2, placeholder=" …"))
     out += _folded(advice(decision), width, "  ")
     for note in decision.notes:
@@ -334,26 +333,26 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     digits, count = digits_of(decision), len(decision.placements)
     if not count:
         return [_row([threshold(decision)], f"bits needed: {needs(decision)}", width)]
-    names = (short(decision.said.a, 10), short(decision.said.b, 10))
+    names = (short(decision.pair.a, 10), short(decision.pair.b, 10))
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     out = ["", _row(head, "for (+) and against it (-)", width, names)]
     for row in rows(decision, links):
         cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
-        told = row.told
+        text = row.text
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
-            told, cells = f"{cells[0]:>7}  {told}", [""]
+            text, cells = f"{cells[0]:>7}  {text}", [""]
         cells += [""] * (count - len(cells))
-        out.append(_row(cells, told, width, (row.a, row.b)))
+        out.append(_row(cells, text, width, (row.a, row.b)))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append(_row(sums, sum_told(decision), width))
+    out.append(_row(sums, sum_label(decision), width))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
     out.append(_row([threshold(decision), *blank], need[0], width))
     return [*out, *(_row([""] * count, line, width) for line in need[1:])]
 
 
-def _row(cells: Sequence[str], told: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
+def _row(cells: Sequence[str], text: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = width - len(left) - len(right)
-    return f"{left}{told[:room]:<{room}}{right}".rstrip()
+    return f"{left}{text[:room]:<{room}}{right}".rstrip()

@@ -13,8 +13,9 @@ building that repeats itself come late: what they find is there twice.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -73,9 +74,10 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     One for every two sites with an open pair, and one into the unknown for every site, of either
     `most_planned`. O(pairs + junctions + most_planned · most_local²).
     """
-    maps = _Sites(result)
+    components, junction = {c.id: c for c in result.components}, ~result.fused.is_turned
+    site = cache(lambda k: _Site(result.fused, components[k], junction))
     wanted = {c.id for c in result.components} if component is None else {component}
-    found = [*_joining(result, maps, wanted), *_exploring(result, maps, wanted)]
+    found = [*_joining(result, site, wanted), *_exploring(result, site, wanted)]
     found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
     return tuple(found[:most])
 
@@ -117,24 +119,14 @@ class _Site:
         return float(np.median(lengths)) if lengths else 0.0
 
 
-class _Sites(dict[int, _Site]):
-    """The sites of a merge by component, each made when it is asked for."""
-
-    def __init__(self, result: MergeResult) -> None:
-        super().__init__()
-        self._fused, self._junction = result.fused, ~result.fused.is_turned
-        self._components = {c.id: c for c in result.components}
-
-    def __missing__(self, component: int) -> _Site:
-        made = _Site(self._fused, self._components[component], self._junction)
-        self[component] = made
-        return made
+SiteOf = Callable[[int], _Site]
+"""The site of a component, made once."""
 
 
 # Joining two sites.
 
 
-def _joining(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iterator[Drive]:
+def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -149,7 +141,7 @@ def _joining(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iter
     order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
     for s, t in order[: DRIVES.most_planned]:
         pairs = between[s, t]
-        drive = _joining_drive(maps[s], maps[t], pairs, home, members=members, result=result)
+        drive = _joining_drive(site(s), site(t), pairs, home, members=members, result=result)
         if drive is not None:
             yield drive
 
@@ -403,7 +395,7 @@ def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _W
 # Into the unknown.
 
 
-def _exploring(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iterator[Drive]:
+def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
     """For every site the branch never driven that leads farthest from what is known."""
     share = _overlapping_share(result)
     need = _needed_junctions(result, MATCH.junction_bits)
@@ -416,7 +408,7 @@ def _exploring(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> It
             for c in {home.get(pair.a, -1), home.get(pair.b, -1)}:
                 pairs.setdefault(c, []).append(pair)
     order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
-    for site in (maps[c] for _, c in order[: DRIVES.most_planned]):
+    for site in (site_of(c) for _, c in order[: DRIVES.most_planned]):
         rows = np.flatnonzero(free & np.isin(owner, site.ids))
         if not len(rows) or not site.ways:
             continue

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.columns import joined, take
 from ..topology.connected import connected
-from ..topology.se2 import compose
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
@@ -125,21 +125,14 @@ def _seen_from(topomap: TopoMap, chosen: BoolArray) -> Views:
     views, times = topomap.views, topomap.observation_time_ns
     if not len(views) or not len(times):
         return NO_VIEWS
-    after = np.clip(np.searchsorted(times, views.time_ns), 1, max(len(times) - 1, 1))
-    after = np.minimum(after, len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    sooner = views.time_ns - times[before] <= times[after] - views.time_ns
-    rows = np.flatnonzero(chosen[np.where(sooner, before, after)])
-    return Views(views.time_ns[rows], views.pose[rows], views.cells[rows])
+    nearest = np.searchsorted((times[1:] + times[:-1]) // 2, views.time_ns)
+    return take(views, chosen[nearest])
 
 
 def _views_together(parts: Sequence[tuple[Views, FloatArray]]) -> Views:
     """The views of some parts, each moved by the pose of its part, by time."""
-    time_ns = np.concatenate([views.time_ns for views, _ in parts])
-    poses = [compose(pose, v.pose) for v, pose in parts]
-    order = np.argsort(time_ns, kind="stable")
-    cells = np.concatenate([views.cells for views, _ in parts])
-    return Views(time_ns[order], np.concatenate(poses)[order], cells[order])
+    every = joined([views.moved(pose) for views, pose in parts])
+    return take(every, np.argsort(every.time_ns, kind="stable"))
 
 
 def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:

@@ -508,7 +508,7 @@ def _links(
             ends = (t.a, t.b)[side]
             if len(ends) == 2 and t.bits > 0:
                 width = 2.0 + 0.5 * min(t.bits, 6.0)
-                told = f"{t.bits:+z.{digits}f} bits: {t.told}"
+                told = f"{t.bits:+z.{digits}f} bits: {t.text}"
                 line = xy[side][list(ends)]
                 canvas.lines([line], canvas.theme["agrees"], width, order=Order.EVIDENCE, told=told)
                 drawn = True
@@ -522,7 +522,7 @@ def _against(
     returns whether there are any."""
     found = list(against(terms, *xy))
     for term, at in found:
-        told = f"{term.bits:+z.{digits}f} bits: {term.told}"
+        told = f"{term.bits:+z.{digits}f} bits: {term.text}"
         if len(at) == 1:
             _ring(canvas, at[0], told)
         else:

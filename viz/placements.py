@@ -42,7 +42,7 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
     through other runs starts with the placement that follows from those."""
     out: list[Picture] = []
     if decision.by_others is not None:
-        title = f"joined through {listed(decision.said.through, 2)}"
+        title = f"joined through {listed(decision.pair.through, 2)}"
         out.append(Picture("joined", title, None, decision.by_others, tied=False))
     for k, placement in enumerate(decision.placements):
         T = placement.alignment.transform
@@ -50,7 +50,7 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
         name = ("placement", "next best")[k]
         called = other_name(decision) if k else name
         out.append(Picture(name, f"{called}: {bits}", placement, T, tied=False))
-        alone = len(decision.placements) == 1 or decision.said.accepted
+        alone = len(decision.placements) == 1 or decision.pair.accepted
         alone &= decision.by_others is None
         if k == 0 and alone and len(placement.alignment.matched):
             count = len(placement.alignment.matched)

@@ -196,7 +196,7 @@ def _opened(
         lines += [f"Note: {note}" for note in decision.notes]
         out["told"] = [legible(line) for line in lines if line]
         out["rows"] = [
-            [row.level, legible(row.told), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
+            [row.level, legible(row.text), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
             for row in rows(decision, MOST_LINKS)
         ]
         placed = [_placed(p.alignment, maps, pair, p, decision) for p in decision.placements]

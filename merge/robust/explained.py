@@ -169,7 +169,7 @@ def explain(merge: Merge, a: str, b: str) -> Decision:
     else:
         placements = tuple(pair.placements(verdict))
     return Decision(
-        said=verdict,
+        pair=verdict,
         of_merge=unlisted or listed,
         requirement=_requirement(merge, verdict),
         placements=placements,

@@ -78,7 +78,7 @@ AMBIGUOUS = decision(
     [placement(9.93), placement(4.0)],
     why=MAYBE_COPY,
 )
-AMBIGUOUS = replace(AMBIGUOUS, said=replace(AMBIGUOUS.said, advice="record " + "further " * 30))
+AMBIGUOUS = replace(AMBIGUOUS, pair=replace(AMBIGUOUS.pair, advice="record " + "further " * 30))
 UNRELATED = decision(Verdict.UNRELATED, 1.5, [placement(1.5, 2, 1)])
 NOTHING = decision(Verdict.UNRELATED, 0.0, [])
 ALL = [MERGED, AMBIGUOUS, UNRELATED, NOTHING]
@@ -88,7 +88,7 @@ ALL = [MERGED, AMBIGUOUS, UNRELATED, NOTHING]
 def test_a_decision_fits_a_terminal_with_the_verdict_first(told):
     shown = lines(told)
     assert max(map(len, shown)) <= WIDTH
-    assert shown[0].startswith(f"left and right: {told.said.verdict}: ")
+    assert shown[0].startswith(f"left and right: {told.pair.verdict}: ")
     assert "12.6 needed" in shown[0]
     assert any("log2(6 pairs / rate 0.001)" in line for line in shown)
 
@@ -97,7 +97,7 @@ def test_the_document_adds_up_too():
     for told in ALL:
         document = json.loads(json.dumps(to_document(told)))
         assert document["schema"] == "topobatch.decision/1"
-        assert document["verdict"] == told.said.verdict
+        assert document["verdict"] == told.pair.verdict
         assert document["threshold_bits"] == 12.55
         for shown in document["placements"]:
             total = sum(term["bits"] for term in shown["terms"])
@@ -120,7 +120,7 @@ def test_an_unrelated_pair_says_why():
 
 
 def test_what_others_and_people_say_stands_in_the_headline():
-    through = replace(UNRELATED, said=replace(UNRELATED.said, through=("mid",)))
+    through = replace(UNRELATED, pair=replace(UNRELATED.pair, through=("mid",)))
     assert headline(through) == "left and right: joined through mid: by itself unrelated, 1.5 bits"
     by = {
         "lock": "locked as the same",
@@ -128,9 +128,9 @@ def test_what_others_and_people_say_stands_in_the_headline():
         "components": "merged, together with",
     }
     for accepted_by, words in by.items():
-        told = replace(MERGED, said=replace(MERGED.said, accepted_by=accepted_by))
+        told = replace(MERGED, pair=replace(MERGED.pair, accepted_by=accepted_by))
         assert words in headline(told)
-    never = replace(UNRELATED, said=replace(UNRELATED.said, locked="never"))
+    never = replace(UNRELATED, pair=replace(UNRELATED.pair, locked="never"))
     assert because(never) == "Locked apart by a person."
     assert lies(never).startswith("right would lie at ")
     assert headline(never).startswith("left and right: locked apart: 1.5 bits of evidence")

@@ -30,16 +30,16 @@ def explained(batch, a, b):
     assert decision.of_merge
     for placement in decision.placements:
         # A length that follows from others tells nothing; it fits all the same.
-        assert all(t.bits < 0 for t in placement.terms if t.told == "misfit")
-        assert all(t.bits >= 0 for t in placement.terms if t.told == "corridor")
+        assert all(t.bits < 0 for t in placement.terms if t.text == "misfit")
+        assert all(t.bits >= 0 for t in placement.terms if t.text == "corridor")
         assert all(t.bits < 0 for t in placement.terms if t.kind == "few")
         total = sum(term.bits for term in placement.terms)
-        if decision.said.accepted_by != "components":
+        if decision.pair.accepted_by != "components":
             assert total == pytest.approx(placement.alignment.evidence_bits, abs=0.01)
     if decision.placements:
         total = sum(term.bits for term in decision.placements[0].terms)
-        assert total == pytest.approx(decision.said.evidence_bits, abs=0.01)
-    assert decision.said.threshold_bits == pytest.approx(
+        assert total == pytest.approx(decision.pair.evidence_bits, abs=0.01)
+    assert decision.pair.threshold_bits == pytest.approx(
         decision.requirement.threshold_bits, abs=0.01
     )
     return decision
@@ -49,7 +49,7 @@ def test_every_pair_of_a_batch_is_explained_as_it_was_decided(halves, other_maze
     stranger = see(other_maze, list(range(60)), 5, "stranger")
     batch = documented([*halves, stranger])
     merged = explained(batch, "left", "right")
-    assert merged.said.accepted_by == "pair"
+    assert merged.pair.accepted_by == "pair"
     assert np.array_equal(
         merged.placements[0].alignment.matched, batch.verdicts["left", "right"].best.matched
     )
@@ -57,7 +57,7 @@ def test_every_pair_of_a_batch_is_explained_as_it_was_decided(halves, other_maze
     assert merged.requirement.threshold_bits == pytest.approx(np.log2(3 / 0.001), abs=0.01)
     for run in ("left", "right"):
         apart = explained(batch, run, "stranger")
-        assert apart.said.verdict is Verdict.UNRELATED
+        assert apart.pair.verdict is Verdict.UNRELATED
         assert lines(apart)
 
 
@@ -67,5 +67,5 @@ def test_maps_without_anything_alike_are_explained(halves, drawn):
     batch = documented([halves[0], pair, lone])
     for a, b in (("left", "zwei"), ("left", "lone"), ("lone", "zwei")):
         decision = explained(batch, a, b)
-        assert decision.said.evidence_bits == 0.0
+        assert decision.pair.evidence_bits == 0.0
         assert lines(decision)[0] == f"{a} and {b}: unrelated: 0.0 bits of evidence, 11.6 needed"
