@@ -72,17 +72,17 @@ def merge_maps(
     means = means or Means()
     verdicts = _decided(ordered, settings, locks, discarded, means)
     shown = _worth_listing(len(ordered), verdicts, discarded)
-    asked = ((v.a, v.b) for v in shown)
-    components, fused = fuse(ordered, verdicts, asked=asked, kept=means.kept)
+    requested = ((v.a, v.b) for v in shown)
+    components, fused = fuse(ordered, verdicts, requested=requested, kept=means.kept)
     fused = with_turning_ends(fused, components, ordered)
     placed = _with_placements(shown, components)
     same = _same_recordings(ordered, means.kept.digest)
-    said = [*same, *(VIEWS_LOST.format(run=m.run) for m in ordered if m.views_lost)]
+    warnings = [*same, *(VIEWS_LOST.format(run=m.run) for m in ordered if m.views_lost)]
     return MergeResult(
         components,
         fused,
         placed,
-        info=_info(settings, components, placed, said),
+        info=_info(settings, components, placed, warnings),
         unlisted=_unlisted(len(ordered), verdicts, shown, components),
     )
 

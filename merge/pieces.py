@@ -37,8 +37,8 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     small = [part for part in parts if len(part) < least]
     able = {part.run: part for part in parts if len(part) >= least}
     result = merge_maps(list(able.values()))
-    asked = [c for v in result.verdicts for c in _closures(v, able)]
-    whole = replace(topomap, closures=(*topomap.closures, *asked))
+    questions = [c for v in result.verdicts for c in _closures(v, able)]
+    whole = replace(topomap, closures=(*topomap.closures, *questions))
     # Components come in the order of their first parts, which are named by time.
     whole_parts = {name: with_turning_points(part) for name, part in able.items()}
     times = _times(whole_parts, result.fused)
@@ -54,22 +54,21 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
     names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
-    said = _said(len(parts), names, small)
-    return tuple(
-        replace(m, run=name, info=_told(topomap, said)) for m, name in zip(kept, names, strict=True)
-    )
+    text = _describe(len(parts), names, small)
+    info = _with_warning(topomap, text)
+    return tuple(replace(m, run=name, info=info) for m, name in zip(kept, names, strict=True))
 
 
 def _passes(topomap: TopoMap) -> int:
     return len(topomap.observation_vertex)
 
 
-def _told(topomap: TopoMap, said: str) -> dict[str, Any]:
+def _with_warning(topomap: TopoMap, text: str) -> dict[str, Any]:
     info = {k: v for k, v in topomap.info.items() if k != "pieces"}
-    return info | {"warnings": [*info.get("warnings", ()), said]}
+    return info | {"warnings": [*info.get("warnings", ()), text]}
 
 
-def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
+def _describe(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
     """One sentence on the result for the pieces."""
     apart = len(names) + len(small)
     text = f"the odometry broke: {pieces} pieces, "
@@ -164,14 +163,14 @@ def _cut_out(
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
     passes = _seen(topomap, vertex, time_ns)
     # The sigmas of the parts do not hold for the whole: those of the merge do.
-    told = None if fused.position_sigma is None else fused.position_sigma[chosen]
-    known = told is not None and bool(np.isfinite(told).all())
+    sigma = None if fused.position_sigma is None else fused.position_sigma[chosen]
+    known = sigma is not None and bool(np.isfinite(sigma).all())
     edges = np.flatnonzero(chosen[fused.source]).tolist()
     cut = replace(
         topomap,
         **graph_part(fused, chosen),
         **passes,
-        position_sigma=told if known else None,
+        position_sigma=sigma if known else None,
         branch_sigma=None,
         traversal_ns=None if times is None else tuple(times[e] for e in edges),
         confidence=confidence[chosen],

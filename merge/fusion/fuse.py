@@ -41,7 +41,7 @@ def fuse(
     maps: Sequence[TopoMap],
     verdicts: Sequence[PairVerdict],
     *,
-    asked: Iterable[Names] | None = None,
+    requested: Iterable[Names] | None = None,
     kept: Kept | None = None,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
@@ -52,9 +52,9 @@ def fuse(
     independent of the input's order. A run without a match is a component of its own, with its map
     unchanged.
 
-    asked: also compute the sigmas of all vertices, and every component's `spread` for its accepted
-    pairs and these; None: neither. kept: store of components fused before, which are not fused
-    again.
+    requested: pairs for which, and for accepted ones, every component's `spread` is computed, and
+    with it the sigmas of all vertices; None: neither. kept: store of components fused before, which
+    are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -64,14 +64,14 @@ def fuse(
     for v in accepted:
         inside[home[v.a]].append(v)
     wanted: list[list[Names]] = [[] for _ in groups]
-    for a, b in asked or ():
+    for a, b in requested or ():
         if home[a] == home[b]:
             wanted[home[a]].append((a, b))
     parts = [
         fused_once(
             [by_name[run] for run in runs],
             own,
-            None if asked is None else _keys(runs, own, some),
+            None if requested is None else _keys(runs, own, some),
             kept,
         )
         for runs, own, some in zip(groups, inside, wanted, strict=True)
@@ -102,11 +102,13 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
     return sorted(sorted(component) for component in partition.subsets())
 
 
-def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Names]) -> IntArray:
+def _keys(
+    runs: Sequence[str], inside: Iterable[PairVerdict], requested: Iterable[Names]
+) -> IntArray:
     """Keys as in `Spread` of the pairs whose relative covariance is wanted: accepted ones and those
-    asked for."""
+    requested."""
     number, count = {run: k for k, run in enumerate(runs)}, len(runs)
-    pairs = {(v.a, v.b) for v in inside}.union(asked)
+    pairs = {(v.a, v.b) for v in inside}.union(requested)
     return np.array(sorted(number[a] * count + number[b] for a, b in pairs), np.int64)
 
 
@@ -132,7 +134,7 @@ def component_digest(
     sure: IntArray | None = None,
 ) -> bytes:
     """A digest of everything that a component depends on: its maps and their names, the matches
-    and ties that join them, strongest first, and the covariances asked for; not of evidence."""
+    and ties that join them, strongest first, and the covariances requested for; not of evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
     names = repr([m.run for m in maps]), repr(sure if sure is None else sure.tolist())
     parts = [*map(str.encode, names), *map(kept.digest, maps)]

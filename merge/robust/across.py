@@ -138,11 +138,11 @@ class Across:
         """
         pairs = sorted(across)
         rows = [_common(*self._maps(p), across[p].matched) for p in pairs]
-        told = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
-        known = [k for k, (_, variance) in enumerate(told) if np.isfinite(variance)]
+        differences = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
+        known = [k for k, (_, variance) in enumerate(differences) if np.isfinite(variance)]
         if not known:
             return 0.0
-        value, variance = np.array(told)[known].T
+        value, variance = np.array(differences)[known].T
         first = components.head[pair[0]]
         sign = np.array([1.0 if components.head[pairs[k][0]] == first else -1.0 for k in known])
         runs, at = np.unique(np.array(pairs)[known], return_inverse=True)

@@ -22,7 +22,7 @@ from .pairing import Means, Pair, Pairwise
 from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
-from .tasks import Told, in_tiles
+from .tasks import Summary, in_tiles
 from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, needed_bits
 
 
@@ -38,7 +38,7 @@ class Batch:
     matcher: Pairwise
     locked: Collection[Pair] = ()
     discarded: Collection[Pair] = ()
-    found: dict[Pair, Told] = field(default_factory=dict)
+    found: dict[Pair, Summary] = field(default_factory=dict)
     verdicts: dict[Pair, PairVerdict] = field(default_factory=dict)
     _count: dict[int, PairCount] = field(default_factory=dict)
 
@@ -46,7 +46,7 @@ class Batch:
         """Match (k, 2) pairs and assess them."""
         results = self.matcher.pairs(wanted)
         found = {(i, j): short for (i, j), short in zip(wanted.tolist(), results, strict=True)}
-        found |= {pair: Told() for pair in self.discarded if pair in found}
+        found |= {pair: Summary() for pair in self.discarded if pair in found}
         self.found.update(found)
         for some in in_parts(list(found)):
             for (i, j), assessment in self.assessments(some).items():
@@ -70,7 +70,7 @@ class Batch:
     @cached_property
     def _threshold_of(self) -> ThresholdOf:
         """Given the pairs that were matched first."""
-        beyond = {pair: told.against_chance for pair, told in self.found.items()}
+        beyond = {pair: short.against_chance for pair, short in self.found.items()}
         return thresholds(
             self.matcher.prepared,
             self.matcher.settings,

@@ -161,8 +161,8 @@ def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
     weight = sums[:, 0].real
     if not (weight > LEAST_WEIGHT).all():
         # Matches hundreds of metres away tell nothing here: the fit to all of them stands.
-        told = (weight > LEAST_WEIGHT).nonzero()[0]
-        spot, vertex, sums, weight = spot[told], vertex[told], sums[told], weight[told]
+        enough = (weight > LEAST_WEIGHT).nonzero()[0]
+        spot, vertex, sums, weight = spot[enough], vertex[enough], sums[enough], weight[enough]
     lever = lever.take(lane.take(spot))
     local, ca, cb = rigid_from_sums(weight, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     place[spot] = ca + local * (z.take(spot) - cb)

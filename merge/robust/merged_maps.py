@@ -28,7 +28,7 @@ from .mirror import mirrored
 from .pairing import Pair
 from .prepare import Prepared, prepare
 from .settings import RobustSettings
-from .tasks import Told, candidates_of, image_result_of, result_of
+from .tasks import Summary, candidates_of, image_result_of, result_of
 
 Runs = tuple[int, ...]
 
@@ -129,7 +129,7 @@ class MergedMaps:
             image = prepare(mirrored(two.as_map))
             return image_result_of(match(one.prepared, image, settings))
 
-        faint = Told.of(self._result(Kind.IMAGE, one, two, found)).faint
+        faint = Summary.of(self._result(Kind.IMAGE, one, two, found)).faint
         return -np.inf if faint is None else faint.bits
 
     def _result(
