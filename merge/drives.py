@@ -274,7 +274,8 @@ class _Laid:
         if not self.shared:
             return None
         reach = _Reach(self, self.in_site), _Reach(self, self.in_other)
-        found = [_along(_tours(self, need, pivot, reach)) for pivot in self._pivots()]
+        step = max(1, len(self.shared) // DRIVES.most_pivots)
+        found = [self._from(pivot, need, *reach) for pivot in self.shared[::step]]
         walks = [w for w in found if len(w.places) > 1]
         return min(walks, key=lambda w: (-self._known(w, need), w.length_m, w.places), default=None)
 
@@ -282,9 +283,14 @@ class _Laid:
         own = list({*walk.places})
         return sum(min(int(mask[own].sum()), need) for mask in (self.in_site, self.in_other))
 
-    def _pivots(self) -> list[int]:
-        step = max(1, len(self.shared) // DRIVES.most_pivots)
-        return self.shared[::step]
+    def _from(self, pivot: int, need: int, in_site: _Reach, in_other: _Reach) -> _Walk:
+        """A tour from a common place into either site: first the other one, then the first for what
+        is still wanting."""
+        seen = {pivot}
+        there, two = in_other.tour(pivot, seen, need - 1)
+        have = int(self.in_site[list(seen)].sum())
+        here, one = in_site.tour(pivot, seen, max(0, need - have))
+        return _Walk((*reversed(here), *there[1:]), one + two)
 
     def drive(self, walk: _Walk, bits: float, pairs: tuple[tuple[str, str], ...]) -> Drive:
         """The walk as a drive, which starts in the first site."""
@@ -373,23 +379,6 @@ class _Reach:
             done += 1
             here = goal
         return done, length, out
-
-
-def _tours(
-    laid: _Laid, need: int, pivot: int, reach: tuple[_Reach, _Reach]
-) -> tuple[tuple[list[int], float], tuple[list[int], float]]:
-    """A tour from a common place into either site: first the other one, then the first for what is
-    still wanting."""
-    seen = {pivot}
-    there = reach[1].tour(pivot, seen, need - 1)
-    have = int(laid.in_site[list(seen)].sum())
-    here = reach[0].tour(pivot, seen, max(0, need - have))
-    return here, there
-
-
-def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _Walk:
-    (here, one), (there, two) = tours
-    return _Walk((*reversed(here), *there[1:]), one + two)
 
 
 # Into the unknown.

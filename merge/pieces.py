@@ -16,7 +16,7 @@ from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from ..topology.views import NO_VIEWS, Views
 from ..topology.wording import counted
-from .member_times import member_times
+from .component_map import member_times
 from .merging import merge_maps
 from .result import FusedMap, PairVerdict, Verdict, fused_confidence, fused_of, graph_part
 from .robust import DEFAULT_ROBUST
