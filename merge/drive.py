@@ -66,12 +66,12 @@ class Drive:
     def way(self) -> str:
         """The stops in words."""
         known = [s for s in self.stops if s.junction is not None]
-        told = "by junctions " + ", ".join(s.label(self.site) for s in known)
+        text = "by junctions " + ", ".join(s.label(self.site) for s in known)
         if self.heading_rad is None:
-            return told
+            return text
         rest = self.length_m - self.known_m
         return (
-            f"{told}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
+            f"{text}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
             f"map), and straight on for {rest:.0f} m"
         )
 
