@@ -1,11 +1,13 @@
 """Splitting corridors at junctions that their own run missed.
 
 A run that misses a junction maps one long corridor through it. Where another run knows the
-junction, the long corridor is replaced by its parts, which are recognised by the path.
+junction, the long corridor is replaced by its parts, which are recognised by the branches at both
+ends or by the path.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -17,7 +19,7 @@ from ...topology.arrays import FloatArray
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.se2 import wrap
-from .edges import SHORTEST_M, Corridor, fuse_corridors, oriented, same_corridor
+from .edges import CORRIDOR, SHORTEST_M, Corridor, fuse_corridors, oriented, same_corridor
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +32,11 @@ class PassageSettings:
     """Least distance of the junction from both ends, along the path."""
     pass_rad: float = 0.6
     """Largest angle between the path and a branch of the junction, in both directions."""
+    junction_m: float = 0.3
+    """Standard deviation of a corridor's length against the sum of its parts, per missed
+    junction."""
+    deepest: int = 4
+    """Limit on junctions missed in one corridor, where its branches identify the parts."""
     rounds: int = 5
     """Limit on rounds: the parts of one corridor may be split in the next."""
 
@@ -84,7 +91,7 @@ class _World:
 def _replaced_once(corridors: list[Corridor], world: _World) -> list[Corridor]:
     """One round, shortest corridors first; a corridor that became a part of another waits for the
     next round."""
-    index = _by_ends(corridors)
+    index, leaving = _by_ends(corridors), _by_branch(corridors)
     gone: set[int] = set()
     busy: dict[int, list[Corridor]] = {}
     fresh: list[Corridor] = []
@@ -92,8 +99,10 @@ def _replaced_once(corridors: list[Corridor], world: _World) -> list[Corridor]:
         if number in busy:
             continue
         c = corridors[number]
-        parts = world.parts(c)
-        found = [_known_part(p, number, corridors, index) for p in parts]
+        chain = _chain(number, corridors, leaving)
+        parts = [c] * len(chain) if chain else world.parts(c)
+        known = (_known_part(p, number, corridors, index) for p in parts)
+        found = list(chain) if chain else list(known)
         if len(parts) < 2 or all(f is None for f in found) or gone & {*found}:
             continue
         gone.add(number)
@@ -111,6 +120,68 @@ def _by_ends(corridors: list[Corridor]) -> dict[tuple[int, int], list[int]]:
     for k, c in enumerate(corridors):
         index.setdefault((c.u, c.v), []).append(k)
     return index
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A corridor as it leaves a place: its index, and the place and branch at its other end."""
+
+    number: int
+    place: int
+    branch: int
+
+
+def _by_branch(corridors: list[Corridor]) -> dict[int, list[tuple[int, _Way]]]:
+    """For every place its corridors: (branch, way)."""
+    out: dict[int, list[tuple[int, _Way]]] = {}
+    for k, c in enumerate(corridors):
+        out.setdefault(c.u, []).append((c.branch_u, _Way(k, c.v, c.branch_v)))
+        out.setdefault(c.v, []).append((c.branch_v, _Way(k, c.u, c.branch_u)))
+    return out
+
+
+def _chain(
+    number: int, corridors: list[Corridor], leaving: dict[int, list[tuple[int, _Way]]]
+) -> tuple[int, ...]:
+    """Known corridors that together are this one: same first and last branch, same length.
+
+    Only one corridor leaves by a branch, so that a shorter one by the same branch ends at a
+    junction on the way. Of several chains the one nearest in length; () if there is none.
+    """
+    c = corridors[number]
+    if NO_BRANCH in {c.branch_u, c.branch_v} or c.u == c.v:
+        return ()
+    best: tuple[float, tuple[int, ...]] = (np.inf, ())
+    for chain in _chains(c, number, corridors, leaving):
+        parts = [corridors[k] for k in chain]
+        missed = (len(parts) - 1) * PASSAGE.junction_m**2
+        sigma = float(np.sqrt(sum(p.sigma**2 for p in parts) + c.sigma**2 + missed))
+        off = abs(sum(p.length for p in parts) - c.length)
+        if off <= CORRIDOR.allowed_m(c.length, sigma):
+            best = min(best, (off, chain))
+    return best[1]
+
+
+def _chains(
+    c: Corridor, number: int, corridors: list[Corridor], leaving: dict[int, list[tuple[int, _Way]]]
+) -> Iterator[tuple[int, ...]]:
+    """All chains of corridors from one end of a corridor to the other, by its own first and last
+    branch."""
+    longest = 1.2 * c.length + 1.0
+    stack: list[tuple[int, int | None, float, tuple[int, ...]]] = [(c.u, None, 0.0, ())]
+    while stack:
+        place, arrived, way, chain = stack.pop()
+        for branch, step in leaving[place]:
+            total = way + corridors[step.number].length
+            onwards = branch == c.branch_u if arrived is None else branch != arrived
+            if not onwards or step.number == number or step.number in chain or total > longest:
+                continue
+            longer = (*chain, step.number)
+            if (step.place, step.branch) == (c.v, c.branch_v):
+                if len(longer) > 1:
+                    yield longer
+            elif len(longer) <= PASSAGE.deepest:
+                stack.append((step.place, step.branch, total, longer))
 
 
 def _with_extra(c: Corridor, parts: list[Corridor]) -> Corridor:
