@@ -148,7 +148,6 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     maps, that of the two by themselves."""
     from dataclasses import replace
 
-    from ..merge.document import poses_from_document, verdict_from_entry
     from ..merge.robust.explained import Merge, explain
     from .unchanged import changed_since, told_changed
 
@@ -165,10 +164,8 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
         merge, notes = _before_a_merge(place, runs, read, settings, pair, own)
         notes[0] = f"{why_not}; {notes[0]}"
     else:
-        said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
-        poses = poses_from_document(document)
-        kept = kept_results(place, settings, warn)
-        merge = Merge(read, len(poses), said, settings, place.locks(), poses, kept)
+        result, kept = place.read_result(), kept_results(place, settings, warn)
+        merge = Merge.of(result, read, settings, place.locks(), kept)
         new = changed_since(place, document.graph.maps or {}, pair)
         notes = [f"{told_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
@@ -199,13 +196,11 @@ def _before_a_merge(
         result = merge_maps(
             maps, MergeSettings(robust=settings), locks=locks, discarded=gone, means=means
         )
-        said = {(v.a, v.b): v for v in result.verdicts}
-        poses = {run: pose for c in result.components for run, pose in c.poses.items()}
         notes = [f"this is what a merge of {counted(len(maps), 'map')} would say{own}"]
         if lost:
             what = f"the map{'' if len(lost) == 1 else 's'} of {listed(lost, 3)}"
             notes.append(f"{what} cannot be read: the merge is told without")
-        return Merge(read, len(maps), said, settings, locks, poses, means.kept), notes
+        return Merge.of(result, read, settings, locks, means.kept), notes
     notes = [
         f"this is what the two maps say by themselves, asked as one pair of "
         f"{counted(len(runs), 'map')}{own}; a merge also counts what the others say"

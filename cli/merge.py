@@ -14,7 +14,6 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
-from .draw import read_result
 from .journal import note
 from .matching import MatchOptions, kept_results, match_share, matching, read_maps, share_of
 from .options import (
@@ -442,7 +441,7 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
 
 def _told(place: Workspace) -> dict[str, Any]:
     """The merge as JSON values: its files, its sites, the number of pairs by standing."""
-    result = read_result(place)
+    result = place.read_result()
     home = {run: component.id for component in result.components for run in component.poses}
     return {
         "merged": str(place.merged_json),

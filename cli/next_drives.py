@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .draw import read_result
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
@@ -71,7 +70,7 @@ def next_drives(
         if path.suffix.lower() not in PLANS:
             raise UsageError(f"{path}: a plan's name ends in .csv or .geojson")
     place = Workspace(workspace, merge)
-    result = read_result(place)
+    result = place.read_result()
     from ..merge.drives import drives
 
     names = {c.name: c.id for c in result.components}

@@ -9,7 +9,6 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted
-from .draw import read_result
 from .explain import settings_of
 from .matching import kept_results
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
@@ -68,7 +67,7 @@ def report(
     from ..viz.report import Report, report_page
     from .unchanged import changed_since, told_changed
 
-    result = read_result(place) if place.merged_json.is_file() else None
+    result = place.read_result() if place.merged_json.is_file() else None
     screen = Screen(quiet=False)
     screen.begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
     with screen.progress("reading maps", 0) as advance:
@@ -129,11 +128,9 @@ def _decisions(
     merged = [v for v in result.verdicts if v.standing is Standing.MERGED]
     open_.sort(key=lambda v: (-v.evidence_bits, v.a, v.b))
     merged.sort(key=lambda v: (v.evidence_bits, v.a, v.b))
-    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
-    said = {(v.a, v.b): v for v in result.verdicts}
     settings = settings_of(place, document)
     kept = kept_results(place, settings, complain)
-    merge = Merge(maps.__getitem__, len(poses), said, settings, place.locks(), poses, kept)
+    merge = Merge.of(result, maps.__getitem__, settings, place.locks(), kept)
     chosen = [*open_, *merged][:MOST_EXPLAINED]
     out = {}
     for done, v in enumerate(chosen):

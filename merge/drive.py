@@ -77,12 +77,12 @@ class Drive:
         for site, stops in groupby(known, key=lambda s: s.site):
             numbers = ", ".join(f"{s.junction}" for s in stops)
             parts.append(f"in {site}: {numbers}" if parts else numbers)
-        told = "by junctions " + "; ".join(parts)
+        text = "by junctions " + "; ".join(parts)
         if self.heading_rad is None:
-            return told
+            return text
         rest = self.length_m - self.known_m
         return (
-            f"{told}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
+            f"{text}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
             f"map), and straight on for {rest:.0f} m"
         )
 

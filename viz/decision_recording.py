@@ -87,7 +87,7 @@ def _pictures(recording: Recording, a: TopoMap, b: TopoMap, decision: Decision) 
     laid = []
     for number, p in enumerate(drawn):
         of_b, terms = apply(p.T_a_b, b.xy), p.placement.of(*AGAINST) if p.placement else ()
-        against = ((f"{t.bits:+.2f} bits: {t.told}", (t.a, t.b)) for t in terms if t.a or t.b)
+        against = ((f"{t.bits:+.2f} bits: {t.text}", (t.a, t.b)) for t in terms if t.a or t.b)
         spots = contradiction_spots(against, a.xy, of_b)
         none = np.zeros(0, np.int64)
         laid.append(LaidOver((p.name,), (p.title,), (a, b), p.T_a_b, number, none, spots))
@@ -206,7 +206,7 @@ def _links(
             colors=[palette.MERGED if t.bits >= 0 else palette.REFUSED for t in shown],
             draw_order=palette.Order.EVIDENCE,
         )
-        told = rr.AnyValues(bits=[t.bits for t in shown], what=[t.told for t in shown])
+        told = rr.AnyValues(bits=[t.bits for t in shown], what=[t.text for t in shown])
         recording.static((*here, "links", name), lines, told)
 
 

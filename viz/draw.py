@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..merge.decision import Decision, Term
-from ..merge.decision_text import because, digits_of, headline, itemised, missing
+from ..merge.decision_text import advice, because, digits_of, headline, itemised
 from ..merge.result import (
     Alignment,
     FusedMap,
@@ -345,7 +345,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     junctions, the links that speak for a placement and what speaks against it."""
     a, b = with_turning_points(a), with_turning_points(b)
     drawn, beside = placements(a, b, decision), overlays(decision)
-    heading = [headline(decision), because(decision), missing(decision)]
+    heading = [headline(decision), because(decision), advice(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
     if not drawn:
         return _side_by_side(a, b, heading, theme, "pair")
@@ -357,9 +357,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
         T_b = compose(cell.T_sheet_map, picture.T_a_b)
         if picture.placement is not None:
             xy = (apply(cell.T_sheet_map, a.xy), apply(T_b, b.xy))
-            agreeing, others = (
-                itemised(picture.placement, k, digits) for k in ("corridor", "unseen")
-            )
+            agreeing, others = (itemised(picture.placement, k) for k in ("corridor", "unseen"))
             links |= _links(canvas, agreeing, xy, digits, both=picture.tied)
             contradicted |= _against(canvas, others, xy, digits)
             matched |= _ties(canvas, picture.placement.alignment, xy, apart=picture.tied)
@@ -510,7 +508,7 @@ def _links(
             ends = (t.a, t.b)[side]
             if len(ends) == 2 and t.bits > 0:
                 width = 2.0 + 0.5 * min(t.bits, 6.0)
-                told = f"{t.bits:+.{digits}f} bits: {t.told}"
+                told = f"{t.bits:+z.{digits}f} bits: {t.text}"
                 line = xy[side][list(ends)]
                 canvas.lines([line], canvas.theme["agrees"], width, order=Order.EVIDENCE, told=told)
                 drawn = True
@@ -524,7 +522,7 @@ def _against(
     returns whether there are any."""
     found = list(against(terms, *xy))
     for term, at in found:
-        told = f"{term.bits:+.{digits}f} bits: {term.told}"
+        told = f"{term.bits:+z.{digits}f} bits: {term.text}"
         if len(at) == 1:
             _ring(canvas, at[0], told)
         else:

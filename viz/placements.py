@@ -42,16 +42,15 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
     through other runs starts with the placement that follows from those."""
     out: list[Picture] = []
     if decision.by_others is not None:
-        title = f"joined through {listed(decision.said.through, 2)}"
+        title = f"joined through {listed(decision.pair.through, 2)}"
         out.append(Picture("joined", title, None, decision.by_others, tied=False))
     for k, placement in enumerate(decision.placements):
         T = placement.alignment.transform
         bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
         name = ("placement", "next best")[k]
         called = other_name(decision) if k else name
-        title = f"{called}: {bits}" if decision.start is None else "best hypothesis, rejected"
-        out.append(Picture(name, title, placement, T, tied=False))
-        alone = len(decision.placements) == 1 or decision.said.accepted
+        out.append(Picture(name, f"{called}: {bits}", placement, T, tied=False))
+        alone = len(decision.placements) == 1 or decision.pair.accepted
         alone &= decision.by_others is None
         if k == 0 and alone and len(placement.alignment.matched):
             count = len(placement.alignment.matched)

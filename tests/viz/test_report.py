@@ -103,7 +103,7 @@ def decision(pair) -> Decision:
         Term("unseen", -1.5, "junction unseen", (2,), ()),
     )
     placed = [Placement(replace(x, evidence_bits=6.0), terms) for x in (pair.best, pair.runner_up)]
-    need = Requirement(12.6, 6, 0.001, 3, 4.0, 2.5, 0.0)
+    need = Requirement(12.6, 6, 0.001, 3, 4.0, 2.5)
     return Decision(pair, True, need, tuple(placed), notes=("merge again",))
 
 
