@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DocumentError
-from ..topology.wording import counted, utc
+from ..topology.wording import counted
 from .options import (
     DEFAULT_WORKSPACE,
     ComponentOption,
@@ -17,11 +17,11 @@ from .options import (
     WorkspaceOption,
     complete_site,
 )
-from .output import say, say_lines
+from .output import folded, say, say_lines
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
-    from ..merge.change import Change, Witness
+    from ..merge.change import Change
 
 
 def changes(
@@ -43,10 +43,9 @@ def changes(
 ) -> None:
     """Tell what changed between the runs that were merged.
 
-    Corridors and junctions that one run found and another did not, although it passed an end of the
-    corridor, or drove through the place of the junction: gone, new, or there at times. For each
-    the runs, how often and when they passed, and the evidence in bits: how unlikely it is that the
-    others only missed it.
+    Corridors and junctions that some runs found and others did not, although these came by: gone,
+    new, or there at times. Each with the times between which it changed, the runs, and the evidence
+    in bits: n bits mean odds of 2^n to 1 that the others did not just miss it.
 
     \b
       topobatch changes
@@ -79,8 +78,11 @@ def changes(
         say_lines(json.dumps(told))
         return
     for change in shown:
-        for line in _lines(change, names[change.component]):
-            say(line)
+        what, *more_lines = change.words(names[change.component])
+        say(what)
+        for line in more_lines:
+            for part in folded(f"  {line}", indent="    "):
+                say(part)
     unsure = sum(not c.sure for c in found)
     more = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""
@@ -89,30 +91,5 @@ def changes(
         if several
         else "no two runs were merged: nothing to compare"
     )
-
-
-def _lines(change: Change, site: str) -> list[str]:
-    """A change with its witnesses and its evidence."""
-    x, y = change.xy
-    at = f"at ({x:.1f}, {y:.1f}) m in {site}"
-    if change.thing == "corridor":
-        u, v = change.junctions
-        what = f"corridor of {change.length:.1f} m between junctions {u} and {v}, {at}"
-    else:
-        what = f"junction {change.junctions[0]}, {at}"
-    verb = {"gone": "gone", "new": "new", "differs": "now and then"}[str(change.kind)]
-    sure = "" if change.sure else "perhaps "
-    needed = "needed" if change.sure else "would be needed"
-    return [
-        f"{sure}{verb}: {what}",
-        *(f"  passed by {_told(w)}" for w in change.there),
-        *(f"  not there for {_told(w)}" for w in change.missing),
-        f"  evidence {change.bits:.1f} bits, {change.needed:.1f} {needed}",
-    ]
-
-
-def _told(witness: Witness) -> str:
-    """Who, how often, when (UTC)."""
-    first, last = (utc(t, "%Y-%m-%d %H:%M") for t in (witness.first_ns, witness.last_ns))
-    when = first if first == last else f"{first} to {last}"
-    return f"{witness.run}, {counted(witness.passes, 'pass', 'passes')}, {when}"
+    if any(c.sure for c in shown):
+        say(f"times are UTC; on the map, with numbers: {place.call('report', *place.named)}")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from ..topology.errors import DocumentError, UsageError
+from ..topology.errors import UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
 from .output import checked_output, say
 from .workspace import MERGED, Workspace, pair_named
@@ -96,7 +96,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
         return drawings.draw_decision(*decided(place, pair), theme)
     merge = _merge_of(place, what)
     if merge is not None:
-        result = read_result(merge)
+        result = merge.read_result()
         return drawings.draw_merged(result, theme, maps=_walled(merge, result))
     result, component = _site(place, what)
     return drawings.draw_site(result, component, theme, _walled(place, result, component))
@@ -127,19 +127,8 @@ def _merge_of(place: Workspace, what: str) -> Workspace | None:
 def _site(place: Workspace, what: str) -> tuple[MergeResult, int]:
     """The merge, and the component of a site; otherwise an error that lists what there is."""
     if place.merged_json.is_file():
-        result = read_result(place)
+        result = place.read_result()
         for component in result.components:
             if component.site == what:
                 return result, component.id
     raise place.unknown([what], "run, site, merge or pair A:B named")
-
-
-def read_result(place: Workspace) -> MergeResult:
-    """The merge of a workspace from its document; DocumentError if it cannot be read."""
-    from ..merge.document import result_from_document
-
-    document = place.read_merged()
-    try:
-        return result_from_document(document)
-    except ValueError as error:
-        raise DocumentError(f"{place.merged_json}: {error}") from error

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from ..merge.decision import Decision
     from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
-    from ..merge.robust.explained import Merge
     from ..merge.robust.settings import RobustSettings
     from ..topology.topomap import TopoMap
 
@@ -151,10 +150,9 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
 
     document = _last_merge(place)
     why_not = _not_merged(document, pair, place.merged_json.name)
-    read = cache(place.read_map)
+    settings, read = settings_of(place, document), cache(place.read_map)
+    kept = kept_results(place, settings, warn)
     if document is None or why_not:
-        settings = settings_of(place, document)
-        kept = kept_results(place, settings, warn)
         held = document is not None and _holds(document, pair)
         runs = sorted(document.graph.home) if document is not None and held else place.runs()
         merge = Merge(read, len(runs), {}, settings, place.locks(), kept=kept)
@@ -169,24 +167,13 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
         if pair in place.discards():
             notes.append("the match was discarded, which is not counted here")
     else:
-        merge = as_merged(place, document, read)
+        merge = Merge.of(place.read_result(), read, settings, place.locks(), kept)
         new = changed_since(place, document.graph.maps or {}, pair)
         notes = [f"{told_changed(new)}; merge again"] if new else []
     decision = explain(merge, *pair)
     a, b = map(read, pair)
     notes += decision.notes
     return a, b, replace(decision, notes=tuple(notes), of_merge=decision.of_merge and not why_not)
-
-
-def as_merged(place: Workspace, document: MergedDocument, read: Callable[[str], TopoMap]) -> Merge:
-    """A merge as its document states it, to explain its pairs. read: gives the map of a run."""
-    from ..merge.document import poses_from_document, verdict_from_entry
-    from ..merge.robust.explained import Merge
-
-    settings = settings_of(place, document)
-    said = {(entry.a, entry.b): verdict_from_entry(entry) for entry in document.merges}
-    poses, kept = poses_from_document(document), kept_results(place, settings, warn)
-    return Merge(read, len(poses), said, settings, place.locks(), poses, kept)
 
 
 def settings_of(place: Workspace, document: MergedDocument | None) -> RobustSettings:

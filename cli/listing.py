@@ -147,7 +147,8 @@ def _merge(place: Workspace) -> _Merge:
 
 
 def _sizes(document: MergedDocument) -> dict[int, str]:
-    """Junctions and corridors of every component."""
+    """Junctions and corridors of every component; of several, the numbers of its junctions, which
+    follow each other."""
     from ..topology.turning_points import KINDS
 
     home = {node.id: node.component for node in document.nodes if node.kind not in KINDS}
@@ -162,7 +163,9 @@ def _sizes(document: MergedDocument) -> dict[int, str]:
     out = {}
     for c, n in junctions.items():
         ways = f"{counted(corridors[c], 'corridor')} ({length.get(c, 0):,.0f} m)"
-        out[c] = f", {counted(n, 'junction')}, {ways}"
+        own = [node for node, at in home.items() if at == c]
+        between = f" (numbers {min(own)} to {max(own)})" if len(junctions) > 1 and n > 1 else ""
+        out[c] = f", {counted(n, 'junction')}{between}, {ways}"
     return out
 
 

@@ -107,8 +107,8 @@ def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
         warn(f"what the maps say is not known: {error}")
         return True
     # The verdict of a merge may be by an older lock; the placement is that of the maps.
-    best = decision.placements[0].alignment if decision.placements else decision.said.best
-    why = doubt(replace(decision.said, best=best))
+    best = decision.placements[0].alignment if decision.placements else decision.pair.best
+    why = doubt(replace(decision.pair, best=best))
     if not why:
         return True
     warn(

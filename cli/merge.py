@@ -14,7 +14,6 @@ import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
-from .draw import read_result
 from .journal import note
 from .matching import MatchOptions, kept_results, match_share, matching, read_maps, share_of
 from .options import (
@@ -183,7 +182,7 @@ def _merged_or_standing(
     key = made_from(place, documents, asked)
     if stands(place, key):
         screen.detail("nothing is new: the merge of these maps lies there")
-        return read_result(place), [], []
+        return place.read_result(), [], []
     how, paper = asked
     settings, before = how.settings(paper), merged_before()
     maps, broken = read_maps(place, chosen, screen)
@@ -445,9 +444,8 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
             yield f"name a site: {place.call('site', run, 'NAME')}"
             break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
-        merge = () if place.merge == MERGED else ("--merge", place.merge)
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
-        yield f"{pairs}; what to record to settle most: {place.call('next', *merge)}"
+        yield f"{pairs}; what to record to settle most: {place.call('next', *place.named)}"
 
 
 def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:

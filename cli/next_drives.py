@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..topology.errors import DataError, UsageError
-from ..topology.wording import counted
-from .draw import read_result
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
@@ -19,7 +17,7 @@ from .options import (
     WorkspaceOption,
     complete_site,
 )
-from .output import folded, say, say_lines, table
+from .output import folded, say, say_lines
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
@@ -72,7 +70,7 @@ def next_drives(
         if path.suffix.lower() not in PLANS:
             raise UsageError(f"{path}: a plan's name ends in .csv or .geojson")
     place = Workspace(workspace, merge)
-    result = read_result(place)
+    result = place.read_result()
     from ..merge.drives import drives
 
     names = {c.name: c.id for c in result.components}
@@ -88,6 +86,9 @@ def next_drives(
         return
     for line in _lines(found):
         say(line)
+    if found:
+        say("after the drive, ingest its log and merge again; waypoints: --output plan.csv")
+        say(f"on the map, with numbers: {place.call('report', *place.named)}")
     for path in output or ():
         say(f"{path}")
 
@@ -95,16 +96,14 @@ def next_drives(
 def _lines(found: Sequence[Drive]) -> list[str]:
     if not found:
         return ["nothing to record: no pair of runs is open, and every branch was driven"]
-    head = ("", "drive", "would settle", "bits", "bits/m")
-    rows = []
+    out = []
     for k, drive in enumerate(found, 1):
         where, settles = drive.words
-        rows.append((f"{k}", where, settles, f"{drive.bits:.1f}", f"{drive.bits_per_m:.3f}"))
-    title, *lines = table(head, rows, indent="")
-    out = [title]
-    for line, drive in zip(lines, found, strict=True):
-        out += [line, *(f"   {part}" for part in folded(drive.way, indent=""))]
-    return [*out, counted(len(found), "drive")]
+        expected = f"{drive.bits:.1f} bits expected, {drive.bits_per_m:.3f} a metre"
+        out += folded(f"{k}. {where}", indent="   ")
+        for line in (f"{settles}; {expected}", drive.way):
+            out += folded(f"   {line}", indent="   ")
+    return out
 
 
 def _write(path: Path, found: Sequence[Drive]) -> None:

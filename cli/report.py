@@ -9,8 +9,8 @@ import typer
 
 from ..topology.errors import DataError, UsageError
 from ..topology.wording import counted
-from .draw import read_result
-from .explain import as_merged
+from .explain import settings_of
+from .matching import kept_results
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
 from .output import Screen, checked_output, complain, say
 from .version import VERSION
@@ -67,7 +67,7 @@ def report(
     from ..viz.report import Report, report_page
     from .unchanged import changed_since, told_changed
 
-    result = read_result(place) if place.merged_json.is_file() else None
+    result = place.read_result() if place.merged_json.is_file() else None
     screen = Screen(quiet=False)
     screen.begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
     with screen.progress("reading maps", 0) as advance:
@@ -122,7 +122,7 @@ def _decisions(
     """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
     the merged ones with the least evidence."""
     from ..merge.result import Standing
-    from ..merge.robust.explained import explain
+    from ..merge.robust.explained import Merge, explain
 
     document = place.read_merged()
     if document.graph.method == "paper":
@@ -132,7 +132,9 @@ def _decisions(
     merged = [v for v in result.verdicts if v.standing is Standing.MERGED]
     open_.sort(key=lambda v: (-v.evidence_bits, v.a, v.b))
     merged.sort(key=lambda v: (v.evidence_bits, v.a, v.b))
-    merge = as_merged(place, document, maps.__getitem__)
+    settings = settings_of(place, document)
+    kept = kept_results(place, settings, complain)
+    merge = Merge.of(result, maps.__getitem__, settings, place.locks(), kept)
     chosen = [*open_, *merged][:MOST_EXPLAINED]
     out = {}
     for done, v in enumerate(chosen):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
     from ..merge.locks import Lock
     from ..merge.merged_schema import MergedDocument, MergedGraph
+    from ..merge.result import MergeResult
     from ..topology.topomap import TopoMap
 
 
@@ -91,6 +92,11 @@ class Workspace:
         """The options that name this workspace in a call."""
         usual = Path(os.environ.get("TOPOBATCH_WORKSPACE") or USUAL)
         return () if self.root == usual else ("-w", str(self.root))
+
+    @property
+    def named(self) -> tuple[str, ...]:
+        """The options that name this merge in a call of what reads one."""
+        return () if self.merge == MERGED else ("--merge", self.merge)
 
     @property
     def maps(self) -> Path:
@@ -346,6 +352,16 @@ class Workspace:
             return read_merged(self.merged_json)
         except DocumentError as error:
             raise with_way_out(error, "merged", self.call("merge", "--all")) from error
+
+    def read_result(self) -> MergeResult:
+        """The merge from its document; as `read_merged`."""
+        from ..merge.document import result_from_document
+
+        document = self.read_merged()
+        try:
+            return result_from_document(document)
+        except ValueError as error:
+            raise DocumentError(f"{self.merged_json}: {error}") from error
 
     def require_merge(self) -> None:
         """DataError where nothing was merged yet, UsageError where nothing of a given name was."""

@@ -7,6 +7,10 @@ from enum import StrEnum
 from typing import Any
 
 from ..topology.digits import BITS, rounded
+from ..topology.wording import counted, listed, utc
+
+MOST_RUNS = 8
+"""Runs that a line names; of the others it gives the number."""
 
 
 class ChangeKind(StrEnum):
@@ -52,6 +56,62 @@ class Change:
     def sure(self) -> bool:
         """Whether the evidence exceeds the threshold."""
         return self.bits > self.needed
+
+    @property
+    def between(self) -> tuple[Witness, Witness] | None:
+        """The last run that found it one way and the first that found it the other way: the change
+        lies between `last_ns` of the one and `first_ns` of the other; None if it came and went."""
+        if self.kind is ChangeKind.DIFFERS:
+            return None
+        gone = self.kind is ChangeKind.GONE
+        old, new = (self.there, self.missing) if gone else (self.missing, self.there)
+        return max(old, key=lambda w: w.last_ns), min(new, key=lambda w: w.first_ns)
+
+    def words(self, site: str) -> tuple[str, ...]:
+        """What changed and where; between which dates (UTC); who found it and who did not; the
+        evidence."""
+        verb = {"gone": "gone", "new": "new", "differs": "there at times"}[str(self.kind)]
+        x, y = self.xy
+        what = f"junction {self.junctions[0]}"
+        if self.length is not None:
+            what = f"corridor of {self.length:.1f} m between junctions {_both(self.junctions)}"
+        return (
+            f"{'' if self.sure else 'perhaps '}{verb}: {what} of {site}, at ({x:.1f}, {y:.1f}) m",
+            self._when(),
+            f"{'seen' if self.length is None else 'driven'} by {_who(self.there)}; "
+            f"missing for {_who(self.missing)} in {_passes(self.missing)}",
+            f"evidence {self.bits:.1f} bits, {self.needed:.1f} needed",
+        )
+
+    def _when(self) -> str:
+        if self.between is None:
+            found = sorted(
+                [(w.first_ns, w.run, "found") for w in self.there]
+                + [(w.first_ns, w.run, "missing") for w in self.missing]
+            )
+            told = [f"{how} {utc(t, _MINUTE)} ({run})" for t, run, how in found]
+            return "; ".join([*told[:MOST_RUNS], *(["…"] if len(told) > MOST_RUNS else [])])
+        before, after = self.between
+        old, new = ("found", "missing") if self.kind is ChangeKind.GONE else ("missing", "found")
+        return (
+            f"last {old} {utc(before.last_ns, _MINUTE)} ({before.run}), "
+            f"first {new} {utc(after.first_ns, _MINUTE)} ({after.run})"
+        )
+
+
+_MINUTE = "%Y-%m-%d %H:%M"
+
+
+def _both(junctions: tuple[int, ...]) -> str:
+    return " and ".join(map(str, junctions))
+
+
+def _who(witnesses: tuple[Witness, ...]) -> str:
+    return listed([w.run for w in witnesses], MOST_RUNS)
+
+
+def _passes(witnesses: tuple[Witness, ...]) -> str:
+    return counted(sum(w.passes for w in witnesses), "pass", "passes")
 
 
 def change_to_document(change: Change) -> dict[str, Any]:

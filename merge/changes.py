@@ -8,13 +8,17 @@ Several passes of one run by one junction count once, because detectors repeat t
 place. The evidence is -log2 of the probability that all of them missed it; the threshold allows for
 the number of tests (Bonferroni).
 
-A junction that lost all branches but one is a dead end, which no merge matches with the former
-junction. It is found at the far end of the remaining corridor (`_lookalikes`).
+A junction of three that lost a branch may be detected no more, for instance by a laser that sees
+a straight corridor there. A run that drove through it undetected, and along all its corridors but
+one, is missing that corridor: one change, not one for each of its ends. A junction that lost all
+branches but one is a dead end, which no merge matches with the former junction. It is found at the
+far end of the remaining corridor (`_lookalikes`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence, Set
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -79,8 +83,8 @@ def changes(
     merged = component_map(document, component, "merged", maps)
     poses = poses_from_document(document)
     seen = _Seen(merged, dict(sorted(maps.items())), poses)
-    corridors, asked = _corridors(seen)
-    junctions, more = _junctions(seen)
+    corridors, asked, explained = _corridors(seen)
+    junctions, more = _junctions(seen, explained)
     found = [
         _weighed(doubt, component, ids, _needed(count))
         for doubts, count in ((corridors, asked), (junctions, more))
@@ -108,6 +112,10 @@ class _Seen:
         self._fused = padded_branches(merged)
         self._turn = {run: float(poses[run][2]) for run in maps}
         self._lookalikes = _lookalikes(merged, self.nodes)
+        self._at: list[list[int]] = [[] for _ in self.nodes]
+        for e, ends in enumerate(zip(merged.source.tolist(), merged.target.tolist(), strict=True)):
+            for node in {*ends}:
+                self._at[node].append(e)
 
     def places(self, run: str, node: int) -> list[int]:
         """Fused vertices as which a run passed the place of a fused vertex: itself, or
@@ -134,6 +142,32 @@ class _Seen:
             if np.any(np.abs(wrap(local[~np.isnan(local)] - heading)) <= gate):
                 return True
         return False
+
+    def driven_through(self, run: str, node: int) -> list[int]:
+        """A run's own corridors that lead through the place of a fused vertex which it did not
+        detect."""
+        if run in self.nodes[node]:
+            return []
+        driven = Counter(k for e in self._at[node] for k in self.edges[e].get(run, ()))
+        return sorted(k for k, times in driven.items() if times > 1)
+
+    def not_driven(self, run: str, node: int) -> list[int]:
+        """Fused edges at a fused vertex that a run did not drive."""
+        return [e for e in self._at[node] if run not in self.edges[e]]
+
+    def sides(self, node: int) -> int:
+        """Ends of fused edges at a fused vertex."""
+        m = self.merged
+        return sum((int(m.source[e]) == node) + (int(m.target[e]) == node) for e in self._at[node])
+
+    def overlooked(self, run: str, node: int, passes: int) -> float:
+        """Probability that a run drove through a junction so many times without detecting it: at
+        least the share of visits at which the runs that know it missed it."""
+        measured = self.maps[run].measured
+        unseen = max(_unseen_share(self.maps[r], ids) for r, ids in self.nodes[node].items())
+        rate = _fault_rate(max(measured.miss_rate, unseen))
+        floor = _fault_rate(measured.branch_fault_rate) ** 2
+        return max(rate ** max(passes, 1), floor)
 
     def heading(self, edge: int, end: int) -> float:
         """Direction [rad] in which a fused edge leaves its source (end 0) or its target (1)."""
@@ -171,70 +205,81 @@ def _fault_rate(rate: float) -> float:
     return min(max(rate, CHANGES.least_fault_rate), 0.5)
 
 
-def _corridors(seen: _Seen) -> tuple[list[_Doubt], int]:
-    """Corridors with runs that passed an end without seeing the branch, and the number of tests."""
+def _corridors(seen: _Seen) -> tuple[list[_Doubt], int, set[tuple[int, str]]]:
+    """Corridors with runs that passed an end without seeing the branch, or that drove through an
+    end along all its other corridors; the number of tests; the vertices that were driven through,
+    each with the run."""
     out, asked, m = [], 0, seen.merged
+    explained: set[tuple[int, str]] = set()
     for e, members in enumerate(seen.edges):
         missing = []
         ends = [int(m.source[e]), int(m.target[e])]
         headings = [seen.heading(e, k) for k in (0, 1)]
-        for run, topomap in seen.maps.items():
+        for run in seen.maps:
             passed = [k for k in (0, 1) if seen.places(run, ends[k])]
-            if run in members or not passed:
+            lost = [v for v in {*ends} if seen.not_driven(run, v) == [e]]
+            through = {v: k for v in lost if (k := seen.driven_through(run, v))}
+            if run in members or not (passed or through):
                 continue
             asked += 1
             if any(seen.saw(run, ends[k], headings[k]) for k in passed):
                 continue
-            at = {ends[k] for k in passed}
-            times = np.sort(np.concatenate([seen.times(run, node) for node in at]))
-            # The fault rate is per junction: divide it among the branches.
-            rate = topomap.measured.branch_fault_rate
-            overlooked = [_fault_rate(rate / len(m.branches[k])) for k in at]
-            missing.append((_witness(run, times), float(np.prod(overlooked))))
+            explained |= {(node, run) for node in through}
+            missing.append(_missed(seen, run, {ends[k] for k in passed}, through))
         if missing:
             there = tuple(_drove(seen, run, ids) for run, ids in sorted(members.items()))
             middle = _middle(m.paths[e])
             out.append(
                 _Doubt("corridor", (*ends,), middle, float(m.length[e]), there, tuple(missing))
             )
-    return out, asked
+    return out, asked, explained
 
 
-def _junctions(seen: _Seen) -> tuple[list[_Doubt], int]:
+def _missed(
+    seen: _Seen, run: str, passed: Collection[int], through: Mapping[int, Sequence[int]]
+) -> tuple[Witness, float]:
+    """The passes of a run by the ends of a corridor that it did not find, and the probability that
+    it missed the branch at all ends that it passed, and the junction at all that it drove through
+    (by the given own corridors)."""
+    # The fault rate is per junction: divide it among the branches.
+    rate = seen.maps[run].measured.branch_fault_rate
+    chance = [_fault_rate(rate / len(seen.merged.branches[node])) for node in passed]
+    times = [np.zeros(0, np.int64), *(seen.times(run, node) for node in passed)]
+    by_ends = [_witness(run, np.sort(np.concatenate(times)))]
+    for node, own in through.items():
+        drives = _drove(seen, run, own)
+        by_ends.append(drives)
+        chance.append(seen.overlooked(run, node, drives.passes))
+    known = [w for w in by_ends if w.passes] or by_ends
+    first, last = min(w.first_ns for w in known), max(w.last_ns for w in known)
+    witness = Witness(run, sum(w.passes for w in known), first, last)
+    return witness, float(np.prod(chance))
+
+
+def _junctions(seen: _Seen, explained: Set[tuple[int, str]]) -> tuple[list[_Doubt], int]:
     """Junctions that runs drove through without detecting them, and the number of tests: one for
     each run that passed a junction known to several, or drove through one undetected, and one for
-    each corridor that several drove, in which a junction may have been invented. The probability of
-    a miss is at least the share of visits at which the runs that know the junction missed it."""
+    each corridor that several drove, in which a junction may have been invented. explained: by a
+    corridor that the run did not find (`_corridors`)."""
     out, m = [], seen.merged
     asked = sum(len(members) for members in seen.nodes if len(members) > 1)
     asked += sum(len(members) > 1 for members in seen.edges)
-    at: list[list[int]] = [[] for _ in seen.nodes]
-    for e, ends in enumerate(zip(m.source.tolist(), m.target.tolist(), strict=True)):
-        for node in {*ends}:
-            at[node].append(e)
     for node, members in enumerate(seen.nodes):
         missing = []
-        for run, topomap in seen.maps.items():
-            if run in members:
-                continue
-            driven = [k for e in at[node] for k in seen.edges[e].get(run, ())]
-            through = sorted({k for k in driven if driven.count(k) > 1})
-            if not through:
+        for run in seen.maps:
+            through = seen.driven_through(run, node)
+            if not through or (node, run) in explained:
                 continue
             asked += 1
             witness = _drove(seen, run, through)
-            unseen = max(_unseen_share(seen.maps[r], ids) for r, ids in members.items())
-            rate = _fault_rate(max(topomap.measured.miss_rate, unseen))
-            floor = _fault_rate(topomap.measured.branch_fault_rate) ** 2
-            missing.append((witness, max(rate ** max(witness.passes, 1), floor)))
+            missing.append((witness, seen.overlooked(run, node, witness.passes)))
         if missing:
             there = [_witness(run, seen.times(run, node)) for run in sorted(members)]
-            sides = {(e, int(m.source[e]) == node) for e in at[node]}
             invented = 1.0
             for w in there:
                 rate = _fault_rate(seen.maps[w.run].measured.phantom_rate)
                 invented *= rate**w.passes
-            if len(sides) > 2:
+            if seen.sides(node) > 2:
                 invented = 0.0  # a run that turned off there proves it
             doubt = _Doubt(
                 "junction", (node,), m.xy[node], None, tuple(there), tuple(missing), invented

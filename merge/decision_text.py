@@ -6,26 +6,24 @@ Degrees and decimals for people; documents hold radians.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from textwrap import wrap
+from dataclasses import dataclass
+from textwrap import shorten, wrap
 
 import numpy as np
 
 from ..topology.arrays import FloatArray
-from ..topology.digits import BITS
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
-from .decision import AGAINST, LINKS, Decision, Placement, Start, Term, TermKind, rounded_terms
+from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .discards import REASON, discarded
-from .result import PairVerdict, Verdict, shown_bits, shown_lead
+from .result import PairVerdict, Verdict, shown_bits
 from .wording import AGREES_BITS, decimals, what_agrees
 
-WIDTH, HEIGHT = 79, 22
-"""Columns and lines of the smallest usual terminal, minus two lines for the file and the prompt;
-the default of `lines`."""
+WIDTH = 79
+"""Columns of the smallest usual terminal."""
 
-NOTABLE_BITS = 0.05
-"""Smaller evidence against a placement is not listed first."""
+MOST_LINKS = 8
+"""Rows of links by default: with them most decisions fit a terminal of 24 lines."""
 
 LONGEST_NAME = 18
 """Longer names of runs are shortened in the middle."""
@@ -35,11 +33,11 @@ LONGEST_NAME = 18
 class Row:
     """A row of the table of evidence.
 
-    told: in words; bits: of each placement, None if it has no such part; a, b: the junctions
+    text: in words; bits: of each placement, None if it has no such part; a, b: the junctions
     concerned; level: 0 for sums, 1 for their parts.
     """
 
-    told: str
+    text: str
     bits: tuple[float | None, ...]
     a: str = ""
     b: str = ""
@@ -56,25 +54,25 @@ def short(run: str, most: int = LONGEST_NAME) -> str:
 
 def headline(decision: Decision) -> str:
     """The verdict and its numbers, in one line."""
-    said = decision.said
-    pair = f"{short(said.a)} and {short(said.b)}"
+    pair = decision.pair
+    names = f"{short(pair.a)} and {short(pair.b)}"
     bits = f"{decision_bits(decision)} bits of evidence"
     need = f"{threshold(decision)} needed"
-    if said.accepted:
-        others = sorted({*(run for side in said.together or () for run in side)} - {said.a, said.b})
+    if pair.accepted:
+        others = sorted({*(run for side in pair.together or () for run in side)} - {pair.a, pair.b})
         by = {
             "pair": "merged",
             "components": f"merged, together with {listed(others)}",
             "runs": "merged, as other runs say",
             "lock": "merged, locked as the same",
             None: "merged",
-        }[said.accepted_by]
-        return f"{pair}: {by}: {bits}, {need}"
-    if said.through:
-        alone = f"by itself {said.verdict}, {decision_bits(decision)} bits"
-        return f"{pair}: joined through {listed(said.through)}: {alone}"
-    by = "locked apart" if said.locked == "never" else said.standing
-    return f"{pair}: {by}: {bits}, {need}"
+        }[pair.accepted_by]
+        return f"{names}: {by}: {bits}, {need}"
+    if pair.through:
+        alone = f"by itself {pair.verdict}, {decision_bits(decision)} bits"
+        return f"{names}: joined through {listed(pair.through)}: {alone}"
+    by = "locked apart" if pair.locked == "never" else pair.standing
+    return f"{names}: {by}: {bits}, {need}"
 
 
 def listed(runs: Sequence[str], most: int = 3) -> str:
@@ -84,7 +82,7 @@ def listed(runs: Sequence[str], most: int = 3) -> str:
 
 def decision_bits(decision: Decision) -> str:
     """The evidence, with the decimals of this decision."""
-    return shown_bits(decision.said.evidence_bits, digits_of(decision))
+    return shown_bits(decision.pair.evidence_bits, digits_of(decision))
 
 
 def threshold(decision: Decision) -> str:
@@ -93,67 +91,35 @@ def threshold(decision: Decision) -> str:
 
 
 def digits_of(decision: Decision) -> int:
-    """Decimals that show on which side of the threshold the evidence lies, and whether the lead
-    over the next best placement is the required one."""
-    margin, required = decision.said.margin_bits, decision.requirement.lead_bits
-    fewest = decimals(decision.said.evidence_bits, decision.requirement.threshold_bits)
-    if margin is None:
-        return fewest
-    enough = (
-        digits
-        for digits in range(fewest, BITS)
-        if (_lead(decision, margin, digits) < required) == (margin < required)
-    )
-    return next(enough, BITS)
-
-
-def _lead(decision: Decision, margin: float, digits: int) -> float:
-    """The lead of the first placement, as the difference of the two sums that are shown."""
-    if len(decision.placements) < 2:
-        return float(shown_bits(margin, digits))
-    one, two = (p.alignment.evidence_bits for p in decision.placements[:2])
-    return shown_lead(one, two, digits)
+    """Decimals that show on which side of the threshold the evidence lies."""
+    return decimals(decision.pair.evidence_bits, decision.requirement.threshold_bits)
 
 
 def because(decision: Decision) -> str:
     """The reason in one sentence."""
-    said = decision.said
-    if decided := _by_a_person(said):
+    pair = decision.pair
+    if decided := _by_a_person(pair):
         return decided
     if not decision.placements:
-        return "No significant match: no similar corridors."
-    if decision.start is not None:
-        return _given_up(said, decision.start, decision.placements[0])
+        return "No significant match: no alignment of the two maps holds."
     agree = agreement(decision.placements[0])
-    if said.accepted or decision.why:
+    if pair.accepted or decision.why:
         but = f", but {decision.why}" if decision.why else ""
         alone = "" if len(decision.placements) > 1 else "; no other placement comes near"
         return f"{agree}{but}{alone}."
-    if said.verdict is Verdict.UNRELATED:
+    if pair.verdict is Verdict.UNRELATED:
         return f"No significant match: {agree}; too little evidence."
-    return f"{agree}; {said.reason.rsplit('; ', 1)[-1]}."
+    return f"{agree}; {pair.reason.rsplit('; ', 1)[-1]}."
 
 
-def _by_a_person(said: PairVerdict) -> str:
+def _by_a_person(pair: PairVerdict) -> str:
     """What a person decided against a pair; "" where nobody did."""
-    if said.locked == "never":
+    if pair.locked == "never":
         return "Locked apart by a person."
-    if discarded(said):
+    if discarded(pair):
         undo = "topobatch discard A:B --undo lets it count"
         return f"{REASON[0].upper()}{REASON[1:]}: what is shown does not count ({undo})."
     return ""
-
-
-def _given_up(said: PairVerdict, start: Start, shown: Placement) -> str:
-    """Why the best hypothesis was rejected. shown: the placement that it began with."""
-    count = counted(start.hypotheses, "hypothesis", "hypotheses")
-    begun = counted(len(shown.alignment.matched), "junction")
-    found = f"{start.found} {'was' if start.found == 1 else 'were'} found"
-    return (
-        f"No significant match: the best of {count}, begun with the {begun} shown, was rejected. "
-        f"Of {counted(start.expected, 'junction')} of {short(said.b)} that it places where "
-        f"{short(said.a)} has been, {found}; {start.needed} needed. It counts as 0 bits."
-    )
 
 
 def agreement(placement: Placement) -> str:
@@ -172,10 +138,10 @@ def _contradicted(placement: Placement) -> str:
 
 def pose(placement: Placement) -> str:
     """Position of b in a's frame."""
-    return pose_told(placement.alignment.transform)
+    return describe_pose(placement.alignment.transform)
 
 
-def pose_told(transform: FloatArray) -> str:
+def describe_pose(transform: FloatArray) -> str:
     """A transform in metres and degrees."""
     x, y, theta = transform.tolist()
     return f"({x:.2f}, {y:.2f}) m, turned by {np.degrees(theta):.1f}°"
@@ -183,40 +149,33 @@ def pose_told(transform: FloatArray) -> str:
 
 def lies(decision: Decision) -> str:
     """Where b lies in a's frame, or would lie; "" if unknown."""
-    said = decision.said
-    frame = f"in {short(said.a)}'s frame"
+    pair = decision.pair
+    frame = f"in {short(pair.a)}'s frame"
     if decision.by_others is not None:
         sure = ""
-        if said.placed is not None:
-            sure = f", to {said.placed[0]:.1f} m and {np.degrees(said.placed[1]):.1f}° (1 sigma)"
-        return (
-            f"By the others {short(said.b)} lies at {pose_told(decision.by_others)}, {frame}{sure}"
-        )
+        if pair.placed is not None:
+            sure = f", to {pair.placed[0]:.1f} m and {np.degrees(pair.placed[1]):.1f}° (1 sigma)"
+        where = describe_pose(decision.by_others)
+        return f"By the others {short(pair.b)} lies at {where}, {frame}{sure}"
     if not decision.placements:
         return ""
-    if decision.start is not None and not _by_a_person(said):
-        return (
-            f"By it {short(said.b)} would lie at {pose(decision.placements[0])}, {frame}; a lock "
-            "needs --at for that, and more for it than against it"
-        )
-    told = "lies" if said.accepted else "would lie"
-    return f"{short(said.b)} {told} at {pose(decision.placements[0])}, {frame}"
+    text = "lies" if pair.accepted else "would lie"
+    return f"{short(pair.b)} {text} at {pose(decision.placements[0])}, {frame}"
 
 
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: the sums of every placement, and at most `links` of the largest links
-    of the first one. The column of each placement adds up as shown."""
-    digits = digits_of(decision)
-    columns = [_groups(p, digits) for p in decision.placements]
+    of the first one."""
+    columns = [_groups(p) for p in decision.placements]
     if not columns:
         return []
     first = decision.placements[0]
     out = []
     for kind in [kind for kind in _GROUPS if any(kind in column for column in columns)]:
         bits = tuple(column.get(kind) for column in columns)
-        out.append(Row(_group_told(kind, decision.placements), bits))
+        out.append(Row(_group_text(kind, decision.placements), bits))
         if kind in ("corridor", "unseen") and bits[0] is not None:
-            out += _parts(itemised(first, kind, digits), links, digits)
+            out += _parts(itemised(first, kind), links)
     return out
 
 
@@ -232,67 +191,59 @@ _GROUPS: dict[TermKind, tuple[TermKind, ...]] = {
 """Kinds of terms that are summed in one row, in the order of rows."""
 
 
-def _groups(placement: Placement, digits: int) -> dict[TermKind, float]:
-    """The sum of every group of terms, rounded so that the sums add up; contradictions are listed
-    even if there are none."""
-    sums = [sum(t.bits for t in placement.of(*kinds)) for kinds in _GROUPS.values()]
-    total = float(shown_bits(placement.alignment.evidence_bits, digits))
-    shown = rounded_terms(sums, digits, total)
+def _groups(placement: Placement) -> dict[TermKind, float]:
+    """The sum of every group of terms; contradictions are listed even if there are none."""
     there = {t.kind for t in placement.terms}
     always = ("corridor", "branches", "unseen", "hypotheses")
     return {
-        kind: bits
-        for kind, bits in zip(_GROUPS, shown, strict=True)
+        kind: sum(t.bits for t in placement.of(*kinds))
+        for kind, kinds in _GROUPS.items()
         if kind in always or kind in there
     }
 
 
-def _group_told(kind: TermKind, placements: Sequence[Placement]) -> str:
+def _group_text(kind: TermKind, placements: Sequence[Placement]) -> str:
     first = placements[0]
     count = len(first.of("branches"))
     return {
         "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
         "branches": f"branches of {counted(count, 'junction')}",
-        "views": _views_told(placements),
-        "unseen": _against_told(placements),
-        "hypotheses": next((t.told for t in first.of("hypotheses")), ""),
-        "few": next((t.told for p in placements for t in p.of("few")), ""),
-        "copies": next((t.told for t in first.of("copies")), "is it a copy?"),
+        "views": _views_text(placements),
+        "unseen": _against_text(placements),
+        "hypotheses": next((t.text for t in first.of("hypotheses")), ""),
+        "few": next((t.text for p in placements for t in p.of("few")), ""),
+        "copies": next((t.text for t in first.of("copies")), "is it a copy?"),
     }[kind]
 
 
-def _views_told(placements: Sequence[Placement]) -> str:
+def _views_text(placements: Sequence[Placement]) -> str:
     """In how many parts of the overlap views speak for the first placement, and against it."""
     bits = [t.bits for t in placements[0].of("views")]
     agree, against = sum(b > 0 for b in bits), sum(b < 0 for b in bits)
     return f"views in {counted(len(bits), 'part')} of the overlap: {agree} for, {against} against"
 
 
-def _against_told(placements: Sequence[Placement]) -> str:
+def _against_text(placements: Sequence[Placement]) -> str:
     """The number of contradictions of the first placement, or that only the next one has some."""
     first, *others = (len(p.of(*AGAINST)) for p in placements)
     if first:
         return counted(first, "contradiction")
-    told = _contradicted(placements[0])
-    return f"{told}; next: {counted(others[0], 'contradiction')}" if any(others) else told
+    text = _contradicted(placements[0])
+    return f"{text}; next: {counted(others[0], 'contradiction')}" if any(others) else text
 
 
-def itemised(placement: Placement, group: TermKind, digits: int) -> list[Term]:
-    """The terms of a group, evidence against it and the largest first, rounded so that they add up
-    to the group's sum: each reads alike wherever it is shown."""
-    terms = placement.of(*_GROUPS[group])
-    ordered = sorted(terms, key=lambda t: (t.bits > -NOTABLE_BITS, -abs(t.bits)))
-    bits = rounded_terms([t.bits for t in ordered], digits, _groups(placement, digits)[group])
-    return [replace(t, bits=told) for t, told in zip(ordered, bits, strict=True)]
+def itemised(placement: Placement, group: TermKind) -> list[Term]:
+    """The terms of a group, evidence against the placement and the largest first."""
+    return sorted(placement.of(*_GROUPS[group]), key=lambda t: t.bits >= 0)
 
 
-def _parts(terms: Sequence[Term], most: int, digits: int) -> list[Row]:
+def _parts(terms: Sequence[Term], most: int) -> list[Row]:
     """The first terms of a group, and the rest in one row."""
     count = len(terms) if len(terms) <= most else max(most - 1, 0)
     if count == 0:
         return []
     out, left = list(map(_link, terms[:count])), [t.bits for t in terms[count:]]
-    return [*out, Row(f"{len(left)} more", (round(sum(left), digits),), level=1)] if left else out
+    return [*out, Row(f"{len(left)} more", (sum(left),), level=1)] if left else out
 
 
 def _link(term: Term) -> Row:
@@ -303,49 +254,27 @@ def _link(term: Term) -> Row:
 def needs(decision: Decision) -> str:
     """What the threshold is made of, and the other requirements."""
     need = decision.requirement
-    pairs = counted(need.pairs, "pair")
-    if need.unrounded_pairs is not None:
-        pairs = f"{need.pairs:,} for {counted(need.unrounded_pairs, 'pair')}"
     return (
-        f"log2({pairs} / rate {need.false_merge_rate:g}), "
+        f"log2({counted(need.pairs, 'pair')} / rate {need.false_merge_rate:g}), "
         f"{need.least_junctions} junctions, lead {need.lead_bits:g} bits"
     )
 
 
-def missing(decision: Decision) -> str:
-    """What an ambiguous pair lacks and what would settle it; "" for others."""
-    said = decision.said
-    if said.verdict is not Verdict.AMBIGUOUS or said.accepted:
-        return ""
-    lacks = []
-    digits, needed = digits_of(decision), decision.requirement.threshold_bits
-    if said.evidence_bits < needed:
-        lacking = float(threshold(decision)) - float(decision_bits(decision))
-        lacks.append(f"{shown_bits(lacking, digits)} bits of evidence")
-    required = decision.requirement.lead_bits
-    if said.margin_bits is not None and said.margin_bits < required:
-        lacking = required - _lead(decision, said.margin_bits, digits)
-        lacks.append(f"{shown_bits(lacking, digits)} bits of lead")
-    best = decision.placements[0].alignment if decision.placements else None
-    count = len(best.matched) - len(best.contradictions) if best else 0
-    if count < decision.requirement.least_junctions:
-        lacks.append(counted(decision.requirement.least_junctions - count, "junction"))
-    told = "Missing: " + " and ".join(lacks) if lacks else ""
-    advice = f"To settle it: {said.advice}" if said.advice else ""
-    return ". ".join(part for part in (told, advice) if part)
+def advice(decision: Decision) -> str:
+    """What would settle an ambiguous pair; "" for others."""
+    pair = decision.pair
+    open_ = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted
+    return f"To settle it: {pair.advice}" if open_ and pair.advice else ""
 
 
-def sum_told(decision: Decision) -> str:
+def sum_label(decision: Decision) -> str:
     """Label of the sum of the terms, with the lead over the next best placement."""
-    if decision.start is not None:
-        return "what the hypothesis had, not counted"
-    if discarded(decision.said):
+    if discarded(decision.pair):
         return "what the match had, not counted"
-    margin = decision.said.margin_bits
+    margin = decision.pair.margin_bits
     if len(decision.placements) < 2 or margin is None:
         return "evidence"
-    digits = digits_of(decision)
-    lead = shown_bits(abs(_lead(decision, margin, digits)), digits)
+    lead = shown_bits(abs(margin), digits_of(decision))
     which = "behind" if other_name(decision) == OTHER else "ahead of"
     return f"evidence, {lead} bits {which} the {other_name(decision)}"
 
@@ -356,10 +285,8 @@ NEXT, OTHER = "next best", "other placement"
 def other_name(decision: Decision) -> str:
     """What the second placement is called. It has more evidence than the first one where a person
     or other runs chose that."""
-    margin = decision.said.margin_bits
-    if margin is None or _lead(decision, margin, digits_of(decision)) >= 0:
-        return NEXT
-    return OTHER
+    margin = decision.pair.margin_bits
+    return NEXT if margin is None or margin >= 0 else OTHER
 
 
 def matched(placement: Placement) -> str:
@@ -369,39 +296,29 @@ def matched(placement: Placement) -> str:
 
 def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> list[str]:
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
-    rows of links; by default as many as fit one screen."""
-    if links is not None:
-        return _lines(decision, links, width)
-    tried = (_lines(decision, most, width) for most in range(HEIGHT, -1, -1))
-    whole = next((found for found in tried if len(found) <= HEIGHT), None)
-    return _lines(decision, 0, width, brief=True) if whole is None else whole
-
-
-def _lines(decision: Decision, links: int, width: int, *, brief: bool = False) -> list[str]:
-    """brief: without what the recording shows better, if long names leave too little room."""
-    said = decision.said
+    rows of links, `MOST_LINKS` by default."""
+    pair = decision.pair
     out = [
         *_folded(headline(decision), width),
-        *_folded(because(decision), width, "  ", most=2 if brief else 3),
+        *_folded(because(decision), width, "  "),
+        *_folded(lies(decision), width, "  "),
     ]
-    out += _folded(lies(decision), width, "  ")
     if len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {pose(decision.placements[1])}"
         out += _folded(second, width, "  ")
-    out += _table(decision, links, width)[brief:]
-    if decision.placements and not brief:
-        pairs = f"{short(said.a)} = {short(said.b)}: {matched(decision.placements[0])}"
-        out += _folded(pairs, width, "  ", most=1)
-    out += _folded(missing(decision), width, "  ", most=4)
+    out += _table(decision, MOST_LINKS if links is None else links, width)
+    if decision.placements:
+        pairs = f"{short(pair.a)} = {short(pair.b)}: {matched(decision.placements[0])}"
+        out.append("  " + shorten(pairs, width - 2, placeholder=" …"))
+    out += _folded(advice(decision), width, "  ")
     for note in decision.notes:
         out += _folded(f"Note: {note}", width, "  ")
     return out
 
 
-def _folded(text: str, width: int, indent: str = "", most: int = 3) -> list[str]:
-    """A text wrapped to several lines, cut after `most`. Long words, paths for instance, stay
-    whole."""
-    found = wrap(
+def _folded(text: str, width: int, indent: str = "") -> list[str]:
+    """A text wrapped to several lines. Long words, paths for instance, stay whole."""
+    return wrap(
         text,
         width,
         initial_indent=indent,
@@ -409,9 +326,6 @@ def _folded(text: str, width: int, indent: str = "", most: int = 3) -> list[str]
         break_long_words=False,
         break_on_hyphens=False,
     )
-    if len(found) > most:
-        found = [*found[: most - 1], found[most - 1][: width - 2].rstrip() + " …"]
-    return found
 
 
 def _table(decision: Decision, links: int, width: int) -> list[str]:
@@ -419,26 +333,26 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     digits, count = digits_of(decision), len(decision.placements)
     if not count:
         return [_row([threshold(decision)], f"bits needed: {needs(decision)}", width)]
-    names = (short(decision.said.a, 10), short(decision.said.b, 10))
+    names = (short(decision.pair.a, 10), short(decision.pair.b, 10))
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     out = ["", _row(head, "for (+) and against it (-)", width, names)]
     for row in rows(decision, links):
-        cells = ["" if bits is None else f"{bits:+.{digits}f}" for bits in row.bits]
-        told = row.told
+        cells = ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
+        text = row.text
         if row.level:  # a part of the sum above: its bits stand out of the column that adds up
-            told, cells = f"{cells[0]:>7}  {told}", [""]
+            text, cells = f"{cells[0]:>7}  {text}", [""]
         cells += [""] * (count - len(cells))
-        out.append(_row(cells, told, width, (row.a, row.b)))
+        out.append(_row(cells, text, width, (row.a, row.b)))
     sums = [f"= {shown_bits(p.alignment.evidence_bits, digits)}" for p in decision.placements]
-    out.append(_row(sums, sum_told(decision), width))
+    out.append(_row(sums, sum_label(decision), width))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
     out.append(_row([threshold(decision), *blank], need[0], width))
     return [*out, *(_row([""] * count, line, width) for line in need[1:])]
 
 
-def _row(cells: Sequence[str], told: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
+def _row(cells: Sequence[str], text: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = width - len(left) - len(right)
-    return f"{left}{told[:room]:<{room}}{right}".rstrip()
+    return f"{left}{text[:room]:<{room}}{right}".rstrip()

@@ -201,7 +201,7 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     named = graph.model_dump(exclude_unset=True)
     own = ("components", "unlisted")
     info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
-    verdicts = tuple(map(verdict_from_entry, document.merges))
+    verdicts = tuple(map(_verdict_from, document.merges))
     counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
     return MergeResult(components, fused, verdicts, info, counted)
 
@@ -230,7 +230,7 @@ def _fused_from(document: MergedDocument) -> FusedMap:
     )
 
 
-def verdict_from_entry(entry: MergeEntry) -> PairVerdict:
+def _verdict_from(entry: MergeEntry) -> PairVerdict:
     """The verdict that an entry was written from: rounded, and without the alignments of unrelated
     pairs."""
     best = None

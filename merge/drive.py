@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, METRES, rounded
+from ..topology.wording import counted
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +53,11 @@ class Drive:
         return self.bits / self.length_m
 
     @property
+    def known_path(self) -> FloatArray:
+        """(k, 2) the path without the way straight on into the unknown, if it ends in one."""
+        return self.path if self.heading_rad is None else self.path[:-1]
+
+    @property
     def words(self) -> tuple[str, str]:
         """Where it is and what it would settle."""
         start, second = self.stops[:2]
@@ -59,19 +66,23 @@ class Drive:
         if self.onto is None:
             return where, f"a branch of {self.site} that nobody drove"
         number = len(self.pairs)
-        pairs = "1 pair" if number == 1 else f"{number} pairs"
-        return where, f"joins {self.site} and {self.onto}, {pairs}, if they are one place"
+        pairs = counted(number, "open pair")
+        return where, f"joins {self.site} and {self.onto}, if they are one place: settles {pairs}"
 
     @property
     def way(self) -> str:
         """The stops in words."""
         known = [s for s in self.stops if s.junction is not None]
-        told = "by junctions " + ", ".join(s.label(self.site) for s in known)
+        parts: list[str] = []
+        for site, stops in groupby(known, key=lambda s: s.site):
+            numbers = ", ".join(f"{s.junction}" for s in stops)
+            parts.append(f"in {site}: {numbers}" if parts else numbers)
+        text = "by junctions " + "; ".join(parts)
         if self.heading_rad is None:
-            return told
+            return text
         rest = self.length_m - self.known_m
         return (
-            f"{told}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
+            f"{text}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
             f"map), and straight on for {rest:.0f} m"
         )
 

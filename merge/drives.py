@@ -13,8 +13,9 @@ building that repeats itself come late: what they find is there twice.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -73,9 +74,10 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     One for every two sites with an open pair, and one into the unknown for every site, of either
     `most_planned`. O(pairs + junctions + most_planned · most_local²).
     """
-    maps = _Sites(result)
+    components, junction = {c.id: c for c in result.components}, ~result.fused.is_turned
+    site = cache(lambda k: _Site(result.fused, components[k], junction))
     wanted = {c.id for c in result.components} if component is None else {component}
-    found = [*_joining(result, maps, wanted), *_exploring(result, maps, wanted)]
+    found = [*_joining(result, site, wanted), *_exploring(result, site, wanted)]
     found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
     return tuple(found[:most])
 
@@ -117,24 +119,14 @@ class _Site:
         return float(np.median(lengths)) if lengths else 0.0
 
 
-class _Sites(dict[int, _Site]):
-    """The sites of a merge by component, each made when it is asked for."""
-
-    def __init__(self, result: MergeResult) -> None:
-        super().__init__()
-        self._fused, self._junction = result.fused, ~result.fused.is_turned
-        self._components = {c.id: c for c in result.components}
-
-    def __missing__(self, component: int) -> _Site:
-        made = _Site(self._fused, self._components[component], self._junction)
-        self[component] = made
-        return made
+SiteOf = Callable[[int], _Site]
+"""The site of a component, made once."""
 
 
 # Joining two sites.
 
 
-def _joining(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iterator[Drive]:
+def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -149,7 +141,7 @@ def _joining(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iter
     order = sorted(between, key=lambda key: (-likely[key][0], -likely[key][1], key))
     for s, t in order[: DRIVES.most_planned]:
         pairs = between[s, t]
-        drive = _joining_drive(maps[s], maps[t], pairs, home, members=members, result=result)
+        drive = _joining_drive(site(s), site(t), pairs, home, members=members, result=result)
         if drive is not None:
             yield drive
 
@@ -282,7 +274,8 @@ class _Laid:
         if not self.shared:
             return None
         reach = _Reach(self, self.in_site), _Reach(self, self.in_other)
-        found = [_along(_tours(self, need, pivot, reach)) for pivot in self._pivots()]
+        step = max(1, len(self.shared) // DRIVES.most_pivots)
+        found = [self._from(pivot, need, *reach) for pivot in self.shared[::step]]
         walks = [w for w in found if len(w.places) > 1]
         return min(walks, key=lambda w: (-self._known(w, need), w.length_m, w.places), default=None)
 
@@ -290,9 +283,14 @@ class _Laid:
         own = list({*walk.places})
         return sum(min(int(mask[own].sum()), need) for mask in (self.in_site, self.in_other))
 
-    def _pivots(self) -> list[int]:
-        step = max(1, len(self.shared) // DRIVES.most_pivots)
-        return self.shared[::step]
+    def _from(self, pivot: int, need: int, in_site: _Reach, in_other: _Reach) -> _Walk:
+        """A tour from a common place into either site: first the other one, then the first for what
+        is still wanting."""
+        seen = {pivot}
+        there, two = in_other.tour(pivot, seen, need - 1)
+        have = int(self.in_site[list(seen)].sum())
+        here, one = in_site.tour(pivot, seen, max(0, need - have))
+        return _Walk((*reversed(here), *there[1:]), one + two)
 
     def drive(self, walk: _Walk, bits: float, pairs: tuple[tuple[str, str], ...]) -> Drive:
         """The walk as a drive, which starts in the first site."""
@@ -383,27 +381,10 @@ class _Reach:
         return done, length, out
 
 
-def _tours(
-    laid: _Laid, need: int, pivot: int, reach: tuple[_Reach, _Reach]
-) -> tuple[tuple[list[int], float], tuple[list[int], float]]:
-    """A tour from a common place into either site: first the other one, then the first for what is
-    still wanting."""
-    seen = {pivot}
-    there = reach[1].tour(pivot, seen, need - 1)
-    have = int(laid.in_site[list(seen)].sum())
-    here = reach[0].tour(pivot, seen, max(0, need - have))
-    return here, there
-
-
-def _along(tours: tuple[tuple[list[int], float], tuple[list[int], float]]) -> _Walk:
-    (here, one), (there, two) = tours
-    return _Walk((*reversed(here), *there[1:]), one + two)
-
-
 # Into the unknown.
 
 
-def _exploring(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> Iterator[Drive]:
+def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
     """For every site the branch never driven that leads farthest from what is known."""
     share = _overlapping_share(result)
     need = _needed_junctions(result, MATCH.junction_bits)
@@ -416,7 +397,7 @@ def _exploring(result: MergeResult, maps: _Sites, wanted: Collection[int]) -> It
             for c in {home.get(pair.a, -1), home.get(pair.b, -1)}:
                 pairs.setdefault(c, []).append(pair)
     order = sorted((-len(c.poses), c.id) for c in result.components if c.id in wanted)
-    for site in (maps[c] for _, c in order[: DRIVES.most_planned]):
+    for site in (site_of(c) for _, c in order[: DRIVES.most_planned]):
         rows = np.flatnonzero(free & np.isin(owner, site.ids))
         if not len(rows) or not site.ways:
             continue

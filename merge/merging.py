@@ -16,7 +16,6 @@ from .discards import REASON, Names
 from .fusion.fuse import fuse
 from .fusion.turning_ends import with_turning_ends
 from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
-from .layers import layers_to_document
 from .locks import Lock
 from .paper import method as paper
 from .paper.method import DEFAULT_PAPER, PaperSettings
@@ -72,17 +71,17 @@ def merge_maps(
     means = means or Means()
     verdicts = _decided(ordered, settings, locks, discarded, means)
     shown = _worth_listing(len(ordered), verdicts, discarded)
-    asked = ((v.a, v.b) for v in shown)
-    components, fused = fuse(ordered, verdicts, asked=asked, kept=means.kept)
+    requested = ((v.a, v.b) for v in shown)
+    components, fused = fuse(ordered, verdicts, requested=requested, kept=means.kept)
     fused = with_turning_ends(fused, components, ordered)
     placed = _with_placements(shown, components)
     same = _same_recordings(ordered, means.kept.digest)
-    said = [*same, *(VIEWS_LOST.format(run=m.run) for m in ordered if m.views_lost)]
+    warnings = [*same, *(VIEWS_LOST.format(run=m.run) for m in ordered if m.views_lost)]
     return MergeResult(
         components,
         fused,
         placed,
-        info=_info(settings, components, placed, said),
+        info=_info(settings, components, placed, warnings),
         unlisted=_unlisted(len(ordered), verdicts, shown, components),
     )
 
@@ -229,9 +228,32 @@ def _info(
     return {
         "settings": asdict(own),
         "method": settings.method,
-        "layers": {first: layers_to_document(first, inside[k]) for k, first in firsts.items()},
+        "layers": {first: _layers(first, inside[k]) for k, first in firsts.items()},
         **({"warnings": warnings} if warnings else {}),
     }
+
+
+def _layers(own: str, accepted: Sequence[PairVerdict]) -> list[dict[str, Any]]:
+    """JSON rows {"run", "layer", "depends_on"} of all runs connected to `own` by accepted verdicts,
+    by layer, then by name (§4.1).
+
+    Layer 0 is a run's own map, layer n + 1 holds the maps matched to maps of layer n. One that
+    several of these match depends on the strongest of the matches.
+    """
+    rows: list[dict[str, Any]] = [{"run": own, "layer": 0, "depends_on": None}]
+    placed, below = {own}, {own}
+    while below:
+        best: dict[str, tuple[float, str]] = {}
+        for v in accepted:
+            for run, base in ((v.a, v.b), (v.b, v.a)):
+                if base in below and run not in placed:
+                    rank = (-v.evidence_bits, base)
+                    best[run] = min(best.get(run, rank), rank)
+        layer = rows[-1]["layer"] + 1
+        rows += [{"run": run, "layer": layer, "depends_on": best[run][1]} for run in sorted(best)]
+        below = set(best)
+        placed |= below
+    return rows
 
 
 def _same_recordings(maps: Sequence[TopoMap], digest: Callable[[TopoMap], bytes]) -> list[str]:

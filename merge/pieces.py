@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.columns import joined, take
 from ..topology.connected import connected
-from ..topology.se2 import compose
 from ..topology.topomap import Closure, TopoMap
 from ..topology.turning_points import NO_TURNING_POINTS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
 from ..topology.views import NO_VIEWS, Views
 from ..topology.wording import counted
-from .member_times import member_times
+from .component_map import member_times
 from .merging import merge_maps
 from .result import FusedMap, PairVerdict, Verdict, fused_confidence, fused_of, graph_part
 from .robust import DEFAULT_ROBUST
@@ -37,8 +37,8 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     small = [part for part in parts if len(part) < least]
     able = {part.run: part for part in parts if len(part) >= least}
     result = merge_maps(list(able.values()))
-    asked = [c for v in result.verdicts for c in _closures(v, able)]
-    whole = replace(topomap, closures=(*topomap.closures, *asked))
+    questions = [c for v in result.verdicts for c in _closures(v, able)]
+    whole = replace(topomap, closures=(*topomap.closures, *questions))
     # Components come in the order of their first parts, which are named by time.
     whole_parts = {name: with_turning_points(part) for name, part in able.items()}
     times = _times(whole_parts, result.fused)
@@ -54,22 +54,21 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
     names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
-    said = _said(len(parts), names, small)
-    return tuple(
-        replace(m, run=name, info=_told(topomap, said)) for m, name in zip(kept, names, strict=True)
-    )
+    text = _describe(len(parts), names, small)
+    info = _with_warning(topomap, text)
+    return tuple(replace(m, run=name, info=info) for m, name in zip(kept, names, strict=True))
 
 
 def _passes(topomap: TopoMap) -> int:
     return len(topomap.observation_vertex)
 
 
-def _told(topomap: TopoMap, said: str) -> dict[str, Any]:
+def _with_warning(topomap: TopoMap, text: str) -> dict[str, Any]:
     info = {k: v for k, v in topomap.info.items() if k != "pieces"}
-    return info | {"warnings": [*info.get("warnings", ()), said]}
+    return info | {"warnings": [*info.get("warnings", ()), text]}
 
 
-def _said(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
+def _describe(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
     """One sentence on the result for the pieces."""
     apart = len(names) + len(small)
     text = f"the odometry broke: {pieces} pieces, "
@@ -125,21 +124,14 @@ def _seen_from(topomap: TopoMap, chosen: BoolArray) -> Views:
     views, times = topomap.views, topomap.observation_time_ns
     if not len(views) or not len(times):
         return NO_VIEWS
-    after = np.clip(np.searchsorted(times, views.time_ns), 1, max(len(times) - 1, 1))
-    after = np.minimum(after, len(times) - 1)
-    before = np.maximum(after - 1, 0)
-    sooner = views.time_ns - times[before] <= times[after] - views.time_ns
-    rows = np.flatnonzero(chosen[np.where(sooner, before, after)])
-    return Views(views.time_ns[rows], views.pose[rows], views.cells[rows])
+    nearest = np.searchsorted((times[1:] + times[:-1]) // 2, views.time_ns)
+    return take(views, chosen[nearest])
 
 
 def _views_together(parts: Sequence[tuple[Views, FloatArray]]) -> Views:
     """The views of some parts, each moved by the pose of its part, by time."""
-    time_ns = np.concatenate([views.time_ns for views, _ in parts])
-    poses = [compose(pose, v.pose) for v, pose in parts]
-    order = np.argsort(time_ns, kind="stable")
-    cells = np.concatenate([views.cells for views, _ in parts])
-    return Views(time_ns[order], np.concatenate(poses)[order], cells[order])
+    every = joined([views.moved(pose) for views, pose in parts])
+    return take(every, np.argsort(every.time_ns, kind="stable"))
 
 
 def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:
@@ -171,14 +163,14 @@ def _cut_out(
     time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
     passes = _seen(topomap, vertex, time_ns)
     # The sigmas of the parts do not hold for the whole: those of the merge do.
-    told = None if fused.position_sigma is None else fused.position_sigma[chosen]
-    known = told is not None and bool(np.isfinite(told).all())
+    sigma = None if fused.position_sigma is None else fused.position_sigma[chosen]
+    known = sigma is not None and bool(np.isfinite(sigma).all())
     edges = np.flatnonzero(chosen[fused.source]).tolist()
     cut = replace(
         topomap,
         **graph_part(fused, chosen),
         **passes,
-        position_sigma=told if known else None,
+        position_sigma=sigma if known else None,
         branch_sigma=None,
         traversal_ns=None if times is None else tuple(times[e] for e in edges),
         confidence=confidence[chosen],

@@ -201,7 +201,7 @@ def _carried(
     first = matched.turn[rows[:, :1]]
     turn = first[:, 0] + (weight * wrap(matched.turn[rows] - first)).sum(axis=1) / total
     arm = turned(arm, turn[:, None])
-    said = matched.target[rows] - arm
+    predicted = matched.target[rows] - arm
     between = matched.source[rows][:, :, None] - matched.source[rows][:, None]
     apart = np.hypot(between[..., 0], between[..., 1])
     # Covariance of a random walk that starts at the point: two junctions share part of the way.
@@ -217,7 +217,7 @@ def _carried(
     design = np.broadcast_to(np.tile(np.eye(2), (n, 1)), (len(points), 2 * n, 2))
     weighted = np.linalg.solve(flat, design)
     normal = np.einsum("pka,pkb->pab", design, weighted)
-    right = np.einsum("pka,pk->pa", weighted, said.reshape(len(points), 2 * n))
+    right = np.einsum("pka,pk->pa", weighted, predicted.reshape(len(points), 2 * n))
     inverse = np.linalg.inv(normal)
     xy = np.einsum("pab,pb->pa", inverse, right)
     variance = np.trace(inverse, axis1=1, axis2=2) / 2

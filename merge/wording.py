@@ -28,10 +28,10 @@ def told_bits(bits: float, need_bits: float) -> str:
 
 def what_agrees(junctions: int, corridors: int, views: int) -> str:
     """ "5 junctions and 3 corridors agree", and the walls, in how many parts of the overlap."""
-    told = [counted(junctions, "junction"), counted(corridors, "corridor")]
+    parts = [counted(junctions, "junction"), counted(corridors, "corridor")]
     if views:
-        told.append(f"the walls in {counted(views, 'part')} of the overlap")
-    return f"{', '.join(told[:-1])} and {told[-1]} agree"
+        parts.append(f"the walls in {counted(views, 'part')} of the overlap")
+    return f"{', '.join(parts[:-1])} and {parts[-1]} agree"
 
 
 def told_placement(sigma_m: float, sigma_rad: float) -> str:

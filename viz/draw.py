@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..merge.decision import Decision
-from ..merge.decision_text import because, digits_of, headline, missing
+from ..merge.decision_text import advice, because, digits_of, headline
 from ..merge.result import (
     FusedMap,
     MergeResult,
@@ -322,7 +322,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     junctions, the links that speak for a placement and what speaks against it."""
     a, b = with_turning_points(a), with_turning_points(b)
     drawn, beside = placements(a, b, decision), overlays(decision)
-    heading = [headline(decision), because(decision), missing(decision)]
+    heading = [headline(decision), because(decision), advice(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
     laid = [(p.title, p.T_a_b) for p in drawn]
     canvas, cells = _over(a, b, laid, theme, "pair", beside=beside)

@@ -46,16 +46,15 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
     maps are shown apart alone."""
     out: list[Picture] = []
     if decision.by_others is not None:
-        title = f"joined through {listed(decision.said.through, 2)}"
+        title = f"joined through {listed(decision.pair.through, 2)}"
         out.append(Picture("joined", title, None, decision.by_others, tied=False))
     for k, placement in enumerate(decision.placements):
         T = placement.alignment.transform
         bits = f"{shown_bits(placement.alignment.evidence_bits)} bits"
         name = ("placement", "next best")[k]
         called = other_name(decision) if k else name
-        title = f"{called}: {bits}" if decision.start is None else "best hypothesis, rejected"
-        out.append(Picture(name, title, placement, T, tied=False))
-        alone = len(decision.placements) == 1 or decision.said.accepted
+        out.append(Picture(name, f"{called}: {bits}", placement, T, tied=False))
+        alone = len(decision.placements) == 1 or decision.pair.accepted
         alone &= decision.by_others is None
         if k == 0 and alone and len(placement.alignment.matched):
             count = len(placement.alignment.matched)
@@ -155,7 +154,7 @@ def marks(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator[Mar
         for k, side in sides[: 1 + picture.tied] if n <= MOST_NUMBERED else ():
             told = [str(v) for v in pairs[:, k].tolist()]
             yield Mark(("numbers", side), "number", ends[k], [f"run {k}"] * n, told, Order.WORDS)
-    links = itemised(placement, "corridor", digits)
+    links = itemised(placement, "corridor")
     for k, side in sides[: 1 + picture.tied]:
         shown = [t for t in links if len((t.a, t.b)[k]) == 2]
         if shown:
@@ -167,10 +166,10 @@ def marks(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator[Mar
                 ["agrees" if t.bits >= 0 else "against" for t in shown],
                 [_bits_told(t, digits) for t in shown],
                 Order.EVIDENCE,
-                {"bits": bits.tolist(), "what": [t.told for t in shown]},
+                {"bits": bits.tolist(), "what": [t.text for t in shown]},
                 1.2 + 1.8 * np.minimum(np.abs(bits) / FULL_BITS, 1.0),
             )
-    terms = [t for t in itemised(placement, "unseen", digits) if t.a or t.b]
+    terms = [t for t in itemised(placement, "unseen") if t.a or t.b]
     spots = contradiction_spots(((_bits_told(t, digits), (t.a, t.b)) for t in terms), *at)
     if spots:
         told = [spot.told for spot in spots]
@@ -180,7 +179,7 @@ def marks(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator[Mar
 
 
 def _bits_told(term: Term, digits: int) -> str:
-    return f"{term.bits:+.{digits}f} bits: {term.told}"
+    return f"{term.bits:+.{digits}f} bits: {term.text}"
 
 
 CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])

@@ -31,7 +31,7 @@ from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .map_summary import minutes
 from .palette import LIGHT
 from .parts import ranks
-from .report_maps import INK, SiteLayers, blank_figure, change_told, site_map
+from .report_maps import INK, SiteLayers, blank_figure, described_change, site_map
 from .report_pairs import (
     STANDING_COLOURS,
     matrix_figure,
@@ -267,10 +267,10 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
     return out
 
 
-def _changes(report: Report) -> list[tuple[str, str]]:
-    """The site and the words of every change."""
+def _changes(report: Report) -> list[str]:
+    """The words of every change."""
     names = {c.id: c.name for c in report.result.components} if report.result else {}
-    return [(names[c.component], change_told(c)) for c in report.changes if c.sure]
+    return [described_change(c, names[c.component]) for c in report.changes if c.sure]
 
 
 def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:

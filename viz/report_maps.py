@@ -83,7 +83,8 @@ def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
     (own,) = (c for c in result.components if c.id == component)
     T = np.array([0.0, 0.0, upright_rad([fused.paths[e] for e in edges.tolist()])])
     extents = [fused.xy[vertices], *(fused.paths[e] for e in edges.tolist())]
-    extents += [drive.path for _, drive in layers.drives]
+    # A way straight on into the unknown may leave the picture: it would make the map tiny.
+    extents += [drive.known_path for _, drive in layers.drives]
     walls = walls_of([v.moved(T) for v in layers.views], own.name)
     turned = [apply(T, points.reshape(-1, 2)) for points in extents]
     plot = map_figure([*turned, wall_points(walls)])
@@ -95,7 +96,7 @@ def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
     site.runs(ranks(result), len(own.poses))
     site.closures(layers.maps)
     site.unexplored()
-    site.changes(layers.changes)
+    site.changes(own.name, layers.changes)
     site.drives(own.name, layers.drives)
     site.junctions()
     site.frame()
@@ -289,14 +290,14 @@ class _Site:
             name="branches never driven",
         )
 
-    def changes(self, found: Sequence[Change]) -> None:
+    def changes(self, home: str, found: Sequence[Change]) -> None:
         """What is gone, new, or there at times."""
         shown = [c for c in found if c.sure]
         if not shown:
             return
         paths = [self._changed(c) for c in shown]
         x, y = path_columns(apply(self.T, p) for p in paths)
-        told = [change_told(c) for c in shown]
+        told = [described_change(c, home) for c in shown]
         self._lines(x, y, told, BAD, "changes", width=9.0, alpha=0.4)
         self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", size=16.0, filled=False)
 
@@ -481,18 +482,9 @@ HIDDEN = ("closures", "closures refused")
 """Layers that are switched on by hand."""
 
 
-def change_told(change: Change) -> str:
-    """A change with its witnesses, on one line."""
-    verb = {"gone": "Gone", "new": "New", "differs": "There at times"}[str(change.kind)]
-    ends = change.junctions
-    what = f"junction {ends[0]}"
-    if change.thing == "corridor":
-        what = f"corridor of {change.length:.1f} m between junctions {ends[0]} and {ends[1]}"
-    there, missing = ([w.run for w in ws] for ws in (change.there, change.missing))
-    return (
-        f"{verb}: {what}. Passed by {listed(there, MOST_RUNS)}; not there for "
-        f"{listed(missing, MOST_RUNS)}. {change.bits:.1f} bits, {change.needed:.1f} needed"
-    )
+def described_change(change: Change, site: str) -> str:
+    """What changed, when, for whom and how surely, as sentences on one line."""
+    return " ".join(f"{words[0].upper()}{words[1:]}." for words in change.words(site))
 
 
 def own_map(topomap: TopoMap) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
 from ..merge.decision import Decision, Placement
-from ..merge.decision_text import because, digits_of, itemised, missing, needs, rows
+from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
@@ -192,11 +192,11 @@ def _opened(
     if pair.locked:
         out["locked"] = pair.locked
     if decision is not None:
-        lines = [because(decision), missing(decision) or "", f"Needed: {needs(decision)}"]
+        lines = [because(decision), advice(decision) or "", f"Needed: {needs(decision)}"]
         lines += [f"Note: {note}" for note in decision.notes]
         out["told"] = [legible(line) for line in lines if line]
         out["rows"] = [
-            [row.level, legible(row.told), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
+            [row.level, legible(row.text), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
             for row in rows(decision, MOST_LINKS)
         ]
         placed = [_placed(p.alignment, maps, pair, p, decision) for p in decision.placements]
@@ -208,7 +208,7 @@ def _opened(
 
 
 def _bits(bits: float | None, decision: Decision) -> str:
-    return "" if bits is None else f"{bits:+.{digits_of(decision)}f}"
+    return "" if bits is None else f"{bits:+z.{digits_of(decision)}f}"
 
 
 def _placed(
@@ -230,7 +230,7 @@ def _placed(
         "spots": [[list(a), list(b)] for a, b in alignment.contradicting],
     }
     if placement is not None and decision is not None:
-        links = itemised(placement, "corridor", digits_of(decision))
+        links = itemised(placement, "corridor")
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out
 

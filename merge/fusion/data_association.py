@@ -12,7 +12,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.cluster.hierarchy import DisjointSet
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
@@ -45,8 +44,8 @@ class CoincidenceSettings:
     length_share: float = 0.06
     """See `length_m`."""
     min_chain: int = 3
-    """Runs without a match of their own need at least this many coincident places that corridors
-    connect, or that lie within `gate_m`."""
+    """Runs without a match of their own need at least this many coincident places within
+    `gate_m`."""
     rounds: int = 4
     """Limit on rounds of fusing and optimising."""
 
@@ -54,35 +53,40 @@ class CoincidenceSettings:
 COINCIDENCE = CoincidenceSettings()
 
 
-@dataclass(frozen=True, slots=True)
-class _Leg:
-    """A corridor at one row: the row at its other end, and its length [m]."""
-
-    far: int
-    length: float
-
-
 class _Surroundings:
-    """Branches and corridors of every row of a pool, in the component's frame."""
+    """Branches of every row of a pool in the component's frame, and the lengths of corridors by the
+    branch that they leave by."""
 
-    def __init__(self, pool: Pool, pose: FloatArray, label: IntArray) -> None:
-        self.label = label
+    def __init__(self, pool: Pool, pose: FloatArray) -> None:
         self.units: list[ComplexArray] = []
-        self.legs: list[dict[int, _Leg]] = [{} for _ in range(len(pool))]
+        self.lengths: list[dict[int, float]] = [{} for _ in range(len(pool))]
         for m in pool.maps:
             first = pool.first[m.run]
             self.units += [unit_headings(m.branches[v] + pose[first + v, 2]) for v in range(len(m))]
             columns = (m.source, m.source_branch, m.target, m.target_branch, m.length)
             for s, i, t, j, length in zip(*(c.tolist() for c in columns), strict=True):
                 if NO_BRANCH not in {i, j}:
-                    self.legs[first + s][i] = _Leg(first + t, length)
-                    self.legs[first + t][j] = _Leg(first + s, length)
+                    self.lengths[first + s][i] = length
+                    self.lengths[first + t][j] = length
 
     def partners(self, u: int, v: int, gate_rad: float) -> list[tuple[int, int]]:
         """Mutually nearest branches of two rows, within a gate."""
         pairs = mutual_nearest(self.units[u][None], self.units[v][None], float(np.cos(gate_rad)))
         i = pairs.paired[0].nonzero()[0]
         return list(zip(i.tolist(), pairs.nearest[0, i].tolist(), strict=True))
+
+    def contradicted(self, u: int, v: int) -> bool:
+        """Whether of the corridors that leave both rows by paired branches more disagree in length
+        than agree."""
+        pairs = self.partners(u, v, COINCIDENCE.branch_gate_rad)
+        lengths = [(self.lengths[u].get(i), self.lengths[v].get(j)) for i, j in pairs]
+        agree = [_alike(x, y) for x, y in lengths if x is not None and y is not None]
+        return 2 * sum(agree) < len(agree)
+
+
+def _alike(x: float, y: float) -> bool:
+    """Whether two lengths [m] agree."""
+    return abs(x - y) <= COINCIDENCE.length_m + COINCIDENCE.length_share * min(x, y)
 
 
 def coincident(
@@ -91,18 +95,18 @@ def coincident(
     """Pairs of rows whose groups are one place, nearest first.
 
     pose: (n, 3) of every row in the component's frame; matched: pairs of runs with an accepted
-    match. For two matched runs coincidence is enough. Other pairs need a corridor from both to a
-    place that they share, or several coincident places, connected by agreeing corridors or within
-    `gate_m`. A pair with more disagreeing than agreeing corridors is rejected.
+    match. For two matched runs coincidence is enough, others need several coincident places within
+    `gate_m`. A pair with more disagreeing than agreeing corridors is rejected. (Tried: also fusing
+    pairs with a corridor from both to a place that they share, and chains of pairs that agreeing
+    corridors connect. Of 23 merges of up to 8 runs it changes none.)
     """
     label = groups.labels()
-    around = _Surroundings(pool, pose, label)
+    around = _Surroundings(pool, pose)
     candidates = _candidates(pool, label, pose, around)
     direct = {frozenset(pair) for pair in matched}
     runs = [frozenset(r) for r in _runs_of(pool, label)]
     names = [m.run for m in pool.maps]
-    chains = _Chains([(u, v) for u, v, _ in candidates], around)
-    fair = [(u, v, distance) for u, v, distance in candidates if not chains.contradicted(u, v)]
+    fair = [(u, v, distance) for u, v, distance in candidates if not around.contradicted(u, v)]
     between = [
         {frozenset((names[r], names[s])) for r in runs[label[u]] for s in runs[label[v]]}
         for u, v, _ in fair
@@ -114,58 +118,7 @@ def coincident(
         for pair in pairs
     )
     often = direct | {pair for pair, count in near.items() if count >= COINCIDENCE.min_chain}
-    return [
-        (u, v)
-        for (u, v, _), pairs in zip(fair, between, strict=True)
-        if pairs & often or chains.anchored(u, v) or chains.size(u, v) >= COINCIDENCE.min_chain
-    ]
-
-
-class _Chains:
-    """Candidate pairs connected by agreeing corridors, with the evidence for and against each."""
-
-    def __init__(self, candidates: list[tuple[int, int]], around: _Surroundings) -> None:
-        self._around = around
-        self._place = {}
-        for k, (u, v) in enumerate(candidates):
-            label = around.label
-            self._place[(int(label[u]), int(label[v]))] = k
-            self._place[(int(label[v]), int(label[u]))] = k
-        self._number = {pair: k for k, pair in enumerate(candidates)}
-        self._joined = DisjointSet(range(len(candidates)))
-        for pair, k in self._number.items():
-            for far in self._agreeing(*pair):
-                if far in self._place:
-                    self._joined.merge(k, self._place[far])
-
-    def size(self, u: int, v: int) -> int:
-        """Number of candidate pairs connected with this one."""
-        return self._joined.subset_size(self._number[u, v])
-
-    def anchored(self, u: int, v: int) -> bool:
-        """Whether an agreeing corridor leads from both to one place."""
-        return any(x == y for x, y in self._agreeing(u, v))
-
-    def contradicted(self, u: int, v: int) -> bool:
-        """Whether more corridors disagree than agree."""
-        good = len(self._agreeing(u, v))
-        return len(self._both_driven(u, v)) - good > good
-
-    def _both_driven(self, u: int, v: int) -> list[tuple[_Leg, _Leg]]:
-        around = self._around
-        pairs = around.partners(u, v, COINCIDENCE.branch_gate_rad)
-        both = ((around.legs[u].get(i), around.legs[v].get(j)) for i, j in pairs)
-        return [(x, y) for x, y in both if x is not None and y is not None]
-
-    def _agreeing(self, u: int, v: int) -> list[tuple[int, int]]:
-        """Places at the far ends of corridors that leave both rows by paired branches with agreeing
-        lengths."""
-        s, label = COINCIDENCE, self._around.label
-        return [
-            (int(label[x.far]), int(label[y.far]))
-            for x, y in self._both_driven(u, v)
-            if abs(x.length - y.length) <= s.length_m + s.length_share * min(x.length, y.length)
-        ]
+    return [(u, v) for (u, v, _), pairs in zip(fair, between, strict=True) if pairs & often]
 
 
 def _candidates(

@@ -7,14 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import DisjointSet
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.columns import joined
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
@@ -43,7 +41,7 @@ def fuse(
     maps: Sequence[TopoMap],
     verdicts: Sequence[PairVerdict],
     *,
-    asked: Iterable[Names] | None = None,
+    requested: Iterable[Names] | None = None,
     kept: Kept | None = None,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
@@ -54,9 +52,9 @@ def fuse(
     independent of the input's order. A run without a match is a component of its own, with its map
     unchanged.
 
-    asked: also compute the sigmas of all vertices, and every component's `spread` for its accepted
-    pairs and these; None: neither. kept: store of components fused before, which are not fused
-    again.
+    requested: pairs for which, and for accepted ones, every component's `spread` is computed, and
+    with it the sigmas of all vertices; None: neither. kept: store of components fused before, which
+    are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -66,14 +64,14 @@ def fuse(
     for v in accepted:
         inside[home[v.a]].append(v)
     wanted: list[list[Names]] = [[] for _ in groups]
-    for a, b in asked or ():
+    for a, b in requested or ():
         if home[a] == home[b]:
             wanted[home[a]].append((a, b))
     parts = [
         fused_once(
             [by_name[run] for run in runs],
             own,
-            None if asked is None else _keys(runs, own, some),
+            None if requested is None else _keys(runs, own, some),
             kept,
         )
         for runs, own, some in zip(groups, inside, wanted, strict=True)
@@ -98,17 +96,19 @@ CLASSES = {cls.__name__: cls for cls in (FusedComponent, FusedMap, Spread, Ragge
 
 def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -> list[list[str]]:
     """Runs connected by accepted verdicts, each list sorted, lists by their first runs."""
-    joined = DisjointSet(runs)
+    partition = DisjointSet(runs)
     for v in accepted:
-        joined.merge(v.a, v.b)
-    return sorted(sorted(component) for component in joined.subsets())
+        partition.merge(v.a, v.b)
+    return sorted(sorted(component) for component in partition.subsets())
 
 
-def _keys(runs: Sequence[str], inside: Iterable[PairVerdict], asked: Iterable[Names]) -> IntArray:
+def _keys(
+    runs: Sequence[str], inside: Iterable[PairVerdict], requested: Iterable[Names]
+) -> IntArray:
     """Keys as in `Spread` of the pairs whose relative covariance is wanted: accepted ones and those
-    asked for."""
+    requested."""
     number, count = {run: k for k, run in enumerate(runs)}, len(runs)
-    pairs = {(v.a, v.b) for v in inside}.union(asked)
+    pairs = {(v.a, v.b) for v in inside}.union(requested)
     return np.array(sorted(number[a] * count + number[b] for a, b in pairs), np.int64)
 
 
@@ -134,7 +134,7 @@ def component_digest(
     sure: IntArray | None = None,
 ) -> bytes:
     """A digest of everything that a component depends on: its maps and their names, the matches
-    and ties that join them, strongest first, and the covariances asked for; not of evidence."""
+    and ties that join them, strongest first, and the covariances requested for; not of evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
     names = repr([m.run for m in maps]), repr(sure if sure is None else sure.tolist())
     parts = [*map(str.encode, names), *map(kept.digest, maps)]
@@ -195,8 +195,8 @@ def _settle(
     joint = settle(pool, groups.labels(), start, within, across)
     for _ in range(COINCIDENCE.rounds):
         pairs = coincident(pool, groups, joint.pose, matched)
-        joined = [groups.join(u, v) for u, v in pairs]
-        if not any(joined):
+        fused = [groups.join(u, v) for u, v in pairs]
+        if not any(fused):
             break
         joint = settle(pool, groups.labels(), start, within, across)
     return joint
@@ -256,41 +256,19 @@ def _fused_map(
 
 
 def _in_a_row(parts: Sequence[FusedMap]) -> FusedMap:
-    """All components concatenated into one FusedMap, with consecutive vertex numbers."""
+    """All components concatenated into one FusedMap, with consecutive vertex numbers; sigmas are
+    NaN for components without, and None if none has any."""
+    if any(p.position_sigma is not None for p in parts):
+        parts = [
+            replace(p, position_sigma=np.full(len(p), np.nan)) if p.position_sigma is None else p
+            for p in parts
+        ]
     sizes = [len(p) for p in parts]
     first = np.cumsum([0, *sizes])[:-1].repeat([len(p.source) for p in parts])
-
-    def joined(name: str, none: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([none, *(getattr(p, name) for p in parts)])
-
-    def chained(name: str) -> tuple[Any, ...]:
-        return tuple(chain.from_iterable(getattr(p, name) for p in parts))
-
-    ints, floats = np.zeros(0, np.int64), np.zeros(0)
-    return FusedMap(
+    whole = joined(parts or [_fused_map(Pool.of([]), np.zeros((0, 2)), [], [])])
+    return replace(
+        whole,
         component=np.repeat(np.arange(len(parts)), sizes),
-        xy=joined("xy", np.zeros((0, 2))),
-        branches=Ragged.joined([p.branches for p in parts]),
-        kind=chained("kind"),
-        members=chained("members"),
-        observations=chained("observations"),
-        source=joined("source", ints) + first,
-        target=joined("target", ints) + first,
-        source_branch=joined("source_branch", ints),
-        target_branch=joined("target_branch", ints),
-        length=joined("length", floats),
-        length_sigma=joined("length_sigma", floats),
-        traversals=joined("traversals", ints),
-        paths=chained("paths"),
-        edge_members=chained("edge_members"),
-        position_sigma=_sigmas_in_a_row(parts),
+        source=whole.source + first,
+        target=whole.target + first,
     )
-
-
-def _sigmas_in_a_row(parts: Sequence[FusedMap]) -> FloatArray | None:
-    """Concatenated sigmas, NaN for components without; None if none has any."""
-    if all(p.position_sigma is None for p in parts):
-        return None
-    nothing = (np.full(len(p), np.nan) for p in parts)
-    rows = zip((p.position_sigma for p in parts), nothing, strict=True)
-    return np.concatenate([none if known is None else known for known, none in rows])

@@ -60,18 +60,18 @@ class Across:
     """The evidence of a batch on copies.
 
     prepared: the maps; places: their junctions, x + iy; joins: alignments by which pairs would be
-    joined; other: alignments of pairs rejected because one map is larger; asked: alignments of
-    pairs that were tested for being a copy, with the evidence that they are not [bits]; answers:
-    runs that test for some of the other `joins`; locked: pairs joined by a lock; most_sigmas:
-    largest accepted difference in size.
+    joined; other: alignments of pairs rejected because one map is larger; tested: alignments of
+    pairs that were tested for being a copy, with the evidence that they are not [bits];
+    same_place_bits: runs that test for some of the other `joins`; locked: pairs joined by a lock;
+    most_sigmas: largest accepted difference in size.
     """
 
     prepared: Sequence[Prepared]
     places: Sequence[ComplexArray]
     joins: Mapping[Pair, Alignment]
     other: Mapping[Pair, Alignment]
-    asked: Mapping[Pair, tuple[Alignment, float]]
-    answers: Callable[[Sequence[Pair]], Sequence[float]]
+    tested: Mapping[Pair, tuple[Alignment, float]]
+    same_place_bits: Callable[[Sequence[Pair]], Sequence[float]]
     locked: Collection[Pair]
     most_sigmas: float
 
@@ -89,10 +89,10 @@ class Across:
             if self._sigmas(components, pair, across) > self.most_sigmas:
                 return LARGER_TOGETHER
         if any(self._across(components, pair, self._copies)):
-            told = {p: self.asked[p][1] for p, _ in self._across(components, pair, self._asked)}
+            bits = {p: self.tested[p][1] for p, _ in self._across(components, pair, self._tested)}
             joined = (p for p, _ in self._across(components, pair, self._joined))
-            unasked = [p for p in joined if p not in told]
-            if sum(told.values()) + sum(self.answers(unasked)) < -MATCH.lead_bits:
+            untested = [p for p in joined if p not in bits]
+            if sum(bits.values()) + sum(self.same_place_bits(untested)) < -MATCH.lead_bits:
                 return COPY_TOGETHER
         return None
 
@@ -105,13 +105,13 @@ class Across:
         return _ByRun(self.joins)
 
     @cached_property
-    def _asked(self) -> _ByRun:
-        return _ByRun({pair: found for pair, (found, _) in self.asked.items()})
+    def _tested(self) -> _ByRun:
+        return _ByRun({pair: found for pair, (found, _) in self.tested.items()})
 
     @cached_property
     def _copies(self) -> _ByRun:
         """Those of pairs that look more like copies than typical copies do."""
-        return _ByRun({pair: found for pair, (found, bits) in self.asked.items() if bits < 0})
+        return _ByRun({pair: found for pair, (found, bits) in self.tested.items() if bits < 0})
 
     def _across(
         self, components: Components, pair: Pair, known: _ByRun
@@ -138,11 +138,11 @@ class Across:
         """
         pairs = sorted(across)
         rows = [_common(*self._maps(p), across[p].matched) for p in pairs]
-        told = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
-        known = [k for k, (_, variance) in enumerate(told) if np.isfinite(variance)]
+        differences = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
+        known = [k for k, (_, variance) in enumerate(differences) if np.isfinite(variance)]
         if not known:
             return 0.0
-        value, variance = np.array(told)[known].T
+        value, variance = np.array(differences)[known].T
         first = components.head[pair[0]]
         sign = np.array([1.0 if components.head[pairs[k][0]] == first else -1.0 for k in known])
         runs, at = np.unique(np.array(pairs)[known], return_inverse=True)

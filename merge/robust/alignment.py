@@ -232,21 +232,6 @@ def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
     return Lanes.of(whole, whole, of_a, of_b)
 
 
-def best_seed(
-    a: Prepared, b: Prepared, settings: RobustSettings
-) -> tuple[Lanes, Seed, Candidate, int] | None:
-    """The strongest hypothesis of two maps before growth, to explain why none was found.
-
-    Returns its lane, itself, its evidence, and the number of hypotheses; None if no two corridors
-    are compatible.
-    """
-    _, _, found, tested = _hypotheses(a, b, candidate_links(a, b), settings)
-    if not found:
-        return None
-    lanes, (told,) = as_sown(a, b, found[:1], tested)
-    return lanes, found[0], told, len(found)
-
-
 def as_sown(
     a: Prepared, b: Prepared, hypotheses: Sequence[Seed], tested: int
 ) -> tuple[Lanes, list[Candidate]]:

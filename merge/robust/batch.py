@@ -3,10 +3,10 @@ pair by itself."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, islice
+from itertools import islice
 
 import numpy as np
 
@@ -14,14 +14,15 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
 from ..result import Alignment, PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
-from .assessment import ThresholdOf
+from .assessment import ThresholdOf, thresholds
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
+from .entries import Case
 from .mirror import doubt_mirrored
 from .pairing import Means, Pair, Pairwise
 from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
-from .tasks import Told, in_tiles
+from .tasks import Summary, in_tiles
 from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, needed_bits
 
 
@@ -29,23 +30,32 @@ from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, n
 class Batch:
     """The matches between the maps of a batch, and the verdicts on pairs by their two maps alone.
 
-    thresholds_of: the thresholds, given the pairs with a placement better than chance
-    (`assessment.thresholds`). asked: pairs named by a lock. found: result of matching, in short.
-    assessments: full assessments of locked and discarded pairs, and of pairs that would be merged
-    but for a rival or a mirror image; joins: verdicts on pairs that are merged by themselves;
-    alone: verdicts on all other pairs, the majority of a large batch, of which nothing but the
-    verdict in words (`worded`) is kept.
+    locked, discarded: pairs named by a lock, and those whose match the user discarded. found:
+    result of matching, in short; verdicts: on each of these pairs. Assessments with all candidates
+    would fill the memory: they are made again for the few pairs that other runs concern.
     """
 
     matcher: Pairwise
-    thresholds_of: Callable[[Mapping[Pair, float]], ThresholdOf]
-    worded: Callable[[Pair, Assessment], PairVerdict]
-    asked: Collection[Pair] = ()
-    found: dict[Pair, Told] = field(default_factory=dict)
-    assessments: dict[Pair, Assessment] = field(default_factory=dict)
-    joins: dict[Pair, PairVerdict] = field(default_factory=dict)
-    alone: dict[Pair, PairVerdict] = field(default_factory=dict)
+    locked: Collection[Pair] = ()
+    discarded: Collection[Pair] = ()
+    found: dict[Pair, Summary] = field(default_factory=dict)
+    verdicts: dict[Pair, PairVerdict] = field(default_factory=dict)
     _count: dict[int, PairCount] = field(default_factory=dict)
+
+    def match(self, wanted: IntArray) -> None:
+        """Match (k, 2) pairs and assess them."""
+        results = self.matcher.pairs(wanted)
+        found = {(i, j): short for (i, j), short in zip(wanted.tolist(), results, strict=True)}
+        found |= {pair: Summary() for pair in self.discarded if pair in found}
+        self.found.update(found)
+        for some in in_parts(list(found)):
+            for (i, j), assessment in self.assessments(some).items():
+                self.verdicts[i, j] = self.case((i, j), assessment).verdict()
+
+    def case(self, pair: Pair, assessment: Assessment) -> Case:
+        """A pair by its two maps alone."""
+        a, b = (self.matcher.prepared[k] for k in pair)
+        return Case(a, b, assessment)
 
     def threshold(self, some: Sequence[int], pairs: int | None = None) -> Threshold:
         """The threshold for two maps or two components if `pairs` pairs share the rate of false
@@ -60,10 +70,12 @@ class Batch:
     @cached_property
     def _threshold_of(self) -> ThresholdOf:
         """Given the pairs that were matched first."""
-        found = self.found.items()
-        chance = MATCH.lead_bits
-        return self.thresholds_of(
-            {p: t.against_chance for p, t in found if t.against_chance > chance}
+        beyond = {pair: short.against_chance for pair, short in self.found.items()}
+        return thresholds(
+            self.matcher.prepared,
+            self.matcher.settings,
+            {pair: bits for pair, bits in beyond.items() if bits > MATCH.lead_bits},
+            self.matcher.with_themselves(),
         )
 
     @cached_property
@@ -71,106 +83,83 @@ class Batch:
         """Evidence against chance of the pairs that were matched first [bits]."""
         return np.array([found.against_chance for found in self.found.values()])
 
-    def look_at(self, wanted: IntArray, gone: Iterable[Pair] = ()) -> None:
-        """Match (k, 2) pairs and assess them; matches of the pairs in `gone` are discarded."""
-        told = self.matcher.pairs(wanted)
-        found = {(i, j): short for (i, j), short in zip(wanted.tolist(), told, strict=True)}
-        found |= {pair: Told() for pair in gone}
-        self.found.update(found)
-        likely, pairs = {}, list(found)
-        for start in range(0, len(pairs), MATCH.at_once):
-            for pair, (view, _) in self.views(pairs[start : start + MATCH.at_once]).items():
-                if pair in gone:
-                    likely[pair] = replace(view, discarded=True)
-                elif view.verdict is Verdict.MERGED or pair in self.asked:
-                    likely[pair] = view
-                else:
-                    self._hold(pair, view)
-        likely |= self.beside_rivals(likely)
-        for pair, view in doubt_mirrored(likely, self._image_bits).items():
-            if view.verdict is Verdict.MERGED and pair not in self.asked:
-                self._hold(pair, view)
-            else:
-                self.assessments[pair] = view
+    def assessments(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
+        """Assessments of pairs by their two maps alone. Those that would be merged must lead every
+        other hypothesis beyond chance, and the mirror image."""
+        known = self.candidates(pairs)
+        out = self._assessed({pair: known.get(pair, ()) for pair in pairs})
+        for pair, assessment in out.items():
+            faint = self.found[pair].faint or assessment.faint
+            out[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
+        out |= self.beside_rivals(_merged(out))
+        return doubt_mirrored(out, self.matcher.image_bits(_rows(_merged(out))))
 
-    def _hold(self, pair: Pair, view: Assessment) -> None:
-        verdict = self.worded(pair, view)
-        (self.joins if verdict.accepted else self.alone)[pair] = verdict
-
-    def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, int]:
-        """Pairs of one component with a candidate that agrees with where other runs place the two:
-        the index of the first such candidate. Pairs without one are left out."""
-        full = [pair for pair in pairs if self.found[pair].full and components.together(*pair)]
-        out: dict[Pair, int] = {}
-        for start in range(0, len(full), MATCH.at_once):
-            some = full[start : start + MATCH.at_once]
-            for pair, candidates in self.candidates(some).items():
-                T_i_j, b = components.relative(*pair), self.matcher.places[pair[1]]
-                for n, c in enumerate(candidates):
-                    if c.bits > MATCH.lead_bits and agrees(as_alignment(c), T_i_j, b):
-                        out[pair] = n
-                        break
-        return out
-
-    def candidates(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
+    def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """The candidates of those of the pairs that have any beyond chance."""
         full = [pair for pair in pairs if self.found[pair].full]
-        rows = np.array(full, np.int64).reshape(-1, 2)
-        return dict(zip(full, self.matcher.candidates(rows), strict=True))
+        return dict(zip(full, self.matcher.candidates(_rows(full)), strict=True))
 
-    def views(self, pairs: Sequence[Pair]) -> dict[Pair, tuple[Assessment, tuple[Candidate, ...]]]:
-        """Assessments of pairs by their two maps alone, without mirror images, with the candidates
-        assessed."""
-        known = self.candidates(pairs)
-        candidates = [known.get(pair, ()) for pair in pairs]
-        out = {}
-        views = self._assessments(pairs, candidates)
-        for pair, told, view in zip(pairs, candidates, views, strict=True):
-            faint = self.found[pair].faint
-            out[pair] = (view if faint is None else replace(view, faint=faint)), told
-        return out
+    def beside_rivals(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
+        """Assessments after growing all hypotheses beyond chance."""
+        found = self.matcher.beside_rivals(_rows(pairs))
+        return self._assessed(dict(zip(pairs, found, strict=True)))
 
-    def beside_rivals(self, views: Mapping[Pair, Assessment]) -> dict[Pair, Assessment]:
-        """Assessments of the pairs that would be merged, after growing all hypotheses beyond
-        chance."""
-        pairs = [pair for pair, view in views.items() if view.verdict is Verdict.MERGED]
-        found = self.matcher.beside_rivals(np.array(pairs, np.int64).reshape(-1, 2))
-        return dict(zip(pairs, self._assessments(pairs, found), strict=True))
-
-    def _assessments(
-        self, pairs: Sequence[Pair], candidates: Sequence[tuple[Candidate, ...]]
-    ) -> list[Assessment]:
+    def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
         """The assessment of each pair by these candidates."""
         prepared = self.matcher.prepared
-        told = zip(pairs, candidates, strict=True)
-        return assess_all(
-            [(prepared[i], prepared[j], c, self.threshold((i, j))) for (i, j), c in told]
-        )
+        cases = [
+            (prepared[i], prepared[j], c, self.threshold((i, j)))
+            for (i, j), c in candidates.items()
+        ]
+        return dict(zip(candidates, assess_all(cases), strict=True))
+
+    @property
+    def joins(self) -> dict[Pair, PairVerdict]:
+        """The verdicts on pairs that are merged by themselves; a lock decides on others."""
+        return {p: v for p, v in self.verdicts.items() if v.accepted and p not in self.locked}
+
+    def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, Candidate]:
+        """Pairs of one component with a candidate that agrees with where other runs place the two:
+        the first such candidate. Pairs without one are left out."""
+        together = [pair for pair in pairs if components.together(*pair)]
+        out = {}
+        for (i, j), candidates in self.candidates(together).items():
+            beyond = (c for c in candidates if c.bits > MATCH.lead_bits)
+            for c in self._agreeing(beyond, components.relative(i, j), j):
+                out[i, j] = c
+        return out
+
+    def _agreeing(
+        self, candidates: Iterable[Candidate], T_i_j: FloatArray, j: int
+    ) -> Iterator[Candidate]:
+        """The first candidate that places run j as T_i_j does, if any."""
+        place = self.matcher.places[j]
+        return islice((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), 1)
 
     def of_other_size(self) -> dict[Pair, Alignment]:
         """The alignments of pairs that are not merged because one map is larger throughout."""
         return {
-            pair: told.best
-            for pair, told in self.alone.items()
-            if told.best is not None and told.lacks == OTHER_SIZE
+            pair: v.best
+            for pair, v in self.verdicts.items()
+            if v.best is not None and v.lacks == OTHER_SIZE and pair not in self.locked
         }
 
-    def asked_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:
+    def tested_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:
         """The alignments of pairs that were tested for being a copy, with the result [bits]."""
-        held = chain(self.joins.items(), self.alone.items())
-        told = ((pair, v.best, v.extra.get("same_place_bits")) for pair, v in held)
-        return {pair: (best, bits) for pair, best, bits in told if best and bits is not None}
+        return {
+            pair: (v.best, v.extra["same_place_bits"])
+            for pair, v in self.verdicts.items()
+            if v.best is not None and "same_place_bits" in v.extra and pair not in self.locked
+        }
 
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
         """Evidence that the alignments of some merged pairs are not copies [bits]."""
-        found, maps = self.candidates([pair for pair in pairs if pair in self.joins]), self.matcher
-        cases = []
-        for (i, j), candidates in found.items():
-            best = self.joins[i, j].best
+        prepared, cases = self.matcher.prepared, []
+        for (i, j), candidates in self.candidates(p for p in pairs if p not in self.locked).items():
+            best = self.verdicts[i, j].best
             assert best is not None
-            T_i_j, b = best.transform, maps.places[j]
-            chosen = (c for c in candidates if agrees(as_alignment(c), T_i_j, b))
-            cases += [(maps.prepared[i], maps.prepared[j], c) for c in islice(chosen, 1)]
+            chosen = self._agreeing(candidates, best.transform, j)
+            cases += [(prepared[i], prepared[j], c) for c in chosen]
         if not cases:
             return []
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies
@@ -178,17 +167,15 @@ class Batch:
 
     def undecided(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
-        chance = MATCH.lead_bits
-        known = ((pair, view.best, view.bits) for pair, view in self.assessments.items())
-        held = chain(self.joins.items(), self.alone.items())
-        worded = ((pair, told.best, told.evidence_bits) for pair, told in held)
-        both = chain(known, worded)
-        return [pair for pair, best, bits in both if best is not None and bits > chance]
+        return [
+            pair
+            for pair, v in self.verdicts.items()
+            if v.best is not None and v.evidence_bits > MATCH.lead_bits
+        ]
 
-    def _image_bits(self, pairs: list[Pair]) -> dict[Pair, float]:
-        return self.matcher.image_bits(np.array(pairs, np.int64).reshape(-1, 2))
-
-    def look_again(self, components: Components, joined: Iterable[Pair]) -> dict[Pair, Refusal]:
+    def match_overlapping(
+        self, components: Components, joined: Iterable[Pair]
+    ) -> dict[Pair, Refusal]:
         """Match the pairs that were screened out and now overlap, or were joined by their
         components; refused are those that are merged by themselves with another placement."""
         places = self.matcher.places
@@ -196,23 +183,34 @@ class Batch:
             return {}
         over = {*lying_over(components, places), *joined}
         fresh = sorted(p for p in over if p not in self.found)
-        self.look_at(np.array(fresh, np.int64).reshape(-1, 2))
+        self.match(_rows(fresh))
         out = {}
         for i, j in fresh:
-            told = self.joins.get((i, j))
-            if told is None or told.best is None:
-                continue
-            if not agrees(told.best, components.relative(i, j), places[j]):
+            found = self.verdicts[i, j].best if self.verdicts[i, j].accepted else None
+            if found is not None and not agrees(found, components.relative(i, j), places[j]):
                 out[i, j] = ELSEWHERE
         return out
 
 
-def wanted_pairs(matcher: Pairwise, locked: Iterable[Pair] = ()) -> IntArray:
+def _rows(pairs: Sequence[Pair]) -> IntArray:
+    """(k, 2) pairs as an array."""
+    return np.array(pairs, np.int64).reshape(-1, 2)
+
+
+def _merged(assessments: Mapping[Pair, Assessment]) -> list[Pair]:
+    return [pair for pair, a in assessments.items() if a.verdict is Verdict.MERGED]
+
+
+def in_parts(pairs: Sequence[Pair]) -> Iterator[Sequence[Pair]]:
+    """The pairs, as many as are assessed at once."""
+    return (pairs[k : k + MATCH.at_once] for k in range(0, len(pairs), MATCH.at_once))
+
+
+def wanted_pairs(matcher: Pairwise, named: Iterable[Pair] = ()) -> IntArray:
     """(k, 2) pairs to be matched: all of a small batch; of a large one those that pass screening,
     and those named by locks."""
     likely = pairs_to_match(matcher.prepared, matcher.settings)
-    asked = np.array(sorted(locked), np.int64).reshape(-1, 2)
-    return np.unique(np.concatenate([likely, asked]), axis=0)
+    return np.unique(np.concatenate([likely, _rows(sorted(named))]), axis=0)
 
 
 def match_shard(

@@ -22,20 +22,20 @@ def branch_bits(
     turn: (k,) rotation b → a as unit numbers. One of two close forks may appear as a whole crossing
     in the other map: it counts as that, at the price of a fault, if that fits better.
     """
-    of_a, of_b = _Looks.of(a, va), _Looks.of(b, vb)
-    told = _nats(of_a, of_b, turn)
+    of_a, of_b = _Observed.of(a, va), _Observed.of(b, vb)
+    nats = _nats(of_a, of_b, turn)
     for m, v, crossing_of_a in ((a, va, True), (b, vb, False)):
         rows = (m.halves.half.take(v) != v).nonzero()[0]
         if len(rows):
-            whole = _Looks.of_crossings(m, v[rows])
+            whole = _Observed.of_crossings(m, v[rows])
             pair = (whole, take(of_b, rows)) if crossing_of_a else (take(of_a, rows), whole)
             better = _nats(*pair, turn[rows]) + np.log(m.fault_rate[v[rows]])
-            told[rows] = np.maximum(told[rows], better)
-    return doubted(told, of_a.descriptor[:, 4] + of_b.descriptor[:, 4]) / BIT
+            nats[rows] = np.maximum(nats[rows], better)
+    return doubted(nats, of_a.descriptor[:, 4] + of_b.descriptor[:, 4]) / BIT
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looks:
+class _Observed:
     """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) descriptor; see
     `Prepared`."""
 
@@ -44,19 +44,19 @@ class _Looks:
     descriptor: FloatArray
 
     @classmethod
-    def of(cls, m: Prepared, v: IntArray) -> _Looks:
+    def of(cls, m: Prepared, v: IntArray) -> _Observed:
         descriptor = m.descriptor.take(v, axis=0)
         return cls(m.branch_unit.take(v, axis=0), m.turn_rarity.take(v, axis=0), descriptor)
 
     @classmethod
-    def of_crossings(cls, m: Prepared, v: IntArray) -> _Looks:
+    def of_crossings(cls, m: Prepared, v: IntArray) -> _Observed:
         descriptor = m.descriptor.take(v, axis=0)
         descriptor[:, 0] = 4
         whole = m.halves
         return cls(whole.unit.take(v, axis=0), whole.rarity.take(v, axis=0), descriptor)
 
 
-def _nats(a: _Looks, b: _Looks, turn: ComplexArray) -> FloatArray:
+def _nats(a: _Observed, b: _Observed, turn: ComplexArray) -> FloatArray:
     """(k,) log likelihood ratio [nats], without the detectors' confidence.
 
     The null model is how common such junctions are in both maps (`Prepared.descriptor`). Each

@@ -115,16 +115,16 @@ class _Unseen:
         return take(self, self.bits.nonzero()[0])
 
 
-def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
-    """The contradictions of the match in each lane of `asked`; none for the others.
+def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
+    """The contradictions of the match in each lane of `searched`; none for the others.
 
     O(points · log points). A corridor counts once: one that passes an undetected junction does not
     also lead elsewhere.
     """
     lanes = grown.lanes
-    near = (grown.support_m < MATCH.near_m) & asked[lanes.lane]
+    near = (grown.support_m < MATCH.near_m) & searched[lanes.lane]
     extra_b, extra_a = _extra_b(grown, near), _extra_a(grown, near)
-    lane, leave_a, leave_b = _elsewhere(grown, asked, extra_b, extra_a)
+    lane, leave_a, leave_b = _elsewhere(grown, searched, extra_b, extra_a)
     extra_b, extra_a = extra_b.weighty, extra_a.weighty
     corridor_a, corridor_b = lanes.a.corridor[lanes.of_a], lanes.b.corridor[lanes.of_b]
     vertex_a, vertex_b = lanes.a.vertex[lanes.of_a], lanes.b.vertex[lanes.of_b]
@@ -134,7 +134,7 @@ def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
     weight = _elsewhere_bits(grown).tolist()
     firsts = [cuts(found, len(lanes)) for found in (extra_b.lane, extra_a.lane, lane)]
     out = [NO_CONFLICTS] * len(lanes)
-    for k in asked.nonzero()[0].tolist():
+    for k in searched.nonzero()[0].tolist():
         of_b, of_a, far = (slice(first[k], first[k + 1]) for first in firsts)
         out[k] = Conflicts(
             extra_b=own_b[of_b],
@@ -150,12 +150,12 @@ def conflicts(grown: Grown, asked: BoolArray) -> list[Conflicts]:
 
 
 def _elsewhere(
-    grown: Grown, asked: BoolArray, extra_b: _Unseen, extra_a: _Unseen
+    grown: Grown, searched: BoolArray, extra_b: _Unseen, extra_a: _Unseen
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Corridors that leave matched junctions by one branch and lead to different ones, not
     explained by a junction inside them: lane, directed rows of both maps."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
-    some = asked[grown.lane].nonzero()[0]
+    some = searched[grown.lane].nonzero()[0]
     va, row, lane = grown.a[some], grown.row[some], grown.lane[some]
     vb = lanes.vertex[row]
     k, branch_a, branch_b = common_branches(a, b, va, vb, grown.turn[row])
@@ -173,10 +173,10 @@ def _elsewhere(
     lane, leave_a, leave_b = lane[astray], leave_a[astray], leave_b[astray]
     far_a, far_b = far_a[astray], far_b[astray]
 
-    def told(told_lane: IntArray, what: IntArray, asked_for: IntArray, most: int) -> BoolArray:
-        """Whether a contradiction (`told_lane`, `what`) of the same lane concerns `asked_for`
+    def explained_by(of_lane: IntArray, what: IntArray, wanted: IntArray, most: int) -> BoolArray:
+        """Whether a contradiction (`of_lane`, `what`) of the same lane concerns `wanted`
         already; indices are below `most`."""
-        return np.isin(lane * most + asked_for, told_lane * most + what)
+        return np.isin(lane * most + wanted, of_lane * most + what)
 
     vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
     either_a, either_b = (
@@ -186,10 +186,10 @@ def _elsewhere(
     passed_a, passed_b = (
         np.minimum(m.reverse[row], row) for m, row in ((a, extra_b.edge), (b, extra_a.edge))
     )
-    explained = told(extra_b.lane, passed_a, either_a, corridors)
-    explained |= told(extra_a.lane, extra_a.vertex, far_a, vertices)
-    explained |= told(extra_a.lane, passed_b, either_b, corridors)
-    explained |= told(extra_b.lane, extra_b.vertex, far_b, vertices)
+    explained = explained_by(extra_b.lane, passed_a, either_a, corridors)
+    explained |= explained_by(extra_a.lane, extra_a.vertex, far_a, vertices)
+    explained |= explained_by(extra_a.lane, passed_b, either_b, corridors)
+    explained |= explained_by(extra_b.lane, extra_b.vertex, far_b, vertices)
     of_a, of_b = (lanes.a, lanes.of_a[lane]), (lanes.b, lanes.of_b[lane])
     explained |= _never_shown(of_a, of_b, far_b) | _never_shown(of_b, of_a, far_a)
     left = ~explained
@@ -234,9 +234,9 @@ def _weight(
     driven, seen = blind.whole.traversals[edge], seeing.whole.observations[vertex]
     missed = (miss + MATCH.fault_floor) ** np.minimum(driven, 3)
     invented = (invent + MATCH.fault_floor) ** np.minimum(seen, 3)
-    told = np.maximum(np.log(np.minimum(missed + invented, 1.0)), -LIKELIHOOD.most)
-    told[_never_shown(missing, extra, vertex)] = 0.0
-    return -doubted(told, np.log(seeing.whole.confidence[vertex])) / BIT
+    nats = np.maximum(np.log(np.minimum(missed + invented, 1.0)), -LIKELIHOOD.most)
+    nats[_never_shown(missing, extra, vertex)] = 0.0
+    return -doubted(nats, np.log(seeing.whole.confidence[vertex])) / BIT
 
 
 def _never_shown(

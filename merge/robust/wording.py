@@ -24,10 +24,10 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
         return f"{text}; no other alignment comes near"
     digits = decimals(bits, need_bits)
     lead = shown_lead(bits, bits - margin, digits)
-    told = shown_bits(abs(lead), digits)
+    bits_apart = shown_bits(abs(lead), digits)
     if lead < 0:
-        return f"{text}; another alignment has {told} bits more"
-    return f"{text}; next best alignment {told} bits behind"
+        return f"{text}; another alignment has {bits_apart} bits more"
+    return f"{text}; next best alignment {bits_apart} bits behind"
 
 
 def nothing(best: Faint | None, need_bits: float) -> str:
@@ -44,10 +44,10 @@ Ends = tuple[int, ...]
 def contradictions(best: Candidate, a: Prepared, b: Prepared) -> list[tuple[str, Ends, Ends]]:
     """For every contradiction of an alignment a sentence, and the vertices of a and of b that it
     concerns: one, or the two ends of a corridor."""
-    return [(_told(c, a.run, b.run), c.of_a, c.of_b) for c in one_by_one(best.conflicts, a, b)]
+    return [(_sentence(c, a.run, b.run), c.of_a, c.of_b) for c in one_by_one(best.conflicts, a, b)]
 
 
-def _told(c: Contradiction, run_a: str, run_b: str) -> str:
+def _sentence(c: Contradiction, run_a: str, run_b: str) -> str:
     one, two = (" to ".join(map(str, ends)) for ends in (c.of_a, c.of_b))
     if c.kind == "unseen":
         inside = len(c.of_a) == 1

@@ -135,6 +135,22 @@ def test_a_broken_map_does_not_stop_the_others(topobatch, workspace):
     assert (workspace / "merged.rrd").exists()
 
 
+@pytest.mark.parametrize("harm", [Path.unlink, lambda path: path.write_bytes(b"{")])
+def test_a_merge_whose_map_is_lost_or_damaged_is_not_overwritten(topobatch, workspace, harm):
+    assert topobatch("merge", "--all", "-w", workspace).code == 0
+    before = (workspace / "merged.json").read_bytes()
+    harm(workspace / "maps" / f"{b}.json")
+    done = topobatch("merge", "--all", "-w", workspace)
+    assert done.code in (1, 2)
+    assert f"this one leaves out {b}" in done.err
+    assert "--replace" in done.err
+    assert (workspace / "merged.json").read_bytes() == before
+    done = topobatch("merge", "--all", "--replace", "-w", workspace)
+    assert f"{b}.json" in done.err or not (workspace / "maps" / f"{b}.json").exists()
+    document = json.loads((workspace / "merged.json").read_bytes())
+    assert [list(c["runs"]) for c in document["graph"]["components"]] == [[a]]
+
+
 def test_only_broken_maps(topobatch, tmp_path):
     (tmp_path / "maps").mkdir()
     (tmp_path / "maps" / "x.json").write_text("{}")

@@ -12,6 +12,7 @@ from topobatch.ingest.mapping import build_map
 from topobatch.merge.change import ChangeKind, change_to_document
 from topobatch.merge.changes import changes
 from topobatch.merge.document import merged_to_document
+from topobatch.merge.locks import Lock
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import DRIFTS, FAULTS, RunSettings, make_world, simulate_run
@@ -94,3 +95,32 @@ def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
             for j in change.junctions
             for v in members[j].get("tuesday", ())
         )
+
+
+def test_a_corridor_gone_with_the_junction_at_its_end_is_one_change(draw) -> None:
+    """Where it left a straight corridor, the later runs drive by without detecting a junction."""
+    corners = {
+        (i, j): (x, y) for i, x in enumerate((0, 7, 16, 29)) for j, y in enumerate((0, 5, 13))
+    }
+    across = [((i, j), (i + 1, j)) for i in range(3) for j in range(3)]
+    up = [((i, j), (i, j + 1)) for i in range(4) for j in range(2)]
+    gone, end = ((1, 0), (1, 1)), (1, 0)
+    later = [pair for pair in across + up if end not in pair] + [((0, 0), (2, 0))]
+    left = {name: xy for name, xy in corners.items() if name != end}
+    drawn = [draw("monday", corners, across + up), draw("tuesday", left, later)]
+    maps = {
+        m.run: replace(m, observation_time_ns=m.observation_time_ns + EPOCH_NS + k * DAY_NS)
+        for k, m in enumerate(drawn)
+    }
+    locks = [Lock("monday", "tuesday", "same")]
+    merged = merged_to_document(merge_maps(list(maps.values()), locks=locks))
+    (change,) = changes(MergedDocument.model_validate(merged), 0, maps)
+    ends = {tuple(merged["nodes"][j]["members"]["monday"]) for j in change.junctions}
+    assert ends == {(list(corners).index(name),) for name in gone}
+    assert (change.thing, change.kind, change.sure) == ("corridor", ChangeKind.GONE, True)
+    assert [w.run for w in change.between] == ["monday", "tuesday"]
+    what, when, who, evidence = change.words("north")
+    assert what.startswith("gone: corridor of 5.0 m between junctions")
+    assert when.startswith("last found 2023-11-14 22:13 (monday), first missing 2023-11-15")
+    assert who == "driven by monday; missing for tuesday in 2 passes"
+    assert evidence.endswith("needed")

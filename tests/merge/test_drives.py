@@ -100,8 +100,8 @@ def test_one_drive_passes_enough_of_both() -> None:
     assert first.bits_per_m > rest[0].bits_per_m
     where, settles = first.words
     assert where == f"{first.length_m:.0f} m in a, from junction 3 towards 4"
-    assert settles == "joins a and b, 1 pair, if they are one place"
-    assert first.way.endswith("11, b:16, b:17, b:18, b:19, b:20")
+    assert settles == "joins a and b, if they are one place: settles 1 open pair"
+    assert first.way.endswith("11; in b: 16, 17, 18, 19, 20")
 
 
 def test_into_the_unknown_from_what_is_known() -> None:

@@ -8,7 +8,6 @@ from topobatch.merge.decision import (
     Decision,
     Placement,
     Requirement,
-    Start,
     Term,
 )
 from topobatch.merge.decision_text import lines
@@ -18,7 +17,7 @@ from topobatch.viz.decision_recording import write_decision_recording
 
 from .readback import Readback
 
-NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5, 0.0)
+NEED = Requirement(12.55, 6, 0.001, 5, 4.0, 2.5)
 EVERY = np.repeat(np.arange(5), 2).reshape(-1, 2)
 
 
@@ -36,7 +35,7 @@ def placement(bits: float, matched: np.ndarray = EVERY) -> Placement:
 def decision(verdict: Verdict, placements: list[Placement], **fields: object) -> Decision:
     accepted = verdict is Verdict.MERGED
     best = placements[0].alignment if placements else None
-    bits = best.evidence_bits if best and "start" not in fields else 0.0
+    bits = best.evidence_bits if best else 0.0
     said = PairVerdict("a/1", "b", verdict, accepted, bits, "so it is", best)
     if len(placements) > 1:
         said = replace(said, margin_bits=bits - placements[1].alignment.evidence_bits)
@@ -77,14 +76,6 @@ def test_an_ambiguous_pair_is_drawn_both_ways(tmp_path: Path, make_map) -> None:
     assert titles == ["placement: 9.9 bits", "next best: 8.0 bits"]
     page = got.value("/decision", "TextDocument:text")[0]
     assert "it repeats itself" in page
-    assert "Missing: 2.7 bits of evidence" in page
-
-
-def test_an_unrelated_pair_shows_the_best_there_was(tmp_path: Path, make_map) -> None:
-    told = decision(Verdict.UNRELATED, [placement(3.0, EVERY[:2])], start=Start(1, 7, 4, 3))
-    got = written(tmp_path / "a.rrd", make_map, told)
-    assert "rejected" in got.value("/placements/titles", "Points2D:labels")[0]
-    assert "4 needed" in got.value("/decision", "TextDocument:text")[0]
 
 
 def seen(kind: int) -> Compared:

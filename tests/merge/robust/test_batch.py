@@ -1,12 +1,10 @@
 """What is found between the maps of a batch."""
 
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from topobatch.merge.result import Verdict
-from topobatch.merge.robust.assessment import thresholds
 from topobatch.merge.robust.batch import Batch
 from topobatch.merge.robust.pairing import Pairwise
 from topobatch.merge.robust.verdict import assess
@@ -20,11 +18,11 @@ def test_what_would_be_merged_is_held_against_every_rival(drawn):
     points = [(x + 40 * k, y) for k in range(3) for x, y in POINTS]
     edges = [(i + n * k, j + n * k) for k in range(3) for i, j in EDGES]
     matcher = Pairwise([drawn("a", points, edges), drawn("b", POINTS, EDGES)], two)
-    batch = Batch(matcher, partial(thresholds, matcher.prepared, two), lambda *_: None)
+    batch = Batch(matcher)
     (found,) = matcher.candidates(np.array([pair]))
     view = assess(*matcher.prepared, found, batch.threshold(pair))
     assert [(len(c), c.rival) for c, _ in view.ranked] == 2 * [(n, False)]
-    beside = batch.beside_rivals({pair: replace(view, verdict=Verdict.MERGED), (1, 1): view})
+    beside = batch.beside_rivals([pair])
     assert list(beside) == [pair]
     assert [c.rival for c, _ in beside[pair].ranked].count(True) == 1
     assert beside[pair].verdict is Verdict.AMBIGUOUS

@@ -7,6 +7,7 @@ import pytest
 
 from topobatch.merge.robust import RobustSettings, match, prepare
 from topobatch.merge.robust.components import Components, as_alignment
+from topobatch.merge.robust.pairing import Pairwise
 from topobatch.merge.robust.rematching import Rematcher
 from topobatch.merge.robust.repetition import default_copies
 from topobatch.merge.robust.verdict import Threshold, counted_bits
@@ -37,7 +38,6 @@ def found(three):
 def rematched(three, found, need_bits, never=(), asked=None, **others):
     """The components and reunions where the first two are joined and merging needs so much. asked:
     to be told of what runs, among how many pairs, that was asked; others: of the `Rematcher`."""
-    ready = [prepare(m) for m in three]
     threshold = Threshold(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
 
     def level_of(runs, pairs):
@@ -48,7 +48,7 @@ def rematched(three, found, need_bits, never=(), asked=None, **others):
     parts = Components(3, never)
     first = found[0, 1][0]
     parts.join(0, 1, first.transform)
-    rematcher = Rematcher(three, ready, parts, PAIRS, level_of, SETTINGS, **others)
+    rematcher = Rematcher(Pairwise(three, SETTINGS), parts, PAIRS, level_of, **others)
     return parts, rematcher.run({(0, 1): as_alignment(first)})
 
 
@@ -66,9 +66,9 @@ def test_two_merged_runs_say_of_a_third_what_neither_says_alone(three, found):
 def test_components_are_joined_as_locks_name_their_junctions_or_not_at_all(three, found):
     _, reunions = rematched(three, found, 15.0)
     (u, v), (_, w) = reunions[1, 2].alignment.matched[:2].tolist()
-    parts, honoured = rematched(three, found, 15.0, dishonoured={(1, 2): (u, v)})
+    parts, honoured = rematched(three, found, 15.0, unmet={(1, 2): (u, v)})
     assert parts.together(0, 2)
     assert set(honoured) == {(0, 2), (1, 2)}
-    parts, others = rematched(three, found, 15.0, dishonoured={(1, 2): (u, w)})
+    parts, others = rematched(three, found, 15.0, unmet={(1, 2): (u, w)})
     assert not parts.together(0, 2)
     assert others == {}
