@@ -136,13 +136,18 @@ def _as_site_name(run: str) -> str:
     return name or "site"
 
 
+OF_NO_PLACE = ("bag", "data", "log", "map", "mcap", "recording", "rosbag", "run")
+"""Names of folders, plural or not, that say what is in them and not where that was recorded."""
+
+
 def _shared_folder(
     runs: Collection[str], others: Iterable[str], folders: Mapping[str, tuple[str, ...]]
 ) -> list[str]:
     shared = tuple(_beginning([folders[run] for run in runs]))
     if not shared or any(folders[run][: len(shared)] == shared for run in others):
         return []
-    return [shared[-1]] if is_site_name(shared[-1]) else []
+    name = shared[-1]
+    return [name] if is_site_name(name) and name.lower().rstrip("s") not in OF_NO_PLACE else []
 
 
 def _shared_beginning(runs: Collection[str], others: Iterable[str]) -> list[str]:

@@ -28,6 +28,8 @@ def before(**sites):
 def test_a_new_site_is_called_after_its_folder() -> None:
     known = origins("a", "b", "c", "d", "e", a="north", b="north", c="south", d="south")
     assert named([["a", "b"], ["c", "d"], ["e"]], known=known)[0] == ["north", "south", "e"]
+    known = origins("hall-1", "hall-2", folder=("north", "Logs"))
+    assert named([["hall-1", "hall-2"]], known=known)[0] == ["hall"]
 
 
 def test_no_two_sites_have_one_name_nor_that_of_something_else() -> None:
