@@ -1,4 +1,4 @@
-"""`topobatch ingest` of many logs, each in a process of its own, with a common progress count."""
+"""`topobatch ingest` of many logs in several processes, with a common progress count."""
 
 from __future__ import annotations
 
@@ -55,11 +55,12 @@ def _side_by_side(
     try:
         while waiting or running:
             while waiting and len(running) < workers:
-                ours, theirs = context.Pipe(duplex=False)
-                process = context.Process(target=_ingest, args=(waiting[-1], theirs))
+                ours, theirs = context.Pipe()
+                process = context.Process(target=_ingest, args=(theirs,))
                 process.start()
                 theirs.close()
                 running[ours] = process, waiting.pop()
+                _send(ours, running[ours][1])
             for pipe in wait([*running]):
                 assert isinstance(pipe, Connection)
                 told = _received(pipe)
@@ -67,14 +68,26 @@ def _side_by_side(
                     on_bytes(told)
                     continue
                 process, job = running.pop(pipe)
-                process.join()
-                pipe.close()
+                if told is not None and waiting and _send(pipe, waiting[-1]):
+                    running[pipe] = process, waiting.pop()
+                else:
+                    pipe.close()  # ends the process
+                    process.join()
                 yield job, told
     finally:  # Ctrl-C: nobody waits for half-read logs
         for process, _ in running.values():
             process.terminate()
         for process, _ in running.values():
             process.join()
+
+
+def _send(pipe: Connection, job: IngestJob) -> bool:
+    """Whether the process was still there to receive a job."""
+    try:
+        pipe.send(job)
+    except OSError:
+        return False
+    return True
 
 
 def _received(pipe: Connection) -> int | IngestOutcome | None:
@@ -86,10 +99,19 @@ def _received(pipe: Connection) -> int | IngestOutcome | None:
     return told
 
 
-def _ingest(job: IngestJob, to: Connection) -> None:
-    """`ingest_one` in a process of its own."""
+def _ingest(pipe: Connection) -> None:
+    """`ingest_one` of the jobs that come, in a process of its own."""
     start_worker()
-    to.send(ingest_one(job, to.send))
+    while (job := _next(pipe)) is not None:
+        pipe.send(ingest_one(job, pipe.send))
+
+
+def _next(pipe: Connection) -> IngestJob | None:
+    try:
+        job: IngestJob = pipe.recv()
+    except EOFError:  # no more come
+        return None
+    return job
 
 
 def _context() -> Any:
