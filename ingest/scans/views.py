@@ -145,7 +145,9 @@ def _states(grid: Grid) -> NDArray[np.uint8]:
     """(h, w) states of a grid in cells of a view's size: a wall if any of its cells there is
     one, specks aside."""
     free = without_specks(grid.free & ~grid.unknown, grid.resolution_m)
-    states = np.where(free, FREE, np.where(grid.unknown, UNKNOWN, WALL))
+    states = np.full(free.shape, WALL, np.uint8)
+    states[grid.unknown] = UNKNOWN
+    states[free] = FREE
     for axis in (0, 1):
         count = states.shape[axis]
         first = np.arange(0, count * grid.resolution_m - 1e-9, CELL_M) / grid.resolution_m
@@ -155,7 +157,7 @@ def _states(grid: Grid) -> NDArray[np.uint8]:
             states = np.maximum.reduceat(states, begin, axis=axis)
         else:
             states = np.take(states, begin, axis=axis)
-    return states.astype(np.uint8)
+    return states
 
 
 def _spaced(points: FloatArray, apart: float) -> FloatArray:
