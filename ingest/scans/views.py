@@ -149,7 +149,7 @@ def _states(grid: Grid) -> NDArray[np.uint8]:
     states[grid.unknown] = UNKNOWN
     states[free] = FREE
     for axis in (0, 1):
-        count = states.shape[axis]
+        count = int(states.shape[axis])
         first = np.arange(0, count * grid.resolution_m - 1e-9, CELL_M) / grid.resolution_m
         begin = np.minimum(np.floor(first + 1e-9).astype(np.int64), count - 1)
         if grid.resolution_m < CELL_M:
