@@ -73,6 +73,9 @@ def changes(
         except ValueError as error:
             raise DocumentError(f"{place.merged_json}: component {number}: {error}") from error
     shown = [c for c in found if everything or c.sure]
+    shown.sort(
+        key=lambda c: (names[c.component], 0 if c.between is None else c.between[1].first_ns)
+    )
     if as_json:
         told = [change_to_document(c) | {"site": entries[c.component].site} for c in shown]
         say_lines(json.dumps(told))

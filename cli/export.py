@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.wording import counted, listed, utc
+from ..topology.wording import listed, utc
 from .export_grid import PICTURE, Exported, grid_texts
 from .options import (
     DEFAULT_WORKSPACE,
@@ -36,9 +36,6 @@ STDOUT = Path("-")
 
 CLOCKS_APART_NS = 10**9
 """How far passes may lie before or after all odometry."""
-
-MOST_NAMED = 4
-"""Components, and runs of each, that a warning lists."""
 
 
 Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum", "csv"]
@@ -160,16 +157,6 @@ def _sources(
     ids = [c.id for c in document.graph.components]
     one = merged.component(document.graph, component, site)
     chosen = ids if one is None else [one]
-    if len(chosen) > 1:
-        held = (
-            f"{c.site or c.id}: {listed(sorted(c.runs), MOST_NAMED)}"
-            for c in document.graph.components[:MOST_NAMED]
-        )
-        more = f"; and {len(ids) - MOST_NAMED} more" if len(ids) > MOST_NAMED else ""
-        screen.warn(
-            f"{counted(len(ids), 'site')} that share no frame: a file each "
-            f"({'; '.join(held)}{more}); choose one by --site"
-        )
     names = {c.id: c.site or f"{MERGED}-{c.id}" for c in document.graph.components}
     stem = "" if merged.merge == MERGED else f"{merged.merge}-"
     return [_component(merged, document, c, f"{stem}{names[c]}", screen) for c in chosen]

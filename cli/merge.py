@@ -425,12 +425,31 @@ def _site_lines(result: MergeResult, place: Workspace) -> Iterator[Line]:
     sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
     for site in sites[:MOST_SITES]:
         names = listed(sorted(site.poses), MOST_RUNS)
-        yield "folded", f"site {site.name}: {counted(len(site.poses), 'run')}: {names}"
+        sure = _weakest(result, site.poses)
+        yield "folded", f"site {site.name}: {counted(len(site.poses), 'run')}: {names}{sure}"
     if len(sites) > MOST_SITES:
         yield "line", f"and {counted(len(sites) - MOST_SITES, 'more site')}: {place.call('list')}"
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
         yield "folded", f"alone: {listed(sorted(alone), MOST_RUNS)}"
+
+
+def _weakest(result: MergeResult, runs: Collection[str]) -> str:
+    """The pair with the least evidence of those that hold the runs of a site together best."""
+    from networkx import Graph, maximum_spanning_edges
+
+    from ..merge.wording import told_bits
+
+    links = Graph()
+    for pair in result.verdicts:
+        if pair.accepted and pair.a in runs and pair.threshold_bits is not None:
+            links.add_edge(pair.a, pair.b, weight=pair.evidence_bits, pair=pair)
+    held = [data["pair"] for _, _, data in maximum_spanning_edges(links)]
+    if not held:
+        return ""
+    least = min(held, key=lambda pair: pair.evidence_bits)
+    bits = told_bits(least.evidence_bits, least.threshold_bits)
+    return f"; weakest link {least.a} + {least.b}, {bits}"
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:

@@ -72,6 +72,7 @@ def next_drives(
     place = Workspace(workspace, merge)
     result = place.read_result()
     from ..merge.drives import drives
+    from ..merge.result import Standing
 
     names = {c.name: c.id for c in result.components}
     if site is not None and site not in names:
@@ -84,6 +85,8 @@ def next_drives(
 
         say_lines(json.dumps([drive_to_document(d) for d in found]))
         return
+    if found and not result.standings()[Standing.AMBIGUOUS]:
+        say("no pair is open; these drives lead to branches that nobody drove")
     for line in _lines(found):
         say(line)
     if found:

@@ -99,6 +99,8 @@ def report(
     except PermissionError as error:
         raise DataError(f"{page}: {error.strerror}; name another OUT.html") from error
     say(f"{page}")
+    if result is None:
+        say(f"not merged yet: {place.call('merge', '--all')}")
     if unread:
         raise typer.Exit(1)
 

@@ -72,7 +72,6 @@ def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> 
     assert sorted(p.name for p in (place / "exports").iterdir()) == sorted(
         f"{site}.geojson" for site in sites(place)
     )
-    assert "choose one by --site" in every.err
     north = (place / "exports" / "north.geojson").read_text()
     for call in (["--site", "north"], ["north"], ["merged", "--site", "north"]):
         assert topobatch("export", *call, "-f", "nav2", "-o", "-", "-w", place).out == north
