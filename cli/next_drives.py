@@ -86,7 +86,8 @@ def next_drives(
         say_lines(json.dumps([drive_to_document(d) for d in found]))
         return
     if found and not result.standings()[Standing.AMBIGUOUS]:
-        say("no pair is open; these drives lead to branches that nobody drove")
+        hardly = ", and would hardly join sites" if max(d.bits for d in found) < HARDLY_BITS else ""
+        say(f"no pair is open; these drives lead to branches that nobody drove{hardly}")
     for line in _lines(found):
         say(line)
     if found:
@@ -94,6 +95,10 @@ def next_drives(
         say(f"on the map, with numbers: {place.call('report', *place.named)}")
     for path in output or ():
         say(f"{path}")
+
+
+HARDLY_BITS = 1.0
+"""Evidence that does not even make a match twice as likely."""
 
 
 def _lines(found: Sequence[Drive]) -> list[str]:
