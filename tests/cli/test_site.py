@@ -68,7 +68,7 @@ def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> 
     page = tmp_path / "report.html"
     assert topobatch("report", page, "-w", place).code == 0
     assert "<td>north</td>" in page.read_text()
-    every = topobatch("export", "-f", "nav2", "-w", place)
+    assert topobatch("export", "-f", "nav2", "-w", place).code == 0
     assert sorted(p.name for p in (place / "exports").iterdir()) == sorted(
         f"{site}.geojson" for site in sites(place)
     )
