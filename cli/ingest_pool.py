@@ -90,28 +90,20 @@ def _send(pipe: Connection, job: IngestJob) -> bool:
     return True
 
 
-def _received(pipe: Connection) -> int | IngestOutcome | None:
-    """What a process says: further bytes read, or its outcome; None if it ended without one."""
+def _received(pipe: Connection) -> Any:
+    """What comes next through a pipe: for a process a job, from it the number of further bytes read
+    or an outcome; None if the other side has ended."""
     try:
-        told: int | IngestOutcome = pipe.recv()
+        return pipe.recv()
     except (EOFError, OSError):
         return None
-    return told
 
 
 def _ingest(pipe: Connection) -> None:
     """`ingest_one` of the jobs that come, in a process of its own."""
     start_worker()
-    while (job := _next(pipe)) is not None:
+    while (job := _received(pipe)) is not None:
         pipe.send(ingest_one(job, pipe.send))
-
-
-def _next(pipe: Connection) -> IngestJob | None:
-    try:
-        job: IngestJob = pipe.recv()
-    except EOFError:  # no more come
-        return None
-    return job
 
 
 def _context() -> Any:

@@ -436,20 +436,17 @@ def _site_lines(result: MergeResult, place: Workspace) -> Iterator[Line]:
 
 def _weakest(result: MergeResult, runs: Collection[str]) -> str:
     """The pair with the least evidence of those that hold the runs of a site together best."""
-    from networkx import Graph, maximum_spanning_edges
+    from scipy.cluster.hierarchy import DisjointSet
 
     from ..merge.wording import told_bits
 
-    links = Graph()
-    for pair in result.verdicts:
-        if pair.accepted and pair.a in runs and pair.threshold_bits is not None:
-            links.add_edge(pair.a, pair.b, weight=pair.evidence_bits, pair=pair)
-    held = [data["pair"] for _, _, data in maximum_spanning_edges(links)]
-    if not held:
-        return ""
-    least = min(held, key=lambda pair: pair.evidence_bits)
-    bits = told_bits(least.evidence_bits, least.threshold_bits)
-    return f"; weakest link {least.a} + {least.b}, {bits}"
+    told, joined = "", DisjointSet(runs)
+    for pair in sorted(result.verdicts, key=lambda pair: -pair.evidence_bits):
+        need = pair.threshold_bits
+        if pair.accepted and pair.a in runs and need is not None and joined.merge(pair.a, pair.b):
+            bits = told_bits(pair.evidence_bits, need)
+            told = f"; weakest link {pair.a} + {pair.b}, {bits}"
+    return told
 
 
 def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:

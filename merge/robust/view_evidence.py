@@ -17,7 +17,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
 from ...topology.matching.views import LEAST_SAME, Registered, register
-from ...topology.se2 import between, compose
+from ...topology.se2 import between, compose, rigid_from_sums
 from ..wording import AGREES_BITS
 from .settings import MATCH
 from .view_search import KEPT, Picture, placements
@@ -127,14 +127,11 @@ class Laid:
     @cached_property
     def parts(self) -> FloatArray:
         """(c,) mean z of every part of the overlap."""
-        return self.parts_of(np.ones(len(self), np.bool_))
+        return _means(self.cell, self.found.z)
 
     def parts_of(self, some: BoolArray) -> FloatArray:
         """`parts` by some of the pairs of views (k,)."""
-        count = np.bincount(self.cell[some])
-        return np.asarray(
-            np.bincount(self.cell[some], self.found.z[some])[count > 0] / count[count > 0]
-        )
+        return _means(self.cell[some], self.found.z[some])
 
     @cached_property
     def correction(self) -> FloatArray:
@@ -144,11 +141,10 @@ class Laid:
         if total <= 0:
             return np.zeros(3)
         za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.there, self.predicted))
-        ma, mb = (weight * za).sum() / total, (weight * zb).sum() / total
         turned = np.exp(1j * (self.there[:, 2] - self.predicted[:, 2]))
-        cross = (weight * (za - ma) * np.conj(zb - mb)).sum()
-        cross += LEVER_M**2 * (weight * turned).sum()
-        unit = cross / abs(cross)
+        lever = LEVER_M**2 * (weight * turned).sum()
+        sum_a, sum_b, sum_ab = ((weight * z).sum() for z in (za, zb, za * zb.conj()))
+        unit, ma, mb = rigid_from_sums(total, sum_a, sum_b, sum_ab, lever)
         shift = ma - unit * mb
         return np.array([shift.real, shift.imag, float(np.angle(unit))])
 
@@ -161,7 +157,13 @@ class Laid:
         """(c,) mean distance of registered from corrected poses in every part of the overlap [m]:
         views of one place agree on how one map lies in the other."""
         off = self.there[:, :2] - compose(self.correction, self.predicted)[:, :2]
-        return np.asarray(np.bincount(self.cell, np.hypot(*off.T)) / np.bincount(self.cell))
+        return _means(self.cell, np.hypot(*off.T))
+
+
+def _means(cell: IntArray, values: FloatArray) -> FloatArray:
+    """(c,) mean of the values (k,) in every cell that has any."""
+    count = np.bincount(cell)
+    return np.asarray(np.bincount(cell, values)[count > 0] / count[count > 0])
 
 
 def laid(
