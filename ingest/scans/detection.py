@@ -13,7 +13,8 @@ from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.run import Scanned
 from ...topology.se2 import compose, inverse
-from .junctions import Driven, junction_passes
+from ...topology.views import REACH_M
+from .junctions import Driven, junction_passes, pass_midway
 from .keyframes import Keyframes, join
 from .matching import Matched, matched, posed
 from .noise import expected_drift, matched_noise, recorded_drift
@@ -24,6 +25,10 @@ from .turns import LaggingError, MirroredError, Turns, clock_lag
 from .views import chosen_views, closed_by_views
 from .windows import Seen, windows
 
+LEAST_COVERED = 0.5
+"""Least share of the way along which scans match each other, without a warning."""
+LEAST_WAY_M = 2 * REACH_M
+"""Least way for a map without a junction: the width of a view."""
 LEAST_FIT = 0.5
 """Least fit to the previous keyframe at which a keyframe counts as matched."""
 
@@ -160,9 +165,16 @@ def _result(
     if not track.pose:
         raise DataError(_nothing(counted))
     driven = track.driven()
-    passes = junction_passes(seen, driven)
-    noise = matched_noise(track.spans, passes, alone=recorded is None)
     fit, piece = np.concatenate(track.fit), np.concatenate(track.piece)
+    covered = _covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser))
+    passes, warnings = junction_passes(seen, driven), counted.warnings()
+    if not len(passes) and covered >= LEAST_COVERED and driven.way[-1] >= LEAST_WAY_M:
+        passes = pass_midway(driven)
+        warnings.append(
+            "no junction shows in the scans: the middle of the way stands for one, and only the "
+            "walls along it can place the run in others"
+        )
+    noise = matched_noise(track.spans, passes, alone=recorded is None)
     statistics = ScanStatistics(
         scans=counted.scans,
         matched=int(np.sum(fit >= LEAST_FIT)),
@@ -171,7 +183,7 @@ def _result(
         ),
         drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
-        covered=_covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser)),
+        covered=covered,
         searched=track.searched,
         odometry=recorded is not None,
     )
@@ -185,9 +197,8 @@ def _result(
     )
     views = chosen_views(seen, passes, driven)
     odometry, views, loops = closed_by_views(odometry, views, noise)
-    warnings = (*counted.warnings(), *_warnings(statistics))
     scanned = Scanned(passes, noise, views, loops)
-    return ScanResult(odometry, scanned, statistics, warnings)
+    return ScanResult(odometry, scanned, statistics, (*warnings, *_warnings(statistics)))
 
 
 def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
@@ -197,7 +208,7 @@ def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
             "no odometry beside the scans: each scan was matched to the one before, so that the "
             "way along bare corridors is not well known"
         )
-    if statistics.covered < 0.5 and statistics.scans > 1:
+    if statistics.covered < LEAST_COVERED and statistics.scans > 1:
         out.append(
             f"along {100 - 100 * statistics.covered:.0f} % of the way scans show too few surfaces "
             "to be matched with each other; there the odometry stands as it was recorded"

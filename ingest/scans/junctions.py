@@ -136,6 +136,27 @@ def no_passes() -> ScanPasses:
     return ScanPasses(none, none, none, np.zeros((0, 2)), empty, empty, row, none, row, row)
 
 
+def pass_midway(driven: Driven) -> ScanPasses:
+    """A pass by the middle of the way, with branches ahead and back: for a run that shows no
+    junction, in one corridor, hall or room, so that it has a map, which its views can place."""
+    way = driven.way
+    middle = driven.time_ns[[int(np.searchsorted(way, way[-1] / 2))]]
+    one, both = np.ones(1), Ragged.from_rows([np.array([-np.pi, 0.0])])
+    return ScanPasses(
+        time_ns=middle,
+        start_ns=middle,
+        end_ns=middle,
+        centre=np.zeros((1, 2)),
+        branches=both,
+        support=Ragged(both.offsets, np.ones(2)),
+        confidence=one,
+        windows=np.ones(1, np.int64),
+        clearance_m=one,
+        shared_m=np.zeros(1),
+        resolution_m=WINDOWS.skeleton.join_m,
+    )
+
+
 def _together(xy: FloatArray, way: FloatArray) -> IntArray:
     """(q,) junction of each fork: connected if near in place and in distance driven."""
     scaled = np.column_stack([xy, way * (JUNCTIONS.together_m / JUNCTIONS.together_way_m)])

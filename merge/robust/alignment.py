@@ -329,7 +329,12 @@ def _with_views(
     for c, pose, here in cases:
         elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
         said = judged(here, elsewhere, selves, same)
-        out.append(replace(c, bits=c.bits + said.total, views=said))
+        against = c.conflicts.at_most(
+            said.most_against(np.abs(b.z[c.conflicts.extra_b, None] - two.place[said.second])),
+            said.most_against(np.abs(a.z[c.conflicts.extra_a, None] - one.place[said.first])),
+        )
+        bits = c.bits + said.total + c.conflicts.bits - against.bits
+        out.append(replace(c, bits=bits, conflicts=against, views=said))
     return _apart(out, b)
 
 
@@ -368,9 +373,10 @@ def _placed(
     (candidate,) = _judged(grow(lanes, [seed], settings), np.zeros(1), search=True)
     if candidate is None:
         # Junctions that lie near each other but look different are not taken for one place.
-        alike = ungrown(lanes, [seed]).branch
-        kept = np.flatnonzero((alike >= 0) | (alike == alike.max()))
-        seed = replace(seed, a=seed.a[kept], b=seed.b[kept])
+        alike = np.flatnonzero(ungrown(lanes, [seed]).branch >= 0)
+        if not len(alike):
+            return replace(NO_JUNCTIONS, transform=T_a_b)
+        seed = replace(seed, a=seed.a[alike], b=seed.b[alike])
         (candidate,) = _judged(ungrown(lanes, [seed]), np.zeros(1), search=True)
     if candidate is None:
         return None

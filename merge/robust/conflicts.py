@@ -3,7 +3,7 @@ without detecting them, and corridors that lead elsewhere."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -56,6 +56,14 @@ class Conflicts:
 
     def __len__(self) -> int:
         return len(self.extra_b) + len(self.extra_a) + len(self.elsewhere)
+
+    def at_most(self, most_b: FloatArray, most_a: FloatArray) -> Conflicts:
+        """The same, undetected junctions of either map with bounded weights [bits]."""
+        return replace(
+            self,
+            extra_b_bits=np.minimum(self.extra_b_bits, most_b),
+            extra_a_bits=np.minimum(self.extra_a_bits, most_a),
+        )
 
 
 @dataclass(frozen=True, slots=True)

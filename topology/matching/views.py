@@ -62,6 +62,12 @@ class Registered:
         """(k,) log ratio of agreement to contradiction."""
         return np.asarray(np.log((self.agree + 1.0) / (self.contradict + 1.0)))
 
+    @property
+    def detail(self) -> FloatArray:
+        """(k,) information of the shift in the direction in which the walls that agree tell least
+        [1/m²]: none along a bare corridor."""
+        return np.asarray(np.linalg.eigvalsh(self.information[:, :2, :2])[:, 0])
+
 
 @dataclass(frozen=True, eq=False)
 class ViewIndex:

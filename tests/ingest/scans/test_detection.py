@@ -12,11 +12,10 @@ from topobatch.ingest.scans.detection import detect
 from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
-from topobatch.topology.ragged import Ragged
-from topobatch.topology.run import Detections, Run
+from topobatch.topology.run import NO_DETECTIONS, Run
 from topobatch.topology.se2 import apply, between, wrap
 
-from .building import HALF_TURN, RING, WHOLE_TURN, biased, drive, parts, scans
+from .building import HALF_TURN, RING, WHOLE_TURN, Building, biased, drive, parts, scans
 
 BIAS = np.radians(2.0)
 # Once around the western half, then through the middle and around the eastern one.
@@ -88,8 +87,7 @@ def test_branches_point_along_the_corridors() -> None:
 
 def test_map_closes_its_loops() -> None:
     result = found()
-    none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
-    run = Run("ring", result.odometry, none, scanned=result.scanned)
+    run = Run("ring", result.odometry, NO_DETECTIONS, scanned=result.scanned)
     topomap = build_map(run)
     # No pass is left out, and every crossing is one junction, however often it was passed.
     centres = true_centres(result, ROUND)
@@ -139,6 +137,20 @@ def test_several_lasers_see_together() -> None:
     assert result.statistics.scans == 2 * len(truth)
     assert np.percentile(drift(result, truth, 5.0), 90) < 0.12
     assert np.hypot(*(true_centres(result, truth) - (10, 0)).T).min() < 0.5
+
+
+def test_a_corridor_without_a_junction_has_a_map() -> None:
+    corridor = Building.of((-5, -1, 45, 1), (12, 0.9, 14, 1.4), (27, -1.4, 28.5, -0.9))
+    way = drive((0, 0), (40, 0))
+    batch = scans(corridor, way)
+    result = detect(way, [batch])
+    assert any("no junction shows" in line for line in result.warnings)
+    assert abs(true_centres(result, way) - (20, 0)).max() < 0.5
+    topomap = build_map(Run("r", result.odometry, NO_DETECTIONS, scanned=result.scanned))
+    assert len(topomap) == 1
+    assert np.ptp(topomap.views.pose[:, 0]) > 30
+    short = drive((0, 0), (9, 0))
+    assert len(detect(short, [scans(corridor, short)]).scanned.passes) == 0
 
 
 @pytest.mark.parametrize("odometry", [ROUND, None])
