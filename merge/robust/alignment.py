@@ -63,9 +63,9 @@ class Candidate:
         return len(self.a)
 
     @property
-    def witnesses(self) -> int:
-        """Matched junctions, and parts of the overlap where views agree."""
-        return len(self.a) + self.views.agreeing
+    def witnesses(self) -> float:
+        """Matched junctions, and as how many the parts of the overlap weigh where views agree."""
+        return len(self.a) + self.views.junctions
 
     @property
     def corridors(self) -> IntArray:

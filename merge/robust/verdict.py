@@ -71,7 +71,7 @@ class Threshold:
         on; parts of the overlap that agree count as junctions where views proposed it. Without this
         tunnels are merged wrongly (`benchmarks/aliasing.py --without "small copies"`).
         """
-        size = best.witnesses if best.by_views else len(best)
+        size = len(best) + (best.views.agreeing if best.by_views else 0)
         return _share(2.0 - size / self.copied) if self.copied else 0.0
 
     def looks_repeated(self, c: Candidate) -> float:

@@ -86,6 +86,18 @@ class ViewEvidence:
         """Parts of the overlap that speak for the placement."""
         return int(np.count_nonzero(self.bits > AGREES_BITS))
 
+    @property
+    def _alike(self) -> float:
+        return _alike(Level(*self.null.tolist()))
+
+    @property
+    def junctions(self) -> float:
+        """As how many junctions the parts weigh that speak for the placement: each as its bits, of
+        which `MATCH.junction_bits` are one, at least one and at most two. Where maps repeat
+        themselves, what repeats is no witness."""
+        weight = np.clip(self.bits / MATCH.junction_bits, 1.0, 2.0)
+        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - self._alike)
+
     def most_against(self, away_m: FloatArray) -> FloatArray:
         """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
         walls around them. away_m: (n, k) distance [m] of each junction from every pair of views.
@@ -98,7 +110,7 @@ class ViewEvidence:
         nearest = away_m.argmin(axis=1)
         part = _means(self.cell, self.z)[self.cell[nearest]]
         agree = np.clip((part - UNSEEN_Z[0]) / (UNSEEN_Z[1] - UNSEEN_Z[0]), 0.0, 1.0)
-        agree *= 1.0 - _alike(Level(*self.null.tolist()))
+        agree *= 1.0 - self._alike
         most = MATCH.most_bits + agree * (UNSEEN_BITS - MATCH.most_bits)
         return np.where(away_m.min(axis=1) < CELL_M / 2, most, np.inf)
 
