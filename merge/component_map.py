@@ -32,7 +32,7 @@ def component_map(
 
     maps: the maps of its runs, by name; with all of them, unchanged since the merge, the result has
     the times of its traversals. `info["members"]` holds for every vertex and edge the vertices and
-    edges of the runs that it was fused from. Observations are those of all runs, by time. Raises
+    edges of the runs that it was fused from, `info["numbers"]` the vertices' ids in the document. Observations are those of all runs, by time. Raises
     ValueError if the component does not exist or is inconsistent.
     """
     chosen = [node for node in document.nodes if node.component == component]
@@ -77,10 +77,11 @@ def component_map(
         confidence=sure,
         noise=noise,
         info={
+            "numbers": tuple(node.id for node in chosen),
             "members": {
                 "nodes": [node.members for node in chosen],
                 "edges": [e.members for e in edges],
-            }
+            },
         },
     )
     return without_turning_points(fused)
