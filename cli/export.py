@@ -128,7 +128,7 @@ def export(
         return
     one = len(texts) == 1
     paths = {_path(place, output, name, sources, alone=one): text for name, text in texts.items()}
-    _write(paths)
+    write_files(paths)
     for path in paths:
         screen.line(str(path))
     merged = _merge_named(place, what)
@@ -366,7 +366,7 @@ def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> li
     ]
 
 
-def _write(files: Mapping[Path, str | bytes]) -> None:
+def write_files(files: Mapping[Path, str | bytes]) -> None:
     """Write files, all of them or none."""
     from ..topology.files import write_together
 
