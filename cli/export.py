@@ -150,6 +150,8 @@ def _sources(
         if component is not None or site is not None:
             option = "--site" if component is None else "--component"
             raise UsageError(f"{option} goes with the merged map; {what!r} is a run")
+        if what not in place.runs():
+            raise place.unknown([what], "run or site named")
         (run,) = place.chosen_runs([what], False)
         topomap = place.read_map(run)
         return [Exported(run, topomap, {run: topomap})]
@@ -337,7 +339,7 @@ def _path(
     if alone:
         return output
     own = name.removeprefix(sources[0].name) if len(sources) == 1 else f"-{name}"
-    if own.endswith(PICTURE):
+    if PICTURE in (Path(own).suffix, output.suffix):
         return output.with_name(f"{output.stem}{own}")
     return output.with_name(f"{output.stem}{own.removesuffix(output.suffix)}{output.suffix}")
 

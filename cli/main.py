@@ -12,9 +12,10 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from io import TextIOWrapper
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 from typer.exceptions import TyperException
 
 from ..topology.errors import TopobatchError, UsageError
@@ -80,8 +81,28 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("simulate", simulate),
     ("schema", schema),
 )
+
+
+class Sectioned(TyperCommand):
+    """A command whose help has the options of a panel in a section of their own, after the
+    others."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments and options."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for param in self.get_params(ctx):
+            kind = f"{param.param_type_name.capitalize()}s"
+            title = getattr(param, "rich_help_panel", None) or kind
+            if (record := param.get_help_record(ctx)) is not None:
+                sections.setdefault(title, []).append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
 for name, command in COMMANDS:
-    app.command(name)(command)
+    app.command(name, cls=Sectioned)(command)
 
 
 LIGHT = ("list", "history", "schema")

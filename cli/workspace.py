@@ -265,20 +265,18 @@ class Workspace:
 
     def unknown(self, names: Sequence[str], what: str = "map of") -> UsageError | DataError:
         """What to say where runs are named that there are not."""
-        from difflib import get_close_matches
-
         known = self.runs()
         if not known:
             return self.no_maps()
         parts = {part for name in names for part in name.split(":")} - set(known)
-        near = [
-            run for part in sorted(parts) for run in get_close_matches(Path(part).name, known, 1)
-        ]
-        meant = f"; did you mean {listed(near)}?" if near else ";"
+        sites: list[str] = []
+        if "site" in what and self.merged_json.is_file():
+            sites = sorted({*self.read_merged().graph.sites.values()} - {*known})
+        meant = _meant(sorted(parts), [*sites, *known])
         if is_workspace(Path(names[0])):
             meant = f"; did you mean --workspace {names[0]}?"
         return UsageError(
-            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
+            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed([*sites, *known])}"
         )
 
     def merge_named(self, name: str) -> Workspace | None:
@@ -398,10 +396,7 @@ class Workspace:
 
     def no_site(self, site: str, there: Sequence[str]) -> UsageError:
         """What to say where a site is named that the merge does not have."""
-        from difflib import get_close_matches
-
-        near = get_close_matches(site, there, 1)
-        meant = f"; did you mean {near[0]}?" if near else ";"
+        meant = _meant([site], there)
         known = listed(sorted(there)) or "none"
         if not there:
             known = f"none (merge again, which names them: {self.call('merge', '--all')})"
@@ -553,6 +548,16 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+def _meant(names: Sequence[str], known: Sequence[str]) -> str:
+    """The known names that are nearest to unknown ones, as a question."""
+    from difflib import get_close_matches
+
+    near = [each for name in names for each in get_close_matches(Path(name).name, known, 3)]
+    *others, last = [*dict.fromkeys(near)] or [""]
+    asked = f"{', '.join(others)} or {last}" if others else last
+    return f"; did you mean {asked}?" if asked else ";"
 
 
 def _decided(path: Path, from_document: Callable[[Any, str], T], none: T) -> T:
