@@ -33,7 +33,7 @@ from .lock import lock
 from .merge import merge
 from .next_drives import next_drives
 from .output import complain, say, say_lines
-from .process import lack_of_memory, require_memory
+from .process import lack_of_memory
 from .rename import rename
 from .report import report
 from .schema import schema
@@ -105,10 +105,6 @@ for name, command in COMMANDS:
     app.command(name, cls=Sectioned)(command)
 
 
-LIGHT = ("list", "history", "schema")
-"""Commands without large arrays."""
-
-
 def _version(wanted: bool) -> None:
     if wanted:
         say(f"topobatch {VERSION}")
@@ -117,7 +113,6 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def topobatch(
-    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -129,8 +124,6 @@ def topobatch(
     pair of runs topobatch says how sure it is that they overlap. Results land in a workspace
     folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
     """
-    if context.invoked_subcommand not in LIGHT and not {"-h", "--help"} & set(sys.argv):
-        require_memory()
 
 
 def _say_what_is_wrong(error: TyperException) -> None:
