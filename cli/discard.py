@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from ..topology.errors import UsageError
+from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import listed
 from .journal import note
 from .merge import merge_again
@@ -69,7 +69,8 @@ def discard(
 def _sorted_out(
     place: Workspace, what: list[str], undo: bool
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """The runs and the pairs that are named; UsageError for unknown ones."""
+    """The runs and the pairs that are named; UsageError for unknown ones, DataError for files in
+    place of maps."""
     known = set(place.runs())
     runs, pairs = [], []
     for name in dict.fromkeys(what):
@@ -81,7 +82,24 @@ def _sorted_out(
             raise place.unknown([name], f"{'two runs A:B' if undo else 'run or runs A:B'} named")
         pairs.append(pair)
     _check_locks(place, pairs, undo)
+    for run in runs:
+        _check_own(place, run)
     return runs, pairs
+
+
+def _check_own(place: Workspace, run: str) -> None:
+    """DataError if topobatch did not write `maps/<run>.json`; of a damaged one the recording beside
+    it tells."""
+    from ..topology.files import read_json
+
+    path = place.map_json(run)
+    try:
+        found = read_json(path)
+    except DocumentError:
+        found = None
+    schema = found.get("schema") if isinstance(found, dict) else None
+    if not str(schema).startswith("topobatch.map/") and not place.map_rrd(run).is_file():
+        raise DataError(f"{path}: is no map of topobatch's; it is left where it is")
 
 
 def _check_locks(place: Workspace, pairs: list[tuple[str, str]], undo: bool) -> None:

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 CELL_M = 0.05
 """Side of a cell, as map savers write them."""
+LARGE_BYTES = 2_000_000
+"""Logs of more together take some seconds, which a line says where there is no bar."""
 PICTURE = ".pgm"
 """Suffix of pictures."""
 
@@ -61,7 +63,8 @@ def grid_texts(
         screen.warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
     logs = _Logs(place, source, log)
     size = sum(logs.bytes.values())
-    screen.begin(f"{source.name}: reading {counted(len(logs.bytes), 'log')}, {size / 1e6:,.0f} MB")
+    if size > LARGE_BYTES:
+        screen.begin(f"{source.name}: reading {counted(len(logs.bytes), 'log')} again")
     with screen.progress(f"{source.name}: reading", size, "bytes") as advance:
         grid, told = _grid(source, logs, advance)
     for run, why in sorted(logs.gone.items()):

@@ -72,7 +72,7 @@ def next_drives(
 
     \b
       topobatch next
-      topobatch next north -o plan.svg -o plan.geojson
+      topobatch next -o plan.svg -o plan.geojson
     """
     for path in output or ():
         if checked_output(path).suffix.lower() not in PLANS + PICTURES:

@@ -34,11 +34,12 @@ def site(
     names of its runs begin with, or "site-" and its oldest run. One that you give is kept
     (sites.json), as more runs come and others go. Two sites that become one keep the name that most
     runs have; of a site that comes apart, the larger part keeps it. Exports are called like their
-    site. Nothing is matched again: only the names in the merges change.
+    site. Nothing is matched again: only the names in the merges change. Several may be named at
+    once: topobatch site run1 north run7 east.
 
     \b
       topobatch site run1 north
-      topobatch site run1 north run7 east site-run9 south
+      topobatch export --site north --format nav2
       topobatch draw north north.svg
     """
     if len(words) % 2:
@@ -47,30 +48,27 @@ def site(
     with place.held(screen.warn, make=False):
         before = place.sites()
         try:
-            for run, name in zip(words[::2], words[1::2], strict=True):
-                sites = _name(place, run, name, screen)
+            told = [_name(place, *pair) for pair in zip(words[::2], words[1::2], strict=True)]
             rename_sites(place, screen)
         except UsageError:
             place.write_sites(before)
             raise
-    if not sites:
+        for line in told:
+            note(place, "site", line, screen.warn)
+            screen.line(f"site {line}")
+    if not place.merged_json.is_file():
         screen.line(f"next: {place.call('merge', '--all')}")
 
 
-def _name(place: Workspace, run: str, name: str, screen: Screen) -> dict[str, str]:
-    """Keep the name of one site; the site of every run of the last merge."""
+def _name(place: Workspace, run: str, name: str) -> str:
+    """Keep the name of one site; it and its runs in words."""
     sites, runs = _called(place, run)
     _check(place, name, sites, runs)
     old = {sites.get(each) for each in runs} | {name}
-    kept = {
-        site: [each for each in own if each not in runs]
-        for site, own in place.sites().items()
-        if site not in old
-    }
+    left = {s: [each for each in own if each not in runs] for s, own in place.sites().items()}
+    kept = {site: own for site, own in left.items() if site not in old and own}
     place.write_sites({**kept, name: runs})
-    note(place, "site", f"{name}: {listed(runs)}", screen.warn)
-    screen.line(f"site {name}: {listed(runs)}")
-    return sites
+    return f"{name}: {listed(runs)}"
 
 
 def _called(place: Workspace, run: str) -> tuple[dict[str, str], list[str]]:

@@ -9,6 +9,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -198,6 +199,8 @@ def _verdict(document: MergedDocument, a: str, b: str) -> str:
 
 MOST_BYTES = 16 << 20
 """Largest table: a site has some hundreds of places."""
+MOST_VALUES = 1 << 20
+"""Limit on cells of the table, of a hundred bytes each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -234,8 +237,11 @@ def read_places(path: Path) -> tuple[list[str], list[Place]]:
         if missing or len(set(names)) < len(names):
             wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
             raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
+        most = MOST_VALUES // len(names)
         filled = ((reader.line_num, row) for row in reader if row)
-        places = [_place(path, line, names, row) for line, row in filled]
+        places = [_place(path, line, names, row) for line, row in islice(filled, most)]
+        if next(filled, None) is not None:
+            raise DataError(f"{path}: holds more than {most:,} places; cut it into parts")
     except csv.Error as error:
         raise DataError(f"{path}:{reader.line_num}: is not CSV: {error}") from error
     if not places:

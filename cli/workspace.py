@@ -9,6 +9,7 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -272,11 +273,12 @@ class Workspace:
         sites: list[str] = []
         if "site" in what and self.merged_json.is_file():
             sites = sorted({*self.read_merged().graph.sites.values()} - {*known})
-        meant = _meant(sorted(parts), [*sites, *known])
+        known += sites
+        meant = _meant(sorted(parts), known)
         if is_workspace(Path(names[0])):
             meant = f"; did you mean --workspace {names[0]}?"
         return UsageError(
-            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed([*sites, *known])}"
+            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
         )
 
     def merge_named(self, name: str) -> Workspace | None:
@@ -554,8 +556,9 @@ def _meant(names: Sequence[str], known: Sequence[str]) -> str:
     """The known names that are nearest to unknown ones, as a question."""
     from difflib import get_close_matches
 
-    near = [each for name in names for each in get_close_matches(Path(name).name, known, 3)]
-    *others, last = [*dict.fromkeys(near)] or [""]
+    ends = [Path(name).name for name in names]  # a path may have been named
+    near = [[end] if end in known else get_close_matches(end, known, 3) for end in ends]
+    *others, last = [*dict.fromkeys(chain.from_iterable(near))] or [""]
     asked = f"{', '.join(others)} or {last}" if others else last
     return f"; did you mean {asked}?" if asked else ";"
 
