@@ -162,15 +162,14 @@ class Workspace:
         """The recording of a run."""
         return self.maps / f"{plain_name(run)}.rrd"
 
-    def explain_rrd(self, a: str, b: str, *, method: str = "robust") -> Path:
+    def explain_rrd(self, a: str, b: str) -> Path:
         """The recording of a pair's match. Names that are too long together are cut."""
-        kind = "" if method == "robust" else f".{method}"
         name = f"{plain_name(a)}+{plain_name(b)}"
         if len(name.encode()) > NAME_BYTES:
             digest = hashlib.sha256(name.encode()).hexdigest()[:12]
             short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
             name = "+".join((*short, digest))
-        return self.root / "explain" / f"{name}{kind}.rrd"
+        return self.root / "explain" / f"{name}.rrd"
 
     @property
     def exports(self) -> Path:
@@ -181,8 +180,7 @@ class Workspace:
         """The recordings in which a run may be: of its map, also with its log, and of pairs."""
         yield from (self.map_rrd(run), self.raw_log_rrd(run), self.raw_log_views_rrd(run))
         for other in self.runs():
-            for method in ("robust", "paper"):
-                yield self.explain_rrd(*sorted((run, other)), method=method)
+            yield self.explain_rrd(*sorted((run, other)))
 
     def exports_of(self, run: str) -> Iterator[Path]:
         """The files that exports of a run's map go to."""
