@@ -78,11 +78,14 @@ class Drive:
         text = "by junctions " + "; ".join(parts)
         if self.heading_rad is None:
             return text
-        usual_m = float(np.hypot(*(self.path[-1] - self.path[-2])))
-        count = round((self.length_m - self.known_m) / usual_m) if usual_m else 0
+        rest, usual_m = (
+            self.length_m - self.known_m,
+            float(np.hypot(*(self.path[-1] - self.path[-2]))),
+        )
+        passed = f" past about {rest / usual_m:.0f} junctions" if usual_m else ""
         return (
             f"{text}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
-            f"map), and on as corridors lead, by about {count} of {usual_m:.0f} m, as usual here"
+            f"map), and on as corridors lead,{passed} ({rest:.0f} m)"
         )
 
 

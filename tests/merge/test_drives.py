@@ -121,7 +121,7 @@ def test_into_the_unknown_from_what_is_known() -> None:
     assert np.array(known)[:, 1] == pytest.approx(0.0)
     assert np.hypot(*np.subtract(first.stops[-1].xy, known[-1])) == pytest.approx(STEP, abs=0.01)
     assert first.path[-1] == pytest.approx(first.stops[-1].xy, abs=0.01)
-    assert f"by about {2 * need} of {STEP:.0f} m" in first.way
+    assert f"past about {2 * need} junctions ({2 * need * STEP:.0f} m)" in first.way
 
 
 def test_what_hardly_brings_evidence_is_not_proposed() -> None:
