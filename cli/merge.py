@@ -380,12 +380,23 @@ def _write(place: Workspace, result: MergeResult, maps: Sequence[TopoMap], scree
 
 
 def rename_sites(place: Workspace, screen: Screen) -> None:
-    """Call the sites of all merges as the workspace remembers them now; nothing is matched. The
-    caller holds the workspace's lock."""
+    """Call the sites of all merges as the workspace remembers them now. Nothing is matched, unless
+    a merge cannot be read or its maps are others by now: that one is repeated. The caller holds the
+    workspace's lock."""
+    from .unchanged import changed_since
+
     for each in place.merges():
-        result = each.read_result()
+        try:
+            result = each.read_result()
+        except DocumentError:
+            _repeat(each, place.runs(), screen, {})  # or say that it cannot be
+            continue
         before = {run: c.site or "" for c in result.components for run in c.poses}
-        maps, _ = read_maps(each, sorted(before.keys() & set(place.runs())), screen)
+        known = result.info.get("maps") or {}
+        if before.keys() - known.keys() or changed_since(place, known, [*before]):
+            _repeat(each, before, screen, {})
+            continue
+        maps, _ = read_maps(each, sorted(before), screen)
         renamed, _ = with_sites(each, result, maps, before)
         if [c.name for c in renamed.components] != [c.name for c in result.components]:
             _write(each, renamed, maps, screen)
