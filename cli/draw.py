@@ -9,12 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from ..topology.errors import UsageError
+from .export import write_files
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
 from .output import checked_output, say
 from .workspace import MERGED, Workspace, pair_named
 
 if TYPE_CHECKING:
-    from ..merge.result import MergeResult
+    from collections.abc import Iterable
+
+    from ..merge.result import Component, MergeResult
     from ..topology.topomap import TopoMap
     from ..viz.canvas import Canvas, Format
     from ..viz.palette import Theme
@@ -57,12 +60,10 @@ def draw(
     """
     form = format_of(checked_output(out))
     quiet_fonts()
-    from ..topology.files import write_atomically
     from ..viz.palette import DARK, LIGHT
 
     canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
-    data = canvas.as_bytes(form)
-    write_atomically(out, lambda temporary: temporary.write_bytes(data))
+    write_files({out: canvas.as_bytes(form)})
     say(f"{out}")
 
 
@@ -97,21 +98,18 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     merge = _merge_of(place, what)
     if merge is not None:
         result = merge.read_result()
-        return drawings.draw_merged(result, theme, maps=_walled(merge, result))
-    result, component = _site(place, what)
-    return drawings.draw_site(result, component, theme, _walled(place, result, component))
+        return drawings.draw_merged(result, theme, maps=walled(merge, result.components))
+    result, site = _site(place, what)
+    return drawings.draw_sites(result, [site.id], theme, walled(place, [site]))
 
 
 MOST_WALLED = 100
 """Maps that are read for their walls: those of more runs are drawn without."""
 
 
-def _walled(
-    place: Workspace, result: MergeResult, component: int | None = None
-) -> dict[str, TopoMap]:
-    """The maps of the runs of a merge, or of one component, that can be read and are as they were
-    merged."""
-    runs = [r for c in result.components if component in (None, c.id) for r in c.poses]
+def walled(place: Workspace, components: Iterable[Component]) -> dict[str, TopoMap]:
+    """The maps of the runs of components that can be read."""
+    runs = [run for c in components for run in c.poses]
     maps, _ = place.read_maps(runs if len(runs) <= MOST_WALLED else ())
     return maps
 
@@ -124,11 +122,11 @@ def _merge_of(place: Workspace, what: str) -> Workspace | None:
     return None if ":" in what else place.merge_named(what)
 
 
-def _site(place: Workspace, what: str) -> tuple[MergeResult, int]:
+def _site(place: Workspace, what: str) -> tuple[MergeResult, Component]:
     """The merge, and the component of a site; otherwise an error that lists what there is."""
     if place.merged_json.is_file():
         result = place.read_result()
         for component in result.components:
             if component.site == what:
-                return result, component.id
+                return result, component
     raise place.unknown([what], "run, site, merge or pair A:B named")

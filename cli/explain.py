@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shlex
 from functools import cache
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -25,9 +24,6 @@ from .paper_options import PaperOptions
 from .workspace import MERGED, Workspace, pair_named
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-    from pathlib import Path
-
     from ..merge.decision import Decision
     from ..merge.merged_schema import MergedDocument, MergeEntry
     from ..merge.paper.method import PaperSettings
@@ -74,9 +70,8 @@ def explain(
     The verdict; the placement with the matched junctions; the evidence for and against it, link by
     link, in bits; the threshold and what it is made of; the next best placement and its distance.
     With --method paper the figures of Huang & Beevers instead: the table of vertex pairs with the
-    hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The same as a
-    recording: explain/A+B.rrd, which topobatch view A:B opens, or of the paper's method
-    explain/A+B.paper.rrd, for rerun.
+    hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The evidence is
+    drawn in a recording, explain/A+B.rrd, which topobatch view A:B opens.
 
     Runs that were not merged yet are explained by their two maps alone; a note says so.
 
@@ -126,12 +121,13 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
         for line in lines(here, rows, width()):
             say_lines(line)
     recording = place.explain_rrd(*pair)
-    _record(
-        recording,
-        lambda: write_decision_recording(recording, a, b, decision),
-        as_json,
-        f"  (look at it: {place.call('view', ':'.join(pair))})",
-    )
+    try:
+        write_decision_recording(recording, a, b, decision)
+    except OSError as error:
+        warn(f"{recording}: not written: {error.strerror or error}")
+        return
+    if not as_json:
+        say(f"recording: {recording}  (look at it: {place.call('view', ':'.join(pair))})")
 
 
 def _here(place: Workspace, note: str) -> str:
@@ -210,17 +206,6 @@ def _holds(document: MergedDocument, pair: tuple[str, str]) -> bool:
     return document.graph.home.keys() >= set(pair)
 
 
-def _record(recording: Path, draw: Callable[[], None], quiet: bool, how: str = "") -> None:
-    """Write a recording; a failure to write is only a warning. how: to look at it."""
-    try:
-        draw()
-    except OSError as error:
-        warn(f"{recording}: not written: {error.strerror or error}")
-        return
-    if not quiet:
-        say(f"recording: {recording}{how}")
-
-
 def _by_paper(
     place: Workspace,
     pair: tuple[str, str],
@@ -232,7 +217,6 @@ def _by_paper(
     from ..merge.paper.explain import explain as explained
     from ..merge.paper.explain import lines, to_document
     from ..merge.paper.method import DEFAULT_PAPER
-    from ..viz.explain_recording import write_explain_recording
 
     map_a, map_b = (place.read_map(run) for run in pair)
     document = _last_merge(place)
@@ -252,11 +236,6 @@ def _by_paper(
             verdict = [f"verdict: {name} does not list the two runs as a pair"]
         for line in [*lines(found, rows or 20), "", *verdict]:
             say_lines(line)
-    recording = place.explain_rrd(*pair, method="paper")
-    how = f"  (look at it: {shlex.join(('rerun', str(recording)))})"
-    _record(
-        recording, lambda: write_explain_recording(recording, map_a, map_b, found), as_json, how
-    )
 
 
 def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSettings | None:

@@ -128,7 +128,7 @@ def export(
         return
     one = len(texts) == 1
     paths = {_path(place, output, name, sources, alone=one): text for name, text in texts.items()}
-    _write(paths)
+    write_files(paths)
     for path in paths:
         screen.line(str(path))
     merged = _merge_named(place, what)
@@ -150,6 +150,8 @@ def _sources(
         if component is not None or site is not None:
             option = "--site" if component is None else "--component"
             raise UsageError(f"{option} goes with the merged map; {what!r} is a run")
+        if what not in place.runs():
+            raise place.unknown([what], "run or site named")
         (run,) = place.chosen_runs([what], False)
         topomap = place.read_map(run)
         return [Exported(run, topomap, {run: topomap})]
@@ -337,7 +339,7 @@ def _path(
     if alone:
         return output
     own = name.removeprefix(sources[0].name) if len(sources) == 1 else f"-{name}"
-    if own.endswith(PICTURE):
+    if PICTURE in (Path(own).suffix, output.suffix):
         return output.with_name(f"{output.stem}{own}")
     return output.with_name(f"{output.stem}{own.removesuffix(output.suffix)}{output.suffix}")
 
@@ -366,7 +368,7 @@ def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> li
     ]
 
 
-def _write(files: Mapping[Path, str | bytes]) -> None:
+def write_files(files: Mapping[Path, str | bytes]) -> None:
     """Write files, all of them or none."""
     from ..topology.files import write_together
 

@@ -9,8 +9,8 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from ..topology.errors import DataError, TopobatchError, UsageError
-from ..topology.wording import listed
-from .output import Screen
+from ..topology.wording import counted, listed
+from .output import Advance, Screen
 from .workspace import Workspace
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 CELL_M = 0.05
 """Side of a cell, as map savers write them."""
+LARGE_BYTES = 2_000_000
+"""Logs of more together take some seconds, which a line says where there is no bar."""
 PICTURE = ".pgm"
 """Suffix of pictures."""
 
@@ -60,7 +62,10 @@ def grid_texts(
     if bare:
         screen.warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
     logs = _Logs(place, source, log)
-    with screen.progress("reading", sum(logs.bytes.values()), "bytes") as advance:
+    size = sum(logs.bytes.values())
+    if size > LARGE_BYTES:
+        screen.begin(f"{source.name}: reading {counted(len(logs.bytes), 'log')} again")
+    with screen.progress(f"{source.name}: reading", size, "bytes") as advance:
         grid, told = _grid(source, logs, advance)
     for run, why in sorted(logs.gone.items()):
         screen.warn(
@@ -145,9 +150,7 @@ class _Logs:
         return self._at[run], read_again(self._place.ingested(run) or {})
 
 
-def _grid(
-    source: Exported, logs: _Logs, advance: Callable[[int], None]
-) -> tuple[Grid | None, list[str]]:
+def _grid(source: Exported, logs: _Logs, advance: Advance) -> tuple[Grid | None, list[str]]:
     """The grid in the frame of the map, and what it was made from.
 
     Scans of all runs are laid together; what these do not know is told by saved maps, the largest
@@ -182,6 +185,7 @@ def _grid(
     for run in sorted(seen.keys() - read.keys()):
         scans = logs.scans(seen[run], on_bytes)
         if scans is not None:
+            advance(done, doing=f"{source.name}: drawing what {run} saw")
             cast.add(scans.keyframes, compose(placed[run](scans.body[:, :2]), scans.body))
             by_scans.append(run)
     others = sorted(seen.keys() - saved.keys() - set(by_scans))

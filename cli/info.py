@@ -53,8 +53,8 @@ def info(
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
     hold. For that, logs of up to 64 MB on this machine are read whole, except for scans and clouds:
     --try reads these as well, and tells where no junction shows in them. Of others that have an
-    index only the index is read, and a line says so. Options about reading are those of ingest,
-    also those that the workspace remembers (topobatch init), which are shown first.
+    index only the index is read. A line says what is usable. Options about reading are those of
+    ingest, also those that the workspace remembers (topobatch init), which are shown first.
 
     \b
       topobatch info run1.mcap
@@ -87,9 +87,7 @@ def info(
         else:
             for line in described(found):
                 say(line)
-            _show_faults(found)
-            if how is None:
-                say("not read whole, so ingest may still refuse it: --try tells, and takes as long")
+            _show_faults(found, tried=how is not None)
         failed |= bool(found.problems)
     if as_json:
         say_lines(json.dumps(told))
@@ -103,11 +101,15 @@ def _as_json(found: LogInfo) -> dict[str, Any]:
     return asdict(found) | {"path": path}
 
 
-def _show_faults(found: LogInfo) -> None:
+def _show_faults(found: LogInfo, *, tried: bool) -> None:
     for problem in found.problems:
         say(f"problem: {problem}")
     for warning in found.warnings:
         say(f"warning: {warning}")
+    if found.usable and not (tried and not found.problems):
+        what = "ingest takes what could be read" if found.problems else "by its topics"
+        scans = "" if tried else "; not read whole yet (--try does, and takes as long as ingest)"
+        say(f"usable: {what}{scans}")
 
 
 def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSettings | None:
@@ -143,7 +145,8 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
             told = str(error)
             for problem in found.problems:
                 told = told.replace(f"; {problem}", "")
-            return replace(found, problems=tuple(dict.fromkeys([*found.problems, told])))
+            problems = tuple(dict.fromkeys([*found.problems, told]))
+            return replace(found, problems=problems, usable=False)
     found = as_read(found, run.source)
     return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
 

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from textwrap import shorten
 from typing import TYPE_CHECKING
 
 import typer
@@ -28,9 +30,9 @@ ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 
 @dataclass(frozen=True, slots=True)
 class Listed:
-    """A run. health: "ok", warnings, or why its map cannot be read; component, runs, site: its
-    component in the last merge, the number of runs in it, and its name; recorded: time of its first
-    junction pass, ingested: when its map was made, in UTC; stale: what changed since."""
+    """A run. health: "ok", its warnings in short, or why its map cannot be read; component, runs,
+    site: its component in the last merge, the number of runs in it, and its name; recorded: time of
+    its first junction pass, ingested: when its map was made, in UTC; stale: what changed since."""
 
     run: str
     junctions: int | None
@@ -183,14 +185,13 @@ def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
             utc(made_ns, ISO), tuple(old), site,
         )  # fmt: skip
     times = m.observation_time_ns
-    warnings = m.info.get("warnings")
-    told = len(warnings) if isinstance(warnings, list) else 0
+    warnings = m.info.get("warnings") or []
     return Listed(
         run=run,
         junctions=len(m),
         corridors=len(m.source),
         length_m=round(float(m.length.sum()), 3),
-        health=counted(told, "warning") if told else "ok",
+        health=_brief(warnings) if warnings else "ok",
         component=component,
         runs=runs,
         recorded=utc(int(times.min()), ISO) if len(times) else None,
@@ -198,6 +199,17 @@ def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
         stale=(*old, *_log_changes(place, run)),
         site=site,
     )
+
+
+BRIEF = 44
+"""Letters of a warning that a line of the list has room for."""
+
+
+def _brief(warnings: Sequence[str]) -> str:
+    """The number of warnings, and what the first is about, without its figures and what was done
+    about it."""
+    about = shorten(re.split(r"[;:(]", warnings[0])[0], BRIEF, placeholder=" …")
+    return f"{counted(len(warnings), 'warning')}: {about}{'; …' if len(warnings) > 1 else ''}"
 
 
 def _log_changes(place: Workspace, run: str) -> list[str]:

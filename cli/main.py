@@ -12,9 +12,10 @@ import sys
 from collections.abc import Callable
 from difflib import get_close_matches
 from io import TextIOWrapper
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 from typer.exceptions import TyperException
 
 from ..topology.errors import TopobatchError, UsageError
@@ -32,7 +33,7 @@ from .lock import lock
 from .merge import merge
 from .next_drives import next_drives
 from .output import complain, say, say_lines
-from .process import lack_of_memory, require_memory
+from .process import lack_of_memory
 from .rename import rename
 from .report import report
 from .schema import schema
@@ -80,12 +81,28 @@ COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
     ("simulate", simulate),
     ("schema", schema),
 )
+
+
+class Sectioned(TyperCommand):
+    """A command whose help has the options of a panel in a section of their own, after the
+    others."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments and options."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for param in self.get_params(ctx):
+            kind = f"{param.param_type_name.capitalize()}s"
+            title = getattr(param, "rich_help_panel", None) or kind
+            if (record := param.get_help_record(ctx)) is not None:
+                sections.setdefault(title, []).append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
 for name, command in COMMANDS:
-    app.command(name)(command)
-
-
-LIGHT = ("list", "history", "schema")
-"""Commands without large arrays."""
+    app.command(name, cls=Sectioned)(command)
 
 
 def _version(wanted: bool) -> None:
@@ -96,7 +113,6 @@ def _version(wanted: bool) -> None:
 
 @app.callback()
 def topobatch(
-    context: typer.Context,
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version.")
     ] = False,
@@ -108,8 +124,6 @@ def topobatch(
     pair of runs topobatch says how sure it is that they overlap. Results land in a workspace
     folder: maps/RUN.json, maps/RUN.rrd, merged.json, merged.rrd.
     """
-    if context.invoked_subcommand not in LIGHT and not {"-h", "--help"} & set(sys.argv):
-        require_memory()
 
 
 def _say_what_is_wrong(error: TyperException) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import json
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -345,11 +345,8 @@ def _merged(
 ) -> tuple[MergeResult, list[str]]:
     """Merge maps and write the files of the merge; and what became of the sites of the last one.
     before: the site of every run then."""
-    from ..merge.document import write_merged
     from ..merge.merging import merge_maps
     from ..merge.result import pairs_of
-    from ..topology.files import write_together
-    from ..viz.merged_recording import write_merged_recording
     from .unchanged import contents
 
     # From these, later changes of maps are recognised.
@@ -363,6 +360,16 @@ def _merged(
         kept.settle()
     result, moved = with_sites(place, result, maps, before)
     result = replace(result, info={**result.info, "maps": documents})
+    _write(place, result, maps, screen)
+    return result, moved
+
+
+def _write(place: Workspace, result: MergeResult, maps: Sequence[TopoMap], screen: Screen) -> None:
+    """Write the document and the recording of a merge."""
+    from ..merge.document import write_merged
+    from ..topology.files import write_together
+    from ..viz.merged_recording import write_merged_recording
+
     with screen.progress("writing", 0):
         write_together(
             {
@@ -370,7 +377,29 @@ def _merged(
                 place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
             }
         )
-    return result, moved
+
+
+def rename_sites(place: Workspace, screen: Screen) -> None:
+    """Call the sites of all merges as the workspace remembers them now. Nothing is matched, unless
+    a merge cannot be read or its maps are others by now: that one is repeated. The caller holds the
+    workspace's lock."""
+    from .unchanged import changed_since
+
+    for each in place.merges():
+        try:
+            result = each.read_result()
+        except DocumentError:
+            _repeat(each, place.runs(), screen, {})  # or say that it cannot be
+            continue
+        before = {run: c.site or "" for c in result.components for run in c.poses}
+        known = result.info.get("maps") or {}
+        if before.keys() - known.keys() or changed_since(place, known, [*before]):
+            _repeat(each, before, screen, {})
+            continue
+        maps, _ = read_maps(each, sorted(before), screen)
+        renamed, _ = with_sites(each, result, maps, before)
+        if [c.name for c in renamed.components] != [c.name for c in result.components]:
+            _write(each, renamed, maps, screen)
 
 
 def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:

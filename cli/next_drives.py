@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..topology.errors import DataError, UsageError
+from ..topology.errors import UsageError
+from ..topology.wording import counted, listed
+from .draw import quiet_fonts, walled
+from .export import write_files
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
@@ -17,14 +20,18 @@ from .options import (
     WorkspaceOption,
     complete_site,
 )
-from .output import folded, say, say_lines
+from .output import checked_output, folded, say, say_lines
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..merge.drive import Drive
+    from ..merge.result import MergeResult
 
-PLANS = (".csv", ".geojson")
-"""Suffixes of files of waypoints."""
+PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
+"""Suffixes of files of waypoints, and of pictures."""
+
+MOST_JUNCTIONS = 12
+"""Up to so many junctions with a branch that nobody drove are named for each site."""
 
 
 def next_drives(
@@ -44,8 +51,9 @@ def next_drives(
         typer.Option(
             "--output",
             "-o",
-            metavar="FILE.csv|FILE.geojson",
-            help="Also write the waypoints there; may be given twice.",
+            metavar="FILE",
+            help="Also write the plan there: a picture (.svg, .png), or its waypoints (.csv, "
+            ".geojson); may be given several times.",
         ),
     ] = None,
     merge: MergeOption = MERGED,
@@ -58,68 +66,99 @@ def next_drives(
     would settle. Two sites with an ambiguous pair of runs are joined by one drive through enough
     places of both, as the pair's best placement has them. Where no pair is open, a drive leads into
     the unknown, by a branch that nobody drove. Drives are ranked by the evidence that they are
-    expected to bring, in bits for each metre. Junctions have the numbers of merged.json, which
-    topobatch draw SITE shows; SITE:9 is junction 9 of another site. After the drive: ingest its
-    log, and merge again.
+    expected to bring, in bits for each metre; below one bit none is proposed, and a line says so.
+    Junctions have the numbers of merged.json, which the picture shows; SITE:9 is junction 9 of
+    another site. After the drive: ingest its log, and merge again.
 
     \b
       topobatch next
-      topobatch next --drives 1 --output plan.csv --output plan.geojson
+      topobatch next -o plan.svg -o plan.geojson
     """
     for path in output or ():
-        if path.suffix.lower() not in PLANS:
-            raise UsageError(f"{path}: a plan's name ends in .csv or .geojson")
+        if checked_output(path).suffix.lower() not in PLANS + PICTURES:
+            raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
     place = Workspace(workspace, merge)
     result = place.read_result()
     from ..merge.drives import drives
-    from ..merge.result import Standing
 
     names = {c.name: c.id for c in result.components}
     if site is not None and site not in names:
         raise place.no_site(site, list(names))
     found = drives(result, most, None if site is None else names[site])
-    for path in output or ():
-        _write(path, found)
+    shown = {*names} if site is None else {site}
+    write_files({path: _plan(path, found, result, shown, place) for path in output or ()})
     if as_json:
         from ..merge.drive import drive_to_document
 
         say_lines(json.dumps([drive_to_document(d) for d in found]))
         return
-    if found and not result.standings()[Standing.AMBIGUOUS]:
-        hardly = ", and would hardly join sites" if max(d.bits for d in found) < HARDLY_BITS else ""
-        say(f"no pair is open; these drives lead to branches that nobody drove{hardly}")
-    for line in _lines(found):
+    for line in _lines(found, result, place) if found else _nothing(result, shown, place):
         say(line)
-    if found:
-        say("after the drive, ingest its log and merge again; waypoints: --output plan.csv")
-        say(f"on the map, with numbers: {place.call('report', *place.named)}")
     for path in output or ():
         say(f"{path}")
 
 
-HARDLY_BITS = 1.0
-"""Evidence that does not even make a match twice as likely."""
+def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
+    from ..merge.result import Standing
 
-
-def _lines(found: Sequence[Drive]) -> list[str]:
-    if not found:
-        return ["nothing to record: no pair of runs is open, and every branch was driven"]
     out = []
+    if not result.standings()[Standing.AMBIGUOUS]:
+        out.append("no pair is open; these drives lead to branches that nobody drove")
     for k, drive in enumerate(found, 1):
         where, settles = drive.words
         expected = f"{drive.bits:.1f} bits expected, {drive.bits_per_m:.3f} a metre"
         out += folded(f"{k}. {where}", indent="   ")
         for line in (f"{settles}; {expected}", drive.way):
             out += folded(f"   {line}", indent="   ")
-    return out
+    out.append("after the drive, ingest its log and merge again")
+    plan = place.call("next", *place.named, "-o", "plan.svg")
+    return [*out, f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)"]
 
 
-def _write(path: Path, found: Sequence[Drive]) -> None:
-    from ..topology.files import write_text
+def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
+    """That no drive is worth it, why, and where the map is not complete."""
+    from ..merge.drives import never_driven
+    from ..merge.result import Standing
+
+    open_ = result.standings()[Standing.AMBIGUOUS]
+    out = ["nothing to record would join sites: no pair of runs is open"]
+    if open_:
+        are = "is" if open_ == 1 else "are"
+        lock = place.call("lock", "A", "B", "--same")
+        out = folded(
+            f"{counted(open_, 'pair')} of runs {are} open, but no drive is likely to settle any: "
+            f"what it would find looks alike elsewhere; if you know: {lock}, or --never"
+        )
+    ways = {name: own for name, own in never_driven(result).items() if name in shown}
+    if not ways:
+        return [*out, "every branch was driven"]
+    out.append("branches that nobody drove, which would complete a map, are at")
+    for name, own in ways.items():
+        which = f" {listed([str(v) for v in own])}" if len(own) <= MOST_JUNCTIONS else ""
+        out += folded(f"  {name}: {counted(len(own), 'junction')}{which}", indent="    ")
+    plan = place.call("next", *place.named, "-o", "plan.svg")
+    return [*out, f"on a map with numbers: {plan}"]
+
+
+def _plan(
+    path: Path,
+    found: Sequence[Drive],
+    result: MergeResult,
+    shown: Collection[str],
+    place: Workspace,
+) -> str | bytes:
+    """The contents of a file of the plan. A picture without drives shows the branches that nobody
+    drove."""
     from ..viz.exports.drives import drives_csv, drives_geojson
 
-    text = drives_csv(found) if path.suffix.lower() == PLANS[0] else drives_geojson(found)
-    try:
-        write_text(path, text)
-    except PermissionError as error:
-        raise DataError(f"{path}: {error.strerror}; name another --output") from error
+    suffix = path.suffix.lower()
+    if suffix in PLANS:
+        return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found)
+    quiet_fonts()
+    from ..viz.draw import draw_sites
+    from ..viz.palette import LIGHT
+
+    begin = {d.component for d in found}
+    sites = [c for c in result.components if (c.id in begin if found else c.name in shown)]
+    canvas = draw_sites(result, [c.id for c in sites], LIGHT, walled(place, sites), drives=found)
+    return canvas.as_bytes("svg" if suffix == PICTURES[0] else "png")

@@ -1,4 +1,4 @@
-"""The process as it was started: closed streams, signals that end it, limits of memory."""
+"""The process as it was started: closed streams, signals that end it, lack of memory."""
 
 from __future__ import annotations
 
@@ -7,15 +7,8 @@ import signal
 import sys
 from types import FrameType
 
-from ..topology.errors import UsageError
-
 ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 """Signals that end the process as Ctrl-C does: what was begun is cleared away."""
-
-LEAST_BYTES = 1 << 31
-"""Address space that is needed: the libraries map 0.8 GB, and threads 72 MB each (stack and heap).
-Measured on the sample logs: with 2.0 GiB every command works, with 1.5 GiB neither `explain` nor
-`ingest -j 2`. With less, OpenBLAS waits for ever or ends the process."""
 
 
 def open_closed_streams() -> None:
@@ -46,34 +39,12 @@ def _end(number: int, _: FrameType | None) -> None:
     raise SystemExit(128 + number)
 
 
-def memory_limit() -> int | None:
-    """Bytes of address space that the process may have (`ulimit -v`); None without a limit."""
-    try:
-        import resource
-    except ImportError:
-        return None
-    soft, _ = resource.getrlimit(resource.RLIMIT_AS)
-    return None if soft == resource.RLIM_INFINITY else soft
-
-
-def require_memory() -> None:
-    """UsageError if the process may not have the address space that the libraries need."""
-    limit = memory_limit()
-    if limit is not None and limit < LEAST_BYTES:
-        raise UsageError(
-            f"memory is limited to {limit >> 20} MiB (ulimit -v {limit >> 10}), and "
-            f"{LEAST_BYTES >> 20} MiB of addresses are needed: ulimit -v {LEAST_BYTES >> 10}"
-        )
-
-
 def lack_of_memory(error: Exception) -> str | None:
     """That memory did not suffice, if that is what an error means."""
     words = ("failed to map segment", "can't start new thread")
     if not isinstance(error, MemoryError) and not any(word in str(error) for word in words):
         return None
-    limit = memory_limit()
-    limited = "" if limit is None else f", which is limited to {limit >> 20} MiB (ulimit -v)"
-    return f"not enough memory{limited}: {str(error) or 'none is left'}"
+    return f"not enough memory: {str(error) or 'none is left'}"
 
 
 def start_worker() -> None:

@@ -9,54 +9,66 @@ import typer
 from ..topology.errors import UsageError
 from ..topology.wording import listed
 from .journal import note
-from .merge import merge_again
+from .merge import rename_sites
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run
 from .output import Screen
 from .workspace import MERGED, Workspace, checked_file_name
 
 
 def site(
-    run: Annotated[
-        str,
+    words: Annotated[
+        list[str],
         typer.Argument(
-            metavar="RUN|SITE",
-            help="A run of the site, or its name so far.",
+            metavar="RUN|SITE NAME ...",
+            help="A run of the site, or its name so far, and what to call it from now on; several "
+            "such pairs, one after the other.",
             autocompletion=complete_run,
         ),
     ],
-    name: Annotated[str, typer.Argument(metavar="NAME", help="What to call it from now on.")],
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     quiet: QuietOption = False,
 ) -> None:
-    """Name a site: the place where runs that were merged were recorded.
+    """Name sites: the places where runs that were merged were recorded.
 
     Every site has a name, which topobatch list shows: that of the folder of its logs, or what the
     names of its runs begin with, or "site-" and its oldest run. One that you give is kept
     (sites.json), as more runs come and others go. Two sites that become one keep the name that most
     runs have; of a site that comes apart, the larger part keeps it. Exports are called like their
-    site.
+    site. Nothing is matched again: only the names in the merges change. Several may be named at
+    once: topobatch site run1 north run7 east.
 
     \b
       topobatch site run1 north
       topobatch export --site north --format nav2
       topobatch draw north north.svg
     """
+    if len(words) % 2:
+        raise UsageError(f"a run and a name for its site are needed; {words[-1]!r} is alone")
     place, screen = Workspace(workspace), Screen(quiet)
     with place.held(screen.warn, make=False):
-        sites, runs = _called(place, run)
-        _check(place, name, sites, runs)
-        old = {sites.get(each) for each in runs} | {name}
-        kept = {
-            site: [each for each in own if each not in runs]
-            for site, own in place.sites().items()
-            if site not in old
-        }
-        place.write_sites({**kept, name: runs})
-        note(place, "site", f"{name}: {listed(runs)}", screen.warn)
-        screen.line(f"site {name}: {listed(runs)}")
-        if not sites:
-            screen.line(f"next: {place.call('merge', '--all')}")
-        merge_again(place, runs, screen)
+        before = place.sites()
+        try:
+            told = [_name(place, *pair) for pair in zip(words[::2], words[1::2], strict=True)]
+            rename_sites(place, screen)
+        except UsageError:
+            place.write_sites(before)
+            raise
+        for line in told:
+            note(place, "site", line, screen.warn)
+            screen.line(f"site {line}")
+    if not place.merged_json.is_file():
+        screen.line(f"next: {place.call('merge', '--all')}")
+
+
+def _name(place: Workspace, run: str, name: str) -> str:
+    """Keep the name of one site; it and its runs in words."""
+    sites, runs = _called(place, run)
+    _check(place, name, sites, runs)
+    old = {sites.get(each) for each in runs} | {name}
+    left = {s: [each for each in own if each not in runs] for s, own in place.sites().items()}
+    kept = {site: own for site, own in left.items() if site not in old and own}
+    place.write_sites({**kept, name: runs})
+    return f"{name}: {listed(runs)}"
 
 
 def _called(place: Workspace, run: str) -> tuple[dict[str, str], list[str]]:

@@ -9,6 +9,7 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -161,15 +162,14 @@ class Workspace:
         """The recording of a run."""
         return self.maps / f"{plain_name(run)}.rrd"
 
-    def explain_rrd(self, a: str, b: str, *, method: str = "robust") -> Path:
+    def explain_rrd(self, a: str, b: str) -> Path:
         """The recording of a pair's match. Names that are too long together are cut."""
-        kind = "" if method == "robust" else f".{method}"
         name = f"{plain_name(a)}+{plain_name(b)}"
         if len(name.encode()) > NAME_BYTES:
             digest = hashlib.sha256(name.encode()).hexdigest()[:12]
             short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
             name = "+".join((*short, digest))
-        return self.root / "explain" / f"{name}{kind}.rrd"
+        return self.root / "explain" / f"{name}.rrd"
 
     @property
     def exports(self) -> Path:
@@ -180,8 +180,7 @@ class Workspace:
         """The recordings in which a run may be: of its map, also with its log, and of pairs."""
         yield from (self.map_rrd(run), self.raw_log_rrd(run), self.raw_log_views_rrd(run))
         for other in self.runs():
-            for method in ("robust", "paper"):
-                yield self.explain_rrd(*sorted((run, other)), method=method)
+            yield self.explain_rrd(*sorted((run, other)))
 
     def exports_of(self, run: str) -> Iterator[Path]:
         """The files that exports of a run's map go to."""
@@ -265,16 +264,15 @@ class Workspace:
 
     def unknown(self, names: Sequence[str], what: str = "map of") -> UsageError | DataError:
         """What to say where runs are named that there are not."""
-        from difflib import get_close_matches
-
         known = self.runs()
         if not known:
             return self.no_maps()
         parts = {part for name in names for part in name.split(":")} - set(known)
-        near = [
-            run for part in sorted(parts) for run in get_close_matches(Path(part).name, known, 1)
-        ]
-        meant = f"; did you mean {listed(near)}?" if near else ";"
+        sites: list[str] = []
+        if "site" in what and self.merged_json.is_file():
+            sites = sorted({*self.read_merged().graph.sites.values()} - {*known})
+        known += sites
+        meant = _meant(sorted(parts), known)
         if is_workspace(Path(names[0])):
             meant = f"; did you mean --workspace {names[0]}?"
         return UsageError(
@@ -398,10 +396,7 @@ class Workspace:
 
     def no_site(self, site: str, there: Sequence[str]) -> UsageError:
         """What to say where a site is named that the merge does not have."""
-        from difflib import get_close_matches
-
-        near = get_close_matches(site, there, 1)
-        meant = f"; did you mean {near[0]}?" if near else ";"
+        meant = _meant([site], there)
         known = listed(sorted(there)) or "none"
         if not there:
             known = f"none (merge again, which names them: {self.call('merge', '--all')})"
@@ -553,6 +548,17 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+def _meant(names: Sequence[str], known: Sequence[str]) -> str:
+    """The known names that are nearest to unknown ones, as a question."""
+    from difflib import get_close_matches
+
+    ends = [Path(name).name for name in names]  # a path may have been named
+    near = [[end] if end in known else get_close_matches(end, known, 3) for end in ends]
+    *others, last = [*dict.fromkeys(chain.from_iterable(near))] or [""]
+    asked = f"{', '.join(others)} or {last}" if others else last
+    return f"; did you mean {asked}?" if asked else ";"
 
 
 def _decided(path: Path, from_document: Callable[[Any, str], T], none: T) -> T:

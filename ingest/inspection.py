@@ -38,7 +38,8 @@ class TopicInfo:
 @dataclass(frozen=True, slots=True)
 class LogInfo:
     """The contents of a log. start_ns, duration_s: None for a saved map; problems: one sentence
-    each, empty for a whole, usable log; warnings: those of reading it whole, if it was."""
+    each, empty for a whole, usable log; warnings: those of reading it whole, if it was; usable:
+    whether ingest could use what is there, though it may be damaged."""
 
     path: LogPath
     name: str
@@ -49,6 +50,7 @@ class LogInfo:
     topics: tuple[TopicInfo, ...]
     problems: tuple[str, ...]
     warnings: tuple[str, ...] = ()
+    usable: bool = True
 
 
 def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo:
@@ -63,6 +65,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
         findings = walk(recording, Intake(lambda _: False), None, by_index=False)
         problems = damage_of(recording, findings)
         survey = Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
+    damage = len(problems)
     uses = _uses(recording, survey.counts, settings, problems)
     topics: dict[tuple[str, str], int] = {}
     for channel, count in survey.counts.items():
@@ -80,6 +83,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
             for (topic, type_name), count in sorted(topics.items())
         ),
         tuple(problems),
+        usable=len(problems) == damage,
     )
 
 
@@ -108,7 +112,7 @@ def _saved_map_info(recording: Recording, path: Path) -> LogInfo:
     image = TopicInfo(recording.files[1].path.name, "map_server", 1, "grid", why)
     name = run_name(path)
     found = LogInfo(path, name, "saved map", recording.bytes, None, None, (image,), problems)
-    return replace(found, warnings=notes)
+    return replace(found, warnings=notes, usable=not problems)
 
 
 def _uses(

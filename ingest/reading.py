@@ -90,8 +90,8 @@ def read_log(
 
     path: an MCAP file, a ROS 1 bag, a ROS 2 bag folder, or a folder with the parts of one
     recording. on_bytes is called with the number of further bytes of `log_size(path)` processed,
-    on_keyframes with the scans (`scans.keyframes.Keyframes`) of a run whose junctions were found in
-    scans.
+    on_keyframes with the scans (`scans.keyframes.Keyframes`) of a run with scans; these are then
+    matched with each other, and no junctions looked for.
     What remains of a damaged log is used, with warnings in the run. Raises LogError if there is
     nothing to use, UsageError if a topic must be named. O(bytes read); memory follows the poses
     kept.

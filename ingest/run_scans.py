@@ -13,7 +13,7 @@ from ..topology.columns import take
 from ..topology.errors import DataError
 from ..topology.grids import cropped, grid_at
 from ..topology.run import Grid, Run
-from ..topology.se2 import compose, inverse
+from ..topology.se2 import compose
 from ..topology.topomap import TopoMap
 from ..topology.track import piece_of
 from ..topology.visits import Visits, in_map_frame
@@ -22,10 +22,11 @@ from .reading import read_log
 from .remote.path import LogPath
 from .scans.grid import GridSettings, looks
 from .scans.keyframes import Keyframes
+from .scans.windows import window_places
 
 LEAST_SHARE = 0.5
-"""Share of the times of a map's views at which a log has views as well, if the map was made from
-it: on another processor some may lie a scan apart."""
+"""Share of the times of a map's views at which a log has keyframes as well, if the map was made
+from it: on another processor some may lie a scan apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,25 +53,24 @@ def scans_on_map(
     if not isinstance(found, Run) or found.scanned is None or not kept:
         raise DataError(f"{log}: holds no scans")
     (frames,) = kept[-1:]
-    odometry, views = found.odometry, found.scanned.views
-    _, fresh, stored = np.intersect1d(views.time_ns, topomap.views.time_ns, return_indices=True)
-    if len(stored) < LEAST_SHARE * len(np.unique(topomap.views.time_ns)) or not len(stored):
+    odometry, placed = found.odometry, topomap.views
+    again = np.isin(placed.time_ns, odometry.time_ns)
+    if not len(again) or again.mean() < LEAST_SHARE:
         raise DataError(
             f"{log}: its scans are not those that the map of run {topomap.run} was made from"
         )
     # Every view tells where its surroundings in the odometry's frame came to lie in the map.
-    odom, placed = views.pose[fresh], topomap.views.pose[stored]
-    turn = compose(placed, inverse(odom))[:, 2]
+    time_ns, pose = placed.time_ns[again], placed.pose[again]
     visits = Visits(
-        time_ns=views.time_ns[fresh],
-        vertex=np.arange(len(fresh)),
-        seen=np.ones(len(fresh), bool),
-        pose=np.column_stack([placed[:, :2], turn]),
-        centre=odom[:, :2],
-        piece=piece_of(odometry, views.time_ns[fresh]),
+        time_ns=time_ns,
+        vertex=np.arange(len(time_ns)),
+        seen=np.ones(len(time_ns), bool),
+        pose=pose,
+        centre=window_places(odometry, time_ns),
+        piece=piece_of(odometry, time_ns),
     )
     body = odometry.at(frames.time_ns)
-    body = in_map_frame(odometry, visits, placed[:, :2], frames.time_ns, body)
+    body = in_map_frame(odometry, visits, pose[:, :2], frames.time_ns, body)
     # The map may be of a piece of the log alone.
     known = np.flatnonzero(np.isfinite(body).all(axis=1))
     return LaidScans(take(frames, known), body[known])

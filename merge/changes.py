@@ -13,6 +13,9 @@ a straight corridor there. A run that drove through it undetected, and along all
 one, is missing that corridor: one change, not one for each of its ends. A junction that lost all
 branches but one is a dead end, which no merge matches with the former junction. It is found at the
 far end of the remaining corridor (`_lookalikes`).
+
+Nothing is missing for a run that knows another junction beside it, or that drove another corridor
+along all of it: fused maps show some places twice.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import METRES, rounded
@@ -51,6 +55,10 @@ class ChangeSettings:
     equal_sigmas: float = 3.0
     """Corridors whose lengths differ by no more standard deviations are equally long (99.7 % of
     equal ones)."""
+    beside_m: float = 1.5
+    """Junctions no farther apart, or than the position of one is uncertain (1 sigma), may be one
+    place; corridors of which one lies so near the other everywhere may be one corridor. Doublets of
+    fused maps are about 1 m apart; a corridor and its walls have 1.5 m."""
 
 
 CHANGES = ChangeSettings()
@@ -111,18 +119,32 @@ class _Seen:
         self._headings = {run: padded_branches(m) for run, m in maps.items()}
         self._fused = padded_branches(merged)
         self._turn = {run: float(poses[run][2]) for run in maps}
-        self._lookalikes = _lookalikes(merged, self.nodes)
+        self._alike = _lookalikes(merged, self.nodes)
+        self._near = _neighbours(merged)
+        self._driven: dict[str, Any] = {}
         self._at: list[list[int]] = [[] for _ in self.nodes]
         for e, ends in enumerate(zip(merged.source.tolist(), merged.target.tolist(), strict=True)):
             for node in {*ends}:
                 self._at[node].append(e)
 
     def places(self, run: str, node: int) -> list[int]:
-        """Fused vertices as which a run passed the place of a fused vertex: itself, or
-        lookalikes."""
-        if run in self.nodes[node]:
-            return [node]
-        return [k for k in self._lookalikes[node] if run in self.nodes[k]]
+        """Fused vertices as which a run passed the place of a fused vertex: itself and those beside
+        it, or lookalikes."""
+        here = [k for k in self._near[node] if run in self.nodes[k]]
+        return here or [k for k in self._alike[node] if run in self.nodes[k]]
+
+    def is_double(self, edge: int) -> bool:
+        """Whether a fused edge joins two vertices that may be one place."""
+        return int(self.merged.target[edge]) in self._near[int(self.merged.source[edge])]
+
+    def drove_along(self, run: str, edge: int) -> bool:
+        """Whether a run's corridors lie beside all of a fused edge."""
+        if run not in self._driven:
+            own = [k for k, members in enumerate(self.edges) if run in members]
+            points = [np.zeros((0, 2)), *(_spaced(self.merged.paths[k]) for k in own)]
+            self._driven[run] = cKDTree(np.concatenate(points))
+        away, _ = self._driven[run].query(_spaced(self.merged.paths[edge]))
+        return bool(away.max() <= CHANGES.beside_m)
 
     def times(self, run: str, node: int) -> IntArray:
         """Times [ns] at which a run passed the place of a fused vertex."""
@@ -146,7 +168,7 @@ class _Seen:
     def driven_through(self, run: str, node: int) -> list[int]:
         """A run's own corridors that lead through the place of a fused vertex which it did not
         detect."""
-        if run in self.nodes[node]:
+        if self.places(run, node):
             return []
         driven = Counter(k for e in self._at[node] for k in self.edges[e].get(run, ()))
         return sorted(k for k, times in driven.items() if times > 1)
@@ -201,6 +223,25 @@ def _lookalikes(merged: TopoMap, nodes: Sequence[Mapping[str, Any]]) -> list[lis
     return [sorted(alike) for alike in out]
 
 
+def _neighbours(merged: TopoMap) -> list[list[int]]:
+    """For every fused vertex, itself and those that may be the same place by where they lie."""
+    sigma = np.zeros(len(merged)) if merged.position_sigma is None else merged.position_sigma
+    reach = np.maximum(np.nan_to_num(sigma), CHANGES.beside_m)
+    found: list[list[int]] = cKDTree(merged.xy).query_ball_point(merged.xy, reach).tolist()
+    return [sorted(near) for near in found]
+
+
+STEP_M = 0.5
+"""Spacing of the points by which corridors are compared: a third of `beside_m`."""
+
+
+def _spaced(path: FloatArray) -> FloatArray:
+    """(k, 2) points of a polyline, at most `STEP_M` apart."""
+    way = way_of(path)
+    at = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / STEP_M)) + 1)
+    return np.stack([np.interp(at, way, path[:, k]) for k in (0, 1)], axis=-1)
+
+
 def _fault_rate(rate: float) -> float:
     return min(max(rate, CHANGES.least_fault_rate), 0.5)
 
@@ -212,6 +253,8 @@ def _corridors(seen: _Seen) -> tuple[list[_Doubt], int, set[tuple[int, str]]]:
     out, asked, m = [], 0, seen.merged
     explained: set[tuple[int, str]] = set()
     for e, members in enumerate(seen.edges):
+        if seen.is_double(e):
+            continue
         missing = []
         ends = [int(m.source[e]), int(m.target[e])]
         headings = [seen.heading(e, k) for k in (0, 1)]
@@ -223,6 +266,8 @@ def _corridors(seen: _Seen) -> tuple[list[_Doubt], int, set[tuple[int, str]]]:
                 continue
             asked += 1
             if any(seen.saw(run, ends[k], headings[k]) for k in passed):
+                continue
+            if seen.drove_along(run, e):
                 continue
             explained |= {(node, run) for node in through}
             missing.append(_missed(seen, run, {ends[k] for k in passed}, through))

@@ -32,8 +32,9 @@ def component_map(
 
     maps: the maps of its runs, by name; with all of them, unchanged since the merge, the result has
     the times of its traversals. `info["members"]` holds for every vertex and edge the vertices and
-    edges of the runs that it was fused from. Observations are those of all runs, by time. Raises
-    ValueError if the component does not exist or is inconsistent.
+    edges of the runs that it was fused from, `info["numbers"]` the vertices' ids in the document.
+    Observations are those of all runs, by time. Raises ValueError if the component does not exist
+    or is inconsistent.
     """
     chosen = [node for node in document.nodes if node.component == component]
     number = {node.id: k for k, node in enumerate(chosen)}
@@ -77,10 +78,11 @@ def component_map(
         confidence=sure,
         noise=noise,
         info={
+            "numbers": tuple(node.id for node in chosen),
             "members": {
                 "nodes": [node.members for node in chosen],
                 "edges": [e.members for e in edges],
-            }
+            },
         },
     )
     return without_turning_points(fused)

@@ -97,8 +97,9 @@ class Decision:
 
     pair: the verdict, as the last merge gave it (`of_merge`), or else as the notes say. placements:
     the one that the verdict refers to, and the next best with another position of b; none if
-    nothing in the two maps is compatible. by_others: (3,) T_a_b of runs that only others join. why:
-    what a rejected pair lacks; notes: on the documents that it was made from.
+    nothing in the two maps is compatible. by_others: (3,) T_a_b of runs that only others join, and
+    chain: the merged pairs that do, from a to b, with their evidence [bits]. why: what a rejected
+    pair lacks; notes: on the documents that it was made from.
     """
 
     pair: PairVerdict
@@ -106,6 +107,7 @@ class Decision:
     requirement: Requirement
     placements: tuple[Placement, ...]
     by_others: FloatArray | None = None
+    chain: tuple[tuple[str, str, float], ...] = ()
     why: str = ""
     notes: tuple[str, ...] = ()
 
@@ -127,6 +129,9 @@ def to_document(decision: Decision) -> dict[str, Any]:
         "advice": pair.advice,
         "locked": pair.locked,
         "through": list(pair.through),
+        "chain": [
+            {"a": a, "b": b, "evidence_bits": rounded(bits, BITS)} for a, b, bits in decision.chain
+        ],
         "together": pair.together and [list(side) for side in pair.together],
         "placed": sigmas_to_document(pair.placed),
         "by_others": None if decision.by_others is None else pose_to_document(decision.by_others),

@@ -6,7 +6,7 @@ Degrees and decimals for people; documents hold radians.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from textwrap import shorten, wrap
 
 import numpy as np
@@ -69,8 +69,10 @@ def headline(decision: Decision) -> str:
         }[pair.accepted_by]
         return f"{names}: {by}: {bits}, {need}"
     if pair.through:
-        alone = f"by itself {pair.verdict}, {decision_bits(decision)} bits"
-        return f"{names}: joined through {listed(pair.through)}: {alone}"
+        links = [
+            f"{short(a)} + {short(b)} {shown_bits(bits)} bits" for a, b, bits in decision.chain
+        ]
+        return f"{names}: one place through {listed(pair.through)}: {', '.join(links)}"
     by = "locked apart" if pair.locked == "never" else pair.standing
     return f"{names}: {by}: {bits}, {need}"
 
@@ -96,8 +98,12 @@ def digits_of(decision: Decision) -> int:
 
 
 def because(decision: Decision) -> str:
-    """The reason in one sentence."""
+    """The reason in one sentence; of a pair that others join, what its own maps say."""
     pair = decision.pair
+    if pair.through:
+        alone = f"{pair.verdict}, {decision_bits(decision)} bits, {threshold(decision)} needed"
+        own = because(replace(decision, pair=replace(pair, through=())))
+        return f"By the two maps alone {alone}: {own[0].lower()}{own[1:]}"
     if decided := _by_a_person(pair):
         return decided
     if not decision.placements:
@@ -156,7 +162,7 @@ def lies(decision: Decision) -> str:
         if pair.placed is not None:
             sure = f", to {pair.placed[0]:.1f} m and {np.degrees(pair.placed[1]):.1f}° (1 sigma)"
         where = describe_pose(decision.by_others)
-        return f"By the others {short(pair.b)} lies at {where}, {frame}{sure}"
+        return f"{short(pair.b)} lies at {where}, {frame}{sure}"
     if not decision.placements:
         return ""
     text = "lies" if pair.accepted else "would lie"
@@ -298,12 +304,14 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
     """The decision as lines of a terminal, `width` columns wide, the verdict first. links: most
     rows of links, `MOST_LINKS` by default."""
     pair = decision.pair
-    out = [
-        *_folded(headline(decision), width),
-        *_folded(because(decision), width, "  "),
-        *_folded(lies(decision), width, "  "),
-    ]
-    if len(decision.placements) > 1:
+    out = _folded(headline(decision), width)
+    told = [because(decision), lies(decision)]
+    for line in reversed(told) if pair.through else told:
+        out += _folded(line, width, "  ")
+    if pair.through and decision.placements:
+        own = f"their own best placement, at {pose(decision.placements[0])}, does not count:"
+        out += _folded(own, width, "  ")
+    elif len(decision.placements) > 1:
         second = f"the {other_name(decision)} lays it at {pose(decision.placements[1])}"
         out += _folded(second, width, "  ")
     out += _table(decision, MOST_LINKS if links is None else links, width)

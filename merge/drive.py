@@ -6,6 +6,8 @@ from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
 
+import numpy as np
+
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, METRES, rounded
 from ..topology.wording import counted
@@ -31,9 +33,10 @@ class Drive:
 
     component, site: where it starts; onto: the site that it would join to that one, None of a
     drive into the unknown; stops: in order, two or more; path: (k, 2) in the frame of the site
-    [m], the corridors of another site as its best placement has them; known_m, length_m: length
-    of the part in the site's own map, and of all; heading_rad: of the branch never driven, in
-    that frame; pairs: open pairs that it would settle; bits: expected evidence.
+    [m], the corridors of another site as its best placement has them, and of the unknown a corridor
+    of usual length; known_m, length_m: length of the part in the site's own map, and of all;
+    heading_rad: of the branch never driven, in that frame; pairs: open pairs that it would settle;
+    bits: expected evidence.
     """
 
     component: int
@@ -51,11 +54,6 @@ class Drive:
     def bits_per_m(self) -> float:
         """Expected evidence for each metre driven, by which drives are ranked."""
         return self.bits / self.length_m
-
-    @property
-    def known_path(self) -> FloatArray:
-        """(k, 2) the path without the way straight on into the unknown, if it ends in one."""
-        return self.path if self.heading_rad is None else self.path[:-1]
 
     @property
     def words(self) -> tuple[str, str]:
@@ -80,10 +78,14 @@ class Drive:
         text = "by junctions " + "; ".join(parts)
         if self.heading_rad is None:
             return text
-        rest = self.length_m - self.known_m
+        rest, usual_m = (
+            self.length_m - self.known_m,
+            float(np.hypot(*(self.path[-1] - self.path[-2]))),
+        )
+        passed = f" past about {rest / usual_m:.0f} junctions" if usual_m else ""
         return (
             f"{text}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
-            f"map), and straight on for {rest:.0f} m"
+            f"map), and on as corridors lead,{passed} ({rest:.0f} m)"
         )
 
 

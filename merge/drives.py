@@ -4,17 +4,18 @@ A robot that drives through places of two sites joins them, if it passes enough 
 junction brings as much evidence as the site's pairs have for each of theirs, about `junction_bits`,
 less where the building repeats itself. So a drive is the shortest walk found through both maps, one
 laid over the other by the best placement of an open pair, by as many junctions of each as merging
-needs. Where no pair is open, a drive leads into the
-unknown, by a branch that nobody drove. Either is expected to bring, for every junction of another
-site, as much evidence as the site's pairs have for each of theirs, times the probability that it
-gets there: that the placement is right, or that the branch leads to a site. So drives through a
-building that repeats itself come late: what they find is there twice.
+needs. Where no pair is open, a drive leads into the unknown, by a branch that nobody drove; it is
+shown as far as a corridor of usual length, as nobody knows what comes behind that. Either is
+expected to bring, for every junction of another site, as much evidence as the site's pairs have for
+each of theirs, times the probability that it gets there: that the placement is right, or that the
+branch leads to a site. So drives through a building that repeats itself come late: what they find
+is there twice. What is expected to bring hardly any evidence is not proposed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from itertools import pairwise
 
@@ -47,6 +48,9 @@ class DriveSettings:
     """Corridors driven beyond a branch never driven for every junction that merging needs: other
     sites do not begin at once behind the last junction known. Of 13 such drives 8 join a site, with
     1.0 it is 5."""
+    least_bits: float = 1.0
+    """Evidence that a drive is expected to bring at least: less does not even make a match twice as
+    likely."""
     same_m: float = 2.0
     same_rad: float = 0.2
     """Open pairs place two sites alike if their placements differ by no more: drift of some tens of
@@ -78,8 +82,20 @@ def drives(result: MergeResult, most: int = 5, component: int | None = None) -> 
     site = cache(lambda k: _Site(result.fused, components[k], junction))
     wanted = {c.id for c in result.components} if component is None else {component}
     found = [*_joining(result, site, wanted), *_exploring(result, site, wanted)]
+    found = [d for d in found if d.bits >= DRIVES.least_bits]
     found.sort(key=lambda d: (-d.bits_per_m, d.length_m, d.site, d.onto or ""))
     return tuple(found[:most])
+
+
+def never_driven(result: MergeResult) -> dict[str, list[int]]:
+    """The junctions of every site with a branch that nobody drove, by their numbers in the
+    document."""
+    fused, names = result.fused, {c.id: c.name for c in result.components}
+    out: dict[str, list[int]] = {}
+    for v in np.unique(fused.branches.owner[~driven_branches(fused)]).tolist():
+        if not fused.is_turned[v]:
+            out.setdefault(names[int(fused.component[v])], []).append(v)
+    return out
 
 
 def _needed_junctions(result: MergeResult, per_junction: float) -> int:
@@ -406,18 +422,19 @@ def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) ->
         at = result.fused.xy[owner[rows]]
         open_ = _unobstructed(at, heading[rows], ways_m, corridors, site.usual_m / 2)
         k = int(open_.argmax())
-        drive = _exploring_drive(site, site.row[int(owner[rows[k]])], float(heading[rows[k]]), need)
-        found = _per_junction(pairs.get(site.component, ()))
-        yield replace(drive, bits=share * found * need * float(open_[k]))
+        bits = share * _per_junction(pairs.get(site.component, ())) * need * float(open_[k])
+        place, towards = site.row[int(owner[rows[k]])], float(heading[rows[k]])
+        yield _exploring_drive(site, place, towards, need, bits)
 
 
 def _overlapping_share(result: MergeResult) -> float:
     """How likely a branch never driven leads to another site: the share of pairs of runs of two
-    sites that are open (Laplace's rule of succession, so that none of few says little)."""
+    sites that are open (Laplace's rule of succession, so that none of few says little); 0 where
+    there is no other site."""
     home = {run: c.id for c in result.components for run in c.poses}
     open_ = sum(_is_open(p) and home.get(p.a) != home.get(p.b) for p in result.verdicts)
     across = pairs_of(len(home)) - sum(pairs_of(len(c.poses)) for c in result.components)
-    return (open_ + 1) / (across + 2)
+    return (open_ + 1) / (across + 2) if across else 0.0
 
 
 def _unobstructed(
@@ -434,16 +451,15 @@ def _unobstructed(
     return free
 
 
-def _exploring_drive(site: _Site, place: int, heading: float, need: int) -> Drive:
-    """By `need` known junctions to the branch, and `beyond` times as many corridors beyond it."""
+def _exploring_drive(site: _Site, place: int, heading: float, need: int, bits: float) -> Drive:
+    """By `need` known junctions to the branch, and `beyond` times as many corridors beyond it, of
+    which the first is shown."""
     alone = _Laid(site, site, {k: k for k in range(len(site.ids))}, np.zeros(3))
     alone.shared = [place]
     places, known_m = _Reach(alone, alone.in_site).tour(place, {place}, need - 1)
     places.reverse()
     steps = list(pairwise(places))
-    beyond_m = DRIVES.beyond * need * site.usual_m
-    ray = np.array([np.cos(heading), np.sin(heading)])
-    end = site.xy[place] + beyond_m * ray
+    end = site.xy[place] + site.usual_m * np.array([np.cos(heading), np.sin(heading)])
     x, y = rounded(end, METRES)
     return Drive(
         component=site.component,
@@ -452,8 +468,8 @@ def _exploring_drive(site: _Site, place: int, heading: float, need: int) -> Driv
         stops=(*(alone._stop(k) for k in places), Stop(site.name, None, (x, y))),
         path=np.concatenate([*(site.ways[s][1] for s in steps), np.array([site.xy[place], end])]),
         known_m=known_m,
-        length_m=known_m + beyond_m,
+        length_m=known_m + DRIVES.beyond * need * site.usual_m,
         pairs=(),
-        bits=0.0,
+        bits=bits,
         heading_rad=heading,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Literal, TypeVar
@@ -293,11 +293,11 @@ class FusedMap(Graph):
         )
 
 
-def of_site(result: MergeResult, component: int) -> MergeResult:
-    """The part of a merge that is about one component. O(n + m + pairs)."""
+def of_sites(result: MergeResult, components: Collection[int]) -> MergeResult:
+    """The part of a merge that is about some components. O(n + m + pairs)."""
     fused = result.fused
-    chosen = fused.component == component
-    own = tuple(c for c in result.components if c.id == component)
+    chosen = np.isin(fused.component, [*components])
+    own = tuple(c for c in result.components if c.id in components)
     runs = {run for c in own for run in c.poses}
     more = columns_of(fused, ("component", "members", "observations", "position_sigma"), chosen)
     edges = columns_of(fused, ("edge_members",), chosen[fused.source])

@@ -203,11 +203,14 @@ class Canvas:
         *,
         size_pt: float = TEXT_PT,
         room_m: float | None = None,
+        bold: bool = False,
     ) -> None:
         """Write a text centred at a point [m], shortened to `room_m` if given."""
         if room_m is not None:
             text = short(text, letters(room_m * self.points_per_m, size_pt))
-        self._axes.text(*at, legible(text), ha="center", va="center", **self._font(size_pt))
+        self._axes.text(
+            *at, legible(text), ha="center", va="center", **self._font(size_pt, bold=bold)
+        )
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:
         return {

@@ -9,10 +9,11 @@ import numpy as np
 
 from ..merge.decision import Decision
 from ..merge.decision_text import advice, because, digits_of, headline
+from ..merge.drive import Drive
 from ..merge.result import (
     FusedMap,
     MergeResult,
-    of_site,
+    of_sites,
     site_views,
 )
 from ..topology.arrays import FloatArray
@@ -186,13 +187,19 @@ def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str
         canvas.words((float(x), float(y)), number, size_pt=SMALL_PT)
 
 
-def draw_site(
-    result: MergeResult, component: int, theme: Theme, maps: Mapping[str, TopoMap] = NO_MAPS
+def draw_sites(
+    result: MergeResult,
+    components: Collection[int],
+    theme: Theme,
+    maps: Mapping[str, TopoMap] = NO_MAPS,
+    *,
+    drives: Sequence[Drive] | None = None,
 ) -> Canvas:
-    """Draw one component of a merge, with the numbers that its junctions have in the document.
-    maps: as of `draw_merged`."""
-    numbers = np.flatnonzero(result.fused.component == component).tolist()
-    return draw_merged(of_site(result, component), theme, numbers=numbers, maps=maps)
+    """Draw components of a merge, with the numbers that their junctions have in the document. maps,
+    drives: as of `draw_merged`."""
+    numbers = np.flatnonzero(np.isin(result.fused.component, [*components])).tolist()
+    part = of_sites(result, components)
+    return draw_merged(part, theme, numbers=numbers, maps=maps, drives=drives)
 
 
 def draw_merged(
@@ -201,15 +208,21 @@ def draw_merged(
     *,
     numbers: Sequence[int] = (),
     maps: Mapping[str, TopoMap] = NO_MAPS,
+    drives: Sequence[Drive] | None = None,
 ) -> Canvas:
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
     numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions; maps: of runs
-    whose walls are drawn as well.
+    whose walls are drawn as well; drives: to record next, for a picture of these and of branches
+    that nobody drove.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
-    seen = {c: wall_points(walls_of(own, "")) for c, own in views.items()}
+    ways = {c.id: [d for d in drives or () if d.component == c.id] for c in result.components}
+    seen = {
+        c: np.concatenate([wall_points(walls_of(own, "")), *(d.path for d in ways[c])])
+        for c, own in views.items()
+    }
     parts = lay_out(result, for_paper=True, walls=seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
@@ -218,6 +231,7 @@ def draw_merged(
     _frames(canvas, cells, [_title(canvas, part) for part in parts])
     pen = _pen_pt(canvas, result.fused)
     walled: list[Key] = []
+    planned: dict[Key, None] = {}
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers and result.fused.junctions <= MOST_NUMBERED:
@@ -227,6 +241,10 @@ def draw_merged(
             )
         own = views[part.component.id]
         walled = [*walled, *_walls(canvas, own, part.cell.T_sheet_map, theme["wall"])]
+        if drives is not None:
+            site = of_sites(result, [part.component.id]).fused
+            planned |= dict.fromkeys(_unexplored(canvas, site, part.cell.T_sheet_map))
+            _drives(canvas, part, drives)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
     corridors_m, ways_m = result.fused.lengths_m
@@ -238,9 +256,40 @@ def draw_merged(
     title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
     if len(parts) == 1 and parts[0].component.site:
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
+    title = title if drives is None else f"What to record next: {title}"
+    told_drives = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
+    if told_drives:
+        planned[Key("wide line", theme["planned"], "drive to record, from its number on")] = None
     marks, runs_told = _merged_keys(result, parts, rank, theme)
-    canvas.finish([title, told], [[*marks, *walled[:1]], runs_told])
+    canvas.finish([title, told, *told_drives], [[*marks, *walled[:1], *planned], runs_told])
     return canvas
+
+
+DRIVE_PT = 7.0
+"""Width of a drive to record, below the lines of runs."""
+
+
+def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
+    """Draw the drives that begin in a component, each with its number where it begins, and the
+    numbers that its junctions in another site have there."""
+    T, away_m = part.cell.T_sheet_map, 1.6 * TEXT_PT / canvas.points_per_m
+    begins: dict[tuple[float, float], list[str]] = {}
+    for k, drive in enumerate(drives, 1):
+        if drive.component != part.component.id:
+            continue
+        told = f"drive {k}: {drive.words[0]}"
+        path = [apply(T, drive.path)]
+        canvas.lines(path, canvas.theme["planned"], DRIVE_PT, order=Order.EVIDENCE, told=told)
+        begins.setdefault(drive.stops[0].xy, []).append(str(k))
+        others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
+        for xy, junction in others.items():
+            x, y = apply(T, np.array([xy]))[0].tolist()
+            canvas.words((x - away_m, y + away_m / 2), str(junction), size_pt=SMALL_PT)
+    for xy, numbers in begins.items():
+        at = apply(T, np.array([xy]))
+        canvas.dots(at, canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
+        x, y = at[0].tolist()
+        canvas.words((x, y + away_m), ", ".join(numbers), bold=True)
 
 
 def _title(canvas: Canvas, part: Part) -> str:

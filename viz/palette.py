@@ -133,6 +133,7 @@ _INKS = {
     "single": ("#7b8490", SINGLE),
     "shared": ("#1b1f24", WHITE),
     "unexplored": ("#d97f00", UNEXPLORED),
+    "planned": ("#f7c27a", (140, 90, 20)),
     "agrees": ("#1f9d55", MERGED),
     "against": ("#d43a3a", REFUSED),
     "degree 0": ("#8b929b", DEGREES[0]),

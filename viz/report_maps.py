@@ -83,8 +83,7 @@ def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
     (own,) = (c for c in result.components if c.id == component)
     T = np.array([0.0, 0.0, upright_rad([fused.paths[e] for e in edges.tolist()])])
     extents = [fused.xy[vertices], *(fused.paths[e] for e in edges.tolist())]
-    # A way straight on into the unknown may leave the picture: it would make the map tiny.
-    extents += [drive.known_path for _, drive in layers.drives]
+    extents += [drive.path for _, drive in layers.drives]
     walls = walls_of([v.moved(T) for v in layers.views], own.name)
     turned = [apply(T, points.reshape(-1, 2)) for points in extents]
     plot = map_figure([*turned, wall_points(walls)])

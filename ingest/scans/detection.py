@@ -44,8 +44,8 @@ def detect(
 
     scans: in the order of time, several lasers interleaved; may_lag: whether they may be stamped by
     another clock than the odometry. The odometry of the result has a row per keyframe. Memory
-    follows the keyframes' poses, not the scans, unless the keyframes are kept
-    to be handed to `on_keyframes` with the result. Raises MirroredError as soon
+    follows the keyframes' poses, not the scans. With `on_keyframes`, which takes all keyframes, the
+    scans are matched and no more: there are no junctions and no views. Raises MirroredError as soon
     as the scans turn against the odometry, LaggingError as soon as they turn earlier or later than
     it does, DataError where nothing can be made of them.
     """
@@ -57,12 +57,12 @@ def detect(
             track = _Track(lag=partial(clock_lag, odometry))
     else:
         odometry, poses = None, scan_odometry(counted)
-    if on_keyframes is not None:
-        track.keyframes = []
-    seen = list(windows(track.passing(matched(poses))))
-    result = _result(odometry, counted, track, seen)
-    if on_keyframes is not None and track.keyframes:
-        on_keyframes(join(track.keyframes))
+    parts = track.passing(matched(poses))
+    if on_keyframes is None:
+        return _result(odometry, counted, track, list(windows(parts)))
+    keyframes = [part.keyframes for part in parts]
+    result = _result(odometry, counted, track, [])
+    on_keyframes(join(keyframes))
     return result
 
 
@@ -116,8 +116,6 @@ class _Track:
     fit: list[FloatArray] = field(default_factory=list)
     laser: list[IntArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
-    keyframes: list[Keyframes] | None = None
-    """All of them, if they are wanted."""
     searched: int = 0
     bias_rad_per_m: float = 0.0
     turns: Turns = field(default_factory=Turns)
@@ -133,8 +131,6 @@ class _Track:
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
             self.laser.append(part.keyframes.laser)
-            if self.keyframes is not None:
-                self.keyframes.append(part.keyframes)
             self.spans.append(part.spans)
             self.searched += int(part.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])

@@ -12,7 +12,9 @@ from scipy import ndimage
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.columns import joined, take
+from ...topology.odometry import Odometry
 from ...topology.se2 import compose, inverse
+from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
 from .crossing import BendTally, Crossing, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
@@ -115,6 +117,18 @@ def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
             held = _trimmed(held, following - WINDOWS.way_m)
     if held is not None:
         yield from _due(held, (following, np.inf), numbers, tally)
+
+
+def window_places(odometry: Odometry, time_ns: IntArray) -> FloatArray:
+    """(k, 2) the places of the windows that the keyframes of these times are the next after, in the
+    frame of the matched odometry [m], as `Seen.place` has them."""
+    way, cell_m = way_at(odometry, time_ns), WINDOWS.grid.cell_m
+    begin = way_at(odometry, odometry.time_ns[[0, *odometry.breaks]])
+    first = begin[piece_of(odometry, time_ns)]
+    # A keyframe may be at the window itself, within rounding.
+    nth = np.floor((way - first) / WINDOWS.every_m + 1e-6)
+    middle = point_at(odometry, first + nth * WINDOWS.every_m)
+    return np.asarray(np.floor(middle / cell_m) * cell_m)
 
 
 def _pieces(part: Matched) -> Iterator[Matched]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -174,6 +175,7 @@ def explain(merge: Merge, a: str, b: str) -> Decision:
         requirement=_requirement(merge, verdict),
         placements=placements,
         by_others=_by_others(merge, verdict),
+        chain=tuple(_chain(merge, verdict)),
         why="" if verdict.accepted else verdict.lacks,
         notes=_lock_notes(merge, verdict) if listed and not discarded(verdict) else (),
     )
@@ -215,6 +217,12 @@ def _by_others(merge: Merge, verdict: PairVerdict) -> FloatArray | None:
     if not verdict.through or not {verdict.a, verdict.b} <= merge.poses.keys():
         return None
     return between(merge.poses[verdict.a], merge.poses[verdict.b])
+
+
+def _chain(merge: Merge, verdict: PairVerdict) -> Iterator[tuple[str, str, float]]:
+    """The merged pairs by which others join a pair."""
+    for a, b in pairwise((verdict.a, *verdict.through, verdict.b) if verdict.through else ()):
+        yield a, b, merge.verdicts[min(a, b), max(a, b)].evidence_bits
 
 
 def _tied(merge: Merge, verdict: PairVerdict, best: Alignment) -> Alignment:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -45,6 +46,32 @@ def test_a_run_goes_to_the_exports_of_its_workspace(topobatch, filled, form, end
     paths = [filled.exports / f"{run}{ending}" for ending in endings]
     assert sorted(shown.out.split()) == [str(path) for path in paths]
     assert all(path.stat().st_size > 100 for path in paths)
+
+
+def test_nodes_have_the_numbers_of_pictures(topobatch, buildings, tmp_path) -> None:
+    document = read_json(Workspace(buildings).merged_json)
+    last = document["graph"]["components"][-1]["id"]
+    junctions = {
+        n["id"]: [n["x"], n["y"]]
+        for n in document["nodes"]
+        if n["component"] == last and not n["kind"].startswith(("turn", "track", "front"))
+    }
+    assert min(junctions) > 0
+    for form, suffix in (("nav2", "json"), ("rmf", "yaml")):
+        out = tmp_path / f"{form}.{suffix}"
+        call = ("export", "-f", form, "--component", last, "-o", out, "-w", buildings)
+        assert topobatch(*call).code == 0
+        if form == "rmf":
+            names = re.findall(r"junction_(\d+)", out.read_text())
+            assert set(map(int, names)) >= junctions.keys()
+            continue
+        features = json.loads(out.read_text())["features"]
+        found = {
+            f["properties"]["metadata"]["junction"]: f["geometry"]["coordinates"]
+            for f in features
+            if "junction" in f["properties"]["metadata"]
+        }
+        assert {k: found[k] for k in junctions} == junctions
 
 
 def test_components_go_to_files_of_their_own(topobatch, filled, tmp_path) -> None:

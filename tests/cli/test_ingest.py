@@ -385,9 +385,12 @@ def test_info_of_a_damaged_or_unusable_log_fails(topobatch, logs, tmp_path):
     done = topobatch("info", cut)
     assert done.code == 1
     assert "problem: the log is cut short" in done.out
+    assert done.out.endswith("usable: ingest takes what could be read\n")
+    assert json.loads(topobatch("info", cut, "--json").out)[0]["usable"]
     done = topobatch("info", logs["mcap"], "--junction-topic", "/nothing")
     assert done.code == 1
     assert "problem: " in done.out
+    assert "usable" not in done.out
 
 
 def test_a_run_is_not_called_like_a_merge(topobatch, logs, tmp_path):

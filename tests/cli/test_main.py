@@ -123,3 +123,14 @@ def test_workers(tmp_path, before, after, code):
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=120)
     assert (done.returncode, done.stdout) == (code, "7\n"), done
     assert "Traceback" not in done.stderr
+
+
+def test_the_options_of_the_papers_method_come_last(topobatch) -> None:
+    for command in ("merge", "explain"):
+        before, title, after = topobatch(command, "--help").out.partition(
+            "\nOptions of --method paper:\n"
+        )
+        assert title
+        assert "--degree" in after
+        assert "--degree" not in before
+        assert "--workspace" in before

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
@@ -47,6 +48,28 @@ def test_a_plan(place, topobatch, tmp_path) -> None:
     assert len(features) == len(lines) + len(rows)
 
 
+def test_a_picture_of_the_plan(place, topobatch, tmp_path) -> None:
+    files = [tmp_path / "plan.svg", tmp_path / "plan.png"]
+    shown = topobatch("next", "-n", 1, "-o", files[0], "-o", files[1], "-w", place)
+    assert shown.code == 0, shown
+    (told,) = json.loads(topobatch("next", "-n", 1, "--json", "-w", place).out)
+    texts = "".join(ET.parse(files[0]).getroot().itertext())
+    assert f"drive 1: {told['where']}" in texts
+    assert "drive to record, from its number on" in texts
+    for stop in told["stops"]:
+        assert f"{stop['junction']}" in texts
+    assert files[1].read_bytes().startswith(b"\x89PNG")
+
+
+def test_where_no_drive_is_worth_it(merged_once, topobatch, tmp_path) -> None:
+    plan = tmp_path / "plan.svg"
+    shown = topobatch("next", "-o", plan, "-w", merged_once)
+    assert json.loads(topobatch("next", "--json", "-w", merged_once).out) == []
+    assert shown.out.startswith("nothing to record would join sites: no pair of runs is open")
+    assert "branches that nobody drove" in shown.out
+    assert "branch never driven" in plan.read_text()
+
+
 def test_a_plan_for_one_site(place, topobatch) -> None:
     told = json.loads(topobatch("next", "--json", "-w", place).out)
     site = told[-1]["site"]
@@ -67,7 +90,7 @@ def test_the_report_shows_it(place, topobatch) -> None:
 def test_the_calls_that_cannot_be(place, topobatch) -> None:
     for call, said in (
         (("next", "nowhere"), "there is no site 'nowhere'"),
-        (("next", "-o", "plan.txt"), "ends in .csv or .geojson"),
+        (("next", "-o", "plan.txt"), "ends in .svg, .png, .csv or .geojson"),
         (("next", "--merge", "two"), "is not there"),
     ):
         assert said in topobatch(*call, "-w", place).error(2)

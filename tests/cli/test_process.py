@@ -11,8 +11,6 @@ import time
 
 import pytest
 
-from topobatch.cli.process import LEAST_BYTES
-
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="limits and signals of Linux")
 
 
@@ -31,18 +29,6 @@ def test_closed_streams_are_no_error(logs, tmp_path):
     assert not any(
         b"no such file" in path.read_bytes() for path in tmp_path.rglob("*.*") if path.is_file()
     )
-
-
-def test_too_little_memory_is_said_in_one_sentence(logs, tmp_path):
-    kib = 1_000_000
-    call = ("ingest", logs["mcap"], "-w", tmp_path / "ws")
-    done = shell(f'ulimit -v {kib}; "$@"', *call)
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
-    assert f"(ulimit -v {kib})" in line
-    assert f"ulimit -v {LEAST_BYTES >> 10}" in line
-    assert shell(f'ulimit -v {kib}; "$@"', "ingest", "--help").returncode == 0
-    assert shell(f'ulimit -v {LEAST_BYTES >> 10}; "$@"', *call).returncode == 0
 
 
 def test_signals_end_it_quietly(logs, tmp_path):

@@ -317,3 +317,11 @@ def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):
     assert "lost" not in topobatch(*merge).out
     assert topobatch("discard", "monday", "-w", place).code == 0
     assert not [*(place / "maps").glob("*.views")]
+
+
+def test_a_list_says_what_a_warning_is_about(topobatch, merged):
+    path = next((merged / "maps").glob("*.json"))
+    document = json.loads(path.read_text())
+    document["graph"]["warnings"] = ["odometry jumps once (0.4 m): steps of unknown size", "other"]
+    path.write_text(json.dumps(document))
+    assert "2 warnings: odometry jumps once; …" in topobatch("list", "-w", merged).out

@@ -56,6 +56,27 @@ def test_a_given_name_is_kept_whatever_happens(place, topobatch) -> None:
     assert [entry["site"] for entry in kept] == ["annex"]
 
 
+def test_naming_matches_nothing_again(place, topobatch, monkeypatch) -> None:
+    before = json.loads((place / "merged.json").read_text())
+    recording = (place / "merged.rrd").read_bytes()
+    monkeypatch.setattr("topobatch.merge.merging.merge_maps", None)
+    pairs = [word for k, own in enumerate(sites(place).values()) for word in (own[0], f"s-{k}")]
+    shown = topobatch("site", *pairs, "-w", place)
+    assert shown.code == 0, shown
+    after = json.loads((place / "merged.json").read_text())
+    named = [c.pop("site") for c in after["graph"]["components"]]
+    assert sorted(named) == sorted(pairs[1::2])
+    for component in before["graph"]["components"]:
+        del component["site"]
+    assert after == before
+    assert (place / "merged.rrd").read_bytes() != recording
+    # None of the names is kept where one of them cannot be.
+    given = (place / "sites.json").read_text()
+    assert "a run is called so" in topobatch("site", "s-0", "x", "s-1", pairs[0], "-w", place).err
+    assert (place / "sites.json").read_text() == given
+    assert "is alone" in topobatch("site", "s-0", "-w", place).error(2)
+
+
 def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> None:
     _, runs = largest(place)
     assert topobatch("site", runs[0], "north", "-w", place).code == 0

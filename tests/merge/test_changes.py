@@ -124,3 +124,32 @@ def test_a_corridor_gone_with_the_junction_at_its_end_is_one_change(draw) -> Non
     assert when.startswith("last found 2023-11-14 22:13 (monday), first missing 2023-11-15")
     assert who == "driven by monday; missing for tuesday in 2 passes"
     assert evidence.endswith("needed")
+
+
+@pytest.mark.parametrize("apart", [4.0, 1.2])
+def test_a_junction_beside_another_is_not_gone(draw, apart) -> None:
+    """Tuesday drives through one of monday's junctions, and knows another one beside it: the fused
+    map shows a place twice."""
+    corners = {
+        (i, j): (x, y) for i, x in enumerate((0, 7, 16, 29)) for j, y in enumerate((0, 5, 13))
+    }
+    across = [((i, j), (i + 1, j)) for i in range(3) for j in range(3)]
+    up = [((i, j), (i, j + 1)) for i in range(4) for j in range(2)]
+    middle = (1, 1)
+    later = [pair for pair in across + up if middle not in pair]
+    later += [((0, 1), (2, 1)), ((1, 0), (1, 2))]
+    left = {name: xy for name, xy in corners.items() if name != middle}
+    drawn = [draw("monday", corners, across + up), draw("tuesday", left, later)]
+    maps = {
+        m.run: replace(m, observation_time_ns=m.observation_time_ns + EPOCH_NS + k * DAY_NS)
+        for k, m in enumerate(drawn)
+    }
+    locks = [Lock("monday", "tuesday", "same")]
+    merged = merged_to_document(merge_maps(list(maps.values()), locks=locks))
+    (gone,) = changes(MergedDocument.model_validate(merged), 0, maps)
+    assert (gone.thing, gone.kind) == ("junction", ChangeKind.GONE)
+    one = merged["nodes"][gone.junctions[0]]
+    twin = one | {"id": len(merged["nodes"]), "x": one["x"] + apart, "observations": []}
+    merged["nodes"].append(twin | {"members": {"tuesday": [0]}})
+    found = changes(MergedDocument.model_validate(merged), 0, maps)
+    assert [c.junctions for c in found] == ([gone.junctions] if apart > 2 else [])

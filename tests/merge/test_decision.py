@@ -120,8 +120,19 @@ def test_an_unrelated_pair_says_why():
 
 
 def test_what_others_and_people_say_stands_in_the_headline():
-    through = replace(UNRELATED, pair=replace(UNRELATED.pair, through=("mid",)))
-    assert headline(through) == "left and right: joined through mid: by itself unrelated, 1.5 bits"
+    pair, chain = replace(UNRELATED.pair, through=("mid",)), (("left", "mid", 22.0),)
+    chain = (*chain, ("mid", "right", 17.25))
+    through = replace(UNRELATED, pair=pair, chain=chain, by_others=np.zeros(3))
+    told = "one place through mid: left + mid 22.0 bits, mid + right 17.2 bits"
+    assert headline(through) == f"left and right: {told}"
+    first, *more = lines(through)
+    assert first.startswith("left and right: one place through mid")
+    text = " ".join(" ".join(more).split())
+    assert "right lies at (0.00, 0.00) m" in text
+    assert "By the two maps alone unrelated, 1.5 bits, 12.6 needed" in text
+    assert text.index("right lies at") < text.index("By the two maps alone") < text.index("needed:")
+    assert "does not count" in text
+    assert to_document(through)["chain"][1]["evidence_bits"] == 17.25
     by = {
         "lock": "locked as the same",
         "runs": "as other runs say",

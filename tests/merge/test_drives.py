@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.drives import DRIVES, drives
+from topobatch.merge.drives import DRIVES, drives, never_driven
 from topobatch.merge.result import (
     Alignment,
     Component,
@@ -105,15 +105,33 @@ def test_one_drive_passes_enough_of_both() -> None:
 
 
 def test_into_the_unknown_from_what_is_known() -> None:
-    (found,) = drives(merge_of({"a": A}, []))
+    # Two sites of which a drive may show that they are one; with more, and none open, it will not.
+    found = drives(merge_of({"a": A, "b": B}, []))
     need = 5 + DRIVES.spare_junctions
-    assert (found.site, found.onto, found.pairs) == ("a", None, ())
-    assert len(found.stops) == need + 1
-    assert found.stops[-1].junction is None
-    assert found.heading_rad is not None
-    assert abs(np.exp(1j * found.heading_rad) - 1j) < 1.5  # no way back along the corridor
-    assert "by the branch never driven" in found.way
-    assert found.length_m == pytest.approx(found.known_m + DRIVES.beyond * need * STEP)
+    assert {(d.site, d.onto, d.pairs) for d in found} == {("a", None, ()), ("b", None, ())}
+    first = next(d for d in found if d.site == "a")
+    assert len(first.stops) == need + 1
+    assert first.stops[-1].junction is None
+    assert first.heading_rad is not None
+    assert abs(np.exp(1j * first.heading_rad) - 1j) < 1.5  # no way back along the corridor
+    assert "by the branch never driven" in first.way
+    assert first.length_m == pytest.approx(first.known_m + DRIVES.beyond * need * STEP)
+    # It is on corridors all the way to the branch, and leaves the map by one of usual length.
+    known = [s.xy for s in first.stops[:-1]]
+    assert np.array(known)[:, 1] == pytest.approx(0.0)
+    assert np.hypot(*np.subtract(first.stops[-1].xy, known[-1])) == pytest.approx(STEP, abs=0.01)
+    assert first.path[-1] == pytest.approx(first.stops[-1].xy, abs=0.01)
+    assert f"past about {2 * need} junctions ({2 * need * STEP:.0f} m)" in first.way
+
+
+def test_what_hardly_brings_evidence_is_not_proposed() -> None:
+    many = {f"r{k:02}": (0, 12, np.zeros(3)) for k in range(9)}
+    result = merge_of(many, [])
+    assert drives(result) == ()
+    assert drives(merge_of({"a": A}, [])) == ()  # there is nothing to join
+    left = never_driven(result)
+    assert left.keys() == many.keys()
+    assert left["r01"] == list(range(12, 24))
 
 
 def test_nothing_to_drive() -> None:

@@ -41,14 +41,18 @@ def nav2_geojson(topomap: TopoMap, max_error_m: float) -> str:
 
 def _nodes(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
     xy = rounded(graph.xy, METRES)
-    kinds = [topomap.kind[v] if v != VIA else "via" for v in graph.vertex.tolist()]
+    ways = zip(graph.vertex.tolist(), graph.number.tolist(), strict=True)
+    about: list[dict[str, Any]] = [
+        {"kind": "via"} if v == VIA else {"kind": topomap.kind[v], "junction": number}
+        for v, number in ways
+    ]
     return [
         {
             "type": "Feature",
-            "properties": {"id": k, "frame": topomap.frame, "metadata": {"kind": kinds[k]}},
+            "properties": {"id": k, "frame": topomap.frame, "metadata": metadata},
             "geometry": {"type": "Point", "coordinates": xy[k]},
         }
-        for k in range(len(xy))
+        for k, metadata in enumerate(about)
     ]
 
 

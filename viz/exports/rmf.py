@@ -24,8 +24,8 @@ def rmf_yaml(topomap: TopoMap, max_error_m: float) -> str:
     """
     graph = route_graph(topomap, max_error_m)
     vertices: list[Any] = []
-    for (x, y), vertex in zip(rounded(graph.xy, METRES), graph.vertex.tolist(), strict=True):
-        options: dict[str, Any] = {"name": f"junction_{vertex}"} if vertex != VIA else {"name": ""}
+    for (x, y), number in zip(rounded(graph.xy, METRES), graph.number.tolist(), strict=True):
+        options: dict[str, Any] = {"name": f"junction_{number}" if number != VIA else ""}
         vertices.append([x, y, options])
     lanes: list[Any] = []
     for k in range(len(graph.source)):

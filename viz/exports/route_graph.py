@@ -23,13 +23,15 @@ class RouteGraph:
     ways.
 
     xy: (p, 2) [m], first the map's n vertices, then points along corridors; vertex: (p,) the map's
-    vertex or VIA. source, target: (s,) points of each piece, in its edge's direction; edge: (s,) of
+    vertex or VIA; number: (p,) that vertex as pictures number it, of a site as its document does.
+    source, target: (s,) points of each piece, in its edge's direction; edge: (s,) of
     the map; length, length_sigma: (s,) [m]; seconds, seconds_sigma: (s,) driving time, NaN if
     unknown.
     """
 
     xy: FloatArray
     vertex: IntArray
+    number: IntArray
     source: IntArray
     target: IntArray
     edge: IntArray
@@ -65,6 +67,10 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
         edge.append(np.full(len(row) - 1, e))
         length.append(np.diff(way_of(way)))
         count += len(inner)
+    vertex = np.concatenate(vertices).astype(np.int64)
+    known = topomap.info.get("numbers")  # of a document it could be anything but a tuple
+    own = known if isinstance(known, tuple) else range(len(topomap))
+    numbers = np.array([*own, VIA], np.int64)
     none, some = np.zeros(0, np.int64), len(edge) > 0
     of = np.concatenate(edge) if some else none
     lengths = np.concatenate(length) if some else np.zeros(0)
@@ -74,7 +80,8 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
     by_itself = np.maximum(topomap.length_sigma**2 - stretched, 0.0)
     return RouteGraph(
         xy=np.concatenate(points),
-        vertex=np.concatenate(vertices).astype(np.int64),
+        vertex=vertex,
+        number=numbers[vertex],
         source=np.concatenate(source) if some else none,
         target=np.concatenate(target) if some else none,
         edge=of,

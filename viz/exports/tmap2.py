@@ -101,7 +101,7 @@ _SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 
 def _names(graph: RouteGraph) -> list[str]:
     return [
-        f"junction_{v}" if v != VIA else f"via_{k}" for k, v in enumerate(graph.vertex.tolist())
+        f"junction_{v}" if v != VIA else f"via_{k}" for k, v in enumerate(graph.number.tolist())
     ]
 
 
