@@ -130,7 +130,9 @@ class McapScan(Scan):
             raw = np.frombuffer(read(position, window + RECORD_HEAD), np.uint8)
             count = min(len(raw) - RECORD_HEAD + 1, stop - position)
             at = _KNOWN[raw[:count]].nonzero()[0]
-            behind = at + RECORD_HEAD + words(raw, "<u8", at + 1).clip(max=LARGEST_RECORD).astype(int)
+            behind = (
+                at + RECORD_HEAD + words(raw, "<u8", at + 1).clip(max=LARGEST_RECORD).astype(int)
+            )
             follows = (behind >= len(raw)) | _KNOWN[raw[np.minimum(behind, len(raw) - 1)]]
             for start in at[follows & (behind <= stop - position)].tolist():
                 self._tries -= 1
