@@ -174,8 +174,9 @@ def skeleton_graph(
         rooms = with_rooms(graph, base.clearance_m, base.opening, drivable, settings.skeleton)
     else:
         rooms = Rooms(graph, own, [*range(len(own))], [], [], [], 0)
+    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
     others = []
-    for variant in settings.variants[1:]:
+    for variant in settings.variants[1:] if own else ():
         axes = axes_of(variant.unknown_m)
         other = axes.graph(variant.skeleton)
         every = crossings(
@@ -190,7 +191,6 @@ def skeleton_graph(
         if rooms.doors:
             found = doors(other, axes.clearance_m, axes.cell_m)
             others[-1] += door_nodes(other, found, axes.cell_m)
-    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
     agreement = _agreement(own, others, settings)
     places = _known_places(rooms, agreement, drivable)
     plan = _floorplan(rooms.graph, places, base, drivable)
