@@ -168,6 +168,8 @@ def skeleton_graph(
         settings.skeleton,
         known=known,
     )
+    if not own and not doors(graph, base.clearance_m, base.cell_m):
+        return Floorplan((), ())
     assert base.drivable is not None
     drivable = base.drivable
     if len(own) < FEW_JUNCTIONS:
