@@ -80,8 +80,11 @@ class RawScans(NamedTuple):
 
     def rows(self, which: IntArray) -> RawScans:
         """Some of the scans."""
-        message, stamp_ns, ranges_m = (c[which] for c in self[:3])
-        return self._replace(message=message, stamp_ns=stamp_ns, ranges_m=ranges_m)
+        return self._replace(
+            message=self.message[which],
+            stamp_ns=self.stamp_ns[which],
+            ranges_m=self.ranges_m[which],
+        )
 
 
 def one_scan(stamp_ns: int, ranges_m: Float32Array, geometry: Geometry) -> RawScans:

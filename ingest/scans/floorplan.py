@@ -389,7 +389,7 @@ def _from_corner(plan: Floorplan, lattice: Lattice, cell_m: float) -> Floorplan:
 
 def _reach(line: FloatArray, axes: _Axes, drivable: Drivable) -> FloatArray:
     """(k,) distance of the walls from each point of a line [m]."""
-    return axes.clearance_m[drivable.at(line)]
+    return axes.clearance_m[drivable.at(line)].astype(np.float64)
 
 
 def _drivable_part(

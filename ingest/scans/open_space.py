@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,7 +85,7 @@ class Lattice:
         """(h, w) marks of the nearest cells of a grid."""
         return np.asarray(self._sampled(values.view(np.uint8), cell_m, 0), bool)
 
-    def _sampled(self, values: NDArray[Any], cell_m: float, order: int) -> Any:
+    def _sampled(self, values: NDArray[Any], cell_m: float, order: Literal[0, 1]) -> Any:
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         turn = np.array([[c, s], [-s, c]]) * self.cell_m / cell_m
         begin = np.array(self.corner[::-1]) / cell_m

@@ -188,4 +188,4 @@ def _spaced(points: Sequence[IntArray], apart: float) -> IntArray:
             if not taken[y, x]:
                 kept.append((x, y))
                 taken[y - reach : y + reach + 1, x - reach : x + reach + 1] |= near
-    return np.array(kept, np.int64) + low
+    return np.asarray(np.array(kept, np.int64) + low)
