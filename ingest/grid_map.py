@@ -30,7 +30,7 @@ from .scans.floorplan import (
     Place,
     skeleton_graph,
 )
-from .scans.views import grid_views
+from .scans.views import grid_views, too_large
 
 GRID_NOISE = RunNoise(
     centre_m=0.25, branch_rad=0.07, miss_rate=0.2, phantom_rate=0.15, branch_fault_rate=0.3
@@ -81,6 +81,10 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     if left_out:
         apart = several_that(left_out, "junction", "lie apart from the largest part of the grid")
         warnings += (f"{apart}; left out",)
+    if too_large(log.grid):
+        warnings += (
+            "its area is large; no views of walls are kept, places are known by corridors",
+        )
     vertices = [k for k in kept if places[k].kind != "frontier"]
     number = {old: new for new, old in enumerate(vertices)}
     rows = {k: _branches(places[k], grid) for k in kept}

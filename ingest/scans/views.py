@@ -111,8 +111,8 @@ they do not depend on the order in which a processor adds."""
 def grid_views(grid: Grid, along: FloatArray) -> Views:
     """Views cut from a saved grid, in the form of those that a laser saw: around places `along`
     (k, 2) [m, the map's frame] the corridors, `EVERY_M` apart or more, and in free space elsewhere,
-    the widest first. None of a grid of more than MOST_VIEWED cells of a view."""
-    if grid.free.size * (grid.resolution_m / CELL_M) ** 2 > MOST_VIEWED:
+    the widest first. None of a grid that is too large (`too_large`)."""
+    if too_large(grid):
         return NO_VIEWS
     states = _states(grid)
     free = states == FREE
@@ -134,6 +134,11 @@ def grid_views(grid: Grid, along: FloatArray) -> Views:
         compose(np.array(grid.origin), pose),
         np.where(DISC, cells, UNKNOWN).astype(np.uint8),
     )
+
+
+def too_large(grid: Grid) -> bool:
+    """Whether no views are cut from a grid."""
+    return bool(grid.free.size * (grid.resolution_m / CELL_M) ** 2 > MOST_VIEWED)
 
 
 LEAST_CLEARANCE_M = 0.3
