@@ -10,7 +10,7 @@ from typing import Any
 
 from ..ingest.read_cost import read_cost
 from ..ingest.remote.path import RemotePath
-from ..ingest.remote.threads import side_by_side
+from ..ingest.remote.store import side_by_side
 from ..topology.errors import TopobatchError
 from ..topology.wording import counted
 from .ingest_worker import IngestJob, IngestOutcome, ingest_one, is_unchanged, job_size

@@ -22,8 +22,15 @@ from ..topology.wording import counted
 from .grid_log import GridLog
 from .logs.messages import several_that
 from .logs.saved_map import coarser
-from .scans.floorplan import Corridor, FloorplanSettings, Place, skeleton_graph
-from .scans.views import grid_views
+from .scans.floorplan import (
+    AxesShown,
+    Corridor,
+    Floorplan,
+    FloorplanSettings,
+    Place,
+    skeleton_graph,
+)
+from .scans.views import grid_views, too_large
 
 GRID_NOISE = RunNoise(
     centre_m=0.25, branch_rad=0.07, miss_rate=0.2, phantom_rate=0.15, branch_fault_rate=0.3
@@ -54,18 +61,8 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     """
     grid, large = lattice(_cropped(log.grid))
     warnings = (*log.warnings, *large)
-    frontier = grid.free & binary_dilation(grid.unknown)
-    # A room with pillars has junctions between these alone; the more rooms of a small home, the
-    # narrower the doors that a robot fits through.
-    most = 0
-    for other in (settings, settings.among_pillars, settings.through_narrow_doors):
-        plan = skeleton_graph(grid.free, grid.resolution_m, other, frontier)
-        count = sum(place.kind in ("junction", "room") for place in plan.places)
-        if count > most:
-            most, tried, (places, corridors, blocked) = count, other, plan
-        if any(place.kind == "junction" for place in plan.places):
-            break
-    if not most:
+    tried, (places, corridors, blocked) = _best_plan(grid, settings)
+    if not any(place.kind in ("junction", "room") for place in places):
         raise DataError(
             f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
             f"{int(grid.free.sum())} of them free, shows no junction and no room; "
@@ -84,6 +81,10 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     if left_out:
         apart = several_that(left_out, "junction", "lie apart from the largest part of the grid")
         warnings += (f"{apart}; left out",)
+    if too_large(log.grid):
+        warnings += (
+            "its area is large; no views of walls are kept, places are known by corridors",
+        )
     vertices = [k for k in kept if places[k].kind != "frontier"]
     number = {old: new for new, old in enumerate(vertices)}
     rows = {k: _branches(places[k], grid) for k in kept}
@@ -123,6 +124,23 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
             "warnings": list(warnings),
         },
     )
+
+
+def _best_plan(grid: Grid, settings: FloorplanSettings) -> tuple[FloorplanSettings, Floorplan]:
+    """The plan with the most junctions and rooms, and its settings; the first with a junction
+    ends the search. A room with pillars has junctions between these alone; the more rooms of a
+    small home, the narrower the doors that a robot fits through."""
+    frontier = grid.free & binary_dilation(grid.unknown)
+    most, shown = -1, AxesShown()
+    for other in (settings, settings.among_pillars, settings.through_narrow_doors):
+        plan = skeleton_graph(grid.free, grid.resolution_m, other, frontier, shown)
+        kinds = [place.kind for place in plan.places]
+        count = kinds.count("junction") + kinds.count("room")
+        if count > most:
+            most, best = count, (other, plan)
+        if "junction" in kinds:
+            break
+    return best
 
 
 def lattice(grid: Grid) -> tuple[Grid, list[str]]:

@@ -12,7 +12,7 @@ from ..topology.errors import LogError
 from .frames import NOWHERE_ELSE
 from .junction_source import SENSORS, JunctionSource, namespace
 from .logs.intake import PoseColumns
-from .logs.scan_rows import RawScans
+from .logs.lasers import RawScans
 from .logs.topics import Choice
 from .mounting import KnownMounting, known_mounting
 from .scans.stream import Mounting, ScanStream

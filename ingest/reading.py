@@ -17,7 +17,7 @@ from .junction_source import JunctionSource, junction_source, views_source, walk
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
-from .logs.messages import MISDESCRIBED, Findings, Survey
+from .logs.messages import Findings, Survey
 from .logs.recording import (
     Recording,
     log_exists,
@@ -129,7 +129,7 @@ def _kept(
     if index is not None:
         try:
             intake, findings = _walked(recording, settings, progress, index)
-            if MISDESCRIBED not in findings.faults:
+            if index.sure or findings.counts.keys() <= index.counts.keys():
                 return intake, findings
         except (LogError, UsageError):
             if index.sure:
@@ -137,7 +137,10 @@ def _kept(
     # There is no index, or one that may be wrong lacks what is needed.
     if settings.junction_fields is not None:
         try_mapping(recording, settings)
-    return _walked(recording, settings, progress, None)
+    intake, findings = _walked(recording, settings, progress, None)
+    if index is not None and not findings.counts.keys() <= index.counts.keys():
+        findings.note("the index describes other channels than the data, which are believed")
+    return intake, findings
 
 
 def _walked(
@@ -151,7 +154,7 @@ def _walked(
     if counts is not None:
         check_mapping(recording, counts, settings)
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
-    return intake, walk(recording, intake, progress, by_index=index is not None)
+    return intake, walk(recording, intake, progress)
 
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:

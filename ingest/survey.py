@@ -44,13 +44,8 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Surv
     return by_start, Survey(counts, start, end, sure)
 
 
-def walk(
-    recording: Recording, intake: Intake, on_bytes: OnBytes | None, *, by_index: bool = True
-) -> Findings:
-    """Read all files; the calls of on_bytes add up to the size of the recording.
-
-    by_index: whether to believe their indexes.
-    """
+def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Findings:
+    """Read all files; the calls of on_bytes add up to the size of the recording."""
     findings = Findings()
     intake.expect(recording.bytes)
     for file in recording.files:
@@ -64,7 +59,7 @@ def walk(
 
         with file.opened() as log:
             onward = None if file.packed else progress
-            for block in log.blocks(intake.want, findings, onward, by_index=by_index):
+            for block in log.blocks(intake.want, findings, onward):
                 intake.take(block)
                 del block  # its memory, still in the processor's cache, serves the next one
         if file.bytes > told:

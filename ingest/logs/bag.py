@@ -165,8 +165,6 @@ def _channel(record: Record, data: bytes) -> Channel:
 class BagFile(ChunkedLog):
     """One ROS 1 bag of format 2.0, uncompressed, bz2 or lz4."""
 
-    CHECKED = False
-
     @cached_property
     def index(self) -> Index | None:
         """The index section of a closed bag, None if it is missing or wrong."""
@@ -207,7 +205,6 @@ class BagScan(Scan):
                     yield chunk._replace(packed=stop - chunk.at, size=size, cut=True)
                     return
                 self.findings.faults[CUT] = 1
-                self.broken = True
                 position = chunk.at
             elif record is None or record.end > stop:
                 position = self._around_damage(position, stop)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
-from .messages import MISDESCRIBED, UNKNOWN, UNWANTED, Channel, Findings, Want
+from .messages import UNKNOWN, UNWANTED, Channel, Findings, Want
 from .topics import longest_message
 
 NUMBERS = 1 << 16
@@ -38,27 +38,10 @@ class Channels:
         self._sink = np.full(NUMBERS, UNDESCRIBED, np.int32)
         self._met = np.zeros(NUMBERS, np.int64)
         self._room = DEFINITION_BYTES
-        self._indexed: dict[int, Channel] = {}
-
-    def take_index(self, described: Mapping[int, Channel]) -> None:
-        """Register the channels as an index describes them, to be compared with the data."""
-        for number, channel in described.items():
-            self.describe(number, channel)
-        self._indexed = dict(described)
 
     def describe(self, number: int, channel: Channel) -> None:
-        """Register a channel as the data describe it.
-
-        Of several descriptions the first one counts whose messages are wanted or met.
-        """
-        misdescribed = self._indexed.pop(number, channel) != channel
-        if misdescribed:
-            self._findings.faults[MISDESCRIBED] += 1
-        if number < NUMBERS and not self._met[number] and (misdescribed or self._sink[number] < 0):
-            self._add(number, channel)
-
-    def _add(self, number: int, channel: Channel) -> None:
-        if self.described.get(number) == channel:
+        """Register a channel; the last description before its first message counts."""
+        if number >= NUMBERS or self._met[number] or self.described.get(number) == channel:
             return
         if not self.has_room(len(channel.topic) + len(channel.type_name) + len(channel.schema)):
             channel = channel._replace(schema=b"", schema_encoding="")
@@ -91,10 +74,6 @@ class Channels:
             (sink, parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts)))
             for sink, parts in rows.items()
         ]
-
-    def lacks(self, declared: Mapping[int, int]) -> bool:
-        """Whether fewer messages of any channel were met than are declared."""
-        return any(c > (int(self._met[n]) if n < NUMBERS else 0) for n, c in declared.items())
 
     def takes(self, number: int, size: int) -> bool:
         """Whether a record above the usual limit is used; a message that is not counts as met."""

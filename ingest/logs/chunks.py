@@ -104,9 +104,7 @@ class Index(NamedTuple):
 
 
 class ChunkedLog(ABC):
-    """One log in chunks. CHECKED: whether the format has checksums of its index."""
-
-    CHECKED = True
+    """One log in chunks."""
 
     def __init__(self, path: LogPath) -> None:
         self.path = path
@@ -130,75 +128,49 @@ class ChunkedLog(ABC):
             counts[channel] = counts.get(channel, 0) + found.counts.get(number, 0)
         return Survey(counts, *found.span_ns, found.checked)
 
-    def _needed(self, channels: Channels) -> Ranges | str:
-        """The chunks that hold what is wanted, or why they are not known."""
-        found = self.index
+    def _channels(self, want: Want, findings: Findings) -> tuple[Channels, Ranges | str]:
+        """The channels as the index describes them, and the chunks that hold wanted ones, or why
+        all are to be read."""
+        channels, found = Channels(want, findings), self.index
         if found is None:
-            return "it has no index, or a damaged one"
+            return channels, "it has no index, or a damaged one"
+        for number, channel in found.channels.items():
+            channels.describe(number, channel)
         if found.distrusted:
-            return found.distrusted
+            return channels, found.distrusted
         if not (found.checked or isinstance(self.path, RemotePath)):
-            return "its index has no checksum"  # all is read, which is quick here
+            return channels, "its index has no checksum"  # reading all is quick here
         wanted = {number for number in found.channels if channels.wanted(number)}
-        return [(begin, end) for begin, end, held in found.chunks if held & wanted]
-
-    def _requests(self, needed: Ranges | str, size: int) -> Ranges:
-        if isinstance(needed, str):
-            return [(0, size)]
-        return needed
+        return channels, [(begin, end) for begin, end, held in found.chunks if held & wanted]
 
     def cost(self, want: Want) -> int:
         """Number of bytes of a remote file to be fetched for what is wanted."""
         assert isinstance(self.path, RemotePath)
-        file = self.path.file
-        channels = Channels(want, Findings())
-        if self.index is not None:
-            channels.take_index(self.index.channels)
-        needed = self._needed(channels)
-        return file.cost(self._requests(needed, file.size))
+        file, needed = self.path.file, self._channels(want, Findings())[1]
+        return file.cost([(0, file.size)] if isinstance(needed, str) else needed)
 
     def blocks(
-        self,
-        want: Want,
-        findings: Findings,
-        progress: Progress | None = None,
-        *,
-        by_index: bool = True,
+        self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
-        """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed.
-
-        by_index: whether only the chunks are read that hold what is wanted, if the index is sound.
-        """
+        """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
         keep_freed_memory()
         with open_source(self.path, progress) as source:
-            channels, index = Channels(want, findings), self.index
-            if index is not None:
-                channels.take_index(index.channels)
-            remote = isinstance(source, RemoteSource)
-            needed = self._needed(channels) if by_index or remote else "it is not believed"
+            channels, needed = self._channels(want, findings)
             if isinstance(source, RemoteSource) and isinstance(needed, str):
                 source.check_scan(needed)
             scan = self._scan(source, channels, findings)
-            with source.ahead(self._requests(needed, source.size)):
-                if isinstance(needed, str):
-                    yield from scan.blocks(scan.all())
-                else:
-                    yield from scan.blocks(scan.some(needed))
-            declared = index.counts if index is not None else {}
-            chosen = not isinstance(needed, str)
-            if not (self.CHECKED or chosen or scan.broken) and channels.lacks(declared):
-                findings.note("the index counts other numbers of messages than there are")
-                declared = {}
-            channels.finish(declared, by_index=chosen)
+            whole = isinstance(needed, str)
+            with source.ahead([(0, source.size)] if isinstance(needed, str) else needed):
+                yield from scan.blocks(scan.all() if isinstance(needed, str) else scan.some(needed))
+            channels.finish(self.index.counts if self.index is not None else {}, by_index=not whole)
             source.passed(source.size)
 
 
 class Scan(ABC):
-    """One scan over the records of a chunked log. broken: whether anything was left out."""
+    """One scan over the records of a chunked log."""
 
     def __init__(self, source: Source, channels: Channels, findings: Findings) -> None:
         self.findings = findings
-        self.broken = False
         self._source = source
         self._channels = channels
         self._allowance = Allowance()
@@ -288,7 +260,6 @@ class Scan(ABC):
 
     def _fault(self, noun: str, rest: str, count: int = 1) -> None:
         self.findings.faults[noun, rest] += count
-        self.broken = True
 
     def _used_together(self) -> Iterator[Block]:
         """The messages of the chunks held."""
@@ -320,7 +291,7 @@ class Scan(ABC):
         """
         held, need, skip, found, crc = bytearray(), 0, 0, 0, 0
         try:
-            for piece in pieces(chunk.compression, self._reader(chunk)):
+            for piece in pieces(chunk.compression, _ChunkData(self._source, chunk)):
                 found, crc = found + len(piece), checksum(piece, crc)
                 if found > chunk.size:
                     raise WrongSizeError
@@ -343,22 +314,10 @@ class Scan(ABC):
                 raise
         if chunk.cut:
             self.findings.faults[CUT] = 1
-            self.broken = True
         elif held or skip:
             raise DamageError("the records of a chunk do not fill it")
         elif chunk.crc and crc != chunk.crc:
             self._fault("large chunk", "with a wrong checksum (CRC), used all the same")
-
-    def _reader(self, chunk: Chunk) -> Callable[[int], bytes]:
-        at, end = chunk.at, chunk.at + chunk.packed
-
-        def read(size: int) -> bytes:
-            nonlocal at
-            data = self._source.read(at, min(size, end - at))
-            at += len(data)
-            return data
-
-        return read
 
     def _around_damage(self, position: int, stop: int) -> int:
         """Where reading goes on behind a record that cannot be read; what is between is counted."""
@@ -368,6 +327,19 @@ class Scan(ABC):
         found = stop if found is None else found
         self._fault(*UNREADABLE, found - position)
         return found
+
+
+class _ChunkData:
+    """The packed bytes of a chunk, as a file."""
+
+    def __init__(self, source: Source, chunk: Chunk) -> None:
+        self._source, self._at, self._end = source, chunk.at, chunk.at + chunk.packed
+
+    def read(self, size: int) -> bytes:
+        """The next bytes."""
+        data = self._source.read(self._at, min(size, self._end - self._at))
+        self._at += len(data)
+        return data
 
 
 def _in_parts(chunk: Chunk) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import binascii
-import struct
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,16 +14,12 @@ from .foxglove import (
     as_text,
     get,
     integer,
-    load_json,
     pose_of,
-    protobuf_fields,
-    protobuf_pose,
-    protobuf_time,
     sequence,
     stamp_of,
     unit_quaternion,
 )
-from .messages import DamageError, text
+from .messages import DamageError
 from .wire import WireParser
 
 FIELDS = 256
@@ -32,7 +27,7 @@ FIELDS = 256
 
 MOST_POINTS = 1 << 21
 """Largest cloud: a depth image of 1920 by 1080 pixels, or ten turns of the scanner with the most
-beams. Of how many bytes it may be: `limits.CLOUD_BYTES`."""
+beams. Of how many bytes it may be: `topics.CLOUD_BYTES`."""
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""
@@ -106,14 +101,6 @@ def object_cloud(message: Any) -> Cloud:
     return Cloud(stamp_of(header), frame, _points(layout, data))
 
 
-def json_cloud(raw: bytes) -> Cloud:
-    """The cloud of a foxglove.PointCloud in JSON, its data in base64; raises DamageError."""
-    message = load_json(raw)
-    if get(message, "point_stride") is None:
-        raise DamageError("a cloud without a point_stride")
-    return _foxglove_cloud(message)
-
-
 def _foxglove_cloud(message: Any) -> Cloud:
     """The cloud of a decoded foxglove.PointCloud, by the names of its fields."""
     data = get(message, "data")
@@ -135,41 +122,6 @@ def _foxglove_cloud(message: Any) -> Cloud:
         None if pose is None else pose_of(pose),
         _packed(integer(get(message, "point_stride")), fields, data),
     )
-
-
-# foxglove.PointCloud {1: timestamp, 2: frame_id, 3: pose, 4: fixed32 point_stride, 5: repeated
-# PackedElementField {1: name, 2: fixed32 offset, 3: type}, 6: data}
-
-
-def protobuf_cloud(raw: bytes) -> Cloud:
-    """The cloud of a foxglove.PointCloud in protobuf; raises DamageError."""
-    stamp_ns, frame, stride, data = 0, "", 0, b""
-    pose: tuple[float, ...] | None = None
-    fields: dict[str, tuple[int, int]] = {}
-    for number, value in protobuf_fields(raw):
-        if isinstance(value, float) and number == 4:
-            stride = _fixed32(value)
-        if not isinstance(value, bytes):
-            continue
-        if number == 1:
-            stamp_ns = protobuf_time(value)
-        elif number == 2:
-            frame = text(value)
-        elif number == 3:
-            pose = protobuf_pose(value)
-        elif number == 5 and len(fields) < FIELDS:
-            part = dict(protobuf_fields(value))
-            name, offset, kind = part.get(1, b""), part.get(2, 0.0), part.get(3, 0)
-            if isinstance(name, bytes) and isinstance(offset, float) and isinstance(kind, int):
-                fields[text(name)] = _fixed32(offset), kind
-        elif number == 6:
-            data = value
-    return _placed(stamp_ns, frame, pose, _packed(stride, fields, np.frombuffer(data, np.uint8)))
-
-
-def _fixed32(value: float) -> int:
-    """The whole number of four bytes that were taken for a float32."""
-    return int.from_bytes(struct.pack("<f", value), "little")
 
 
 def _packed(stride: int, fields: dict[str, tuple[int, int]], data: NDArray[np.uint8]) -> FloatArray:

@@ -25,7 +25,6 @@ import numpy as np
 from ...topology.errors import UsageError
 from .foxglove import (
     POSES,
-    RowDecoder,
     as_text,
     get,
     load_json,
@@ -34,7 +33,7 @@ from .foxglove import (
     stamp_of,
 )
 from .messages import Channel, DamageError
-from .poses import Frames, Row
+from .poses import Frames, Row, RowDecoder
 from .schema import object_decoder
 
 _PATHS = ("center", "branches", "each", "stamp", "frame")

@@ -1,168 +1,115 @@
-"""Poses in Foxglove's protobuf and JSON encodings, and in JSON copies of ROS messages."""
+"""Messages as objects: of Foxglove's protobuf and JSON, and JSON copies of ROS messages.
+
+Protobuf becomes what JSON would give, so that one reading by the names of fields serves for both,
+and for what rosbags decodes.
+"""
 
 from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from math import hypot
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 
-from ...topology.arrays import IntArray
-from .messages import LATEST_NS, MESSAGE_BYTES, Bytes, DamageError, text
-from .poses import Frames, Poses, Row, join, no_poses
+from .messages import LATEST_NS, DamageError, text
+from .poses import Frames, Row
 
 POSES = 1 << 16
-"""Largest number of poses of one message decoded one by one."""
+"""Longest list in one message that is decoded as objects."""
+
+# Protobuf
+
+Fields = Mapping[int, tuple[str, Any]]
+"""Fields of a protobuf message by number: name, and a kind of `_KINDS`, the fields of a message, or
+a list of these: any number of such messages."""
+
+_KINDS: Mapping[str, tuple[int, Callable[[Any], Any], Any]] = {
+    "int": (0, int, 0),
+    "double": (1, lambda raw: struct.unpack("<d", raw)[0], 0.0),
+    "fixed32": (5, lambda raw: int.from_bytes(raw, "little"), 0),
+    "text": (2, lambda raw: raw.decode("utf-8", "replace"), ""),
+    "bytes": (2, lambda raw: np.frombuffer(raw, np.uint8), np.zeros(0, np.uint8)),
+}
+"""Wire type, reader and default of the kinds; "doubles" are any number of them, packed or not."""
+
+_VECTOR: Fields = {1: ("x", "double"), 2: ("y", "double"), 3: ("z", "double")}
+_QUATERNION: Fields = {**_VECTOR, 4: ("w", "double")}
+_TIME: Fields = {1: ("sec", "int"), 2: ("nanosec", "int")}
+_POSE: Fields = {1: ("position", _VECTOR), 2: ("orientation", _QUATERNION)}
+_HEADER: Fields = {1: ("timestamp", _TIME), 2: ("frame_id", "text")}
+_TRANSFORM: Fields = {
+    1: ("timestamp", _TIME),
+    2: ("parent_frame_id", "text"),
+    3: ("child_frame_id", "text"),
+    4: ("translation", _VECTOR),
+    5: ("rotation", _QUATERNION),
+}
+_ELEMENT: Fields = {1: ("name", "text"), 2: ("offset", "fixed32"), 3: ("type", "int")}
+
+PROTOBUF: Mapping[str, Fields] = {
+    "foxglove.PoseInFrame": {**_HEADER, 3: ("pose", _POSE)},
+    "foxglove.PosesInFrame": {**_HEADER, 3: ("poses", [_POSE])},
+    "foxglove.FrameTransform": _TRANSFORM,
+    "foxglove.FrameTransforms": {1: ("transforms", [_TRANSFORM])},
+    "foxglove.LaserScan": {
+        **_HEADER,
+        3: ("pose", _POSE),
+        4: ("start_angle", "double"),
+        5: ("end_angle", "double"),
+        6: ("ranges", "doubles"),
+    },
+    "foxglove.PointCloud": {
+        **_HEADER,
+        3: ("pose", _POSE),
+        4: ("point_stride", "fixed32"),
+        5: ("fields", [_ELEMENT]),
+        6: ("data", "bytes"),
+    },
+}
 
 
-T = TypeVar("T")
+def protobuf_object(fields: Fields, raw: bytes) -> dict[str, Any]:
+    """A protobuf message of these fields by their names; what is missing is 0 or empty. Raises
+    DamageError."""
+    out = {name: _default(kind) for name, kind in fields.values()}
+    for number, wire, value in _protobuf_fields(raw):
+        name, kind = fields.get(number, ("", ""))
+        if kind == "doubles" and wire in (1, 2):
+            out[name] += value
+        elif isinstance(kind, str) and kind in _KINDS and wire == _KINDS[kind][0]:
+            out[name] = _KINDS[kind][1](value)
+        elif isinstance(kind, list) and wire == 2:
+            if len(out[name]) == POSES:
+                raise DamageError("a list is implausibly long")
+            out[name].append(protobuf_object(kind[0], value))
+        elif isinstance(kind, dict) and wire == 2:
+            out[name] = protobuf_object(kind, value)
+    for name, kind in fields.values():
+        if kind == "doubles":
+            if len(out[name]) % 8:
+                raise DamageError("a list of numbers is cut short")
+            out[name] = np.frombuffer(bytes(out[name]), "<f8")
+    return out
 
 
-class OneByOne(Generic[T]):
-    """Decodes messages one by one, for encodings without fixed places.
-
-    parse: raises DamageError for a message that cannot be decoded; failed: the number of these;
-    reason: of the first of them.
-    """
-
-    LONGEST = MESSAGE_BYTES
-
-    def __init__(self, parse: Callable[[Any], T]) -> None:
-        self._parse = parse
-        self.failed = 0
-        self.reason = ""
-
-    def _parsed(self, message: Bytes) -> T:
-        return self._parse(message.tobytes())
-
-    def parsed(self, data: Bytes, start: IntArray, size: IntArray) -> Iterator[tuple[int, T]]:
-        """Number and content of every message of a batch that can be decoded."""
-        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
-            try:
-                if length > self.LONGEST:
-                    raise DamageError("a message is implausibly long")
-                content = self._parsed(data[at : at + length])
-            except DamageError as damage:
-                self.failed += 1
-                self.reason = self.reason or str(damage)
-                continue
-            yield number, content
+def _default(kind: Any) -> Any:
+    if isinstance(kind, str):
+        return bytearray() if kind == "doubles" else _KINDS[kind][2]
+    return [] if isinstance(kind, list) else protobuf_object(kind, b"")
 
 
-class RowDecoder(OneByOne[list[Row]]):
-    """Decodes poses message by message."""
-
-    def __init__(self, parse: Callable[[bytes, Frames], list[Row]]) -> None:
-        self.frames = Frames()
-        super().__init__(lambda raw: parse(raw, self.frames))
-
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
-        """The poses of a batch of messages."""
-        parts = [
-            _poses(number, part, row)
-            for number, rows in self.parsed(data, start, size)
-            for part, row in enumerate(rows)
-            if row[2]
-        ]
-        return join(parts) if parts else no_poses()
-
-
-def _poses(number: int, part: int, row: Row) -> Poses:
-    stamp, frame, values = row
-    count = len(values)
-    return Poses(
-        np.full(count, number),
-        np.full(count, part),
-        np.full(count, stamp),
-        np.full(count, frame),
-        np.array(values, np.float64).reshape(count, 7),
-    )
-
-
-# Protobuf: foxglove.PoseInFrame {1: timestamp, 2: frame_id, 3: pose}, foxglove.PosesInFrame
-# {1: timestamp, 2: frame_id, 3: repeated pose}, Pose {1: position, 2: orientation}; vectors and
-# quaternions are doubles numbered from 1 on.
-
-
-def protobuf_rows(raw: bytes, frames: Frames) -> list[Row]:
-    """The poses of a foxglove.PoseInFrame or PosesInFrame; raises DamageError."""
-    stamp, frame = 0, ""
-    poses: list[tuple[float, ...]] = []
-    for field, value in protobuf_fields(raw):
-        if field == 1 and isinstance(value, bytes):
-            stamp = protobuf_time(value)
-        elif field == 2 and isinstance(value, bytes):
-            frame = text(value)
-        elif field == 3 and isinstance(value, bytes):
-            if len(poses) == POSES:
-                raise DamageError("implausibly many poses")
-            poses.append(protobuf_pose(value))
-    return [(stamp, frames.number(frame), poses)]
-
-
-def protobuf_time(raw: bytes) -> int:
-    """Nanoseconds of a google.protobuf.Timestamp {1: seconds, 2: nanos}; raises DamageError."""
-    parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, int)}
-    return _bounded(parts.get(1, 0) * 10**9 + parts.get(2, 0))
-
-
-# foxglove.FrameTransform {1: timestamp, 2: parent_frame_id, 3: child_frame_id, 4: translation,
-# 5: rotation}, foxglove.FrameTransforms {1: repeated FrameTransform}.
-
-
-def protobuf_transform(raw: bytes, frames: Frames) -> list[Row]:
-    """The transform of a foxglove.FrameTransform; raises DamageError."""
-    parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, bytes)}
-    pair = frames.number(text(parts.get(2, b"")), text(parts.get(3, b"")))
-    return [(0, pair, [_doubles(parts.get(4, b""), 3) + _doubles(parts.get(5, b""), 4)])]
-
-
-def protobuf_transforms(raw: bytes, frames: Frames) -> list[Row]:
-    """The transforms of a foxglove.FrameTransforms; raises DamageError."""
-    each = [
-        value for number, value in protobuf_fields(raw) if number == 1 and isinstance(value, bytes)
-    ]
-    if len(each) > POSES:
-        raise DamageError("implausibly many transforms")
-    return [row for value in each for row in protobuf_transform(value, frames)]
-
-
-def protobuf_pose(raw: bytes) -> tuple[float, ...]:
-    """The seven numbers of a foxglove.Pose; raises DamageError."""
-    parts = {n: v for n, v in protobuf_fields(raw) if isinstance(v, bytes)}
-    return _doubles(parts.get(1, b""), 3) + _doubles(parts.get(2, b""), 4)
-
-
-def unit_quaternion(turn: tuple[float, ...]) -> tuple[float, ...]:
-    """x, y, z, w of a pose at unit length; zeros, protobuf's default, are the identity.
-
-    Raises DamageError if they are a million times off unit length.
-    """
-    if not any(turn):
-        return 0.0, 0.0, 0.0, 1.0
-    length = hypot(*turn)
-    if not 1e-6 < length < 1e6:
-        raise DamageError("a pose holds a quaternion of implausible length")
-    return tuple(q / length for q in turn)
-
-
-def _doubles(raw: bytes, count: int) -> tuple[float, ...]:
-    found = {n: v for n, v in protobuf_fields(raw) if isinstance(v, float)}
-    return tuple(found.get(n + 1, 0.0) for n in range(count))
-
-
-def protobuf_fields(raw: bytes) -> Iterator[tuple[int, int | float | bytes]]:
-    """Numbers and values of a protobuf message's fields."""
+def _protobuf_fields(raw: bytes) -> Iterator[tuple[int, int, Any]]:
+    """Numbers, wire types and values of a message's fields: whole numbers of type 0, else bytes."""
     position = 0
     while position < len(raw):
         tag, position = _varint(raw, position)
         field, wire = tag >> 3, tag & 7
         if wire == 0:
             value, position = _varint(raw, position)
-            yield field, value
+            yield field, wire, value
             continue
         if wire == 2:
             length, position = _varint(raw, position)
@@ -172,12 +119,8 @@ def protobuf_fields(raw: bytes) -> Iterator[tuple[int, int | float | bytes]]:
             raise DamageError("not a protobuf message")
         if length > len(raw) - position:
             raise DamageError("a message ends too early")
-        piece = raw[position : position + length]
+        yield field, wire, raw[position : position + length]
         position += length
-        if wire == 2:
-            yield field, piece
-        else:
-            yield field, struct.unpack("<d" if wire == 1 else "<f", piece)[0]
 
 
 def _varint(raw: bytes, position: int) -> tuple[int, int]:
@@ -211,9 +154,7 @@ def load_json(raw: bytes | str) -> Any:
         raise DamageError("not a JSON message") from error
 
 
-def json_rows(raw: bytes, frames: Frames) -> list[Row]:
-    """Poses of a JSON message with Foxglove's or ROS's field names; raises DamageError."""
-    return object_rows(load_json(raw), frames)
+# Objects
 
 
 def object_rows(message: Any, frames: Frames) -> list[Row]:
@@ -322,3 +263,16 @@ def vector(value: Any, names: str) -> tuple[float, ...]:
 def pose_of(pose: Any) -> tuple[float, ...]:
     """The seven numbers of a pose; raises DamageError."""
     return vector(get(pose, "position"), "xyz") + vector(get(pose, "orientation"), "xyzw")
+
+
+def unit_quaternion(turn: tuple[float, ...]) -> tuple[float, ...]:
+    """x, y, z, w of a pose at unit length; zeros, protobuf's default, are the identity.
+
+    Raises DamageError if they are a million times off unit length.
+    """
+    if not any(turn):
+        return 0.0, 0.0, 0.0, 1.0
+    length = hypot(*turn)
+    if not 1e-6 < length < 1e6:
+        raise DamageError("a pose holds a quaternion of implausible length")
+    return tuple(q / length for q in turn)

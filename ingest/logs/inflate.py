@@ -7,7 +7,7 @@ import functools
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -165,55 +165,41 @@ def _inflater(compression: str) -> Callable[[bytes, int], bytes]:
     return _INFLATERS[compression]
 
 
-Read = Callable[[int], bytes]
-"""Reads the next bytes of a source, at most so many; none at its end."""
+class Read(Protocol):
+    """A file to read from: the next bytes, at most so many; none at its end."""
+
+    def read(self, size: int) -> bytes:
+        """The next bytes."""
 
 
-def pieces(compression: str, read: Read) -> Iterator[bytes]:
+def pieces(compression: str, source: Read) -> Iterator[bytes]:
     """A decompressed stream in pieces of at most PIECE_BYTES, up to its end or its data's.
 
     Raises DamageError at a broken place, after everything before it.
     """
     if compression == "":
-        while piece := read(PIECE_BYTES):
+        while piece := source.read(PIECE_BYTES):
             yield piece
         return
     _inflater(compression)
     with _translated(compression):
-        yield from _zstd_pieces(read) if compression == "zstd" else _fed(compression, read)
-
-
-def _zstd_pieces(read: Read) -> Iterator[bytes]:
-    import zstandard
-
-    class Source:
-        """What the library reads from."""
-
-        def read(self, size: int) -> bytes:
-            return read(min(size, INPUT_BYTES))
-
-    # The buffer is filled as far as it goes before an error is raised.
-    source: Any = Source()
-    with zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(
-        source, read_size=INPUT_BYTES
-    ) as reader:
+        reader = _opened(compression, source)
         while piece := reader.read1(PIECE_BYTES):
             yield piece
 
 
-def _fed(compression: str, read: Read) -> Iterator[bytes]:
-    """The output of a decompressor that takes its input in parts."""
+def _opened(compression: str, source: Any) -> Any:
+    """What is left of a stream is returned before an error is raised."""
+    if compression == "zstd":
+        import zstandard
+
+        decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
+        return decompressor.stream_reader(source, read_size=INPUT_BYTES)
+    if compression == "bz2":
+        return bz2.BZ2File(source)
     import lz4.frame
 
-    decompressor: Any = (
-        lz4.frame.LZ4FrameDecompressor() if compression == "lz4" else bz2.BZ2Decompressor()
-    )
-    while not decompressor.eof:
-        data = read(INPUT_BYTES) if decompressor.needs_input else b""
-        if decompressor.needs_input and not data:
-            return
-        if piece := decompressor.decompress(data, PIECE_BYTES):
-            yield piece
+    return lz4.frame.LZ4FrameFile(source)
 
 
 # Messages that are compressed one by one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,18 +13,10 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .columns import Growing
-from .foxglove import (
-    RowDecoder,
-    json_rows,
-    object_rows,
-    protobuf_rows,
-    protobuf_transform,
-    protobuf_transforms,
-)
+from .foxglove import PROTOBUF, load_json, object_rows, protobuf_object
 from .inflate import unpacked
 from .messages import LATEST_NS, UNWANTED, Block, Channel, DamageError
-from .pose_wire import WireDecoder
-from .poses import PoseDecoder, Poses
+from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder
 from .schema import as_expected, object_decoder
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
 
@@ -41,13 +34,6 @@ sorted they take some 400 bytes, a message with four of them and its odometry fa
 FARTHEST = 1e9
 """Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
-PROTOBUF = {
-    "foxglove.PoseInFrame": protobuf_rows,
-    "foxglove.PosesInFrame": protobuf_rows,
-    "foxglove.FrameTransform": protobuf_transform,
-    "foxglove.FrameTransforms": protobuf_transforms,
-}
-
 
 def decoder_for(channel: Channel) -> PoseDecoder:
     """The decoder for a channel of one of the known types; raises DamageError if there is none."""
@@ -55,14 +41,16 @@ def decoder_for(channel: Channel) -> PoseDecoder:
     kind = kind or JUNCTION_KINDS.get(channel.type_name)
     if kind is not None and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
         return WireDecoder(kind, channel.encoding == "ros1")
+    read: Callable[[bytes], Any]
     if channel.encoding in ("cdr", "ros1"):
-        decode = object_decoder(channel)
-        return RowDecoder(lambda raw, frames: object_rows(decode(raw), frames))
-    if channel.encoding == "json":
-        return RowDecoder(json_rows)
-    if channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
-        return RowDecoder(PROTOBUF[channel.type_name])
-    raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
+        read = object_decoder(channel)
+    elif channel.encoding == "json":
+        read = load_json
+    elif channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
+        read = partial(protobuf_object, PROTOBUF[channel.type_name])
+    else:
+        raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
+    return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
 
 
 @dataclass(slots=True)

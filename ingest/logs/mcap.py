@@ -117,8 +117,6 @@ class McapScan(Scan):
                 chunk = Chunk("", position, end - position, end - position)
             if chunk is not None:
                 yield chunk
-            elif op == DATA_END:
-                self._check_data(position, _U32(head, RECORD_HEAD)[0])
             elif op == FOOTER and end + len(MAGIC) == stop:
                 if self._summary_lost and _U64(head, RECORD_HEAD)[0]:
                     self.findings.note("the summary is damaged")
@@ -126,24 +124,15 @@ class McapScan(Scan):
             position = end
         self.findings.faults[CUT] = 1
 
-    def _check_data(self, position: int, expected: int) -> None:
-        """Compare the checksum of the data section, if there is one."""
-        found = 0
-        for at in range(0, position, SLAB_BYTES) if expected else ():
-            found = checksum(self._source.read(at, min(SLAB_BYTES, position - at)), found)
-        if found != expected:
-            self.findings.note("the checksum (CRC) of the data section is wrong")
-
     def _next_record(self, read: Read, position: int, stop: int) -> int | None:
         window = LEAST_BYTES
         while position + RECORD_HEAD <= stop:
             raw = np.frombuffer(read(position, window + RECORD_HEAD), np.uint8)
             count = min(len(raw) - RECORD_HEAD + 1, stop - position)
-            starts = _KNOWN[raw[:count]]
-            for k in (6, 7, 8):  # the upper bytes of the length
-                starts &= raw[k : k + count] == 0
-            at = starts.nonzero()[0]
-            behind = at + RECORD_HEAD + words(raw, "<i8", at + 1)
+            at = _KNOWN[raw[:count]].nonzero()[0]
+            behind = (
+                at + RECORD_HEAD + words(raw, "<u8", at + 1).clip(max=LARGEST_RECORD).astype(int)
+            )
             follows = (behind >= len(raw)) | _KNOWN[raw[np.minimum(behind, len(raw) - 1)]]
             for start in at[follows & (behind <= stop - position)].tolist():
                 self._tries -= 1

@@ -144,10 +144,6 @@ Fault = tuple[str, str]
 
 CUT: Fault = ("", "the log is cut short")
 UNREADABLE: Fault = ("byte", "could not be read as messages")
-MISDESCRIBED: Fault = (
-    "channel",
-    "described by the index otherwise than the data, which are believed",
-)
 UNKNOWN: Fault = ("message", "of channels that the log does not describe")
 
 
@@ -226,17 +222,9 @@ class Container(Protocol):
         """
 
     def blocks(
-        self,
-        want: Want,
-        findings: Findings,
-        progress: Progress | None = None,
-        *,
-        by_index: bool = True,
+        self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
-        """Scan the file once; a channel is offered to `want` when it is met.
-
-        by_index: whether to believe the file's index, if there is a sound one.
-        """
+        """Scan the file once; a channel is offered to `want` when it is met."""
 
 
 class DamageError(Exception):

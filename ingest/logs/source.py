@@ -79,8 +79,8 @@ class RemoteSource(Passed):
     @contextmanager
     def ahead(self, ranges: Ranges) -> Iterator[None]:
         """Context in which these ranges are read, in order; they are requested ahead."""
-        with self.path.file.reading_ahead(ranges) as self._ahead:
-            yield
+        self._ahead = self.path.file.reading_ahead(ranges)
+        yield
         self._ahead = None
 
     def check_scan(self, why: str) -> None:

@@ -109,15 +109,10 @@ class SqliteFile:
                 first, last = base.execute(f"SELECT {ends}").fetchone()
         except (*_ERRORS, DamageError):
             return None
-        return Survey(counts, first or 0, last or 0)
+        return Survey(counts, first or 0, last or 0, sure=True)
 
     def blocks(
-        self,
-        want: Want,
-        findings: Findings,
-        progress: Progress | None = None,
-        *,
-        by_index: bool = True,
+        self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         keep_freed_memory()

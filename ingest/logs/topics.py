@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from ...topology.errors import LogError, UsageError
-from .laser_wire import LaserKind
 from .messages import MESSAGE_BYTES, Channel
-from .pose_wire import Kind
+from .poses import Kind
 
 ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
     "nav_msgs/msg/Odometry": (0, "odometry"),
@@ -54,7 +53,7 @@ TRANSFORM_KINDS: Mapping[str, Kind | None] = {
 }
 """Types with transforms between frames; None: decoded message by message."""
 
-SCAN_KINDS: Mapping[str, LaserKind | None] = {
+SCAN_KINDS: Mapping[str, str | None] = {
     "sensor_msgs/msg/LaserScan": "laser_scan",
     "sensor_msgs/msg/MultiEchoLaserScan": "multi_echo",
     "foxglove.LaserScan": None,

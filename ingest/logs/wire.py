@@ -1,24 +1,21 @@
-"""Columnar decoding of messages in CDR (ROS 2) and ROS 1 serialization.
+"""Decoders of payloads: by templates in CDR (ROS 2) and ROS 1 serialization, or one by one.
 
-The offsets of all fields in a message depend on its strings and counts only. One message is parsed,
-its strings and counts become a template, and all messages of the same size with the same bytes
-there are decoded at once; the others yield further templates.
+The offsets of all fields in a serialized message depend on its strings and counts only. One message
+is parsed, its strings and counts become a template, and all messages of the same size with the same
+bytes there are decoded at once; the others yield further templates.
 """
 
 from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from typing import Generic, Protocol, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from ...topology.arrays import IntArray
 from .columns import Shape, column, gather
-from .messages import NAME_BYTES, Bytes, DamageError, text
-
-MANY = 1024
-"""Messages of one size from which on those that are alike and broken are counted together."""
+from .messages import MESSAGE_BYTES, NAME_BYTES, Bytes, DamageError, text
 
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
@@ -105,6 +102,29 @@ def stamps_ns(rows: Bytes, at: int, order: str, ros1: bool) -> IntArray:
     return seconds * 10**9 + column(rows, f"{order}u4", at + 4)
 
 
+P = TypeVar("P")
+Q = TypeVar("Q")
+
+
+class Decoder(Generic[P]):
+    """Turns payloads into `P`; what cannot be decoded is left out.
+
+    failed: number of such messages; reason: why the first of them could not be decoded.
+    """
+
+    def __init__(self) -> None:
+        self.failed = 0
+        self.reason = ""
+
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
+        """What the messages at `start` with `size` in `data` hold."""
+        raise NotImplementedError
+
+    def _leave_out(self, damage: DamageError) -> None:
+        self.failed += 1
+        self.reason = self.reason or str(damage)
+
+
 class Template(Protocol):
     """The layout of messages of one size."""
 
@@ -118,55 +138,49 @@ class Template(Protocol):
 
 
 T = TypeVar("T", bound=Template)
-P = TypeVar("P")
 
 
-class TemplateDecoder(Generic[T, P]):
+class TemplateDecoder(Decoder[P], Generic[T, P]):
     """Decodes messages by templates.
 
-    parse: the template of one message, or DamageError; decode: what messages (rows of `width`
-    bytes) of a template hold, with their numbers. failed: messages that could not be parsed;
-    reason: why the first of them could not be.
+    parse: the template of one message, or DamageError; read: what messages (rows of `width`
+    bytes) of a template hold, with their numbers; join: of parts in no order.
     """
 
     def __init__(
-        self, parse: Callable[[bytes], T], decode: Callable[[T, Bytes, IntArray], list[P]]
+        self,
+        parse: Callable[[bytes], T],
+        read: Callable[[T, Bytes, IntArray], P],
+        join: Callable[[list[P]], P],
     ) -> None:
-        self._parse = parse
-        self._decode = decode
-        self.failed = 0
-        self.reason = ""
+        super().__init__()
+        self._parse, self._read, self._join = parse, read, join
         self._templates: dict[int, list[T]] = {}
 
-    def parts(self, data: Bytes, start: IntArray, size: IntArray) -> list[P]:
-        """What a batch of messages holds, in no order. O(bytes read) with few templates."""
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
+        """What a batch of messages holds. O(bytes read) with few templates."""
         message = np.arange(len(start))
         if len(start) and (size == size[0]).all():
-            return self._same_size(data, start, int(size[0]), message)
+            return self._join(self._same_size(data, start, int(size[0]), message))
         # One group per size: sort once, then split where the size changes.
         order = np.argsort(size, kind="stable")
         cuts = np.flatnonzero(np.diff(size[order])) + 1
         out: list[P] = []
         for group in np.split(order, cuts) if len(order) else []:
             out += self._same_size(data, start[group], int(size[group[0]]), message[group])
-        return out
+        return self._join(out)
 
     def _same_size(self, data: Bytes, start: IntArray, size: int, message: IntArray) -> list[P]:
         out: list[P] = []
         known = self._templates.setdefault(size, [])
         for template in known:
             start, message = self._take(data, start, message, template, out)
-        fresh = True
         while len(start):
-            raw = data[start[0] : start[0] + size].tobytes()
             try:
-                template = self._parse(raw)
+                template = self._parse(data[start[0] : start[0] + size].tobytes())
             except DamageError as damage:
-                flood = fresh and len(start) >= MANY
-                left = _unlike(data, start, raw) if flood else np.arange(1, len(start))
-                self.failed += len(start) - len(left)
-                self.reason = self.reason or str(damage)
-                start, message, fresh = start[left], message[left], False
+                self._leave_out(damage)
+                start, message = start[1:], message[1:]
                 continue
             if len(known) < TEMPLATES:
                 known.append(template)
@@ -187,15 +201,42 @@ class TemplateDecoder(Generic[T, P]):
         rows = gather(data, start, template.width)
         other = template.shape.misfits(rows)
         if other is None:
-            out += self._decode(template, rows, message)
+            out.append(self._read(template, rows, message))
             return start[:0], message[:0]
         if not other.all():
-            out += self._decode(template, rows[~other], message[~other])
+            out.append(self._read(template, rows[~other], message[~other]))
         return start[other], message[other]
 
 
-def _unlike(data: Bytes, start: IntArray, raw: bytes) -> IntArray:
-    """Messages that differ from those bytes and may be valid; the first one is."""
-    head = np.frombuffer(raw, np.uint8)
-    other = Shape.of(head, ((0, len(head)),)).misfits(gather(data, start, len(head)))
-    return np.zeros(0, np.int64) if other is None else other.nonzero()[0]
+class OneByOne(Decoder[P], Generic[Q, P]):
+    """Decodes messages one by one, for encodings without fixed offsets.
+
+    parse: what one message holds, or DamageError; join: of contents with the numbers of their
+    messages, in order; longest: of the messages that are decoded [bytes]; in_place: whether parse
+    takes a view of the message, instead of bytes.
+    """
+
+    def __init__(
+        self,
+        parse: Callable[[Any], Q],
+        join: Callable[[list[tuple[int, Q]]], P],
+        longest: int = MESSAGE_BYTES,
+        in_place: bool = False,
+    ) -> None:
+        super().__init__()
+        self._parse, self._join = parse, join
+        self._longest, self._in_place = longest, in_place
+
+    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
+        """What a batch of messages holds."""
+        found: list[tuple[int, Q]] = []
+        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+            message = data[at : at + length]
+            try:
+                if length > self._longest:
+                    raise DamageError("a message is implausibly long")
+                raw = message.data if self._in_place else message.tobytes()
+                found.append((number, self._parse(raw)))
+            except DamageError as damage:
+                self._leave_out(damage)
+        return self._join(found)

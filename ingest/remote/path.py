@@ -13,7 +13,7 @@ from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 from urllib.parse import unquote, urlsplit, urlunsplit
 
 from ...topology.errors import LogError, UsageError
@@ -26,8 +26,8 @@ from .store import (
     listed,
     requested,
     require_obstore,
+    side_by_side,
 )
-from .threads import side_by_side
 
 _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
 _LOG = re.compile(r"\.(mcap|bag|db3|active|zstd|zst)$", re.IGNORECASE)
@@ -49,10 +49,6 @@ SMALL_FILE_BYTES = 1 << 22
 def is_remote(text: str) -> bool:
     """Whether a text is the address of something in a bucket or on a web server."""
     return _REMOTE.match(text) is not None
-
-
-class _Status(NamedTuple):
-    st_size: int
 
 
 @dataclass(slots=True)
@@ -196,9 +192,9 @@ class RemotePath:
             for each in node.kinds():
                 yield RemotePath(self.root, self._below(name), each, allow_scan=self.allow_scan)
 
-    def stat(self) -> _Status:
+    def stat(self) -> Stat:
         """With `st_size`."""
-        return _Status(self.state.size)
+        return self.state
 
     def open(self, mode: str = "rb") -> io.BytesIO:
         """A small file's content, for reading."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left, bisect_right
 from collections import OrderedDict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Future
-from contextlib import contextmanager
 
 from .store import TAIL_MOST, Got
 
@@ -39,7 +38,7 @@ Ask = Callable[[tuple[int, int]], Future[Got]]
 class ReadAhead:
     """Parts of an object (ranges of bytes) that are read in order, the next few of them ahead."""
 
-    def __init__(self, parts: list[tuple[int, int]], ask: Ask) -> None:
+    def __init__(self, parts: Ranges, ask: Ask) -> None:
         self._parts = parts
         self._ask = ask
         self._begun: dict[int, Future[Got]] = {}
@@ -63,18 +62,11 @@ class ReadAhead:
         # Dropped parts are requested again when needed.
         return self._begun.pop(k).result()
 
-    def left(self) -> Iterator[Got]:
-        """Completed parts that were not read; failed requests are repeated when needed."""
-        for part in self._begun.values():
-            if part.exception() is None:
-                yield part.result()
-
 
 class RemoteFile:
     """One object for reading; thread-safe. Raises LogError on server errors.
 
-    known: bytes that were read before, the end of the object first; what is read of its index is
-    added.
+    known: bytes that were read before; what is read of its index is added.
     """
 
     def __init__(self, size: int, known: list[Got], ask: Ask) -> None:
@@ -83,17 +75,14 @@ class RemoteFile:
         self._lock = threading.Lock()
         self._held: OrderedDict[int, bytes] = OrderedDict()
         self._known = known
-        at_end = known and known[0].start + len(known[0].data) == size
-        self._tail = known[0].data if at_end else b""
-        self._tail_at = size - len(self._tail)
         for got in known:
-            self._keep(got.start, got.data)
+            self._keep(got)
 
     def cost(self, ranges: Ranges) -> int:
         """Bytes that reading these ranges requests: in whole blocks, without those held."""
-        return sum(stop - start for start, stop in self._planned(ranges))
+        return sum(stop - start for start, stop in self.planned(ranges))
 
-    def _planned(self, ranges: Ranges) -> Ranges:
+    def planned(self, ranges: Ranges) -> Ranges:
         """Requests for the blocks of some ranges that are not held."""
         with self._lock:
             held = sorted(self._held)
@@ -109,26 +98,11 @@ class RemoteFile:
         return out
 
     def _bytes(self, first: int, stop: int) -> tuple[int, int]:
-        """The range of bytes of some blocks; of the last one without what is known of it."""
-        end = min(stop * BLOCK_BYTES, self.size)
-        known = (stop - 1) * BLOCK_BYTES < self._tail_at < end
-        return first * BLOCK_BYTES, self._tail_at if known else end
+        return first * BLOCK_BYTES, min(stop * BLOCK_BYTES, self.size)
 
-    @contextmanager
-    def reading_ahead(self, ranges: Ranges) -> Iterator[ReadAhead]:
-        """Context in which these ranges are read ahead, in order."""
-        ahead = ReadAhead(self._planned(ranges), self._ask)
-        try:
-            yield ahead
-        except GeneratorExit:
-            self._keep_left(ahead)
-            raise
-        self._keep_left(ahead)
-
-    def _keep_left(self, ahead: ReadAhead) -> None:
-        with self._lock:
-            for part in ahead.left():
-                self._keep(part.start, part.data)
+    def reading_ahead(self, ranges: Ranges) -> ReadAhead:
+        """What reads these ranges, in order."""
+        return ReadAhead(self.planned(ranges), self._ask)
 
     def read(self, offset: int, length: int, ahead: ReadAhead | None = None) -> bytes:
         """The bytes at an offset, fewer at the object's end."""
@@ -148,14 +122,13 @@ class RemoteFile:
                 got = self._ask(self._bytes(k, end)).result()
                 if ahead is None and len(got.data) <= TAIL_MOST:
                     self._known.append(got)
-            self._keep(got.start, got.data)
+            self._keep(got)
         self._held.move_to_end(k)
         return self._held[k]
 
-    def _keep(self, start: int, data: bytes) -> None:
+    def _keep(self, got: Got) -> None:
         """Keep the whole blocks among some bytes, within the limit."""
-        if start + len(data) == self._tail_at:
-            data += self._tail
+        start, data, _ = got
         end = start + len(data)
         stop = -(-end // BLOCK_BYTES) if end == self.size else end // BLOCK_BYTES
         for k in range(-(-start // BLOCK_BYTES), stop):

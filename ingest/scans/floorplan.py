@@ -10,12 +10,12 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from ...topology.arrays import BoolArray, FloatArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.polyline import way_of
 from ...topology.se2 import wrap
 from .crossing import Known, crossings, with_crossings
 from .grid import GridSettings
-from .open_space import Lattice, OpenSpace, open_space, wall_yaw
+from .open_space import Lattice, distance, open_space, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
@@ -128,13 +128,15 @@ def skeleton_graph(
     resolution_m: float,
     settings: FloorplanSettings = FloorplanSettings(),
     frontier: BoolArray | None = None,
+    shown: AxesShown | None = None,
 ) -> Floorplan:
     """Places and corridors of free space (h, w), row 0 at the smallest y, column 0 at the smallest
     x.
 
     frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
     a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
-    farther than the disc around its junction. Loops without a junction are left out.
+    farther than the disc around its junction. Loops without a junction are left out. shown: what
+    other settings showed of the same grid, added to.
     O(h w log(h w)).
     """
     free = np.asarray(free, bool)
@@ -143,41 +145,54 @@ def skeleton_graph(
     free = np.pad(free, 1)
     edge = np.zeros_like(free) if frontier is None else np.pad(np.asarray(frontier, bool), 1)
     yaw = wall_yaw(free, edge, resolution_m)
-    shown = {}
-    for unknown_m in sorted({v.unknown_m for v in settings.variants}):
-        left = _receded(free, edge, unknown_m / resolution_m)
-        shown[unknown_m] = _Axes.of(left, edge, resolution_m, yaw, settings)
-    base = shown[0.0]
+    shown = {} if shown is None else shown
+    about = settings.skeleton.clearance_m, settings.island_m
+    for key in [key for key in shown if key[1:] != about]:
+        del shown[key]  # each takes 20 bytes a cell
+
+    def axes_of(unknown_m: float) -> _Axes:
+        key = unknown_m, *about
+        if key not in shown:
+            left = _receded(free, edge, unknown_m / resolution_m)
+            found = _Axes.of(left, edge, resolution_m, yaw, settings, driven=unknown_m == 0)
+            # Without islands any size of them shows the same.
+            shown.update({key: found} if found.islands else {key: found, (*key[:2], 0.0): found})
+        return shown[key]
+
+    base = axes_of(0.0)
     known: Known = {}
     graph, own = with_crossings(
         base.graph(settings.skeleton),
-        base.space.clearance_m,
-        base.space.cell_m,
+        base.clearance_m,
+        base.cell_m,
         settings.skeleton,
         known=known,
     )
-    drivable = Drivable.of(base.space, settings.skeleton.clearance_m)
+    if not own and not doors(graph, base.clearance_m, base.cell_m):
+        return Floorplan((), ())
+    assert base.drivable is not None
+    drivable = base.drivable
     if len(own) < FEW_JUNCTIONS:
-        rooms = with_rooms(graph, base.space.clearance_m, base.opening, drivable, settings.skeleton)
+        rooms = with_rooms(graph, base.clearance_m, base.opening, drivable, settings.skeleton)
     else:
         rooms = Rooms(graph, own, [*range(len(own))], [], [], [], 0)
+    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
     others = []
-    for variant in settings.variants[1:]:
-        axes = shown[variant.unknown_m]
+    for variant in settings.variants[1:] if own else ():
+        axes = axes_of(variant.unknown_m)
         other = axes.graph(variant.skeleton)
         every = crossings(
             other,
             range(len(other.nodes)),
-            axes.space.clearance_m,
-            axes.space.cell_m,
+            axes.clearance_m,
+            axes.cell_m,
             variant.skeleton,
             known=known if axes is base else None,
         )
         others.append(list(every.places.values()))
         if rooms.doors:
-            found = doors(other, axes.space.clearance_m, axes.space.cell_m)
-            others[-1] += door_nodes(other, found, axes.space.cell_m)
-    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
+            found = doors(other, axes.clearance_m, axes.cell_m)
+            others[-1] += door_nodes(other, found, axes.cell_m)
     agreement = _agreement(own, others, settings)
     places = _known_places(rooms, agreement, drivable)
     plan = _floorplan(rooms.graph, places, base, drivable)
@@ -189,7 +204,7 @@ def _receded(free: BoolArray, frontier: BoolArray, cells: float) -> BoolArray:
     """The free cells farther than so many cells from the frontier."""
     if cells == 0 or not frontier.any():
         return free
-    return np.asarray(free & (ndimage.distance_transform_edt(~frontier) > cells))
+    return np.asarray(free & (distance(~frontier, 1.0) > cells))
 
 
 CELL_M = 0.05
@@ -208,13 +223,25 @@ second; wider spaces are traced in larger cells."""
 
 @dataclass(slots=True, eq=False)
 class _Axes:
-    """The skeleton of an open space, in a lattice along its walls. opening: see `_openings`; lines:
-    its lines for each clearance asked for."""
+    """The skeleton of an open space, in a lattice along its walls.
 
-    space: OpenSpace
+    clearance_m: (h, w) distance of walls; opening: see `_openings`; islands: whether there are any
+    that make no junctions; radius_m: of the robot; drivable: where it can drive, if asked for;
+    lines: those for its radius, once they are traced.
+    """
+
+    clearance_m: Float32Array
     lattice: Lattice
     opening: BoolArray
-    lines: dict[float, Lines] = field(default_factory=dict)
+    islands: bool
+    radius_m: float
+    drivable: Drivable | None = None
+    lines: Lines | None = None
+
+    @property
+    def cell_m(self) -> float:
+        """Side of a cell of the lattice."""
+        return self.lattice.cell_m
 
     @classmethod
     def of(
@@ -224,31 +251,45 @@ class _Axes:
         cell_m: float,
         yaw: float,
         settings: FloorplanSettings,
+        *,
+        driven: bool,
     ) -> _Axes:
         """frontier: free cells beside unknown ones; yaw: of the lattice."""
         radius_m = settings.skeleton.clearance_m
         space = open_space(free, cell_m, radius_m, settings.island_m)
+        islands = space.clearance_m is not space.room_m
         opening = _openings(frontier, space.clearance_m, cell_m, 2 * radius_m)
         area, wide_m = free.size * cell_m**2, float(space.clearance_m.max())
         peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
         own_m = max(CELL_M, cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
         lattice = Lattice.along(yaw, free.shape, cell_m, own_m)
+        marks = lattice.marks(opening, cell_m)
+        if not driven:
+            clearance_m = lattice.of(space.clearance_m, cell_m)
+            return cls(clearance_m, lattice, marks, islands, radius_m)
         on = space.on(lattice)
-        return cls(on, lattice, lattice.of(opening, cell_m).astype(bool))
+        drivable = Drivable.of(on, radius_m)
+        return cls(on.clearance_m, lattice, marks, islands, radius_m, drivable)
 
     def graph(self, settings: SkeletonSettings) -> SkeletonGraph:
         """The graph of where there is the clearance of the settings."""
-        least_m, clearance_m = settings.clearance_m, self.space.clearance_m
-        if least_m not in self.lines:
-            found = lines_of(
-                thin(clearance_m > least_m), clearance_m, self.space.cell_m, self.opening
-            )
-            self.lines[least_m] = _without_corners(found, self.opening, self.space.cell_m)
-        return traced(self.lines[least_m], settings)
+        if settings.clearance_m != self.radius_m:
+            return traced(self._lines(settings.clearance_m), settings)
+        self.lines = self.lines or self._lines(self.radius_m)
+        return traced(self.lines, settings)
+
+    def _lines(self, least_m: float) -> Lines:
+        skeleton = thin(self.clearance_m > least_m)
+        found = lines_of(skeleton, self.clearance_m, self.cell_m, self.opening)
+        return _without_corners(found, self.opening, self.cell_m)
+
+
+AxesShown = dict[tuple[float, float, float], _Axes]
+"""By how far the unknown reaches, the robot's radius, and the size of islands [m]."""
 
 
 def _openings(
-    frontier: BoolArray, clearance_m: FloatArray, cell_m: float, least_m: float
+    frontier: BoolArray, clearance_m: Float32Array, cell_m: float, least_m: float
 ) -> BoolArray:
     """(h, w) cells at most as far from a frontier of width `least_m` as from any wall: corridors
     that end there continue beyond. frontier: without the border that clearance_m has."""
@@ -259,9 +300,8 @@ def _openings(
             out[part] |= label[part] == number
     if not out.any():
         return out
-    away = ndimage.distance_transform_edt(~out) * cell_m
     # Frontiers are free, walls are not; a way ends up to a cell before what it ends at.
-    return np.asarray(clearance_m > 0) & (away <= clearance_m + cell_m)
+    return np.asarray(clearance_m > 0) & (distance(~out, cell_m) <= clearance_m + cell_m)
 
 
 def _without_corners(lines: Lines, opening: BoolArray, cell_m: float) -> Lines:
@@ -349,7 +389,7 @@ def _from_corner(plan: Floorplan, lattice: Lattice, cell_m: float) -> Floorplan:
 
 def _reach(line: FloatArray, axes: _Axes, drivable: Drivable) -> FloatArray:
     """(k,) distance of the walls from each point of a line [m]."""
-    return axes.space.clearance_m[drivable.at(line)]
+    return axes.clearance_m[drivable.at(line)].astype(np.float64)
 
 
 def _drivable_part(
@@ -406,12 +446,12 @@ def _ended(
     if axes.opening[cells[0][-1], cells[1][-1]]:
         before = np.flatnonzero(~axes.opening[cells])
         return "frontier", line[: max(2, int(before[-1]) + 2 if len(before) else 2)]
-    line = _to_widest(line, axes.space.clearance_m, axes.space.cell_m)
+    line = _to_widest(line, axes.clearance_m, axes.cell_m)
     line[-1] = drivable.moved(line[-1])
     return "dead_end", line
 
 
-def _to_widest(path: FloatArray, clearance_m: FloatArray, cell_m: float) -> FloatArray:
+def _to_widest(path: FloatArray, clearance_m: Float32Array, cell_m: float) -> FloatArray:
     """A path into a dead end, cut at the centre of its widest part.
 
     Where exactly a skeleton ends in a room, and with what hook, is arbitrary. The widest part is

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.se2 import apply, compose, inverse
 from .grid import GridSettings, without_islands
-from .skeleton_lines import labelled
+from .skeleton_lines import Labels, labelled
 
 SPECK_M = 0.1
 """Isolated obstacles up to this size, or up to two cells, are noise of the mapper as often as
@@ -25,9 +27,9 @@ class OpenSpace:
     specks; clearance_m: from walls, where small obstacles are none; cell_m: size of a cell.
     """
 
-    clearance_m: FloatArray
-    room_m: FloatArray
-    all_m: FloatArray
+    clearance_m: Float32Array
+    room_m: Float32Array
+    all_m: Float32Array
     cell_m: float
 
     def drivable(self, radius_m: float) -> BoolArray:
@@ -36,12 +38,11 @@ class OpenSpace:
 
     def on(self, lattice: Lattice) -> OpenSpace:
         """The same in the cells of a lattice."""
-        return OpenSpace(
-            lattice.of(self.clearance_m, self.cell_m),
-            lattice.of(self.room_m, self.cell_m),
-            lattice.of(self.all_m, self.cell_m),
-            lattice.cell_m,
+        clearance, room, everything = (
+            lattice.of(values, self.cell_m)
+            for values in (self.clearance_m, self.room_m, self.all_m)
         )
+        return OpenSpace(clearance, room, everything, lattice.cell_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,22 +75,23 @@ class Lattice:
         """Points (k, 2) of the lattice, from its corner, in the frame of the grid."""
         return apply(np.array([*self.corner, self.yaw]), xy)
 
-    def of(self, values: FloatArray | BoolArray, cell_m: float) -> FloatArray:
-        """(h, w) values of a grid with cells of `cell_m` at the centres of the lattice's cells:
-        interpolated, or those of the nearest cell for marks. Beyond the grid they are 0."""
+    def of(self, values: Float32Array, cell_m: float) -> Float32Array:
+        """(h, w) values of a grid with cells of `cell_m` interpolated at the centres of the
+        lattice's cells; 0 beyond the grid."""
+        out: Float32Array = self._sampled(values, cell_m, 1)
+        return out
+
+    def marks(self, values: BoolArray, cell_m: float) -> BoolArray:
+        """(h, w) marks of the nearest cells of a grid."""
+        return np.asarray(self._sampled(values.view(np.uint8), cell_m, 0), bool)
+
+    def _sampled(self, values: NDArray[Any], cell_m: float, order: Literal[0, 1]) -> Any:
         c, s = np.cos(self.yaw), np.sin(self.yaw)
         turn = np.array([[c, s], [-s, c]]) * self.cell_m / cell_m
         begin = np.array(self.corner[::-1]) / cell_m
-        marks = values.dtype == bool
-        out = ndimage.affine_transform(
-            values.astype(np.uint8) if marks else values,
-            turn,
-            begin,
-            self.shape,
-            order=0 if marks else 1,
-            mode="constant",
+        return ndimage.affine_transform(
+            values, turn, begin, self.shape, order=order, mode="constant"
         )
-        return out.astype(bool) if marks else np.asarray(out, np.float64)
 
 
 MOST_POINTS = 1 << 14
@@ -106,8 +108,9 @@ def wall_yaw(free: BoolArray, frontier: BoolArray, cell_m: float) -> float:
     frontier: (h, w) free cells beside unknown ones, whose edges are no walls. O(cells).
     """
     edge = free & ~frontier & ~ndimage.binary_erosion(free, np.ones((3, 3), bool))
-    cells = np.argwhere(edge)[:, ::-1]
-    cells = cells[:: 1 + len(cells) // MOST_POINTS]
+    at = np.flatnonzero(edge)
+    rows, columns = np.unravel_index(at[:: 1 + len(at) // MOST_POINTS], edge.shape)
+    cells = np.column_stack([columns, rows])
     # Anywhere in their cells: the rows of cells along a diagonal are no walls.
     within = np.random.default_rng(0).random(cells.shape)
     points = (cells + within) * (cell_m / PROFILE_M)
@@ -137,10 +140,10 @@ def open_space(free: BoolArray, cell_m: float, radius_m: float, island_m: float)
     which touch no border are driven round, but make no junctions: furniture moves. O(h w).
     """
     solid = without_specks(free, cell_m)
-    everything = _distance(free, cell_m)
-    room = everything if np.array_equal(solid, free) else _distance(solid, cell_m)
+    everything = distance(free, cell_m)
+    room = everything if np.array_equal(solid, free) else distance(solid, cell_m)
     filled = _filled(solid, room <= radius_m, island_m / cell_m)
-    clearance = room if np.array_equal(filled, solid) else _distance(filled, cell_m)
+    clearance = room if np.array_equal(filled, solid) else distance(filled, cell_m)
     return OpenSpace(clearance, room, everything, cell_m)
 
 
@@ -150,28 +153,45 @@ def without_specks(free: BoolArray, cell_m: float) -> BoolArray:
     return without_islands(free, specks)
 
 
-def _distance(free: BoolArray, cell_m: float) -> FloatArray:
+ROWS_AT_ONCE = 64
+"""Rows of a grid whose distances are worked out together: they stay in the processor's cache."""
+
+
+def distance(free: BoolArray, cell_m: float) -> Float32Array:
     """(h, w) distance of the centres of cells from those of cells that are not free [m]."""
-    away = ndimage.distance_transform_edt(free)
-    return np.asarray(away * cell_m, np.float64)
+    return distances(nearest_cells(free), cell_m)
+
+
+def nearest_cells(free: BoolArray) -> Labels:
+    """(2, h, w) row and column of the nearest cell that is not free."""
+    found: Labels = ndimage.distance_transform_edt(
+        free, return_distances=False, return_indices=True
+    )
+    return found
+
+
+def distances(nearest: Labels, cell_m: float) -> Float32Array:
+    """(h, w) distance of cells from their nearest ones (2, h, w) [m]; scipy's own distances take
+    six times the memory."""
+    _, h, w = nearest.shape
+    out, columns = np.empty((h, w), np.float32), np.arange(w)
+    for top in range(0, h, ROWS_AT_ONCE):
+        rows = np.arange(top, min(top + ROWS_AT_ONCE, h))
+        y, x = nearest[:, rows[0] : rows[-1] + 1]
+        squared = np.square(y - rows[:, None], dtype=np.float64)
+        squared += np.square(x - columns, dtype=np.float64)
+        out[rows[0] : rows[-1] + 1] = np.sqrt(squared) * cell_m
+    return out
 
 
 def _filled(free: BoolArray, blocked: BoolArray, most_cells: float) -> BoolArray:
     """The free cells, and those of obstacles up to so many cells wide. blocked: cells that a robot
     cannot be in; what they connect is one obstacle."""
     label, count = labelled(blocked)
-    rows, columns = np.nonzero(~free)
-    owner = label[rows, columns].astype(np.int64)
-    small = np.maximum(_extent(rows, owner, count), _extent(columns, owner, count)) <= most_cells
-    small[np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))] = False
-    out = free.copy()
-    out[rows, columns] = small[owner]
-    return out
-
-
-def _extent(at: IntArray, owner: IntArray, count: int) -> IntArray:
-    """(count + 1,) number of rows or columns that each obstacle spans."""
-    low, high = np.full(count + 1, np.iinfo(np.int64).max // 2), np.zeros(count + 1, np.int64)
-    np.minimum.at(low, owner, at)
-    np.maximum.at(high, owner, at)
-    return np.asarray(high - low + 1)
+    at_border = np.unique(np.concatenate([label[0], label[-1], label[:, 0], label[:, -1]]))
+    label[free] = 0
+    small = np.zeros(count + 1, bool)
+    for number, box in enumerate(ndimage.find_objects(label), start=1):
+        small[number] = box is not None and max(s.stop - s.start for s in box) <= most_cells
+    small[at_border] = False
+    return np.asarray(free | small[label])

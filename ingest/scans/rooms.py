@@ -17,8 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from .crossing import Crossing, crossing
+from .open_space import distances, nearest_cells
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
 from .skeleton_lines import Labels
 from .ways import Drivable, cheapest
@@ -48,7 +49,7 @@ class Door(NamedTuple):
     half_m: float
 
 
-def doors(graph: SkeletonGraph, clearance_m: FloatArray, cell_m: float) -> list[Door]:
+def doors(graph: SkeletonGraph, clearance_m: Float32Array, cell_m: float) -> list[Door]:
     """The doors on the edges of a graph, in their order. clearance_m: (h, w), as it was traced
     with. O(cells of the skeleton)."""
     out = []
@@ -61,7 +62,7 @@ def doors(graph: SkeletonGraph, clearance_m: FloatArray, cell_m: float) -> list[
 
 
 def _narrowest(
-    edge: Edge, ends_m: list[float], clearance_m: FloatArray, cell_m: float
+    edge: Edge, ends_m: list[float], clearance_m: Float32Array, cell_m: float
 ) -> Iterator[tuple[int, float]]:
     """Index and clearance of the doors along an edge; ends_m: clearance of the nodes at its ends,
     0 for none."""
@@ -115,7 +116,7 @@ class Regions:
 def regions(
     graph: SkeletonGraph,
     found: Sequence[Door],
-    clearance_m: FloatArray,
+    clearance_m: Float32Array,
     cell_m: float,
     robot_m: float,
 ) -> Regions:
@@ -129,17 +130,17 @@ def regions(
         _cut(open_, _cell(graph, door), door.half_m / cell_m + 1.0)
     # By four neighbours: no way leads past a corner of a disc.
     parts, count = ndimage.label(open_)
-    away, (y, x) = ndimage.distance_transform_edt(parts == 0, return_indices=True)
-    near = (clearance_m > 0) & (away * cell_m <= robot_m + cell_m)
-    label: Labels = np.where(near, parts[y, x], 0).astype(np.int32)
+    nearest = nearest_cells(parts == 0)
+    near = (clearance_m > 0) & (distances(nearest, cell_m) <= robot_m + cell_m)
+    label: Labels = np.where(near, parts[tuple(nearest)], np.int32(0))
+    del nearest  # it takes 8 bytes a cell
     inside = label > 0
     own, r = label[inside], clearance_m[inside]
     area = np.bincount(own, minlength=count + 1) * cell_m**2
     most = np.zeros(count + 1)
     np.maximum.at(most, own, r)
-    widest = r > most[own] - cell_m
-    rows, columns = (index[widest] for index in np.nonzero(inside))
-    own = own[widest]
+    inside[inside] = r > most[own] - cell_m
+    (rows, columns), own = np.nonzero(inside), label[inside]
     size = np.maximum(np.bincount(own, minlength=count + 1), 1)
     centre = np.column_stack(
         [np.bincount(own, at, count + 1) / size * cell_m for at in (columns, rows)]
@@ -207,7 +208,7 @@ class Rooms(NamedTuple):
 
 def with_rooms(
     graph: SkeletonGraph,
-    clearance_m: FloatArray,
+    clearance_m: Float32Array,
     opening: BoolArray,
     drivable: Drivable,
     settings: SkeletonSettings,

@@ -10,7 +10,7 @@ from ...topology.arrays import FloatArray
 from ...topology.errors import UsageError
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
-from ..logs.scan_rows import Geometry, RawScans
+from ..logs.lasers import Geometry, RawScans
 from .surfaces import SURFACES
 
 FARTHEST_M = 1000.0

@@ -14,10 +14,9 @@ from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import compose, wrap, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
+from ..logs.lasers import Geometry, RawScans, ScanIntake, TimedScans
 from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
 from ..logs.recording import Recording
-from ..logs.scan_intake import ScanIntake, TimedScans
-from ..logs.scan_rows import Geometry, RawScans
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
 

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
 
-from ...topology.arrays import FloatArray
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.closure.dead_reckoning import dead_reckoning
 from ...topology.closure.view_loops import view_loops
 from ...topology.matching.views import ViewIndex
@@ -33,7 +31,7 @@ from ...topology.views import (
 )
 from ...topology.visits import Visits, in_map_frame
 from .junctions import Driven
-from .open_space import without_specks
+from .open_space import distance, without_specks
 from .windows import Seen
 
 EVERY_M = 3.0
@@ -113,19 +111,20 @@ they do not depend on the order in which a processor adds."""
 def grid_views(grid: Grid, along: FloatArray) -> Views:
     """Views cut from a saved grid, in the form of those that a laser saw: around places `along`
     (k, 2) [m, the map's frame] the corridors, `EVERY_M` apart or more, and in free space elsewhere,
-    the widest first."""
+    the widest first. None of a grid that is too large (`too_large`)."""
+    if too_large(grid):
+        return NO_VIEWS
     states = _states(grid)
     free = states == FREE
     if not free.any():
         return NO_VIEWS
-    own = apply(inverse(np.array(grid.origin)), along) / CELL_M
-    clearance = distance_transform_edt(np.pad(free, 1))[1:-1, 1:-1]
-    row, column = np.nonzero(clearance > LEAST_CLEARANCE_M / CELL_M)
-    order = np.argsort(-clearance[row, column], kind="stable")
-    elsewhere = np.column_stack([column, row])[order] + 0.5
-    corner = _spaced(np.rint(np.concatenate([own, elsewhere])), EVERY_M / CELL_M)
+    own = np.rint(apply(inverse(np.array(grid.origin)), along) / CELL_M).astype(np.int64)
+    clearance = distance(np.pad(free, 1), CELL_M)[1:-1, 1:-1].ravel()
+    at = np.flatnonzero(clearance > LEAST_CLEARANCE_M)
+    at = at[np.argsort(-clearance[at], kind="stable")]
+    corner = _spaced([own, *_corners(at, free.shape[1])], EVERY_M / CELL_M)
     inside = (corner >= 0).all(axis=1) & (corner <= np.array(states.shape)[::-1]).all(axis=1)
-    corner = corner[inside].astype(np.int64)
+    corner = corner[inside]
     # A view's place is a corner between four cells.
     padded = np.pad(states, SIDE // 2)
     cells = np.stack([padded[y : y + SIDE, x : x + SIDE] for x, y in corner.tolist()])
@@ -137,8 +136,17 @@ def grid_views(grid: Grid, along: FloatArray) -> Views:
     )
 
 
+def too_large(grid: Grid) -> bool:
+    """Whether no views are cut from a grid."""
+    return bool(grid.free.size * (grid.resolution_m / CELL_M) ** 2 > MOST_VIEWED)
+
+
 LEAST_CLEARANCE_M = 0.3
 """A robot fits in."""
+
+MOST_VIEWED = 1 << 22
+"""Largest grid that views are cut from, 410 by 410 m: as many cells of a view as a floor plan has.
+Coarser cells are divided."""
 
 
 def _states(grid: Grid) -> NDArray[np.uint8]:
@@ -160,13 +168,29 @@ def _states(grid: Grid) -> NDArray[np.uint8]:
     return states
 
 
-def _spaced(points: FloatArray, apart: float) -> FloatArray:
-    """Points in their order, without those nearer than `apart` to one before."""
-    tree = cKDTree(points)
-    open_ = np.ones(len(points), bool)
+CORNERS_AT_ONCE = 1 << 16
+"""Places of a grid that are looked at together."""
+
+
+def _corners(at: IntArray, width: int) -> Iterator[IntArray]:
+    """(k, 2) the corners nearest to the centres of cells, given by their numbers row by row."""
+    for begin in range(0, len(at), CORNERS_AT_ONCE):
+        row, column = np.divmod(at[begin : begin + CORNERS_AT_ONCE], width)
+        yield np.rint(np.column_stack([column, row]) + 0.5).astype(np.int64)
+
+
+def _spaced(points: Sequence[IntArray], apart: float) -> IntArray:
+    """Points (k, 2) in their order, without those nearer than `apart` to one before."""
+    reach = int(apart)
+    low = np.min([part.min(axis=0) for part in points if len(part)], axis=0) - reach
+    high = np.max([part.max(axis=0) for part in points if len(part)], axis=0) + reach
+    taken = np.zeros((high - low + 1)[::-1], bool)
+    step = np.arange(-reach, reach + 1)
+    near = step[:, None] ** 2 + step**2 < apart**2
     kept = []
-    for k in range(len(points)):
-        if open_[k]:
-            kept.append(k)
-            open_[tree.query_ball_point(points[k], apart * (1 - 1e-9))] = False
-    return points[kept]
+    for part in (each - low for each in points):
+        for x, y in part[~taken[part[:, 1], part[:, 0]]].tolist():
+            if not taken[y, x]:
+                kept.append((x, y))
+                taken[y - reach : y + reach + 1, x - reach : x + reach + 1] |= near
+    return np.asarray(np.array(kept, np.int64) + low)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.polyline import densely, simplify, way_of
 from .open_space import OpenSpace
 from .skeleton_lines import labelled
@@ -36,13 +36,12 @@ class Way(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Drivable:
-    """Where a robot can drive: cells: (h, w), all connected; price: (h, w) of a metre there;
-    nearest: (2, h, w) row and column of the nearest such cell; away_m: (h, w) its distance."""
+    """Where a robot can drive: cells: (h, w), all connected; all_m: (h, w) distance of obstacles
+    [m]; radius_m: of the robot."""
 
     cells: BoolArray
-    price: FloatArray
-    nearest: IntArray
-    away_m: FloatArray
+    all_m: Float32Array
+    radius_m: float
     cell_m: float
 
     @classmethod
@@ -53,11 +52,12 @@ class Drivable:
         size = np.bincount(label.ravel())
         size[0] = 0
         cells = label == size.argmax() if size.any() else fits
-        away, nearest = ndimage.distance_transform_edt(~cells, return_indices=True)
-        near = np.clip(1 - space.all_m / (2 * radius_m), 0, 1)
-        return cls(
-            cells, 1 + MIDDLE * near, nearest.astype(np.int64), away * space.cell_m, space.cell_m
-        )
+        return cls(cells, space.all_m, radius_m, space.cell_m)
+
+    def price(self, box: tuple[slice, slice]) -> FloatArray:
+        """(h, w) price of a metre in the cells of a box."""
+        near = 1 - self.all_m[box].astype(np.float64) / (2 * self.radius_m)
+        return np.asarray(1 + MIDDLE * np.clip(near, 0, 1))
 
     def at(self, xy: FloatArray) -> tuple[IntArray, IntArray]:
         """Rows and columns of the cells of points (k, 2), those of the border for points beyond."""
@@ -66,11 +66,21 @@ class Drivable:
         return np.clip(rows, 0, h - 1), np.clip(columns, 0, w - 1)
 
     def moved(self, xy: FloatArray) -> FloatArray:
-        """(2,) the point itself if a robot can be there, else the nearest one where it can."""
+        """(2,) the point itself if a robot can be there, or nowhere, else the nearest one where it
+        can."""
         (row,), (column,) = self.at(xy[None])
         if self.cells[row, column]:
             return xy
-        return np.asarray(self.nearest[::-1, row, column] * self.cell_m, np.float64)
+        reach = 16
+        while reach < 4 * max(self.cells.shape):
+            top, left = max(row - reach, 0), max(column - reach, 0)
+            found = np.argwhere(self.cells[top : row + reach + 1, left : column + reach + 1])
+            found += np.array([top, left])
+            away = np.hypot(*(found - np.array([row, column])).T)
+            if len(found) and away.min() <= reach:  # beyond, a corner may hide a nearer one
+                return np.asarray(found[away.argmin()][::-1] * self.cell_m, np.float64)
+            reach *= 2
+        return xy
 
     def holds(self, path: FloatArray) -> bool:
         """Whether a robot can drive straight from point to point of a path (k, 2)."""
@@ -149,7 +159,7 @@ def cheapest(
     within = within & drivable.cells[box]
     if begin == end or not inside or not (within[begin] and within[end]):
         return None
-    search = MCP_Geometric(np.where(within, drivable.price[box], -1.0))
+    search = MCP_Geometric(np.where(within, drivable.price(box), -1.0))
     costs, _ = search.find_costs([begin], [end])
     if not np.isfinite(costs[end]):
         return None

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from topobatch.ingest.logs.messages import Channel
-from topobatch.ingest.logs.pose_wire import WireDecoder
+from topobatch.ingest.logs.poses import WireDecoder
 from topobatch.ingest.logs.schema import as_expected
 
 NAMES = st.sampled_from(["odom", "/odom", "base_link", "a", "", "robot/odom", "ü" * 5])

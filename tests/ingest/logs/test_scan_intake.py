@@ -6,8 +6,8 @@ from types import ModuleType
 
 import numpy as np
 
+from topobatch.ingest.logs.lasers import ScanIntake
 from topobatch.ingest.logs.messages import Block, Channel
-from topobatch.ingest.logs.scan_intake import ScanIntake
 
 
 def test_messages_that_ros_2_compressed_one_by_one(sensors: ModuleType) -> None:

@@ -11,11 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.logs.laser_wire import LaserDecoder
+from topobatch.ingest.logs.foxglove import PROTOBUF, load_json, protobuf_object
+from topobatch.ingest.logs.lasers import object_scan, scan_decoder
 from topobatch.ingest.logs.messages import Channel
 from topobatch.ingest.logs.recording import recording_at
-from topobatch.ingest.logs.scan_intake import scan_decoder
-from topobatch.ingest.logs.scan_objects import json_scan, object_scan, protobuf_scan
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.slicing import DEFAULT_SLICES, SliceSettings, sliced
 from topobatch.ingest.scans.stream import Mounting, ScanStream
@@ -94,6 +93,10 @@ def test_every_container_gives_the_scans_that_were_written(
     assert batches[0].free_m.tolist()[:1] == [12.0]
 
 
+def no_cloud(_: Any) -> Any:
+    raise AssertionError("no cloud is expected")
+
+
 # --- decoding ----------------------------------------------------------------------------------
 
 
@@ -113,7 +116,7 @@ def test_columns_are_what_rosbags_decodes(sensors: ModuleType, encoding: str) ->
         payloads.append(
             sensors.scan(ranges, sensors.START_NS + k, str(frame), encoding, range_max=k % 2 + 8.0)
         )
-    found = decoded(LaserDecoder("laser_scan", encoding == "ros1"), payloads)
+    found = decoded(scan_decoder(Channel("/scan", sensors.SCAN, encoding), no_cloud), payloads)
     assert np.concatenate([s.message for s in found]).tolist() == list(range(60))
     store = sensors.store(encoding)
     read = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
@@ -128,7 +131,7 @@ def test_columns_are_what_rosbags_decodes(sensors: ModuleType, encoding: str) ->
 def test_big_endian_messages(sensors: ModuleType) -> None:
     message = sensors.ROS2.deserialize_cdr(sensors.scan([1, 2, 3, 4, 5]), sensors.SCAN)
     raw = bytes(sensors.ROS2.serialize_cdr(message, sensors.SCAN, little_endian=False))
-    (found,) = decoded(LaserDecoder("laser_scan", False), [raw])
+    (found,) = decoded(scan_decoder(Channel("/scan", sensors.SCAN, "cdr"), no_cloud), [raw])
     assert found.ranges_m.tolist() == [[1, 2, 3, 4, 5]]
     assert found.geometry.angle_increment == 0.5
     assert found.stamp_ns.tolist() == [sensors.START_NS]
@@ -143,7 +146,7 @@ def test_of_echoes_the_strongest_else_the_first(sensors: ModuleType, encoding: s
         sensors.echoes(ranges, [], encoding),
         sensors.echoes(ranges[::-1], strengths[::-1], encoding),
     ]
-    found = decoded(LaserDecoder("multi_echo", encoding == "ros1"), payloads)
+    found = decoded(scan_decoder(Channel("/scan", sensors.ECHOES, encoding), no_cloud), payloads)
     rows = np.concatenate([scans.ranges_m for scans in found])
     np.testing.assert_array_equal(rows[0], [2, NAN, 3, 4, 7])
     np.testing.assert_array_equal(rows[1], [1, NAN, 3, 4, 7])
@@ -153,11 +156,15 @@ def test_of_echoes_the_strongest_else_the_first(sensors: ModuleType, encoding: s
 def test_foxglove_scans_in_json_and_protobuf(sensors: ModuleType) -> None:
     ranges = [1.0, 2.5, 3.0, INF, 5.0]
     for raw in (sensors.foxglove_protobuf(ranges), sensors.foxglove_protobuf(ranges, whole=False)):
-        _, (stamp,), (found,), geometry, _ = protobuf_scan(raw)
+        _, (stamp,), (found,), geometry, _ = object_scan(
+            protobuf_object(PROTOBUF["foxglove.LaserScan"], raw)
+        )
         assert (stamp, found.tolist()) == (sensors.START_NS, ranges)
         assert (geometry.angle_min, geometry.angle_increment) == (-1.0, 0.5)
         assert geometry.pose == (0.5, 0.0, 0.0)
-    _, (stamp,), (found,), geometry, _ = json_scan(sensors.foxglove_json([1.0, NAN, 3.0, 4.0, 5.0]))
+    _, (stamp,), (found,), geometry, _ = object_scan(
+        load_json(sensors.foxglove_json([1.0, NAN, 3.0, 4.0, 5.0]))
+    )
     np.testing.assert_array_equal(found, [1, NAN, 3, 4, 5])
     assert geometry.pose == (0.5, 0.0, 0.0)
 

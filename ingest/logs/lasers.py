@@ -1,0 +1,390 @@
+"""Planar scans out of messages of any type and encoding, and out of point clouds.
+
+The layout of a LaserScan depends on its frame's name and its number of beams, so that those of one
+laser are decoded as columns. Echoes have a different one in every message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...topology.arrays import Float32Array, IntArray
+from ...topology.se2 import yaw_from_quaternion
+from .clouds import Cloud, object_cloud, wire_cloud
+from .columns import Shape
+from .foxglove import (
+    PROTOBUF,
+    as_text,
+    get,
+    load_json,
+    pose_of,
+    protobuf_object,
+    real,
+    stamp_of,
+    unit_quaternion,
+)
+from .inflate import SLICE_BYTES, unpacked
+from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
+from .schema import as_expected, object_decoder
+from .topics import CLOUD_BYTES, CLOUD_KINDS, SCAN_KINDS
+from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
+
+MOST_BEAMS = 1 << 16
+"""Largest number of beams; laser scanners have hundreds or thousands."""
+
+MOST_ECHOES = 16
+"""Largest number of echoes of one beam; scanners report at most three."""
+
+ABOUT = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time")
+ABOUT_BYTES = 4 * (len(ABOUT) + 2)
+"""The numbers about a scan: those, and range_min and range_max."""
+
+
+class Geometry(NamedTuple):
+    """Common parameters of a laser's scans.
+
+    frame: name without a leading slash; angle_min, angle_increment [rad]; time_increment: between
+    two beams [s]; range_min, range_max [m]; angle_max: of the last beam, as stated; pose: x, y, yaw
+    of the scan in its frame; level: angles are in the robot's orientation, seen from above, so that
+    only the frame's position is used.
+    """
+
+    frame: str
+    angle_min: float
+    angle_increment: float
+    time_increment: float = 0.0
+    range_min: float = 0.0
+    range_max: float = float("inf")
+    angle_max: float = float("nan")
+    pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    level: bool = False
+
+
+class RawScans(NamedTuple):
+    """Scans of one geometry and number of beams, as recorded.
+
+    message: (n,) index of the message in its batch; stamp_ns: (n,) header time; ranges_m: (n, m)
+    float32 as in the message; blind: beams without a range give no information, as in a slice of a
+    cloud.
+    """
+
+    message: IntArray
+    stamp_ns: IntArray
+    ranges_m: Float32Array
+    geometry: Geometry
+    blind: bool = False
+
+    def rows(self, which: IntArray) -> RawScans:
+        """Some of the scans."""
+        return self._replace(
+            message=self.message[which],
+            stamp_ns=self.stamp_ns[which],
+            ranges_m=self.ranges_m[which],
+        )
+
+
+def one_scan(stamp_ns: int, ranges_m: Float32Array, geometry: Geometry) -> RawScans:
+    """One scan of ranges (m,)."""
+    return RawScans(np.zeros(1, np.int64), np.array([stamp_ns], np.int64), ranges_m[None], geometry)
+
+
+def _checked_beams(count: int) -> int:
+    """The number of beams; raises DamageError if it is not plausible."""
+    if count > MOST_BEAMS:
+        raise DamageError(f"a scan of {count} beams is implausible")
+    return count
+
+
+# As columns
+
+
+class _Template(NamedTuple):
+    """The layout of scans of one shape and size; see `wire.Template`."""
+
+    width: int
+    shape: Shape
+    order: str
+    ros1: bool
+    frame: str
+    stamp_at: int
+    about_at: int
+    beams: int
+
+    @classmethod
+    def of(cls, ros1: bool, raw: bytes) -> _Template:
+        """The template of one LaserScan; raises DamageError if it cannot be one."""
+        parser = WireParser(raw, ros1)
+        stamp_at, frame, about_at, beams = _parsed_head(parser)
+        shape = parser.shape
+        parser.advance(4 * beams)
+        width, order = parser.position, parser.order
+        return cls(width, shape, order, ros1, frame, stamp_at, about_at, beams)
+
+    def scans(self, rows: Bytes, message: IntArray) -> list[RawScans]:
+        """The scans of messages (rows) of this shape, by geometry."""
+        stamp_ns = stamps_ns(rows, self.stamp_at, self.order, self.ros1)
+        about = self._numbers(rows, self.about_at, ABOUT_BYTES // 4)
+        ranges = self._numbers(rows, self.width - 4 * self.beams, self.beams)
+        return [
+            RawScans(message[which], stamp_ns[which], ranges[which], _geometry(self.frame, stated))
+            for which, stated in _alike(about)
+        ]
+
+    def _numbers(self, rows: Bytes, at: int, count: int) -> Float32Array:
+        """(n, count) float32 at one offset of every row."""
+        span = np.ascontiguousarray(rows[:, at : at + 4 * count]).view(f"{self.order}f4")
+        return span.astype(np.float32, copy=False).reshape(len(rows), count)
+
+
+def _parsed_head(parser: WireParser) -> tuple[int, str, int, int]:
+    """Offset of the stamp, frame, offset of the numbers about a scan, and number of beams."""
+    stamp_at, frame = parser.header()
+    parser.align(4)
+    about_at = parser.advance(ABOUT_BYTES)
+    return stamp_at, frame.lstrip("/"), about_at, _checked_beams(parser.count())
+
+
+def _alike(about: Float32Array) -> list[tuple[IntArray, list[float]]]:
+    """Rows grouped by equal values, with these: in nearly every log all of them."""
+    bits = np.ascontiguousarray(about).view(np.uint32)
+    if (bits == bits[:1]).all():
+        return [(np.arange(len(about)), about[0].tolist())] if len(about) else []
+    _, first, group = np.unique(bits, axis=0, return_index=True, return_inverse=True)
+    return [
+        (np.flatnonzero(group.ravel() == k), about[row].tolist())
+        for k, row in enumerate(first.tolist())
+    ]
+
+
+def _geometry(frame: str, about: list[float]) -> Geometry:
+    angle_min, angle_max, angle_increment, time_increment, _, range_min, range_max = about
+    return Geometry(
+        frame, angle_min, angle_increment, time_increment, range_min, range_max, angle_max
+    )
+
+
+def _in_order(parts: Sequence[list[RawScans]]) -> list[RawScans]:
+    """The scans in the order of their messages, in parts of consecutive messages."""
+    whole = [scans for part in parts for scans in part if len(scans.message)]
+    if len(whole) < 2:
+        return whole
+    message = np.concatenate([scans.message for scans in whole])
+    owner = np.repeat(np.arange(len(whole)), [len(scans.message) for scans in whole])
+    row = np.concatenate([np.arange(len(scans.message)) for scans in whole])
+    order = np.argsort(message, kind="stable")
+    pieces = np.split(order, np.flatnonzero(np.diff(owner[order])) + 1)
+    return [whole[int(owner[piece[0]])].rows(row[piece]) for piece in pieces]
+
+
+# One by one
+
+
+def _together(found: list[tuple[int, RawScans]]) -> list[RawScans]:
+    """Scans of single messages, consecutive ones of one geometry joined."""
+    groups: list[list[RawScans]] = []
+    before = ""
+    for number, scan in found:
+        # Compared as text, since geometries may hold NaN.
+        alike = repr((scan.geometry, scan.ranges_m.shape, scan.blind))
+        if alike != before:
+            groups.append([])
+        groups[-1].append(scan._replace(message=np.array([number], np.int64)))
+        before = alike
+    return [
+        group[0]._replace(
+            message=np.concatenate([scan.message for scan in group]),
+            stamp_ns=np.concatenate([scan.stamp_ns for scan in group]),
+            ranges_m=np.concatenate([scan.ranges_m for scan in group]),
+        )
+        for group in groups
+    ]
+
+
+def echo_scan(ros1: bool, raw: bytes) -> RawScans:
+    """A MultiEchoLaserScan in CDR or ROS 1's encoding; raises DamageError.
+
+    Of a beam the strongest echo counts if intensities are recorded (dust, rain and glass return
+    little), else the first.
+    """
+    parser = WireParser(raw, ros1)
+    stamp_at, frame, about_at, beams = _parsed_head(parser)
+    # From the first echo on everything is 4 bytes wide: lists, each behind its length.
+    count = (len(raw) - parser.position) // 4
+    words = np.frombuffer(raw, f"{parser.order}u4", count, parser.position).tolist()
+    values = np.frombuffer(raw, f"{parser.order}f4", count, parser.position)
+    echoes, end = _lists(words, 0, beams)
+    if echoes is None:
+        raise DamageError("its echoes do not fit into the message")
+    strengths = _lists(words, end + 1, beams)[0] if words[end : end + 1] == [beams] else None
+    strengths = strengths or echoes[:0]
+    ranges = np.full(beams, np.nan, np.float32)
+    for beam, (begin, length) in enumerate(echoes):
+        if length:
+            graded = beam < len(strengths) and strengths[beam][1] == length
+            power = values[strengths[beam][0] :][:length] if graded else values[:1]
+            # Compared one by one, so that an intensity that is not a number is never the largest.
+            best = max(range(len(power)), key=lambda k: power[k]) if graded else 0
+            ranges[beam] = values[begin + best]
+    (stamp_ns,) = stamps_ns(
+        np.frombuffer(raw, np.uint8)[None], stamp_at, parser.order, ros1
+    ).tolist()
+    about = np.frombuffer(raw, f"{parser.order}f4", ABOUT_BYTES // 4, about_at).tolist()
+    return one_scan(stamp_ns, ranges, _geometry(frame, about))
+
+
+def _lists(words: list[int], at: int, count: int) -> tuple[list[tuple[int, int]] | None, int]:
+    """Begin and length of `count` lists among words, the first one's length at `at`, and where they
+    end; None if they do not fit."""
+    out = []
+    for _ in range(count):
+        length = words[at] if at < len(words) else MOST_ECHOES + 1
+        if length > MOST_ECHOES:
+            return None, at
+        out.append((at + 1, length))
+        at += 1 + length
+    return (out, at) if at <= len(words) else (None, at)
+
+
+def object_scan(message: Any) -> RawScans:
+    """A decoded scan by the names of its fields; raises DamageError.
+
+    Supports sensor_msgs/LaserScan (`angle_min`), foxglove.LaserScan (`start_angle`), and multi-echo
+    scans, of which the first echoes count.
+    """
+    header = get(message, "header")
+    source = message if header is None else header
+    stamp, frame = stamp_of(source), as_text(get(source, "frame_id")).lstrip("/")
+    ranges = _ranges(get(message, "ranges"))
+    if get(message, "start_angle") is not None:
+        first, last = (real(get(message, name)) for name in ("start_angle", "end_angle"))
+        step = (last - first) / max(len(ranges) - 1, 1)
+        pose = get(message, "pose")
+        placed = (0.0, 0.0, 0.0) if pose is None else _in_plane(pose_of(pose))
+        geometry = Geometry(frame, first, step, angle_max=last, pose=placed)
+        return one_scan(stamp, ranges, geometry)
+    geometry = Geometry(
+        frame,
+        real(get(message, "angle_min")),
+        real(get(message, "angle_increment")),
+        _or(get(message, "time_increment"), 0.0),
+        _or(get(message, "range_min"), 0.0),
+        _or(get(message, "range_max"), float("inf")),
+        _or(get(message, "angle_max"), float("nan")),
+    )
+    return one_scan(stamp, ranges, geometry)
+
+
+def _in_plane(pose: tuple[float, ...]) -> tuple[float, float, float]:
+    """x, y, yaw of a pose; a zero quaternion, protobuf's default, is the identity."""
+    x, y, _, *turn = pose
+    if not np.isfinite(pose).all():
+        raise DamageError("a pose holds numbers that are not finite")
+    return x, y, float(yaw_from_quaternion(*unit_quaternion(tuple(turn))))
+
+
+def _or(value: Any, otherwise: float) -> float:
+    return otherwise if value is None else real(value)
+
+
+def _ranges(value: Any) -> Float32Array:
+    """(m,) ranges, of multiple echoes the first; null in JSON is no range. Values too large become
+    inf."""
+    if value is None or isinstance(value, str) or not hasattr(value, "__len__"):
+        raise DamageError("a list of ranges is missing")
+    _checked_beams(len(value))
+    if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
+        value = np.array([_range(each) for each in value], np.float64)
+    with np.errstate(over="ignore"):
+        return np.asarray(value).astype(np.float32)
+
+
+def _range(value: Any) -> float:
+    echoes = get(value, "echoes")
+    if echoes is not None:
+        value = echoes[0] if len(echoes) else None
+    return float("nan") if value is None else real(value)
+
+
+# Channels
+
+Slicer = Callable[[Cloud], RawScans]
+
+ScanDecoder = Decoder[list[RawScans]]
+
+
+def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
+    """The decoder for a channel of scans or point clouds; raises DamageError if there is none.
+
+    slicer: makes a scan of a cloud.
+    """
+    cloud = channel.type_name in CLOUD_KINDS
+    kind = "cloud" if cloud else SCAN_KINDS.get(channel.type_name)
+    serialized, ros1 = channel.encoding in ("cdr", "ros1"), channel.encoding == "ros1"
+    foxglove = channel.type_name.startswith("foxglove")
+    if serialized and kind is not None and not foxglove and as_expected(channel, kind):
+        if cloud:
+            parse = partial(_sliced_wire, slicer, ros1)
+            return OneByOne(parse, _together, CLOUD_BYTES, in_place=True)
+        if kind == "multi_echo":
+            return OneByOne(partial(echo_scan, ros1), _together)
+        return TemplateDecoder(partial(_Template.of, ros1), _Template.scans, _in_order)
+    if serialized:
+        read = object_decoder(channel)
+    elif channel.encoding == "json":
+        read = load_json
+    elif channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
+        read = partial(protobuf_object, PROTOBUF[channel.type_name])
+    else:
+        raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
+    if cloud:
+        return OneByOne(lambda raw: slicer(object_cloud(read(raw))), _together)
+    return OneByOne(lambda raw: object_scan(read(raw)), _together)
+
+
+def _sliced_wire(slicer: Slicer, ros1: bool, raw: memoryview) -> RawScans:
+    return slicer(wire_cloud(raw, ros1))
+
+
+class TimedScans(NamedTuple):
+    """Scans with their log times log_ns (n,)."""
+
+    scans: RawScans
+    log_ns: IntArray
+
+
+class ScanIntake:
+    """Decodes the blocks of one channel. messages: their number; failed: those that could not be
+    decoded."""
+
+    def __init__(self, channel: Channel, slicer: Slicer) -> None:
+        self._decoder = scan_decoder(channel, slicer)
+        self._cdr = channel.encoding == "cdr"
+        self._unpacked = 0
+        self.messages = 0
+
+    @property
+    def failed(self) -> int:
+        """Number of messages that could not be decoded."""
+        return self._decoder.failed + self._unpacked
+
+    @property
+    def reason(self) -> str:
+        """Why the first of these could not be decoded."""
+        return self._decoder.reason
+
+    def take(self, block: Block) -> Iterator[TimedScans]:
+        """The scans of a block, in order."""
+        self.messages += len(block.start)
+        # Cut where the bytes so far fill another slice.
+        filled = (np.cumsum(block.size) - block.size) // SLICE_BYTES
+        for rows in np.split(np.arange(len(filled)), np.flatnonzero(np.diff(filled)) + 1):
+            part = block.rows(rows)
+            for plain, failed in unpacked(part) if self._cdr else ((part, 0),):
+                self._unpacked += failed
+                log_ns = np.clip(plain.log_time_ns, 0, LATEST_NS - 1)
+                for scans in self._decoder.decode(plain.data, plain.start, plain.size):
+                    yield TimedScans(scans, log_ns[scans.message])
