@@ -13,9 +13,13 @@ from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
 from ..topology.closure.estimate import optimise, set_apart
-from ..topology.closure.incremental import Closed, closure_without_grid, full_closure
+from ..topology.closure.incremental import (
+    Closed,
+    closure_without_grid,
+    first_round,
+    full_closure,
+)
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
-from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.variance_components import Fitted, fitted_noise
 from ..topology.columns import take
 from ..topology.digits import significant
@@ -231,7 +235,7 @@ def close_loops(
         closed = most_likely_closure(reckoning, first, fit.reckoning, settings.rounds)
         return closed, fit if closed is first else fitted(closed)
     if settings.closure == "gated":
-        closed = gated_closure(reckoning, settings.rounds)
+        closed = first_round(reckoning, settings.rounds)
     else:
         place = np.arange(len(reckoning), dtype=np.int64)
         closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
