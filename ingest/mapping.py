@@ -30,11 +30,11 @@ from ..topology.passes import Passes
 from ..topology.run import NO_DETECTIONS, NOT_SEEN_AGAIN, Detections, Run
 from ..topology.se2 import compose
 from ..topology.topomap import Closure, RunNoise, TopoMap
-from ..topology.turning_back import TurnedBack, turning_points
+from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from ..topology.views import Views
 from ..topology.visits import Visits, in_map_frame
-from .driven_shares import ON_THE_WAY, driven_shares
+from .driven_shares import driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
@@ -119,10 +119,10 @@ def build_map_with_errors(
         fitted_noise=likely,
         settings=settings.drawing,
     )
-    topomap, turned = _add_turning_points(topomap, odometry, places.visits, source, settings)
+    topomap = _add_turning_points(topomap, odometry, places.visits, source, settings)
     topomap = _add_views(topomap, run, odometry, places)
     info = _info(run, settings, calibration, reckoning, odometry)
-    info["driven"] = driven_shares(topomap, odometry, turned)
+    info["driven"] = driven_shares(topomap, odometry, places.visits)
     closures = _closures(closed, places, reckoning.passes)
     return replace(topomap, closures=closures, info=info), errors
 
@@ -294,13 +294,12 @@ def _add_turning_points(
     visits: Visits,
     source: PassSource,
     settings: MappingSettings,
-) -> tuple[TopoMap, TurnedBack]:
+) -> TopoMap:
     """The map with the turning points that its source of passes does not report as junctions."""
-    turned = ON_THE_WAY
-    if not source.shows_bends:
-        drawing = settings.drawing
-        turned = turning_points(topomap, odometry, visits, source.resolution_m, drawing)
-    return replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends), turned
+    if source.shows_bends:
+        return topomap
+    turned = turning_points(topomap, odometry, visits, source.resolution_m, settings.drawing)
+    return replace(topomap, turning_points=turned, shows_bends=False)
 
 
 def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: CorrectedPlaces) -> TopoMap:

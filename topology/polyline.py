@@ -212,7 +212,10 @@ class Ways:
 
     def away(self, path: FloatArray) -> FloatArray:
         """(m,) distances [m] of points along a path from the polylines, inf if there are none."""
-        points = densely(path, self._step_m)
+        return self.nearest(densely(path, self._step_m))
+
+    def nearest(self, points: FloatArray) -> FloatArray:
+        """(m,) distances [m] of points (m, 2) from the polylines, inf if there are none."""
         if self._tree is None:
             return np.full(len(points), np.inf)
         return np.asarray(self._tree.query(points)[0], np.float64)

@@ -32,9 +32,8 @@ class _Excursion(NamedTuple):
     """One drive from a vertex to its farthest point, and back unless the track begins or ends
     there.
 
-    path: (p, 2) [m] from the vertex; length: of it [m]; way_m: distance driven; returns: whether it
-    came back; time_ns: when it arrived at the farthest point; traversal_ns: (t, 2) when it was at
-    the vertex and at that point.
+    path: (p, 2) [m] from the vertex; length: of it [m]; time_ns: when it arrived at the farthest
+    point; traversal_ns: (t, 2) when it was at the vertex and at that point.
     """
 
     vertex: int
@@ -42,19 +41,8 @@ class _Excursion(NamedTuple):
     kind: str
     path: FloatArray
     length: float
-    way_m: float
-    returns: bool
     time_ns: int
     traversal_ns: IntArray
-
-
-class TurnedBack(NamedTuple):
-    """The turning points of a run. out_and_back_m, ends_m: distance [m] driven on partial
-    traversals of known corridors: out of a junction and back, and at the ends of the track."""
-
-    points: TurningPoints
-    out_and_back_m: float = 0.0
-    ends_m: float = 0.0
 
 
 def turning_points(
@@ -63,7 +51,7 @@ def turning_points(
     visits: Visits,
     least_m: float,
     settings: MapBuildingSettings,
-) -> TurnedBack:
+) -> TurningPoints:
     """The turning points more than `least_m` [m] from their vertex that no corridor of the map
     leads to.
 
@@ -71,23 +59,15 @@ def turning_points(
     """
     every = _excursions(topomap, odometry, visits, settings)
     found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
-    step_m = least_m / 4
-    corridors = Ways(topomap.paths, step_m)
-    kept, others = group_by_dead_end(
+    corridors = Ways(topomap.paths, least_m / 4)
+    kept = group_by_dead_end(
         ((e.time_ns, e) for e in found),
         topomap,
         lambda vertex: corridors,
         sound_m=settings.sound_m,
         near_m=least_m,
     )
-    points = _as_points(kept, topomap, settings)
-    ways = Ways([*topomap.paths, *points.paths], step_m)
-    part = [e for e in others if ways.away(e.path).max() <= least_m]
-    return TurnedBack(
-        points,
-        out_and_back_m=sum(e.way_m for e in part if e.returns),
-        ends_m=sum(e.way_m for e in part if not e.returns),
-    )
+    return _as_points(kept, topomap, settings)
 
 
 class Drive(Protocol):
@@ -120,9 +100,8 @@ def group_by_dead_end(
     *,
     sound_m: float,
     near_m: float,
-) -> tuple[list[list[D]], list[D]]:
-    """Drives grouped by the dead end that they lead to, the deepest first in each group; and the
-    other drives.
+) -> list[list[D]]:
+    """Drives grouped by the dead end that they lead to, the deepest first in each group.
 
     Of several drives by one branch the deepest defines the dead end; those that came as far, to
     within `sound_m` [m], lead there, too. Drives by a branch that a corridor of the graph leaves by
@@ -135,23 +114,20 @@ def group_by_dead_end(
     ends = ((graph.source, graph.source_branch), (graph.target, graph.target_branch))
     known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
     kept, here = dict[tuple[int, int, int], list[D]](), dict[int, list[FloatArray]]()
-    others = []
     for rank, drive in ranked:
         vertex, branch = drive.vertex, drive.branch
         key = (vertex, branch, rank if branch == NO_BRANCH else 0)
         deepest = kept[key][0].length if key in kept else drive.length
         if (vertex, branch) in known or deepest - drive.length > sound_m:
-            others.append(drive)
             continue
         if branch == NO_BRANCH:
             own = Ways(here.get(vertex, ()), near_m / 4).away(drive.path)
             if np.minimum(own, corridors(vertex).away(drive.path)).max() <= near_m:
-                others.append(drive)
                 continue
         if key not in kept:
             here.setdefault(vertex, []).append(drive.path)
         kept.setdefault(key, []).append(drive)
-    return [kept[key] for key in sorted(kept)], others
+    return [kept[key] for key in sorted(kept)]
 
 
 def _excursions(
@@ -178,8 +154,6 @@ def _excursions(
             kind=TRACK_END if d.at_end else TURNING_POINT,
             path=d.path,
             length=float(way_of(d.path)[-1]),
-            way_m=d.way_m,
-            returns=not (d.begins or d.ends),
             time_ns=int(arrival[k]),
             traversal_ns=np.array(whole if d.ends else [*whole, back]),
         )
@@ -197,7 +171,6 @@ class _Drive(NamedTuple):
     vertex: int
     branch: int
     path: FloatArray
-    way_m: float
     far_way_m: float
     begins: bool
     ends: bool
@@ -244,7 +217,6 @@ def _drives(
             vertex=vertex,
             branch=branch,
             path=path,
-            way_m=float(at[-1] - at[0]),
             far_way_m=float(at[far]),
             begins=begins,
             ends=ends,
