@@ -7,7 +7,7 @@ import numpy as np
 from ..topology.odometry import Odometry
 from ..topology.polyline import Ways
 from ..topology.topomap import TopoMap
-from ..topology.track import way_along
+from ..topology.track import in_milliseconds, seconds_at, way_along
 from ..topology.turning_vertices import with_turning_points
 from ..topology.visits import Visits, in_map_frame
 
@@ -28,9 +28,8 @@ def driven_shares(topomap: TopoMap, odometry: Odometry, visits: Visits) -> dict[
     way, whole = way_along(odometry), with_turning_points(topomap)
     if len(way) == 0 or way[-1] == 0 or not whole.paths:
         return {"way_m": round(float(way.max(initial=0.0)), 1)}
-    since = (odometry.time_ns - odometry.time_ns[0]).astype(np.float64)
-    since = np.interp(np.arange(0.5 * STEP_M, way[-1], STEP_M), way, since)
-    time_ns = odometry.time_ns[0] + since.astype(np.int64)
+    first_s, _ = seconds_at(odometry, np.arange(0.5 * STEP_M, way[-1], STEP_M))
+    time_ns = in_milliseconds(odometry, first_s)
     at = in_map_frame(odometry, visits, topomap.xy, time_ns, odometry.at(time_ns))[:, :2]
     known = np.isfinite(at).all(axis=1)
     along = known.copy()

@@ -20,7 +20,14 @@ from .passes import NO_BRANCH, nearest_branch
 from .polyline import Ways, simplify, way_of
 from .se2 import turned
 from .topomap import Graph, TopoMap
-from .track import by_begin, times_between, track_directions, way_along, way_at
+from .track import (
+    by_begin,
+    in_milliseconds,
+    seconds_at,
+    times_between,
+    track_directions,
+    way_at,
+)
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
 
@@ -141,7 +148,8 @@ def _excursions(
     away[real], home[real] = branches
     drives = list(_drives(odometry, visits, xy, (real, away, home), settings))
     visit = np.array([d.visit for d in drives], np.int64)
-    arrival, departure = _standing(odometry, np.array([d.far_way_m for d in drives]))
+    far_m = np.array([d.far_way_m for d in drives])
+    arrival, departure = (in_milliseconds(odometry, t) for t in seconds_at(odometry, far_m))
     times = np.stack([visits.time_ns[visit], arrival, departure, visits.time_ns[visit + 1]], axis=1)
     halves = (4 * np.arange(len(drives))[:, None] + np.array([0, 2])).ravel().astype(np.int64)
     between = times_between(odometry, times.ravel(), halves, settings.standing_m).reshape(-1, 2, 2)
@@ -295,19 +303,6 @@ def farthest(points: FloatArray, near_m: float) -> int:
     graph = coo_array((step, (pairs[:, 0], pairs[:, 1])), shape=(len(some),) * 2)
     away: FloatArray = dijkstra(graph.tocsr(), directed=False, indices=[0])[0]
     return int(one[int(np.argmax(np.where(np.isfinite(away), away, -1.0)))])
-
-
-def _standing(odometry: Odometry, way_m: FloatArray) -> tuple[IntArray, IntArray]:
-    """(k,) each: first and last time [ns] at which the robot had driven the distances `way_m` (k,)
-    [m]."""
-    way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
-    moved = np.diff(way) > 0
-    come, last = np.concatenate([[True], moved]), np.append(moved, True)
-    first = np.interp(way_m, way[come], seconds[come])
-    until = np.maximum(np.interp(way_m, way[last], seconds[last]), first)
-    both = (np.round(x * 1e3).astype(np.int64) * 10**6 for x in (first, until))
-    first_ns, last_ns = (odometry.time_ns[0] + x for x in both)
-    return first_ns, last_ns
 
 
 def _as_points(
