@@ -37,12 +37,11 @@ class Way(NamedTuple):
 @dataclass(frozen=True, slots=True, eq=False)
 class Drivable:
     """Where a robot can drive: cells: (h, w), all connected; price: (h, w) of a metre there;
-    nearest: (2, h, w) row and column of the nearest such cell; away_m: (h, w) its distance."""
+    nearest: (2, h, w) row and column of the nearest such cell."""
 
     cells: BoolArray
     price: FloatArray
     nearest: IntArray
-    away_m: FloatArray
     cell_m: float
 
     @classmethod
@@ -53,11 +52,9 @@ class Drivable:
         size = np.bincount(label.ravel())
         size[0] = 0
         cells = label == size.argmax() if size.any() else fits
-        away, nearest = ndimage.distance_transform_edt(~cells, return_indices=True)
+        _, nearest = ndimage.distance_transform_edt(~cells, return_indices=True)
         near = np.clip(1 - space.all_m / (2 * radius_m), 0, 1)
-        return cls(
-            cells, 1 + MIDDLE * near, nearest.astype(np.int64), away * space.cell_m, space.cell_m
-        )
+        return cls(cells, 1 + MIDDLE * near, nearest.astype(np.int64), space.cell_m)
 
     def at(self, xy: FloatArray) -> tuple[IntArray, IntArray]:
         """Rows and columns of the cells of points (k, 2), those of the border for points beyond."""
