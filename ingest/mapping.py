@@ -316,9 +316,8 @@ def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: Corrected
 def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
     """The record of the map: all identifications made, refused and taken back."""
     identifications = [*closed.identifications, *places.identifications]
-    answers = [(_without_phantoms(q, places.place), False) for q in identifications]
-    answers += [(q, True) for q in closed.revised]
-    answers.sort(key=lambda a: (a[0].second, a[0].first, a[0].round, a[1]))
+    answers = [_without_phantoms(q, places.place) for q in identifications]
+    answers.sort(key=lambda q: (q.second, q.first, q.round))
     times = passes.time_ns.tolist()
     return tuple(
         Closure(
@@ -329,9 +328,8 @@ def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[
             reason=q.reason,
             round=q.round or None,
             accepted_round=q.accepted_round or None,
-            revised=earlier,
         )
-        for q, earlier in answers
+        for q in answers
     )
 
 
