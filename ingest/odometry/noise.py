@@ -40,9 +40,6 @@ class NoiseSettings:
     """Standard deviation of the logarithm of a random walk's rate: a factor of two."""
     prior_passes: float = 15.0
     """Weight of the prior of a fault rate, in passes."""
-    scale_prior: float = 0.01
-    """Standard deviation of the relative length error of odometries in general, used before
-    closure."""
     reach_passes: int = 6
     reach_m: float = 60.0
     """Branches are compared with those of this many passes before, within this distance along the
@@ -61,15 +58,15 @@ def estimate_noise(odometry: Odometry, detections: Detections, passes: Passes) -
     if thirds is None:
         return NOISE.prior
     walk_m, walk_rad = _heading_walk(odometry, passes, thirds)
-    along, scale = _along(thirds)
+    worse = drift_ratio(odometry, walk_m, walk_rad)
     # Half of the variance of a reading is assumed to be common to its pass (a junction is seen
     # askew from one side), which the scatter within a pass does not show.
     return _stated(
         NOISE.prior,
-        along_m_per_sqrt_m=along,
+        along_m_per_sqrt_m=NOISE.prior.along_m_per_sqrt_m * worse,
         heading_rad_per_sqrt_m=walk_m,
         heading_rad_per_sqrt_rad=walk_rad,
-        scale=scale,
+        scale=NOISE.prior.scale * worse,
         centre_m=float(thirds.centre_sigma * np.sqrt(1 + 1 / thirds.messages)),
         branch_rad=float(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages)),
     )
@@ -160,28 +157,15 @@ def _student_cost(error: FloatArray, variance: FloatArray) -> float:
     return float(np.sum(0.5 * np.log(scale) + tails))
 
 
-def _along(thirds: WithinPasses) -> tuple[float, float]:
-    """Random walk along the path [m/√m], and the size of the constant relative error of lengths.
+def drift_ratio(odometry: Odometry, walk_m: float, walk_rad: float) -> float:
+    """Drift of the heading over a whole run with these random walks, over the usual one.
 
-    If junctions appear to move along with the robot, lengths are wrong; but the detector may cause
-    the same, also by seeing everything too near by some centimetres, so that this gives the size of
-    the error and no correction (`motion_errors` tells them apart). Turns are excluded, since
-    odometry and detector may refer to different points of the robot.
+    An odometry is taken to be equally good at distances and at headings, as within passes only the
+    latter shows (`variance_components.py` says the same of loops).
     """
-    from scipy.optimize import minimize_scalar
-
-    along, variance, moved, walked = thirds.straight()
-    belief = moved @ (moved / variance) + NOISE.scale_prior**-2
-    scale = float(moved @ (along / variance) / belief)
-    centre = np.log(NOISE.prior.along_m_per_sqrt_m)
-
-    def cost(x: float) -> float:
-        spread = variance + np.exp(2 * x) * walked
-        pull = (x - centre) / NOISE.prior_spread
-        return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
-
-    found = minimize_scalar(cost, bounds=(centre - 3, centre + 3), method="bounded")
-    return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
+    driven = np.array([odometry.step_m.sum() + 1e-9, np.abs(odometry.turn_rad).sum()])
+    usual = (NOISE.prior.heading_rad_per_sqrt_m, NOISE.prior.heading_rad_per_sqrt_rad)
+    return float(np.sqrt((np.square([walk_m, walk_rad]) @ driven) / (np.square(usual) @ driven)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
