@@ -243,7 +243,6 @@ WHOLE = {
         "_walk_covariance",
         lambda walked, away, noise: np.zeros((*walked.shape, *walked.shape[1:])),
     ),
-    "noise: square branches": (noise.SquareBranches, "cost", lambda *args: 0.0),
     "noise: faults of repeats": (noise.Repeats, "faults", lambda repeats: (0.0, 0)),
     "noise: branches of repeats": (
         noise.Repeats,

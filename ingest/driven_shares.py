@@ -31,8 +31,8 @@ def driven_shares(topomap: TopoMap, odometry: Odometry, visits: Visits) -> dict[
     first_s, _ = seconds_at(odometry, np.arange(0.5 * STEP_M, way[-1], STEP_M))
     time_ns = in_milliseconds(odometry, first_s)
     at = in_map_frame(odometry, visits, topomap.xy, time_ns, odometry.at(time_ns))[:, :2]
-    known = np.isfinite(at).all(axis=1)
-    along = known.copy()
+    known = np.flatnonzero(np.isfinite(at).all(axis=1))
+    along = np.zeros(len(at), bool)
     along[known] = Ways(whole.paths, STEP_M).nearest(at[known]) <= NEAR_M
     between = (time_ns > visits.time_ns[0]) & (time_ns < visits.time_ns[-1])
     parts = {

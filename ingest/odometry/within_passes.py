@@ -44,8 +44,7 @@ class WithinPasses:
     turn (q,) rotation of the branches [rad], turn_variance (q,) its variance by the detector's
     scatter; walked (q, 2) path length [m] and absolute rotation [rad] that determine the variance
     of a random walk averaged over both thirds.
-    branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass;
-    walks: averaged over whole passes.
+    branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass.
     """
 
     turn: FloatArray
@@ -54,7 +53,6 @@ class WithinPasses:
     branch_sigma: float
     centre_sigma: float
     messages: float
-    walks: WalkMeans
 
     @classmethod
     def of(
@@ -90,7 +88,6 @@ class WithinPasses:
             branch_sigma=branch_sigma,
             centre_sigma=centre_sigma,
             messages=float(np.median(n[n > 0])),
-            walks=WalkMeans.of(track, home, p),
         )
 
 
