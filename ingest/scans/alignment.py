@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
-from .scatter import BACK, STRETCH, Scatter, odometry_scores, wall_scores
+from .scatter import STRETCH, Scatter, odometry_scores, wall_scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,12 +213,10 @@ def align(
     pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
     # Gradients by walls and odometry at the solution.
     walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
-    sparser, turned = scans.sparser(BACK), (looks.second, looks.first)
-    back, _ = wall_scores(sparser, pose, turned, gate, sparser.each * worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off), stretch)
     band, _ = equations.at(pose, steps, quadratic, curvature * worth)
-    return Aligned(pose, Scatter(band, walls, back, odometry))
+    return Aligned(pose, Scatter(band, walls, odometry))
 
 
 def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
