@@ -54,6 +54,14 @@ def leaving_rad(path: FloatArray, end: int) -> float:
     return float(np.arctan2(y, x))
 
 
+def leaving_over(path: FloatArray, way_m: float) -> float:
+    """Direction [rad] from the first point of a polyline to the one `way_m` [m] along it, or to its
+    end."""
+    way = way_of(path)
+    x, y = (np.interp(min(way_m, way[-1]), way, path[:, k]) - path[0, k] for k in (0, 1))
+    return float(np.arctan2(y, x))
+
+
 def join_centres(
     track: FloatArray, begin: FloatArray, end: FloatArray, junction_m: float
 ) -> FloatArray:

@@ -17,7 +17,7 @@ from .columns import joined, take
 from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
-from .polyline import Ways, simplify, way_of
+from .polyline import Ways, leaving_over, simplify, way_of
 from .se2 import turned
 from .topomap import Graph, TopoMap
 from .track import (
@@ -325,7 +325,7 @@ def _as_points(
         kind=tuple(e.kind for e in deepest),
         vertex=vertex,
         branch=np.array([e.branch for e in deepest]),
-        heading=np.array([_heading(path) for path in paths]),
+        heading=np.array([leaving_over(path[::-1], LEAVING_M) for path in paths]),
         length=length,
         length_sigma=sigma,
         position_sigma=np.sqrt(own[vertex] ** 2 + (sigma**2 + (turn * length) ** 2) / 2),
@@ -343,12 +343,3 @@ def _turn_sigma(topomap: TopoMap, vertex: IntArray) -> FloatArray:
     if topomap.branch_sigma is None:
         return np.full(len(vertex), topomap.measured.branch_rad)
     return np.array([topomap.branch_sigma[v].max(initial=0.0) for v in vertex.tolist()])
-
-
-def _heading(path: FloatArray) -> float:
-    """Direction [rad] in which a path, followed backwards, leaves its last point."""
-    back = path[::-1]
-    way = way_of(back)
-    at = min(LEAVING_M, float(way[-1]))
-    x, y = (np.interp(at, way, back[:, k]) - back[0, k] for k in (0, 1))
-    return float(np.arctan2(y, x))
