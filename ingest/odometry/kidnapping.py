@@ -58,4 +58,4 @@ def _carried(odometry: Odometry, detections: Detections) -> IntArray:
     middle = np.median(sides, axis=2)
     spread = np.hypot(*np.moveaxis(sides - middle[:, :, None], -1, 0)).max(axis=(1, 2))
     apart = np.hypot(*(middle[:, 1] - middle[:, 0]).T)
-    return i[(spread <= CARRIED.agree_m) & (apart > CARRIED.apart_m)]
+    return np.asarray(i[(spread <= CARRIED.agree_m) & (apart > CARRIED.apart_m)])

@@ -58,11 +58,9 @@ class _Linearised:
         factor = linearise(graph, pattern, solution).factorise()
         J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
         J_m = measurement_jacobian(graph, solution.pose, solution.shared)
-        weights = (solution.edge_weight, solution.prior_weight)
-        own, own_known = (
-            square_root(of.information) * np.sqrt(weight)[:, None, None]
-            for of, weight in zip((graph, graph.priors), weights, strict=True)
-        )
+        own = square_root(graph.information) * np.sqrt(solution.edge_weight)[:, None, None]
+        own_known = square_root(graph.priors.information)
+        own_known = own_known * np.sqrt(solution.prior_weight)[:, None, None]
         push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ own)
         push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ own)
         return cls(
