@@ -105,7 +105,6 @@ SETTINGS: dict[str, dict[str, float]] = {
         "rounds.candidates.growth.branch_cap": ALWAYS,
     },
     "growth: discount": {"rounds.candidates.growth.discount": 1.0},
-    "growth: known gaps": {"rounds.candidates.growth.line_m": 0.0},
     "grid kernel": {"rounds.estimate.grid_kernel": ALWAYS},
     "closed again": {"rounds.most_crossing": ALWAYS},
     "closed again: strict": {"rounds.strict_wrong_share": 0.1},
