@@ -130,6 +130,11 @@ def _one_hop(state, a, b, aligned, settings):
     return growth.grow(state, a, b, aligned, replace(settings, hops=1))
 
 
+def _no_missed(state, front, pairs, settings):
+    none = np.zeros(0, np.int64)
+    return growth.take(pairs, none), none
+
+
 def _evidence_without(part):
     """`heading_evidence` without one of its three kinds."""
 
@@ -162,6 +167,7 @@ REPLACED = {
     # `hops` says, too, how far candidates are looked for: without them there are none.
     "growth": (candidates, "grow", lambda s, a, *args: growth.Support(*np.zeros((2, len(a))))),
     "growth: one hop": (candidates, "grow", _one_hop),
+    "growth: missed junctions": (growth, "_past_missed", _no_missed),
     "measured rates": (incremental, "measured_rates", lambda places, noise: noise),
     "noise raised": (incremental, "_fitting_scale", lambda now, *args: now),
     "taking back": (incremental, "_outliers", lambda *args: []),

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import BoolArray, FloatArray, IntArray
-from ..columns import take
+from ..columns import joined, take
 from ..matching.likelihood import LIKELIHOOD
 from ..se2 import turned
 from .branches import Alignment, Branches, align
@@ -84,6 +84,8 @@ class _Reached:
     eb: IntArray
     la: FloatArray
     lb: FloatArray
+    missed: IntArray
+    """Junctions that must have been missed in one of the two."""
 
 
 def grow(
@@ -106,12 +108,12 @@ def grow(
         pairs = _leave(places, front)
         if len(pairs.row) == 0:
             break
-        agree = _agree(state, front, pairs, settings)
-        loss += weight * -miss * np.bincount(front.hypothesis[pairs.row[~agree]], minlength=k)
-        reached = take(pairs, agree)
+        reached, torn = _compare(state, front, pairs, settings)
+        loss += weight * -miss * np.bincount(front.hypothesis[torn], minlength=k)
         h = front.hypothesis[reached.row]
         var = _leg_variance(state, reached.la, reached.lb, settings)
         odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, settings.leg_cap)
+        odds = odds + miss * reached.missed
         same = reached.qa == reached.qb
         # Both legs end at one place: by one branch they agree, by two branches they disagree.
         odds = np.where(same, np.where(reached.ea == reached.eb, odds - miss, miss), odds)
@@ -127,7 +129,7 @@ def grow(
         odds[further] += np.clip(fit, 2 * miss, settings.branch_cap)
         gain += weight * np.bincount(h, np.maximum(odds, 0.0), minlength=k)
         loss += weight * np.bincount(h, np.maximum(-odds, 0.0), minlength=k)
-        good = fit > 0.5 * miss
+        good = (fit > 0.5 * miss) & (reached.missed[further] < 2)
         next_ = further[good]
         keys = _keys(h[next_], reached.qa[next_], reached.qb[next_], len(places))
         fresh, at = np.unique(keys, return_index=True)
@@ -161,7 +163,22 @@ def _leave(places: Places, front: _Front) -> _Reached:
     own = (qa == pb) & (qb == pa) & (ea == slot_b) & (eb == slot_a)
     use = (qa != NOWHERE) & (qb != NOWHERE) & ~own & (pa != pb)
     la, lb = places.length[pa, slot_a], places.length[pb, slot_b]
-    return _Reached(row[use], qa[use], qb[use], ea[use], eb[use], la[use], lb[use])
+    none = np.zeros(int(use.sum()), np.int64)
+    return _Reached(row[use], qa[use], qb[use], ea[use], eb[use], la[use], lb[use], none)
+
+
+def _compare(
+    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
+) -> tuple[_Reached, IntArray]:
+    """Pairs of legs that agree, possibly past one missed junction; and rows of the front of the
+    others."""
+    agree = _agree(state, front, pairs, settings)
+    rest = np.flatnonzero(~agree)
+    through = _past_missed(state, front, take(pairs, rest), settings)
+    found = np.zeros(len(rest), bool)
+    found[through[1]] = True
+    torn = pairs.row[rest[~found]]
+    return joined([take(pairs, np.flatnonzero(agree)), through[0]]), torn
 
 
 def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings) -> BoolArray:
@@ -174,6 +191,39 @@ def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSett
     room = LIKELIHOOD.gate_sigmas * np.sqrt(var + state.branches.variance * pairs.la**2)
     result: BoolArray = near & (np.hypot(x, y) < room)
     return result
+
+
+def _past_missed(
+    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
+) -> tuple[_Reached, IntArray]:
+    """Pairs of legs that agree after extending the shorter leg past its end by one more leg.
+
+    Returns these pairs, and for each the index into `pairs` that it came from.
+    """
+    short_a = pairs.la < pairs.lb
+    middle, entry = np.where(short_a, pairs.qa, pairs.qb), np.where(short_a, pairs.ea, pairs.eb)
+    index, slot = np.nonzero(state.places.next_place[middle] != NOWHERE)
+    keep = slot != entry[index]
+    index, slot = index[keep], slot[keep]
+    m, first = middle[index], short_a[index]
+    on, onto = state.places.next_place[m, slot], state.places.next_slot[m, slot]
+    more = state.places.length[m, slot]
+    tried = _Reached(
+        row=pairs.row[index],
+        qa=np.where(first, on, pairs.qa[index]),
+        qb=np.where(first, pairs.qb[index], on),
+        ea=np.where(first, onto, pairs.ea[index]),
+        eb=np.where(first, pairs.eb[index], onto),
+        la=pairs.la[index] + np.where(first, more, 0.0),
+        lb=pairs.lb[index] + np.where(first, 0.0, more),
+        missed=np.ones(len(index), np.int64),
+    )
+    fine = np.flatnonzero(_agree(state, front, tried, settings))
+    # One continuation per pair: the one nearest in length.
+    off = np.abs(tried.la[fine] - tried.lb[fine])
+    order = fine[np.lexsort((off, index[fine]))]
+    once = order[np.concatenate([[True], np.diff(index[order]) != 0])] if len(order) else order
+    return take(tried, once), index[once]
 
 
 def _leg_variance(
