@@ -105,7 +105,6 @@ SETTINGS: dict[str, dict[str, float]] = {
         "rounds.candidates.growth.branch_cap": ALWAYS,
     },
     "growth: discount": {"rounds.candidates.growth.discount": 1.0},
-    "growth: known gaps": {"rounds.candidates.growth.line_m": 0.0},
     "grid kernel": {"rounds.estimate.grid_kernel": ALWAYS},
     "closed again": {"rounds.most_crossing": ALWAYS},
     "closed again: strict": {"rounds.strict_wrong_share": 0.1},
@@ -210,12 +209,6 @@ REPLACED = {
         "_smoothed",
         lambda odometry, passes: np.zeros((len(passes), 2)),
     ),
-    "fitted noise: expected weight": (
-        variance_components._Edges,
-        "_expected_weight",
-        lambda edges: np.ones(len(edges.kernel)),
-    ),
-    "fitted noise: stiffness": (variance_components, "_stiffness", lambda chi2, *args: 1.0),
     "fitted noise: level": (variance_components, "_odometry_level", lambda *args: 1.0),
     "errors shared by passes": (mapping, "seen_alike", lambda *args: None),
 }
@@ -243,7 +236,6 @@ WHOLE = {
         "_walk_covariance",
         lambda walked, away, noise: np.zeros((*walked.shape, *walked.shape[1:])),
     ),
-    "noise: square branches": (noise.SquareBranches, "cost", lambda *args: 0.0),
     "noise: faults of repeats": (noise.Repeats, "faults", lambda repeats: (0.0, 0)),
     "noise: branches of repeats": (
         noise.Repeats,

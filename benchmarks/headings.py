@@ -4,9 +4,8 @@
 
 Folders as for `laser.py`. For all runs of a folder, and for all folders: share of heading errors
 after 20 m within the 68.3, 95.4 and 99.7 % intervals of the run's noise, with standard errors for
-independent stretches; stated over true standard deviation (root mean squares, pooled); correlation
-of errors by wall patch (`TurnErrors`: apart over apart_alone). Real logs are compared with the
-consensus of all their scans (`revisits.py`).
+independent stretches; stated over true standard deviation (root mean squares, pooled). Real logs
+are compared with the consensus of all their scans (`revisits.py`).
 
 For real logs also branches of junctions that were passed again: how often the headings of two
 passes (rotated by that consensus) differ within the map's noise of a branch, and by how much. This
@@ -31,7 +30,6 @@ from topobatch.ingest.scans.junctions import no_passes
 from topobatch.ingest.scans.keyframes import join
 from topobatch.ingest.scans.matching import matched, posed
 from topobatch.ingest.scans.noise import matched_noise
-from topobatch.topology.columns import joined
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run
@@ -48,20 +46,18 @@ SAME_RAD = 0.35
 @dataclass(frozen=True)
 class Judged:
     """Of stretches: share of errors that the noise expects to be smaller, variance claimed and
-    square of the error [rad²]; independent: how many do not overlap; apart, alone: sums."""
+    square of the error [rad²]; independent: how many do not overlap."""
 
     p: FloatArray
     claimed: FloatArray
     square: FloatArray
     independent: float
-    apart: float
-    alone: float
 
 
 def judged(log: Log) -> Judged:
     """A run's headings, matched but without junctions."""
     parts = list(matched(posed(log.odometry, log.scans)))
-    frames, spans = join([part.keyframes for part in parts]), joined([p.spans for p in parts])
+    frames = join([part.keyframes for part in parts])
     pose = compose(np.concatenate([part.pose for part in parts]), inverse(frames.mount))
     noise = matched_noise([part.spans for part in parts], no_passes())
     t = log.truth.time_ns
@@ -75,8 +71,6 @@ def judged(log: Log) -> Judged:
         np.asarray(walk),
         far.error[:, 2] ** 2,
         float(way_at(log.truth, t)[-1]) / FAR_M,
-        float(spans.apart.sum()),
-        float(spans.apart_alone.sum()),
     )
 
 
@@ -116,12 +110,11 @@ def told(name: str, runs: list[Judged]) -> None:
     errors = [float(np.sqrt(level * (1 - level) / n)) for level in LEVELS]
     claimed = np.concatenate([run.claimed for run in runs]).mean()
     square = np.concatenate([run.square for run in runs]).mean()
-    together = sum(run.apart for run in runs) / sum(run.alone for run in runs)
     print(
         f"{name:24s} {len(runs):2d} runs, {n:4.0f} stretches: within "
         + ", ".join(f"{a:.3f} ({b:.3f})" for a, b in zip(shares, errors, strict=True))
         + f"; claimed / error {np.sqrt(claimed / square):.2f}"
-        + f" ({1e3 * np.sqrt(square):.2f} mrad); together {together:.2f}",
+        + f" ({1e3 * np.sqrt(square):.2f} mrad)",
         flush=True,
     )
 

@@ -146,8 +146,8 @@ class MapOptions:
     closure: Annotated[
         Literal["none", "gated", "full"],
         typer.Option(
-            help="How to close loops: not at all; at the nearest place within the odometry's "
-            "error; or by everything that is known."
+            help="How to close loops: not at all; only where the odometry alone is certain; or by "
+            "everything that is known."
         ),
     ] = "full"
 

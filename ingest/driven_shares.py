@@ -5,48 +5,40 @@ from __future__ import annotations
 import numpy as np
 
 from ..topology.odometry import Odometry
+from ..topology.polyline import Ways
 from ..topology.topomap import TopoMap
-from ..topology.track import way_along, way_at
-from ..topology.turning_back import TurnedBack
-from ..topology.turning_points import NO_TURNING_POINTS
+from ..topology.track import in_milliseconds, seconds_at, way_along
 from ..topology.turning_vertices import with_turning_points
+from ..topology.visits import Visits, in_map_frame
 
-ON_THE_WAY = TurnedBack(NO_TURNING_POINTS)
-"""For a robot that turned round only at its junctions."""
+NEAR_M = 1.0
+"""A robot within this of a corridor's line drives along it: half the width of a wide corridor."""
+
+STEP_M = 0.25
+"""The track is looked at this often: a quarter of `NEAR_M`."""
 
 
-def driven_shares(
-    topomap: TopoMap, odometry: Odometry, turned: TurnedBack = ON_THE_WAY
-) -> dict[str, float]:
-    """The distance driven [m] and its shares: `corridors`: between junctions, to turning points and
-    back, and partial traversals of these; `out_and_back`: out of a junction and back where the map
-    has no corridor; `ends`: before the first and after the last place of the map, likewise.
+def driven_shares(topomap: TopoMap, odometry: Odometry, visits: Visits) -> dict[str, float]:
+    """The distance driven [m] and its shares: `corridors`: along corridors of the map, also those
+    to turning points; `out_and_back`: elsewhere between two junctions, mostly out of one and back;
+    `ends`: elsewhere before the first or after the last junction.
 
-    odometry: that of the map; turned: distances driven on partial traversals. O(n log n).
+    odometry: that of the map; visits: to its vertices. O(n log n).
     """
-    way = float(way_along(odometry)[-1]) if len(odometry) else 0.0
-    topomap = with_turning_points(topomap)
-    times = topomap.traversal_ns or ()
-    driven = np.concatenate([np.zeros((0, 2), np.int64), *times])
-    edge = np.repeat(np.arange(len(times)), [len(t) for t in times])
-    if way == 0 or len(driven) == 0:
-        return {"way_m": round(way, 1)}
-    back = driven[:, 0] > driven[:, 1]
-    source, target = topomap.source[edge], topomap.target[edge]
-    begin_at, end_at = np.where(back, target, source), np.where(back, source, target)
-    order = np.argsort(driven.min(axis=1), kind="stable")
-    begin = way_at(odometry, driven.min(axis=1)[order])
-    end = way_at(odometry, driven.max(axis=1)[order])
-    # Ways to a place are told as far as the robot's standing there: they may overlap a little.
-    between = np.maximum(begin[1:] - end[:-1], 0.0)
-    same = begin_at[order][1:] == end_at[order][:-1]
-    ends = begin[0] + max(way - end[-1], 0.0)
-    around = float(between[same].sum())
-    part, late = min(turned.out_and_back_m, around), min(turned.ends_m, ends)
+    way, whole = way_along(odometry), with_turning_points(topomap)
+    if len(way) == 0 or way[-1] == 0 or not whole.paths:
+        return {"way_m": round(float(way.max(initial=0.0)), 1)}
+    first_s, _ = seconds_at(odometry, np.arange(0.5 * STEP_M, way[-1], STEP_M))
+    time_ns = in_milliseconds(odometry, first_s)
+    at = in_map_frame(odometry, visits, topomap.xy, time_ns, odometry.at(time_ns))[:, :2]
+    known = np.flatnonzero(np.isfinite(at).all(axis=1))
+    along = np.zeros(len(at), bool)
+    along[known] = Ways(whole.paths, STEP_M).nearest(at[known]) <= NEAR_M
+    between = (time_ns > visits.time_ns[0]) & (time_ns < visits.time_ns[-1])
     parts = {
-        "corridors": way - ends - between.sum() + part + late,
-        "out_and_back": around - part,
-        "ends": ends - late,
+        "corridors": along,
+        "out_and_back": ~along & between,
+        "ends": ~along & ~between,
     }
-    shares = {name: round(float(part) / way, 3) for name, part in parts.items()}
-    return {"way_m": round(way, 1), **shares}
+    shares = {name: round(float(part.mean()), 3) for name, part in parts.items()}
+    return {"way_m": round(float(way[-1]), 1), **shares}

@@ -13,9 +13,13 @@ from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
 from ..topology.closure.estimate import optimise, set_apart
-from ..topology.closure.incremental import Closed, closure_without_grid, full_closure
+from ..topology.closure.incremental import (
+    Closed,
+    closure_without_grid,
+    first_round,
+    full_closure,
+)
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
-from ..topology.closure.nearest_neighbour import gated_closure
 from ..topology.closure.variance_components import Fitted, fitted_noise
 from ..topology.columns import take
 from ..topology.digits import significant
@@ -26,11 +30,11 @@ from ..topology.passes import Passes
 from ..topology.run import NO_DETECTIONS, NOT_SEEN_AGAIN, Detections, Run
 from ..topology.se2 import compose
 from ..topology.topomap import Closure, RunNoise, TopoMap
-from ..topology.turning_back import TurnedBack, turning_points
+from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from ..topology.views import Views
 from ..topology.visits import Visits, in_map_frame
-from .driven_shares import ON_THE_WAY, driven_shares
+from .driven_shares import driven_shares
 from .grid_log import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
@@ -115,10 +119,10 @@ def build_map_with_errors(
         fitted_noise=likely,
         settings=settings.drawing,
     )
-    topomap, turned = _add_turning_points(topomap, odometry, places.visits, source, settings)
+    topomap = _add_turning_points(topomap, odometry, places.visits, source, settings)
     topomap = _add_views(topomap, run, odometry, places)
     info = _info(run, settings, calibration, reckoning, odometry)
-    info["driven"] = driven_shares(topomap, odometry, turned)
+    info["driven"] = driven_shares(topomap, odometry, places.visits)
     closures = _closures(closed, places, reckoning.passes)
     return replace(topomap, closures=closures, info=info), errors
 
@@ -231,7 +235,7 @@ def close_loops(
         closed = most_likely_closure(reckoning, first, fit.reckoning, settings.rounds)
         return closed, fit if closed is first else fitted(closed)
     if settings.closure == "gated":
-        closed = gated_closure(reckoning, settings.rounds)
+        closed = first_round(reckoning, settings.rounds)
     else:
         place = np.arange(len(reckoning), dtype=np.int64)
         closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
@@ -290,13 +294,12 @@ def _add_turning_points(
     visits: Visits,
     source: PassSource,
     settings: MappingSettings,
-) -> tuple[TopoMap, TurnedBack]:
+) -> TopoMap:
     """The map with the turning points that its source of passes does not report as junctions."""
-    turned = ON_THE_WAY
-    if not source.shows_bends:
-        drawing = settings.drawing
-        turned = turning_points(topomap, odometry, visits, source.resolution_m, drawing)
-    return replace(topomap, turning_points=turned.points, shows_bends=source.shows_bends), turned
+    if source.shows_bends:
+        return topomap
+    turned = turning_points(topomap, odometry, visits, source.resolution_m, settings.drawing)
+    return replace(topomap, turning_points=turned, shows_bends=False)
 
 
 def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: CorrectedPlaces) -> TopoMap:
@@ -313,9 +316,8 @@ def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: Corrected
 def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:
     """The record of the map: all identifications made, refused and taken back."""
     identifications = [*closed.identifications, *places.identifications]
-    answers = [(_without_phantoms(q, places.place), False) for q in identifications]
-    answers += [(q, True) for q in closed.revised]
-    answers.sort(key=lambda a: (a[0].second, a[0].first, a[0].round, a[1]))
+    answers = [_without_phantoms(q, places.place) for q in identifications]
+    answers.sort(key=lambda q: (q.second, q.first, q.round))
     times = passes.time_ns.tolist()
     return tuple(
         Closure(
@@ -326,9 +328,8 @@ def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[
             reason=q.reason,
             round=q.round or None,
             accepted_round=q.accepted_round or None,
-            revised=earlier,
         )
-        for q, earlier in answers
+        for q in answers
     )
 
 

@@ -82,8 +82,7 @@ def scanned_passes(odometry: Odometry, seen: ScanPasses) -> Passes:
     centre = apply(pose, seen.centre)
     owner = seen.branches.owner
     heading = np.asarray(wrap(seen.branches.values + pose[owner, 2]))
-    order = np.lexsort((heading, owner))
-    branches = Ragged(seen.branches.offsets, heading[order])
+    branches = Ragged(seen.branches.offsets, heading[np.lexsort((heading, owner))])
     track = track_directions(odometry, seen.time_ns, centre, reach_m=PASSES.reach_m)
     return Passes(
         time_ns=seen.time_ns,
@@ -91,7 +90,6 @@ def scanned_passes(odometry: Odometry, seen: ScanPasses) -> Passes:
         end_ns=seen.end_ns,
         centre=centre,
         branches=branches,
-        support=Ragged(seen.support.offsets, seen.support.values[order]),
         entry=nearest_branch(branches, track.arriving, PASSES.match_rad),
         exit=nearest_branch(branches, track.leaving, PASSES.match_rad),
         messages=seen.windows,
@@ -102,7 +100,7 @@ def scanned_passes(odometry: Odometry, seen: ScanPasses) -> Passes:
 def no_passes() -> Passes:
     """The passes of a run without junctions."""
     none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
-    return Passes(none, none, none, np.zeros((0, 2)), empty, empty, none, none, none, np.zeros(0))
+    return Passes(none, none, none, np.zeros((0, 2)), empty, none, none, none, np.zeros(0))
 
 
 def _within_break(odometry: Odometry, time_ns: IntArray) -> BoolArray:
@@ -172,7 +170,7 @@ def _fuse(
     distance = np.hypot(*(pose[:, :2] - fused[group]).T)
     nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]
     owner = seen.owner
-    branches, support = _cluster_branches(seen.values + pose[owner, 2], owner, group[owner], counts)
+    branches = _cluster_branches(seen.values + pose[owner, 2], owner, group[owner], counts)
     track = track_directions(odometry, nearest, fused, reach_m=PASSES.reach_m)
     return Passes(
         time_ns=nearest,
@@ -180,7 +178,6 @@ def _fuse(
         end_ns=time_ns[offsets[1:] - 1],
         centre=fused,
         branches=branches,
-        support=support,
         entry=nearest_branch(branches, track.arriving, PASSES.match_rad),
         exit=nearest_branch(branches, track.leaving, PASSES.match_rad),
         messages=counts,
@@ -193,14 +190,12 @@ def _cluster_branches(
     message: IntArray,
     group: IntArray,
     messages: IntArray,
-) -> tuple[Ragged, Ragged]:
-    """Branches of each pass, ascending, and the share of its messages that reported each.
+) -> Ragged:
+    """Branches of each pass, ascending.
 
     A branch counts if enough of the messages report it; the most frequent one always does.
     """
     clusters = cluster_angles(heading, group, PASSES.cluster_gap_rad)
     share = clusters.votes(message) / messages[clusters.owner]
     keep = clusters.well_seen(share, PASSES.least_support)
-    owner, count = clusters.owner[keep], len(messages)
-    mean = Ragged.by_owner(owner, clusters.mean[keep], count)
-    return mean, Ragged.by_owner(owner, share[keep], count)
+    return Ragged.by_owner(clusters.owner[keep], clusters.mean[keep], len(messages))

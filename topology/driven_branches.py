@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .arrays import BoolArray, FloatArray
+from .arrays import BoolArray
 from .passes import NO_BRANCH
+from .polyline import leaving_over
 from .se2 import wrap
 from .topomap import Graph
 
@@ -31,16 +32,8 @@ def driven_branches(graph: Graph) -> BoolArray:
         known = branch != NO_BRANCH
         driven[offsets[vertex[known]] + branch[known]] = True
         for edge in np.flatnonzero(~known).tolist():
-            leaving = _leaving(graph.paths[edge][::step])
+            leaving = leaving_over(graph.paths[edge][::step], LEAVING_M)
             gap = np.abs(wrap(graph.branches[int(vertex[edge])] - leaving))
             if len(gap) and gap.min() < SAME_BRANCH_RAD:
                 driven[offsets[vertex[edge]] + int(gap.argmin())] = True
     return driven
-
-
-def _leaving(path: FloatArray) -> float:
-    """Direction in which a polyline leaves its first point [rad]."""
-    away = path - path[0]
-    far = np.hypot(away[:, 0], away[:, 1]) >= LEAVING_M
-    x, y = away[int(far.argmax())] if far.any() else away[-1]
-    return float(np.arctan2(y, x))

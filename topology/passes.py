@@ -21,7 +21,6 @@ class Passes:
 
     time_ns: (p,) when the robot was nearest to the centre; start_ns, end_ns: (p,) first and last
     detection; centre: (p, 2) [m]; branches: p rows of headings [rad], ascending in [-pi, pi);
-    support: the same rows, share of the pass's messages (0..1] that reported the branch;
     entry, exit: (p,) row-local index of the branch the robot came by and left by, NO_BRANCH where
     unknown; messages: (p,) detections fused; confidence: (p,) in (0, 1], 1 for passes from a topic.
     Raises ValueError on shapes that do not fit or times that descend.
@@ -32,7 +31,6 @@ class Passes:
     end_ns: IntArray
     centre: FloatArray
     branches: Ragged
-    support: Ragged
     entry: IntArray
     exit: IntArray
     messages: IntArray
@@ -43,7 +41,7 @@ class Passes:
         freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,))
         freeze(self, np.int64, entry=(p,), exit=(p,), messages=(p,))
         freeze(self, np.float64, centre=(p, 2), confidence=(p,))
-        check_passes(self.time_ns, self.branches, self.support)
+        check_passes(self.time_ns, self.branches)
         for name in ("entry", "exit"):
             index = getattr(self, name)
             if np.any(index < NO_BRANCH) or np.any(index >= self.branches.counts):
@@ -53,10 +51,10 @@ class Passes:
         return len(self.time_ns)
 
 
-def check_passes(time_ns: IntArray, branches: Ragged, support: Ragged) -> None:
-    """Raise ValueError unless branches and support have the same p rows as `time_ns`, by time."""
-    if len(branches) != len(time_ns) or not np.array_equal(branches.offsets, support.offsets):
-        raise ValueError("branches and support must have one row per pass, of equal lengths")
+def check_passes(time_ns: IntArray, branches: Ragged) -> None:
+    """Raise ValueError unless the p rows of branches are those of `time_ns`, by time."""
+    if len(branches) != len(time_ns):
+        raise ValueError("branches must have one row per pass")
     if np.any(np.diff(time_ns) < 0):
         raise ValueError("passes must be in the order of time")
 

@@ -54,6 +54,14 @@ def leaving_rad(path: FloatArray, end: int) -> float:
     return float(np.arctan2(y, x))
 
 
+def leaving_over(path: FloatArray, way_m: float) -> float:
+    """Direction [rad] from the first point of a polyline to the one `way_m` [m] along it, or to its
+    end."""
+    way = way_of(path)
+    x, y = (np.interp(min(way_m, way[-1]), way, path[:, k]) - path[0, k] for k in (0, 1))
+    return float(np.arctan2(y, x))
+
+
 def join_centres(
     track: FloatArray, begin: FloatArray, end: FloatArray, junction_m: float
 ) -> FloatArray:
@@ -212,7 +220,10 @@ class Ways:
 
     def away(self, path: FloatArray) -> FloatArray:
         """(m,) distances [m] of points along a path from the polylines, inf if there are none."""
-        points = densely(path, self._step_m)
+        return self.nearest(densely(path, self._step_m))
+
+    def nearest(self, points: FloatArray) -> FloatArray:
+        """(m,) distances [m] of points (m, 2) from the polylines, inf if there are none."""
         if self._tree is None:
             return np.full(len(points), np.inf)
         return np.asarray(self._tree.query(points)[0], np.float64)

@@ -58,12 +58,11 @@ class ScanPasses:
 
     time_ns: (p,) when the robot was nearest to the centre, not descending; start_ns, end_ns: (p,)
     first and last time within reach; centre: (p, 2) [m]; branches: p rows of headings [rad], at
-    least one each; support: the same rows, share (0..1] of the detector's variants that show the
-    branch; confidence: (p,) share (0..1] of the variants that show the junction with exactly these
-    branches; windows: (p,) number of overlapping windows that show it; clearance_m: (p,) distance
-    of the centre from the nearest wall [m]; shared_m: (p,) 1 sigma per axis [m] of the centre's
-    error that all passes by a place have in common; askew_rad: the same of headings [rad];
-    resolution_m: junctions nearer to each other than this show as one.
+    least one each; confidence: (p,) share (0..1] of the detector's variants that show the junction
+    with exactly these branches; windows: (p,) number of overlapping windows that show it;
+    clearance_m: (p,) distance of the centre from the nearest wall [m]; shared_m: (p,) 1 sigma per
+    axis [m] of the centre's error that all passes by a place have in common; askew_rad: the same of
+    headings [rad]; resolution_m: junctions nearer to each other than this show as one.
     """
 
     time_ns: IntArray
@@ -71,7 +70,6 @@ class ScanPasses:
     end_ns: IntArray
     centre: FloatArray
     branches: Ragged
-    support: Ragged
     confidence: FloatArray
     windows: IntArray
     clearance_m: FloatArray
@@ -83,7 +81,7 @@ class ScanPasses:
         p = len(self.time_ns)
         freeze(self, np.int64, time_ns=(p,), start_ns=(p,), end_ns=(p,), windows=(p,))
         freeze(self, np.float64, centre=(p, 2), confidence=(p,), clearance_m=(p,), shared_m=(p,))
-        check_passes(self.time_ns, self.branches, self.support)
+        check_passes(self.time_ns, self.branches)
 
     def __len__(self) -> int:
         return len(self.time_ns)

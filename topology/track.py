@@ -67,6 +67,21 @@ def point_at(odometry: Odometry, way_m: FloatArray) -> FloatArray:
     return np.stack([np.interp(way_m, way[keep], track[:, k]) for k in (0, 1)], axis=-1)
 
 
+def seconds_at(odometry: Odometry, way_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(k,) each: first and last time [s], since the first row, at which the robot had driven the
+    distances `way_m` (k,) [m]; they differ where it stood."""
+    way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
+    moved = np.diff(way) > 0
+    come, last = np.concatenate([[True], moved]), np.append(moved, True)
+    first = np.interp(way_m, way[come], seconds[come])
+    return first, np.maximum(np.interp(way_m, way[last], seconds[last]), first)
+
+
+def in_milliseconds(odometry: Odometry, seconds: FloatArray) -> IntArray:
+    """Times [ns], in whole milliseconds, of seconds since the first row."""
+    return np.asarray(odometry.time_ns[0] + np.round(seconds * 1e3).astype(np.int64) * 10**6)
+
+
 def by_begin(times_ns: IntArray) -> IntArray:
     """Traversals (t, 2), each with the times at its two ends, sorted by the earlier one."""
     ordered: IntArray = times_ns[np.argsort(times_ns.min(axis=1), kind="stable")]
@@ -83,19 +98,13 @@ def times_between(
     spent within `near_m` [m] of a place (standing, turning on the spot) does not count: that
     distance is taken to be driven at the mean speed of the rest.
     """
-    way, at = way_along(odometry), way_at(odometry, time_ns)
+    at = way_at(odometry, time_ns)
     begin, end = at[first], at[first + 1]
     near = np.minimum(near_m, (end - begin) / 3)
-    origin = odometry.time_ns[0]
-    seconds = (odometry.time_ns - origin) * 1e-9
-    # Ascending ways, each with the last time, and the first, that the robot was so far.
-    moved = np.diff(way) > 0
-    last, come = np.append(moved, True), np.concatenate([[True], moved])
-    left = np.interp(begin + near, way[last], seconds[last])
-    came = np.interp(end - near, way[come], seconds[come])
+    _, left = seconds_at(odometry, begin + near)
+    came, _ = seconds_at(odometry, end - near)
     spare = near * (came - left) / np.maximum(end - begin - 2 * near, 1e-9)
-    both = np.stack([left - spare, came + spare], axis=1)
-    return np.asarray(origin + np.round(both * 1e3).astype(np.int64) * 10**6)
+    return in_milliseconds(odometry, np.stack([left - spare, came + spare], axis=1))
 
 
 def track_directions(

@@ -17,10 +17,17 @@ from .columns import joined, take
 from .mapbuilding import MapBuildingSettings, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
-from .polyline import Ways, simplify, way_of
+from .polyline import Ways, leaving_over, simplify, way_of
 from .se2 import turned
 from .topomap import Graph, TopoMap
-from .track import by_begin, times_between, track_directions, way_along, way_at
+from .track import (
+    by_begin,
+    in_milliseconds,
+    seconds_at,
+    times_between,
+    track_directions,
+    way_at,
+)
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
 
@@ -32,9 +39,8 @@ class _Excursion(NamedTuple):
     """One drive from a vertex to its farthest point, and back unless the track begins or ends
     there.
 
-    path: (p, 2) [m] from the vertex; length: of it [m]; way_m: distance driven; returns: whether it
-    came back; time_ns: when it arrived at the farthest point; traversal_ns: (t, 2) when it was at
-    the vertex and at that point.
+    path: (p, 2) [m] from the vertex; length: of it [m]; time_ns: when it arrived at the farthest
+    point; traversal_ns: (t, 2) when it was at the vertex and at that point.
     """
 
     vertex: int
@@ -42,19 +48,8 @@ class _Excursion(NamedTuple):
     kind: str
     path: FloatArray
     length: float
-    way_m: float
-    returns: bool
     time_ns: int
     traversal_ns: IntArray
-
-
-class TurnedBack(NamedTuple):
-    """The turning points of a run. out_and_back_m, ends_m: distance [m] driven on partial
-    traversals of known corridors: out of a junction and back, and at the ends of the track."""
-
-    points: TurningPoints
-    out_and_back_m: float = 0.0
-    ends_m: float = 0.0
 
 
 def turning_points(
@@ -63,7 +58,7 @@ def turning_points(
     visits: Visits,
     least_m: float,
     settings: MapBuildingSettings,
-) -> TurnedBack:
+) -> TurningPoints:
     """The turning points more than `least_m` [m] from their vertex that no corridor of the map
     leads to.
 
@@ -71,23 +66,15 @@ def turning_points(
     """
     every = _excursions(topomap, odometry, visits, settings)
     found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
-    step_m = least_m / 4
-    corridors = Ways(topomap.paths, step_m)
-    kept, others = group_by_dead_end(
+    corridors = Ways(topomap.paths, least_m / 4)
+    kept = group_by_dead_end(
         ((e.time_ns, e) for e in found),
         topomap,
         lambda vertex: corridors,
         sound_m=settings.sound_m,
         near_m=least_m,
     )
-    points = _as_points(kept, topomap, settings)
-    ways = Ways([*topomap.paths, *points.paths], step_m)
-    part = [e for e in others if ways.away(e.path).max() <= least_m]
-    return TurnedBack(
-        points,
-        out_and_back_m=sum(e.way_m for e in part if e.returns),
-        ends_m=sum(e.way_m for e in part if not e.returns),
-    )
+    return _as_points(kept, topomap, settings)
 
 
 class Drive(Protocol):
@@ -120,9 +107,8 @@ def group_by_dead_end(
     *,
     sound_m: float,
     near_m: float,
-) -> tuple[list[list[D]], list[D]]:
-    """Drives grouped by the dead end that they lead to, the deepest first in each group; and the
-    other drives.
+) -> list[list[D]]:
+    """Drives grouped by the dead end that they lead to, the deepest first in each group.
 
     Of several drives by one branch the deepest defines the dead end; those that came as far, to
     within `sound_m` [m], lead there, too. Drives by a branch that a corridor of the graph leaves by
@@ -135,23 +121,20 @@ def group_by_dead_end(
     ends = ((graph.source, graph.source_branch), (graph.target, graph.target_branch))
     known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
     kept, here = dict[tuple[int, int, int], list[D]](), dict[int, list[FloatArray]]()
-    others = []
     for rank, drive in ranked:
         vertex, branch = drive.vertex, drive.branch
         key = (vertex, branch, rank if branch == NO_BRANCH else 0)
         deepest = kept[key][0].length if key in kept else drive.length
         if (vertex, branch) in known or deepest - drive.length > sound_m:
-            others.append(drive)
             continue
         if branch == NO_BRANCH:
             own = Ways(here.get(vertex, ()), near_m / 4).away(drive.path)
             if np.minimum(own, corridors(vertex).away(drive.path)).max() <= near_m:
-                others.append(drive)
                 continue
         if key not in kept:
             here.setdefault(vertex, []).append(drive.path)
         kept.setdefault(key, []).append(drive)
-    return [kept[key] for key in sorted(kept)], others
+    return [kept[key] for key in sorted(kept)]
 
 
 def _excursions(
@@ -165,7 +148,8 @@ def _excursions(
     away[real], home[real] = branches
     drives = list(_drives(odometry, visits, xy, (real, away, home), settings))
     visit = np.array([d.visit for d in drives], np.int64)
-    arrival, departure = _standing(odometry, np.array([d.far_way_m for d in drives]))
+    far_m = np.array([d.far_way_m for d in drives])
+    arrival, departure = (in_milliseconds(odometry, t) for t in seconds_at(odometry, far_m))
     times = np.stack([visits.time_ns[visit], arrival, departure, visits.time_ns[visit + 1]], axis=1)
     halves = (4 * np.arange(len(drives))[:, None] + np.array([0, 2])).ravel().astype(np.int64)
     between = times_between(odometry, times.ravel(), halves, settings.standing_m).reshape(-1, 2, 2)
@@ -178,8 +162,6 @@ def _excursions(
             kind=TRACK_END if d.at_end else TURNING_POINT,
             path=d.path,
             length=float(way_of(d.path)[-1]),
-            way_m=d.way_m,
-            returns=not (d.begins or d.ends),
             time_ns=int(arrival[k]),
             traversal_ns=np.array(whole if d.ends else [*whole, back]),
         )
@@ -197,7 +179,6 @@ class _Drive(NamedTuple):
     vertex: int
     branch: int
     path: FloatArray
-    way_m: float
     far_way_m: float
     begins: bool
     ends: bool
@@ -244,7 +225,6 @@ def _drives(
             vertex=vertex,
             branch=branch,
             path=path,
-            way_m=float(at[-1] - at[0]),
             far_way_m=float(at[far]),
             begins=begins,
             ends=ends,
@@ -325,19 +305,6 @@ def farthest(points: FloatArray, near_m: float) -> int:
     return int(one[int(np.argmax(np.where(np.isfinite(away), away, -1.0)))])
 
 
-def _standing(odometry: Odometry, way_m: FloatArray) -> tuple[IntArray, IntArray]:
-    """(k,) each: first and last time [ns] at which the robot had driven the distances `way_m` (k,)
-    [m]."""
-    way, seconds = way_along(odometry), (odometry.time_ns - odometry.time_ns[0]) * 1e-9
-    moved = np.diff(way) > 0
-    come, last = np.concatenate([[True], moved]), np.append(moved, True)
-    first = np.interp(way_m, way[come], seconds[come])
-    until = np.maximum(np.interp(way_m, way[last], seconds[last]), first)
-    both = (np.round(x * 1e3).astype(np.int64) * 10**6 for x in (first, until))
-    first_ns, last_ns = (odometry.time_ns[0] + x for x in both)
-    return first_ns, last_ns
-
-
 def _as_points(
     kept: list[list[_Excursion]], topomap: TopoMap, settings: MapBuildingSettings
 ) -> TurningPoints:
@@ -358,7 +325,7 @@ def _as_points(
         kind=tuple(e.kind for e in deepest),
         vertex=vertex,
         branch=np.array([e.branch for e in deepest]),
-        heading=np.array([_heading(path) for path in paths]),
+        heading=np.array([leaving_over(path[::-1], LEAVING_M) for path in paths]),
         length=length,
         length_sigma=sigma,
         position_sigma=np.sqrt(own[vertex] ** 2 + (sigma**2 + (turn * length) ** 2) / 2),
@@ -376,12 +343,3 @@ def _turn_sigma(topomap: TopoMap, vertex: IntArray) -> FloatArray:
     if topomap.branch_sigma is None:
         return np.full(len(vertex), topomap.measured.branch_rad)
     return np.array([topomap.branch_sigma[v].max(initial=0.0) for v in vertex.tolist()])
-
-
-def _heading(path: FloatArray) -> float:
-    """Direction [rad] in which a path, followed backwards, leaves its last point."""
-    back = path[::-1]
-    way = way_of(back)
-    at = min(LEAVING_M, float(way[-1]))
-    x, y = (np.interp(at, way, back[:, k]) - back[0, k] for k in (0, 1))
-    return float(np.arctan2(y, x))

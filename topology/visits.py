@@ -79,16 +79,25 @@ def draw_track(
     share = nth / (points[owner] - 1)
     s = at[first][owner] + share * length[owner]
     odom = point_at(odometry, s)
-
-    def seen_from(visit: IntArray) -> FloatArray:
-        away = odom - visits.centre[visit][owner]
-        return xy[visits.vertex[visit]][owner] + turned(away, visits.pose[visit, 2][owner])
-
-    w = share[:, None]
-    drawn = (1 - w) * seen_from(first) + w * seen_from(first + 1)
-    turn = visits.pose[first, 2][owner]
-    turn = turn + share * wrap(visits.pose[first + 1, 2][owner] - turn)
+    drawn, turn = _drawn(visits, xy, (first[owner], first[owner] + 1), share, odom)
     return DrawnTrack(owner, offsets, s, odom, drawn, np.asarray(wrap(turn)))
+
+
+def _drawn(
+    visits: Visits,
+    xy: FloatArray,
+    between: tuple[IntArray, IntArray],
+    share: FloatArray,
+    odom: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Points (k, 2) of the odometry frame in the map frame, each transformed as seen from both of
+    two visits and interpolated by `share` (k,); (k,) rotation between the frames [rad]."""
+    one, two = (
+        xy[visits.vertex[v]] + turned(odom - visits.centre[v], visits.pose[v, 2]) for v in between
+    )
+    turn, other = (visits.pose[v, 2] for v in between)
+    w = share[:, None]
+    return (1 - w) * one + w * two, turn + share * wrap(other - turn)
 
 
 def in_map_frame(
@@ -111,14 +120,6 @@ def in_map_frame(
         one, two = own[np.maximum(after - 1, 0)], own[after]
         length = visited[two] - visited[one]
         share = np.clip((at[mine] - visited[one]) / np.where(length > 0, length, 1.0), 0.0, 1.0)
-        seen = [
-            xy[visits.vertex[visit]]
-            + turned(pose[mine, :2] - visits.centre[visit], visits.pose[visit, 2])
-            for visit in (one, two)
-        ]
-        w = share[:, None]
-        turn = visits.pose[one, 2]
-        turn = turn + share * wrap(visits.pose[two, 2] - turn)
-        out[mine, :2] = (1 - w) * seen[0] + w * seen[1]
+        out[mine, :2], turn = _drawn(visits, xy, (one, two), share, pose[mine, :2])
         out[mine, 2] = wrap(pose[mine, 2] + turn)
     return out

@@ -51,8 +51,8 @@ CONVENTIONS = ConventionSettings()
 UNITS = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "ft": "feet"}
 """Units of lengths that are told of (`LENGTHS`)."""
 UNIT_TOLERANCE = 0.1
-"""Relative error up to which a unit is named: ten sigmas of odometries in general
-(`NoiseSettings.scale_prior`)."""
+"""Relative error up to which a unit is named: twenty sigmas of odometries in general
+(`RunNoise.scale`)."""
 LEAST_SCALE = float(LENGTHS["ft"] ** -0.5)
 """Scales beyond are nearer to feet than to metres."""
 LEAST_TURN_RAD = np.pi / 4

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import IntArray
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
 
@@ -34,57 +34,28 @@ CARRIED = CarriedSettings()
 def split_where_carried(odometry: Odometry, detections: Detections) -> tuple[Odometry, int]:
     """The odometry with a break wherever the robot was carried, and the number of these. O(n +
     k)."""
-    jumps = _carried(odometry, detections)
-    if len(jumps) == 0:
+    rows = _carried(odometry, detections)
+    if len(rows) == 0:
         return odometry, 0
-    rows = np.searchsorted(odometry.time_ns, detections.time_ns[jumps + 1])
-    breaks = np.union1d(odometry.breaks, np.clip(rows, 1, len(odometry) - 1))
-    return replace(odometry, breaks=breaks), len(jumps)
+    at = np.searchsorted(odometry.time_ns, detections.time_ns[rows + 1])
+    breaks = np.union1d(odometry.breaks, np.clip(at, 1, len(odometry) - 1))
+    return replace(odometry, breaks=breaks), len(rows)
 
 
 def _carried(odometry: Odometry, detections: Detections) -> IntArray:
     """Rows i of detections such that the robot was carried between i and i + 1."""
-    if len(detections) < 2 * CARRIED.sightings or len(odometry) < 2:
+    side, centre = CARRIED.sightings, detections.centre
+    i = np.arange(side - 1, len(detections) - side)
+    if len(i) == 0 or len(odometry) < 2:
         return np.zeros(0, np.int64)
+    i = i[np.hypot(*(centre[i + 1] - centre[i]).T) > CARRIED.apart_m]
     row = np.clip(np.searchsorted(odometry.time_ns, detections.time_ns), 0, len(odometry) - 1)
-    centre = detections.centre
-    step = np.hypot(*np.diff(centre, axis=0).T)
-    suspects = np.flatnonzero(step > CARRIED.apart_m)
-    suspects = suspects[_may_stand(suspects, row, odometry)]
-    if len(suspects) == 0:
-        return suspects
-    # Distance and angle up to each detection, so that standing is a difference of two entries.
-    way = np.cumsum(odometry.step_m)[row]
-    turn = np.cumsum(np.abs(odometry.turn_rad))[row]
-    found = [i for i in suspects.tolist() if _is_journey(i, way, turn, centre)]
-    return np.array(found, np.int64)
-
-
-def _may_stand(i: IntArray, row: IntArray, odometry: Odometry) -> BoolArray:
-    """(k,) whether the robot may have stood around detection i, by two poses instead of all
-    between.
-
-    If it stood, it ends where it began, except across a break.
-    """
-    first = np.maximum(i + 1 - CARRIED.sightings, 0)
-    last = np.minimum(i + CARRIED.sightings, len(row) - 1)
-    before, after = row[first], row[last]
-    moved = np.hypot(*(odometry.pose[after, :2] - odometry.pose[before, :2]).T)
-    broken = np.diff(np.searchsorted(odometry.breaks, [before, after], "right"), axis=0)[0] > 0
-    return np.asarray((moved <= 2 * CARRIED.standing_m) | broken)
-
-
-def _is_journey(i: int, way: FloatArray, turn: FloatArray, centre: FloatArray) -> bool:
-    first, last = i + 1 - CARRIED.sightings, i + CARRIED.sightings
-    if first < 0 or last >= len(way):
-        return False
+    way, turn = np.cumsum(odometry.step_m)[row], np.cumsum(np.abs(odometry.turn_rad))[row]
+    first, last = i + 1 - side, i + side
     stands = way[last] - way[first] <= CARRIED.standing_m
-    stands &= turn[last] - turn[first] <= CARRIED.standing_rad
-    before, after = centre[first : i + 1], centre[i + 1 : last + 1]
-    agree = max(_spread(before), _spread(after)) <= CARRIED.agree_m
-    apart = np.hypot(*(np.median(after, axis=0) - np.median(before, axis=0)))
-    return bool(stands and agree and apart > CARRIED.apart_m)
-
-
-def _spread(points: FloatArray) -> float:
-    return float(np.hypot(*(points - np.median(points, axis=0)).T).max())
+    i = i[stands & (turn[last] - turn[first] <= CARRIED.standing_rad)]
+    sides = centre[i[:, None] + 1 + np.arange(-side, side)].reshape(-1, 2, side, 2)
+    middle = np.median(sides, axis=2)
+    spread = np.hypot(*np.moveaxis(sides - middle[:, :, None], -1, 0)).max(axis=(1, 2))
+    apart = np.hypot(*(middle[:, 1] - middle[:, 0]).T)
+    return np.asarray(i[(spread <= CARRIED.agree_m) & (apart > CARRIED.apart_m)])

@@ -17,6 +17,7 @@ from ...topology.se2 import apply
 from ...topology.topomap import RunNoise
 from ...topology.track import walked_at
 from .calibration import MotionErrors, Shown
+from .noise import drift_ratio
 from .within_passes import messages_of, scatter
 
 _STEPS = 8192
@@ -140,8 +141,9 @@ def refine_scale(
 
 def _expected(odometry: Odometry, noise: RunNoise, prior: RunNoise) -> float:
     """The usual error of lengths, times the ratio of this run's heading drift to the usual one."""
-    worse = np.sqrt(_turned(odometry, noise) / _turned(odometry, prior))
-    return float(prior.scale * worse)
+    return prior.scale * drift_ratio(
+        odometry, noise.heading_rad_per_sqrt_m, noise.heading_rad_per_sqrt_rad
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,13 +176,6 @@ class _Scale:
         order = np.argsort(off)
         below = np.cumsum(self.weight[order])
         return float(np.interp(ONE_SIGMA * below[-1], below, off[order]))
-
-
-def _turned(odometry: Odometry, noise: RunNoise) -> float:
-    """Variance of the heading at the end of a run, by its path length and rotations [rad²]."""
-    way, turned = odometry.step_m.sum(), np.abs(odometry.turn_rad).sum()
-    both = np.array([noise.heading_rad_per_sqrt_m, noise.heading_rad_per_sqrt_rad]) ** 2
-    return float(both @ [way, turned])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

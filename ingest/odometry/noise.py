@@ -1,10 +1,9 @@
 """Noise of a run's odometry and detector, estimated from the run itself.
 
 Before loop closure (`estimate_noise`): readings of one branch scatter from message to message by
-the detector's noise; between the first and the last third of a pass, readings move by the
-odometry's drift in between; and where branches of different junctions are mostly square to each
-other, their deviation from that grows with the distance driven in between. In short runs the drift
-is a small difference of noisy values, so that it is regularised by a prior (`NoiseSettings`).
+the detector's noise; between the first and the last third of a pass they turn by the odometry's
+drift in between. In short runs the drift is a small difference of noisy values, so that it is
+regularised by a prior (`NoiseSettings`).
 
 After loop closure (`refine_noise`): repeated passes of one junction give the noise of a whole pass
 and the rates of faults.
@@ -21,18 +20,15 @@ from ...topology.circular import cluster_angles
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
 from ...topology.passes import Passes
-from ...topology.ragged import numbered
 from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise
-from ...topology.track import stretch_of
-from ...topology.walk_means import WalkMeans
 from .within_passes import WITHIN, WithinPasses
 
 
 @dataclass(frozen=True, slots=True)
 class NoiseSettings:
-    """Priors, and limits on the data used."""
+    """Priors."""
 
     prior: RunNoise = field(default_factory=RunNoise)
     """Centres of the priors, kept where a run has no data."""
@@ -40,13 +36,6 @@ class NoiseSettings:
     """Standard deviation of the logarithm of a random walk's rate: a factor of two."""
     prior_passes: float = 15.0
     """Weight of the prior of a fault rate, in passes."""
-    scale_prior: float = 0.01
-    """Standard deviation of the relative length error of odometries in general, used before
-    closure."""
-    reach_passes: int = 6
-    reach_m: float = 60.0
-    """Branches are compared with those of this many passes before, within this distance along the
-    path."""
 
 
 NOISE = NoiseSettings()
@@ -60,16 +49,16 @@ def estimate_noise(odometry: Odometry, detections: Detections, passes: Passes) -
     thirds = WithinPasses.of(odometry, detections, passes, NOISE.prior)
     if thirds is None:
         return NOISE.prior
-    walk_m, walk_rad = _heading_walk(odometry, passes, thirds)
-    along, scale = _along(thirds)
+    walk_m, walk_rad = _heading_walk(thirds)
+    worse = drift_ratio(odometry, walk_m, walk_rad)
     # Half of the variance of a reading is assumed to be common to its pass (a junction is seen
     # askew from one side), which the scatter within a pass does not show.
     return _stated(
         NOISE.prior,
-        along_m_per_sqrt_m=along,
+        along_m_per_sqrt_m=NOISE.prior.along_m_per_sqrt_m * worse,
         heading_rad_per_sqrt_m=walk_m,
         heading_rad_per_sqrt_rad=walk_rad,
-        scale=scale,
+        scale=NOISE.prior.scale * worse,
         centre_m=float(thirds.centre_sigma * np.sqrt(1 + 1 / thirds.messages)),
         branch_rad=float(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages)),
     )
@@ -117,35 +106,27 @@ def _rate(events: float, trials: float, prior: float, worth: float) -> float:
     return (events + worth * prior) / (trials + worth)
 
 
-def _heading_walk(odometry: Odometry, passes: Passes, thirds: WithinPasses) -> tuple[float, float]:
+def _heading_walk(thirds: WithinPasses) -> tuple[float, float]:
     """Random walk of the heading per √m and per √rad: the maximum a posteriori estimate."""
     from scipy.optimize import minimize
 
     prior = NOISE.prior
     seen = np.isfinite(thirds.turn_variance)
-    pairs = SquareBranches.of(odometry, passes, thirds.walks)
     centre = np.log([prior.heading_rad_per_sqrt_m, prior.heading_rad_per_sqrt_rad])
-    branch = np.log(thirds.branch_sigma * np.sqrt(1 + 1 / thirds.messages))
 
     def cost(x: FloatArray) -> float:
-        walk = np.exp(2 * x[:2])
-        variance = thirds.turn_variance + thirds.walked @ walk
-        out = _student_cost(thirds.turn[seen], variance[seen])
-        out += pairs.cost(walk, float(np.exp(x[2])), float(1 / (1 + np.exp(-x[3]))))
-        pull = (x[:2] - centre) / NOISE.prior_spread
-        out += 0.5 * float(pull @ pull) + 2.0 * float((x[2] - branch) ** 2)
-        return out + 0.05 * float(x[3] ** 2)
+        variance = thirds.turn_variance + thirds.walked @ np.exp(2 * x)
+        pull = (x - centre) / NOISE.prior_spread
+        return _student_cost(thirds.turn[seen], variance[seen]) + 0.5 * float(pull @ pull)
 
-    start = np.array([*centre, branch, 0.0])
-    # The default simplex has a relative step, almost none for a start of 0.
-    simplex = start + NOISE.prior_spread * np.vstack([np.zeros(4), np.eye(4)])
+    simplex = centre + NOISE.prior_spread * np.vstack([np.zeros(2), np.eye(2)])
     found = minimize(
         cost,
-        start,
+        centre,
         method="Nelder-Mead",
         options={"xatol": 0.02, "fatol": 0.02, "initial_simplex": simplex},
     )
-    walk_m, walk_rad = np.exp(found.x[:2])
+    walk_m, walk_rad = np.exp(found.x)
     return float(walk_m), float(walk_rad)
 
 
@@ -160,87 +141,15 @@ def _student_cost(error: FloatArray, variance: FloatArray) -> float:
     return float(np.sum(0.5 * np.log(scale) + tails))
 
 
-def _along(thirds: WithinPasses) -> tuple[float, float]:
-    """Random walk along the path [m/√m], and the size of the constant relative error of lengths.
+def drift_ratio(odometry: Odometry, walk_m: float, walk_rad: float) -> float:
+    """Drift of the heading over a whole run with these random walks, over the usual one.
 
-    If junctions appear to move along with the robot, lengths are wrong; but the detector may cause
-    the same, also by seeing everything too near by some centimetres, so that this gives the size of
-    the error and no correction (`motion_errors` tells them apart). Turns are excluded, since
-    odometry and detector may refer to different points of the robot.
+    An odometry is taken to be equally good at distances and at headings, as within passes only the
+    latter shows (`variance_components.py` says the same of loops).
     """
-    from scipy.optimize import minimize_scalar
-
-    along, variance, moved, walked = thirds.straight()
-    belief = moved @ (moved / variance) + NOISE.scale_prior**-2
-    scale = float(moved @ (along / variance) / belief)
-    centre = np.log(NOISE.prior.along_m_per_sqrt_m)
-
-    def cost(x: float) -> float:
-        spread = variance + np.exp(2 * x) * walked
-        pull = (x - centre) / NOISE.prior_spread
-        return _student_cost(along - scale * moved, spread) + 0.5 * float(pull**2)
-
-    found = minimize_scalar(cost, bounds=(centre - 3, centre + 3), method="bounded")
-    return float(np.exp(found.x)), float(np.hypot(scale, belief**-0.5))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SquareBranches:
-    """Pairs of branches of different passes.
-
-    residual: (k,) angle between them, to the nearest multiple of 90° [rad]; walked: (k, 2) distance
-    [m] and angle turned [rad] between both; worth: (k,) weight of each pair, in independent
-    observations.
-    """
-
-    residual: FloatArray
-    walked: FloatArray
-    worth: FloatArray
-
-    @classmethod
-    def of(cls, odometry: Odometry, passes: Passes, means: WalkMeans) -> SquareBranches:
-        """Branches of all passes paired with those of `reach_passes` passes before each, at most
-        `reach_m` back. means: over the messages of each pass."""
-        reach_passes = NOISE.reach_passes
-        stretch, of = stretch_of(odometry, passes.time_ns), passes.branches.owner
-        b = np.arange(len(of))
-        # Every branch against every one of `reach_passes` earlier passes: (branch, lag), then
-        # expand each by the branches of that pass.
-        lag = np.tile(np.arange(reach_passes) + 1, len(b))
-        b = np.repeat(b, reach_passes)
-        earlier = of[b] - lag
-        keep = earlier >= 0
-        b, earlier = b[keep], earlier[keep]
-        walked = means.between(earlier, of[b])
-        keep = (stretch[of[b]] == stretch[earlier]) & (walked[:, 0] <= NOISE.reach_m)
-        b, earlier, walked = b[keep], earlier[keep], walked[keep]
-        counts = passes.branches.counts[earlier]
-        pair, local = numbered(counts)
-        there = passes.branches.offsets[earlier][pair] + local
-        turn = passes.branches.values[b][pair] - passes.branches.values[there]
-        return cls(
-            np.asarray(wrap(4 * turn) / 4),
-            walked[pair],
-            # Branches of one pass share the error of the heading, and the lags share the way:
-            # together they are one look.
-            1.0 / (passes.branches.counts[of[b]] * counts * reach_passes)[pair],
-        )
-
-    def cost(self, walk: FloatArray, sigma: float, square: float) -> float:
-        """Negative log-likelihood relative to a uniform distribution.
-
-        walk: (2,) variances of the heading [rad²] per metre and per radian; sigma: of one branch
-        [rad]; square: share of the pairs that are perpendicular or parallel. Each pair counts by
-        itself: taking only the best of several candidates would underestimate the drift.
-        """
-        quarter = np.pi / 2
-        variance = 2 * sigma**2 + self.walked @ walk
-        # Two images of the wrapped normal are enough up to a sigma of 45°.
-        density = sum(
-            np.exp(-0.5 * (self.residual + shift) ** 2 / variance)
-            for shift in (-quarter, 0, quarter)
-        ) / np.sqrt(2 * np.pi * variance)
-        return -float((self.worth * np.log((1 - square) + square * quarter * density)).sum())
+    driven = np.array([odometry.step_m.sum() + 1e-9, np.abs(odometry.turn_rad).sum()])
+    usual = (NOISE.prior.heading_rad_per_sqrt_m, NOISE.prior.heading_rad_per_sqrt_rad)
+    return float(np.sqrt((np.square([walk_m, walk_rad]) @ driven) / (np.square(usual) @ driven)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

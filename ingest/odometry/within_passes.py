@@ -1,5 +1,5 @@
-"""What passes show from their first to their last third: how branches and centres move in the frame
-of the odometry while the robot drives by."""
+"""What passes show from their first to their last third: how branches turn in the frame of the
+odometry while the robot drives by."""
 
 from __future__ import annotations
 
@@ -28,8 +28,6 @@ class WithinSettings:
     """Readings within this angle of a branch belong to it."""
     least_messages: int = 6
     """Passes with fewer messages are not used."""
-    straight_rad: float = 0.3
-    """Passes with a larger turn are not straight."""
 
 
 WITHIN = WithinSettings()
@@ -44,25 +42,17 @@ class WithinPasses:
     """Differences between the first and the last third of each pass that is long enough.
 
     turn (q,) rotation of the branches [rad], turn_variance (q,) its variance by the detector's
-    scatter; shift (q, 2) of the centre [m], shift_variance (q,) of each axis; motion (q, 2) of the
-    robot [m], both in the odometry's frame; walked (q, 2) path length [m] and absolute rotation
-    [rad] that determine the variance of a random walk averaged over both thirds; moved (q,) path
-    length between the middles of the thirds [m].
-    branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass;
-    walks: averaged over whole passes.
+    scatter; walked (q, 2) path length [m] and absolute rotation [rad] that determine the variance
+    of a random walk averaged over both thirds.
+    branch_sigma, centre_sigma: scatter of single messages; messages: median number in a pass.
     """
 
     turn: FloatArray
     turn_variance: FloatArray
-    shift: FloatArray
-    shift_variance: FloatArray
-    motion: FloatArray
     walked: FloatArray
-    moved: FloatArray
     branch_sigma: float
     centre_sigma: float
     messages: float
-    walks: WalkMeans
 
     @classmethod
     def of(
@@ -88,43 +78,17 @@ class WithinPasses:
         branch_sigma = scatter(heading[sequence, None], readings.branch[sequence], prior.branch_rad)
         third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
         usable = np.flatnonzero(n >= WITHIN.least_messages)
-
-        def mean(values: FloatArray, which: int) -> FloatArray:
-            chosen = third[rows] == which
-            size = np.bincount(home[chosen], minlength=p)
-            total = np.bincount(home[chosen], values[chosen], p)
-            return np.asarray(total / np.maximum(size, 1))[usable]
-
         track = walked_at(odometry, time_ns)
         thirds = WalkMeans.of(track, 3 * home + third[rows], 3 * p)
-        moved = thirds.middle[3 * usable + 2, 0] - thirds.middle[3 * usable, 0]
-
-        def change(values: FloatArray) -> FloatArray:
-            return np.column_stack([mean(v, 2) - mean(v, 0) for v in values.T])
-
-        size = n[usable] / 3.0
         turn, variance = _branch_turn(readings.branch, heading, third[reading_message], passes)
         return cls(
             turn=turn[usable],
             turn_variance=branch_sigma**2 * variance[usable],
-            shift=change(centre),
-            shift_variance=centre_sigma**2 * 2 / size,
-            motion=change(pose[:, :2]),
             walked=thirds.between(3 * usable, 3 * usable + 2),
-            moved=moved,
             branch_sigma=branch_sigma,
             centre_sigma=centre_sigma,
             messages=float(np.median(n[n > 0])),
-            walks=WalkMeans.of(track, home, p),
         )
-
-    def straight(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Of passes without turns, (k,) each: shift along the motion [m] and its variance [m²],
-        moved, and way walked [m], neither negative."""
-        rows = self.walked[:, 1] <= WITHIN.straight_rad
-        moved, walked = (np.maximum(x[rows], 0.0) for x in (self.moved, self.walked[:, 0]))
-        along = self.motion[rows] / np.maximum(np.hypot(*self.motion[rows].T), 1e-9)[:, None]
-        return (self.shift[rows] * along).sum(axis=1), self.shift_variance[rows], moved, walked
 
 
 def messages_of(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:

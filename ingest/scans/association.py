@@ -12,7 +12,7 @@ points pass a gate, and poses differ by 1e-5 m.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -63,12 +63,6 @@ class Swept:
         lines = Surfaces(x, y, nx, ny, on.valid.take(at))
         own = np.full(len(xy), xy.shape[1]) if own_beams is None else own_beams
         return cls(start, increment, xy.shape[1], each, points, lines, own)
-
-    def sparser(self, every: int) -> Swept:
-        """The same surfaces, with one in `every` of the points."""
-        of = self.points
-        kept = (_every(values, every) for values in (of.x, of.y, of.nx, of.ny, of.valid))
-        return replace(self, each=every * self.each, points=Surfaces(*kept))
 
 
 def _every(values: Any, each: int) -> Any:

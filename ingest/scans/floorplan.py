@@ -11,7 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray
-from ...topology.polyline import way_of
+from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
 from .crossing import Known, crossings, with_crossings
 from .grid import GridSettings
@@ -414,10 +414,7 @@ HEADING_M = 1.0
 
 def _end_of(way: Way, kind: Literal["dead_end", "frontier"]) -> Place:
     """The place at the end of a way."""
-    along = way_of(way.path)
-    at = max(along[-1] - HEADING_M, 0.0)
-    back = [np.interp(at, along, way.path[:, k]) - way.path[-1, k] for k in (0, 1)]
-    heading = wrap(np.array([np.arctan2(back[1], back[0])]))
+    heading = wrap(np.array([leaving_over(way.path[::-1], HEADING_M)]))
     return Place(way.path[-1], heading, kind, 0.5)
 
 

@@ -46,13 +46,12 @@ class Driven:
 
 class _Junction(NamedTuple):
     """A junction fused from the windows around it: way: distance driven at it [m]; xy [m];
-    branches: headings with their support; windows: number that show it; confidence, clearance_m,
+    branches: headings; windows: number that show it; confidence, clearance_m,
     sigma_m: see `ScanPasses`."""
 
     way: float
     xy: FloatArray
     branches: FloatArray
-    support: FloatArray
     confidence: float
     windows: int
     clearance_m: float
@@ -86,16 +85,13 @@ def junction_passes(seen: Sequence[Seen], driven: Driven) -> ScanPasses:
             continue
         votes = _nearest_looks(members, variant, np.abs(middles[number] - at))
         degree = np.bincount(headings.counts[votes])
-        branches, support, turn = _branches(
-            (headings, bends), members, votes, int(np.argmax(degree))
-        )
+        branches, turn = _branches((headings, bends), members, votes, int(np.argmax(degree)))
         turns.append(turn)
         found.append(
             _Junction(
                 way=at,
                 xy=np.median(xy[members], axis=0),
                 branches=branches,
-                support=support,
                 confidence=int(degree.max()) / len(WINDOWS.variants),
                 windows=len(np.unique(number[members])),
                 clearance_m=float(np.median(clearance[members])),
@@ -133,7 +129,7 @@ def no_passes() -> ScanPasses:
     """The passes of a run without junctions."""
     none, empty = np.zeros(0, np.int64), Ragged.from_rows([])
     row = np.zeros(0)
-    return ScanPasses(none, none, none, np.zeros((0, 2)), empty, empty, row, none, row, row)
+    return ScanPasses(none, none, none, np.zeros((0, 2)), empty, row, none, row, row)
 
 
 def pass_midway(driven: Driven) -> ScanPasses:
@@ -141,14 +137,13 @@ def pass_midway(driven: Driven) -> ScanPasses:
     junction, in one corridor, hall or room, so that it has a map, which its views can place."""
     way = driven.way
     middle = driven.time_ns[[int(np.searchsorted(way, way[-1] / 2))]]
-    one, both = np.ones(1), Ragged.from_rows([np.array([-np.pi, 0.0])])
+    one = np.ones(1)
     return ScanPasses(
         time_ns=middle,
         start_ns=middle,
         end_ns=middle,
         centre=np.zeros((1, 2)),
-        branches=both,
-        support=Ragged(both.offsets, np.ones(2)),
+        branches=Ragged.from_rows([np.array([-np.pi, 0.0])]),
         confidence=one,
         windows=np.ones(1, np.int64),
         clearance_m=one,
@@ -173,9 +168,9 @@ def _nearest_looks(members: IntArray, variant: IntArray, away: FloatArray) -> In
 
 def _branches(
     looks: tuple[Ragged, FloatArray], members: IntArray, votes: IntArray, degree: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Headings of a junction with `degree` branches [rad], the support of each, and its change of
-    heading further on [rad] (NaN: unknown).
+) -> tuple[FloatArray, FloatArray]:
+    """Headings of a junction with `degree` branches [rad], and the change of each further on [rad]
+    (NaN: unknown).
 
     looks: headings and bends of all forks; members: ascending. The medoid of the votes with this
     degree, refined by the mean over all forks' branches near it.
@@ -192,14 +187,12 @@ def _branches(
     near = np.abs(gap) <= JUNCTIONS.gap_rad
     count = np.bincount(nearest[near], minlength=degree)
     mean = np.bincount(nearest[near], gap[near], degree) / np.maximum(count, 1)
-    shown = np.unique(np.stack([nearest[near], own.owner[near]]), axis=1)[0]
-    share = np.bincount(shown, minlength=degree) / len(members)
     turn = bends[np.isin(headings.owner, members)]
     turned = near & np.isfinite(turn)
     tells = np.bincount(nearest[turned], minlength=degree)
     with np.errstate(invalid="ignore"):
         turn = np.bincount(nearest[turned], turn[turned], degree) / tells
-    return np.asarray(wrap(medoid + mean)), share, turn
+    return np.asarray(wrap(medoid + mean)), turn
 
 
 def _passes(found: list[_Junction], driven: Driven) -> ScanPasses:
@@ -230,7 +223,6 @@ def _passes(found: list[_Junction], driven: Driven) -> ScanPasses:
         end_ns=driven.time_ns[end],
         centre=apply(inverse(pose), [junction.xy for junction in found]),
         branches=Ragged(branches.offsets, wrap(branches.values - pose[owner, 2])),
-        support=Ragged.from_rows([junction.support for junction in found]),
         confidence=np.array([junction.confidence for junction in found]),
         windows=np.array([junction.windows for junction in found], np.int64),
         clearance_m=np.array([junction.clearance_m for junction in found]),

@@ -12,16 +12,12 @@ groups has the covariance
 Zeger, Longitudinal data analysis using generalized linear models, 1986). Groups are patches of wall
 and parts of the odometry.
 
-Patches of one bent wall err alike. How much shows when pairs of scans are matched the other way
-round, points of the earlier against surfaces of the later one, with different errors because lines
-through bent walls lie to one side of them. If patches were independent, the square of the
-differences' sum would be the sum of their squares; the ratio is the design effect of clusters
-(Kish, Survey sampling, 1965), estimated without any ground truth.
+Patches of one bent wall err alike, which `noise.TOGETHER` accounts for.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solveh_banded
@@ -34,11 +30,6 @@ from .association import MOST_PAIRS, Gate, Matches, Swept, matches
 PATCH_M = 2.0
 """Side of a patch: longer than a fitted line (0.7 m) and than a door. Patches of 1 m and of 4 m
 give headings a tenth less and more noise."""
-BACK = 4
-"""Every `BACK`-th point is matched the other way round as well: matching takes a twentieth longer,
-not a fifth. All points of every fourth scan cost as much, but errors of one scan are common to all
-of its pairs: over four simulated drives `SpanErrors.apart` over apart_alone is off by 0.20 (r.m.s.,
-all of all scans gave 1.2 to 2.1), with every fourth point by 0.14."""
 STRETCH = 16
 """Steps of odometry with common errors, 4 m: turns and bends last that long."""
 
@@ -60,31 +51,24 @@ NO_SCORES = Scores(_NONE, _NONE, _NONE, np.zeros((0, 3)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """curvature: banded (lower form, 3 n columns); gradients by walls and odometry; back: by walls,
-    with every `BACK`-th point of the earlier scan matched to the surfaces of the later one."""
+    """curvature: banded (lower form, 3 n columns); gradients by walls and odometry."""
 
     curvature: FloatArray
     walls: Scores
-    back: Scores
     odometry: Scores
 
     def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> tuple[FloatArray, ...]:
         """Errors of the rotations from poses `first` (q,) to `last`, from the scatter of the
-        groups: walls, absorbed, odometry, apart and apart_alone of `SpanErrors`."""
+        groups: walls, absorbed and odometry of `SpanErrors`."""
         q = np.arange(len(first))
         onto = np.zeros((3 * len(pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
         moved = self._solved(onto)
-        apart = joined([self.back, replace(self.walls, gradient=-self.walls.gradient)])
-        walls, odometry, apart_by = (
-            _pulls(pose, scores, moved) for scores in (self.walls, self.odometry, apart)
-        )
+        walls, odometry = (_pulls(pose, scores, moved) for scores in (self.walls, self.odometry))
         return (
             np.sum(walls**2, axis=0),
             np.full(len(first), _absorbed(self.walls)),
             np.sum(odometry**2, axis=0),
-            np.sum(apart_by, axis=0) ** 2,
-            np.sum(apart_by**2, axis=0),
         )
 
     def ways(self, pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:

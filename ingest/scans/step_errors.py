@@ -171,9 +171,7 @@ class SpanErrors:
     way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m] and turned: (r,)
     absolute rotation [rad] of other, longer spans. Of the errors of these rotations, (r,) each:
     walls, odometry: sums of squares [rad²] by patches of wall and by parts of odometry; absorbed:
-    share of the patches' errors that poses follow, so that it does not remain in the residuals;
-    apart: square [rad²] of the difference between both ways of matching scans; apart_alone: the
-    sum of every patch's own square.
+    share of the patches' errors that poses follow, so that it does not remain in the residuals.
     """
 
     way: FloatArray
@@ -183,8 +181,6 @@ class SpanErrors:
     walls: FloatArray
     absorbed: FloatArray
     odometry: FloatArray
-    apart: FloatArray
-    apart_alone: FloatArray
 
 
 def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:

@@ -73,7 +73,7 @@ def closed_by_views(
     unknown = np.full(count, NO_BRANCH)
     times = views.time_ns
     nodes = Passes(
-        *(times, times, times, views.pose[:, :2], none, none, unknown, unknown),
+        *(times, times, times, views.pose[:, :2], none, unknown, unknown),
         messages=np.ones(count, np.int64),
         confidence=np.ones(count),
     )

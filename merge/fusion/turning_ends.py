@@ -79,7 +79,7 @@ def with_turning_ends(
     if not any(len(m.turning_points) for m in maps):
         return fused
     found = sorted(_ends(fused, components, maps), key=lambda e: -e.length)
-    kept, _ = group_by_dead_end(
+    kept = group_by_dead_end(
         enumerate(found),
         fused,
         _corridors(fused, DRAWING.sound_m / 4),

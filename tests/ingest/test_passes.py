@@ -96,7 +96,6 @@ def scan_passes(odometry, rows, centres, headings, confidence):
         end_ns=time_ns + STEP_NS,
         centre=apply(inverse(pose), np.asarray(centres, float)),
         branches=branches,
-        support=Ragged.from_rows([np.linspace(0.6, 1.0, len(h)) for h in headings]),
         confidence=np.asarray(confidence, float),
         windows=np.full(len(rows), 3),
         clearance_m=np.ones(len(rows)),
@@ -112,9 +111,6 @@ def test_what_scans_show_becomes_passes_like_others():
     assert np.allclose(passes.centre, [(5.0, 0.3), (15.0, -0.2)])
     for row, given in enumerate(headings):
         assert np.allclose(passes.branches[row], np.sort(given))
-        assert np.allclose(
-            passes.support[row], np.linspace(0.6, 1.0, len(given))[np.argsort(given)]
-        )
         came, went = passes.branches[row][[passes.entry[row], passes.exit[row]]]
         assert abs(wrap(came - np.pi)) < 0.2
         assert abs(went) < 0.2

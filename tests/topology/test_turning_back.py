@@ -11,7 +11,7 @@ from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DocumentError
 from topobatch.topology.mapbuilding import MapBuildingSettings, build_topomap
 from topobatch.topology.topomap import RunNoise, TopoMap
-from topobatch.topology.turning_back import TurnedBack, turning_points
+from topobatch.topology.turning_back import turning_points
 from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
 from topobatch.topology.turning_vertices import with_turning_points, without_turning_points
 from topobatch.topology.vertex_errors import VertexErrors
@@ -30,16 +30,6 @@ def driven(
     branches: dict[int, list[float]],
 ) -> TopoMap:
     """The map of a track through `corners`, which passed vertices at some of them."""
-    m, turned = driven_and_turned(corners, at, vertex, branches)
-    return replace(m, turning_points=turned.points)
-
-
-def driven_and_turned(
-    corners: list[tuple[float, float]],
-    at: list[int],
-    vertex: list[int],
-    branches: dict[int, list[float]],
-) -> tuple[TopoMap, TurnedBack]:
     odometry, rows = track(*corners)
     rows, of = rows[at], np.array(vertex)
     when, n = odometry.time_ns[rows], len(set(vertex))
@@ -57,7 +47,8 @@ def driven_and_turned(
         noise=RunNoise(),
         errors=VertexErrors(np.zeros((n, 3, 1))),
     )
-    return m, turning_points(m, odometry, visits, LEAST_M, SETTINGS)
+    turned = turning_points(m, odometry, visits, LEAST_M, SETTINGS)
+    return replace(m, turning_points=turned)
 
 
 CORRIDOR = {0: [EAST, NORTH, WEST], 1: [EAST, NORTH, WEST]}

@@ -41,7 +41,6 @@ def passes_at(time_ns, centre, branches=None, **given):
         **dict.fromkeys(("entry", "exit"), np.full(n, NO_BRANCH)),
         "centre": np.asarray(centre),
         "branches": rows,
-        "support": Ragged(rows.offsets, np.ones(len(rows.values))),
         "messages": np.ones(n, int),
         "confidence": np.ones(n),
     }

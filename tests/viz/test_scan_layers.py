@@ -45,7 +45,6 @@ def scanned(topomap: TopoMap) -> Scanned:
         end_ns=time_ns,
         centre=np.zeros((p, 2)),
         branches=branches,
-        support=Ragged.from_rows([[1.0, 1.0, 1.0]] * p),
         confidence=np.linspace(0.4, 1.0, p),
         windows=np.full(p, 3),
         clearance_m=np.ones(p),

@@ -1,8 +1,7 @@
-"""The answers of loop closure to each question, by round, and which of them still stand."""
+"""The answers of loop closure to each question, by round."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 from ..arrays import IntArray
@@ -36,10 +35,6 @@ class Identification:
     accepted_round: int | None = None
 
 
-Answer = tuple[int | str | None, ...]
-"""Key of an answer: two passes or places, and the reason."""
-
-
 def explained(
     doubts: dict[tuple[int, int], Identification], reasons: dict[tuple[int, int], str]
 ) -> dict[tuple[int, int], Identification]:
@@ -52,41 +47,9 @@ def explained(
     }
 
 
-def is_open(q: Identification, place: IntArray) -> bool:
-    """Whether the two passes are still at different places."""
-    return bool(place[q.first] != place[q.second])
-
-
 def taken_back(q: Identification, number: int) -> Identification:
     """An accepted identification, refused in round `number`."""
     return replace(q, accepted=False, reason=TORN, round=number, accepted_round=q.round)
-
-
-def note(answers: dict[Answer, Identification], given: Iterable[Identification]) -> None:
-    """Record answers, keeping the last one per pair of passes and reason."""
-    for q in given:
-        answers[q.first, q.second, q.reason, q.accepted_round] = q
-
-
-def revised_answers(
-    place: IntArray, answers: Iterable[Identification], identifications: list[Identification]
-) -> list[Identification]:
-    """Refusals in whose place another answer stands: the last one of each reason, per pair of
-    places.
-
-    identifications: the answers that stand. Two passes that were later identified keep an entry of
-    their own.
-    """
-
-    def key(q: Identification) -> Answer:
-        a, b = sorted((int(place[q.first]), int(place[q.second])))
-        pair = (a, b) if a != b else (q.first, q.second)
-        return *pair, a == b, q.reason, q.accepted_round
-
-    last = {key(q): q for q in sorted(answers, key=lambda q: (q.round, q.first, q.second))}
-    for q in identifications:
-        last.pop(key(q), None)
-    return list(last.values())
 
 
 def standing_doubts(

@@ -17,7 +17,7 @@ from ..se2 import turned
 from .branches import Alignment, Branches, align
 from .dead_reckoning import DeadReckoning
 from .evidence import Background, length_odds
-from .places import NOWHERE, ONE_WAY_RAD, Places
+from .places import NOWHERE, Places
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,11 +35,6 @@ class GrowthSettings:
     wobble_m: float = 0.08
     """1 sigma of the length driven through one corridor [m]. Tried: with 0 rows close less
     often."""
-    line_m: float = LIKELIHOOD.gate_m
-    """Tolerance within which legs begin and end at the same two lines [m]."""
-    beside: int = 4
-    """Number of gaps on either side, sorted by their middles, that a gap is compared with: few have
-    their middle in one place."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +102,6 @@ def grow(
     gain, loss = np.zeros(k), np.zeros(k)
     front = _Front(np.arange(k), a, b, aligned.turn, aligned.partner)
     seen = _keys(front.hypothesis, a, b, len(places))
-    gaps = _Gaps(k, settings)
     weight, miss = 1.0, float(np.log(common.miss_rate))
     turn_sigma = float(np.sqrt(state.branches.variance))
     for _ in range(settings.hops):
@@ -119,7 +113,6 @@ def grow(
         h = front.hypothesis[reached.row]
         var = _leg_variance(state, reached.la, reached.lb, settings)
         odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, settings.leg_cap)
-        odds[gaps.known(h, state.xy[front.a[reached.row]], state.xy[reached.qa])] = 0.0
         odds = odds + miss * reached.missed
         same = reached.qa == reached.qb
         # Both legs end at one place: by one branch they agree, by two branches they disagree.
@@ -152,49 +145,6 @@ def grow(
         )
         weight *= settings.discount
     return Support(gain, loss)
-
-
-class _Gaps:
-    """Gaps between parallel lines that the legs of each hypothesis have spanned so far.
-
-    Blocks between the same two streets are equally long, so that of parallel legs between the same
-    two lines only the first counts by its length. As independent evidence they would support the
-    place one street further as well.
-    """
-
-    def __init__(self, hypotheses: int, settings: GrowthSettings) -> None:
-        self._axis = np.full(hypotheses, np.nan)
-        self._settings = settings
-        self._spans = np.zeros((0, 3))
-
-    def known(self, hypothesis: IntArray, begin: FloatArray, end: FloatArray) -> BoolArray:
-        """(m,) whether a leg from `begin` to `end` (m, 2) [m] spans a gap that was spanned before.
-
-        Lines run along the first leg of a hypothesis or across it; other legs span no gap.
-        """
-        way = np.arctan2(*(end - begin).T[::-1])
-        new, first = np.unique(hypothesis, return_index=True)
-        first = first[np.isnan(self._axis[new])]
-        self._axis[hypothesis[first]] = way[first]
-        axis = self._axis[hypothesis]
-        quarter = np.round((way - axis) / (np.pi / 2))
-        across = axis + quarter % 2 * (np.pi / 2)
-        line = np.stack([np.cos(across), np.sin(across)], axis=1)
-        low, high = np.sort([(begin * line).sum(axis=1), (end * line).sum(axis=1)], axis=0)
-        aslant = np.abs(way - axis - quarter * (np.pi / 2)) > ONE_WAY_RAD
-        key = np.where(aslant, -1.0, 2.0 * hypothesis + quarter % 2)
-        met = len(self._spans)
-        spans = np.concatenate([self._spans, np.stack([key, low + high, high - low], axis=1)])
-        self._spans = spans
-        order = np.lexsort((spans[:, 1], spans[:, 0]))
-        again = np.zeros(len(spans), bool)
-        for k in range(1, min(self._settings.beside, len(spans) - 1) + 1):
-            i, j = np.minimum(order[k:], order[:-k]), np.maximum(order[k:], order[:-k])
-            off = np.abs(spans[i] - spans[j])
-            same = (off[:, 0] == 0) & (spans[i, 0] >= 0)
-            near = (off[:, 1] < 2 * self._settings.line_m) & (off[:, 2] < self._settings.line_m)
-            again[j[same & near]] = True
-        return again[met:]
 
 
 def _keys(hypothesis: IntArray, a: IntArray, b: IntArray, n: int) -> IntArray:

@@ -24,12 +24,8 @@ from .answers import (
     TOGETHER,
     TORN,
     UNSURE,
-    Answer,
     Identification,
     explained,
-    is_open,
-    note,
-    revised_answers,
     standing_doubts,
     taken_back,
 )
@@ -90,8 +86,7 @@ class Closed:
     reckoning: the one given, with its noise raised by `caution` and by the residuals of the
     estimate; place: (p,) place of each pass, numbered by first visit; estimate: the optimised
     positions; identifications: all that were made, and the refused ones that had some evidence;
-    grid: the headings of the building's grid, if it has one; revised: answers of earlier rounds
-    that a later round changed.
+    grid: the headings of the building's grid, if it has one.
     """
 
     reckoning: DeadReckoning
@@ -99,7 +94,6 @@ class Closed:
     estimate: Estimate
     identifications: list[Identification]
     grid: GridHeadings | None
-    revised: list[Identification] = field(default_factory=list)
 
 
 def full_closure(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
@@ -113,6 +107,14 @@ def closure_without_grid(
 ) -> Closed:
     """Identify the passes of a run without using the headings of a grid."""
     return _in_rounds(_Closure(reckoning, None, settings))
+
+
+def first_round(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
+    """Make the identifications that dead reckoning makes certain, and no others: the first round of
+    `closure_without_grid`. A baseline for comparison (`--closure gated`)."""
+    under_way = _Closure(reckoning, None, settings)
+    under_way.identify(under_way.certain(1))
+    return under_way.result()
 
 
 def _in_rounds(under_way: _Closure) -> Closed:
@@ -130,7 +132,7 @@ def _in_rounds(under_way: _Closure) -> Closed:
 
 
 class _Closure:
-    """The state of a closure: identifications, the present estimate, and the answers given."""
+    """The state of a closure: identifications, the present estimate, and what is in doubt."""
 
     def __init__(
         self, reckoning: DeadReckoning, grid: GridHeadings | None, settings: RoundSettings
@@ -142,7 +144,6 @@ class _Closure:
         self._links: list[Identification] = []
         self._blocked: set[tuple[int, int]] = set()
         self._doubts: dict[tuple[int, int], Identification] = {}
-        self._answers: dict[Answer, Identification] = {}
         self._place = np.arange(len(reckoning), dtype=np.int64)
         self._estimate = self._optimised(None)
 
@@ -163,11 +164,7 @@ class _Closure:
         if not new and exact:
             new, reasons = _together(state, found, self._estimate, settings)
             self._doubts |= explained(self._doubts, reasons)
-        new = [replace(q, round=number) for q in new]
-        made = {(q.first, q.second) for q in new}
-        open_ = (q for pair, q in self._doubts.items() if pair not in made)
-        note(self._answers, (q for q in open_ if is_open(q, self._place)))
-        return new
+        return [replace(q, round=number) for q in new]
 
     def identify(self, new: list[Identification]) -> None:
         """Join the places of these passes and optimise the pose graph again."""
@@ -189,9 +186,7 @@ class _Closure:
         if not bad:
             return
         self._blocked |= {(q.first, q.second) for q in bad}
-        back = {(q.first, q.second): taken_back(q, number) for q in bad}
-        self._doubts |= back
-        note(self._answers, back.values())
+        self._doubts |= {(q.first, q.second): taken_back(q, number) for q in bad}
         self._links = [q for q in self._links if q not in bad]
         self._place = _partition(len(self._reckoning), self._links)
         self._estimate = self._optimised(self._estimate.pose)
@@ -203,8 +198,7 @@ class _Closure:
             self._corridors = None
             self._estimate = self._optimised(self._estimate.pose)
         made = self._links + standing_doubts(self._place, self._doubts)
-        revised = revised_answers(self._place, self._answers.values(), made)
-        return Closed(self._reckoning, self._place, self._estimate, made, self._grid, revised)
+        return Closed(self._reckoning, self._place, self._estimate, made, self._grid)
 
     def _scene(self) -> MapState:
         """The state of the map at the present estimate.

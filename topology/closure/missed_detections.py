@@ -16,7 +16,7 @@ from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..odometry import Odometry
 from ..se2 import turned, wrap
-from ..track import way_along
+from ..track import seconds_at
 from ..visits import DrawnTrack, PassesAtPlaces, Visits, draw_track
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
@@ -88,7 +88,9 @@ def correct_detections(
     real, number = _renumbered(~phantoms(reckoning, places, unseen, settings))
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
     _, visits, found = driven(place, xy)
-    visits = with_driven_by(visits, found, _time_of(odometry, found.way), xy)
+    first_s, _ = seconds_at(odometry, found.way)
+    time_ns = odometry.time_ns[0] + np.rint(1e9 * first_s).astype(np.int64)
+    visits = with_driven_by(visits, found, time_ns, xy)
     return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.identifications)
 
 
@@ -96,15 +98,6 @@ def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
     """The rows to keep, and the new number of each row, NOWHERE for the others."""
     number = np.where(keep, np.cumsum(keep) - 1, NOWHERE)
     return np.flatnonzero(keep), number
-
-
-def _time_of(odometry: Odometry, way: FloatArray) -> IntArray:
-    """(k,) times [ns] at which the robot had driven the distances `way` (k,) [m]."""
-    along = way_along(odometry)
-    moving = np.flatnonzero(np.concatenate([[True], np.diff(along) > 0]))
-    since = (odometry.time_ns[moving] - odometry.time_ns[0]).astype(np.float64)
-    out: IntArray = odometry.time_ns[0] + np.rint(np.interp(way, along[moving], since)).astype(int)
-    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)

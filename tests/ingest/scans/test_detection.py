@@ -79,7 +79,6 @@ def test_branches_point_along_the_corridors() -> None:
     wanted = np.array([-np.pi / 2, 0.0, np.pi / 2])
     off = np.abs(wrap(np.sort(wrap(heading)) - wanted))
     assert off.max() < 0.2
-    assert (passes.support[row] > 0.9).all()
     # Straight corridors hardly turn, and their crossings' centres are not aside.
     assert passes.askew_rad < 0.05
     assert (passes.shared_m < 0.2).all()

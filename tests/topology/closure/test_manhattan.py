@@ -30,7 +30,6 @@ def test_grid_headings_follow_the_drift():
     bent = replace(
         passes,
         branches=Ragged.from_rows([fork] * len(passes)),
-        support=Ragged.from_rows([np.ones(3)] * len(passes)),
         entry=np.zeros(len(passes), int),
         exit=np.ones(len(passes), int),
     )
