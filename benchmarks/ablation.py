@@ -209,6 +209,12 @@ REPLACED = {
         "_smoothed",
         lambda odometry, passes: np.zeros((len(passes), 2)),
     ),
+    "fitted noise: expected weight": (
+        variance_components._Edges,
+        "_expected_weight",
+        lambda edges: np.ones(len(edges.kernel)),
+    ),
+    "fitted noise: stiffness": (variance_components, "_stiffness", lambda chi2, *args: 1.0),
     "fitted noise: level": (variance_components, "_odometry_level", lambda *args: 1.0),
     "errors shared by passes": (mapping, "seen_alike", lambda *args: None),
 }

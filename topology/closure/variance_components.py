@@ -3,8 +3,9 @@
 Before closure little is known of an odometry's drift (`ingest/odometry/noise.py`). The residuals of
 loops show it: each variance is the sum of its squared residuals over their degrees of freedom
 (Förstner, Ein Verfahren zur Schätzung von Varianz- und Kovarianzkomponenten, 1979; iterated, it is
-REML). The heading of a pass is a mean over its messages and varies less than the heading at its
-middle (`_smoothed`). How an odometry's error divides among its random
+REML). Corrections: a robust kernel reduces residuals, so they are compared with its expectation for
+normal residuals (Huber's proposal 2); the heading of a pass is a mean over its messages and varies
+less than the heading at its middle (`_smoothed`). How an odometry's error divides among its random
 walks is hardly observable; its overall level is.
 """
 
@@ -17,7 +18,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..odometry import Odometry
 from ..passes import Passes
-from ..posegraph.graph import edge_errors, prior_errors
+from ..posegraph.graph import edge_errors, prior_errors, squared
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals, square_root
 from ..ragged import numbered
@@ -225,7 +226,7 @@ class _Edges:
 
     error: (k, 3); information: (k, 3, 3); residual: (k, 3, s) samples of the residuals after
     solving, in sigmas; smoothed: (k, 3, s) the same of the variance that means over passes lack;
-    weight: (k,) at the solution.
+    weight: (k,) at the solution; kernel: (k,) widths in sigmas.
     """
 
     error: FloatArray
@@ -233,6 +234,7 @@ class _Edges:
     residual: FloatArray
     smoothed: FloatArray
     weight: FloatArray
+    kernel: FloatArray
 
     def shares(self, part: FloatArray) -> tuple[float, float]:
         """Squared error by one component, in units of its variance, and its degrees of freedom.
@@ -249,8 +251,24 @@ class _Edges:
         free, lost = (
             np.einsum("kis,kij,kjs->k", r, share, r) for r in (self.residual, self.smoothed)
         )
-        freedom = float(np.sum(free - lost)) / self.residual.shape[2]
+        freedom = float(self._expected_weight() @ (free - lost)) / self.residual.shape[2]
         return float(energy), max(freedom, 0.0)
+
+    def _expected_weight(self) -> FloatArray:
+        """(k,) mean weight of normal errors in their Cauchy kernels.
+
+        An edge that measures f numbers has a χ² of f degrees of freedom, scaled by its redundancy.
+        """
+        if not np.isfinite(self.kernel).any():
+            return np.ones(len(self.kernel))
+        from scipy.special import gammaincinv
+
+        rank = np.linalg.matrix_rank(self.information[0])
+        redundancy = np.mean((self.residual**2).sum(axis=1), axis=1) / rank
+        chi2 = 2 * gammaincinv(rank / 2, (np.arange(64) + 0.5) / 64)
+        weighted = chi2 / (1 + redundancy[:, None] * chi2 / self.kernel[:, None] ** 2)
+        out: FloatArray = weighted.mean(axis=1) / chi2.mean()
+        return out
 
 
 def _energy_and_freedom(
@@ -294,9 +312,15 @@ def _sorts(
     graph, solution = estimate.graph, estimate.solution
     error = edge_errors(graph, solution.pose, solution.shared)
     row = slice(0, legs), slice(legs, legs + len(less))
+    loops = slice(row[1].stop, row[1].stop + len(estimate.loop_chi2))
     off = prior_errors(graph, solution.pose)
     known = graph.priors
-    sampled = SampledMarginals.of(graph, solution.with_full_weights(), samples)
+    give = np.ones(len(error))
+    for part in (row[1], loops):
+        give[part] = _stiffness(solution.edge_chi2[part], graph.kernel[part], 3)
+    give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
+    pulled = replace(solution, edge_weight=give, prior_weight=give_known)
+    sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)
     errors = np.zeros((len(error), 3))
     errors[row[1], 2] = np.sqrt(less)
     lost = sampled.by_edges(errors)
@@ -307,6 +331,7 @@ def _sorts(
             sampled.edge_residual[r],
             lost.edge_residual[r],
             solution.edge_weight[r],
+            graph.kernel[r],
         )
         for r in row
     )
@@ -316,5 +341,18 @@ def _sorts(
         sampled.prior_residual,
         lost.prior_residual,
         solution.prior_weight,
+        known.kernel,
     )
     return walked, seen, headings
+
+
+def _stiffness(chi2: FloatArray, kernel: FloatArray, rank: int) -> float:
+    """Mean derivative of w(χ²) e by e over the `rank` directions of e, for a Cauchy kernel.
+
+    It is the stiffness of the edges against small changes, where the weights w say how much of
+    their errors count.
+    """
+    if not np.isfinite(kernel).any():
+        return 1.0
+    share = chi2 / kernel**2
+    return float(np.mean(1 / (1 + share) - 2 * share / rank / (1 + share) ** 2))

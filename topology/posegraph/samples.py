@@ -35,9 +35,9 @@ class _Linearised:
     """A graph linearised and factorised at its solution.
 
     J_i, J_j, J_b: derivatives of the edge errors with respect to source pose, target pose and
-    shared errors; own, own_known: square roots R of the weighted information of edges and priors,
-    with which Rᵀ e is white; push, push_known: sparse maps from white errors of edges and priors to
-    the gradient.
+    shared errors; own, own_known: square roots R of the information of edges and priors, with which
+    Rᵀ e is white; root: by what white errors are multiplied on their way into the gradient; push,
+    push_known: sparse maps from white errors of edges and priors to the gradient.
     """
 
     graph: PoseGraph
@@ -48,21 +48,26 @@ class _Linearised:
     J_b: FloatArray
     own: FloatArray
     own_known: FloatArray
+    root: FloatArray
     push: sparse.csr_array[np.float64]
     push_known: sparse.csr_array[np.float64]
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point) -> _Linearised:
-        """Linearise at `solution`."""
+    def of(cls, graph: PoseGraph, solution: Point, *, outliers: bool) -> _Linearised:
+        """Linearise at `solution`; outliers: see `SampledMarginals.of`."""
         pattern = build_pattern(graph, skeleton(graph))
         factor = linearise(graph, pattern, solution).factorise()
         J_i, J_j = _jacobians(graph, solution.pose, solution.shared)
         J_m = measurement_jacobian(graph, solution.pose, solution.shared)
-        own = square_root(graph.information) * np.sqrt(solution.edge_weight)[:, None, None]
-        own_known = square_root(graph.priors.information)
-        own_known = own_known * np.sqrt(solution.prior_weight)[:, None, None]
-        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ own)
-        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ own)
+        weights = (solution.edge_weight[:, None, None], solution.prior_weight[:, None, None])
+        own, own_known = (square_root(of.information) for of in (graph, graph.priors))
+        if outliers:
+            own, own_known = own * np.sqrt(weights[0]), own_known * np.sqrt(weights[1])
+            root, known = own, own_known
+        else:
+            root, known = own * weights[0], own_known * weights[1]
+        push = _scattered(pattern, graph.source, J_i.transpose(0, 2, 1) @ root)
+        push = push + _scattered(pattern, graph.target, J_j.transpose(0, 2, 1) @ root)
         return cls(
             graph=graph,
             pattern=pattern,
@@ -72,8 +77,9 @@ class _Linearised:
             J_b=J_m @ graph.shared.sensitivity,
             own=own,
             own_known=own_known,
+            root=root,
             push=push,
-            push_known=_scattered(pattern, graph.priors.node, own_known),
+            push_known=_scattered(pattern, graph.priors.node, known),
         )
 
     def moved(
@@ -86,7 +92,7 @@ class _Linearised:
         x = factor.solve(np.asarray(self.push @ z + self.push_known @ z_known))
         b = np.zeros(z_shared.shape)
         if len(shared):
-            slope = (self.own.transpose(0, 2, 1) @ self.J_b).reshape(-1, len(shared)).T @ z
+            slope = (self.root.transpose(0, 2, 1) @ self.J_b).reshape(-1, len(shared)).T @ z
             slope = slope + z_shared / shared.sigma[:, None]
             b[:] = np.linalg.solve(factor.schur, slope - factor.border.T @ x)
             x = x - factor.solved_border @ b
@@ -135,14 +141,17 @@ class SampledMarginals:
         return self._z_known.reshape(-1, 3, count) - off
 
     @classmethod
-    def of(cls, graph: PoseGraph, solution: Point, count: int = 64) -> SampledMarginals:
+    def of(
+        cls, graph: PoseGraph, solution: Point, count: int = 64, *, outliers: bool = True
+    ) -> SampledMarginals:
         """Sample the linearised posterior by solving for perturbed measurements.
 
         With H = Jᵀ Ω J and white z, H⁻¹ Jᵀ Ω^½ z has the covariance H⁻¹. The noise is the same at
-        every call. One factorisation and `count` solves. A measurement with weight w at the
-        solution is taken to be an outlier with information w Ω.
+        every call. One factorisation and `count` solves. outliers: whether a measurement with
+        weight w at the solution is taken to be an outlier with information w Ω; otherwise it has
+        the error that it states, and is only weighted down by the solver: H⁻¹ Jᵀ w Ω^½ z.
         """
-        system = _Linearised.of(graph, solution)
+        system = _Linearised.of(graph, solution, outliers=outliers)
         sizes = (3 * len(graph.source), 3 * len(graph.priors), len(graph.shared))
         z, z_known, z_shared = white(20040, [(size, count) for size in sizes])
         error, shared = system.moved(z, z_known, z_shared)
@@ -150,7 +159,7 @@ class SampledMarginals:
 
     def by_edges(self, sigma: FloatArray) -> SampledMarginals:
         """The same samples if the only errors were those of the edges, with 1 sigma (m, 3) each [m,
-        m, rad]. `count` more solves."""
+        m, rad]. `count` more solves. Only for samples made with outliers=False."""
         off = sigma[:, :, None] * self._z.reshape(-1, 3, self.error.shape[2])
         z = (self._system.own.transpose(0, 2, 1) @ off).reshape(self._z.shape)
         z_known = np.zeros_like(self._z_known)
