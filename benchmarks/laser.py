@@ -55,6 +55,7 @@ from topobatch.ingest.scans.detection import detect
 from topobatch.ingest.scans.matching import matched, posed
 from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.ingest.scans.stream import Mounting, ScanStream
+from topobatch.ingest.scans.turns import LaggingError
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run
@@ -433,7 +434,13 @@ def closure(log: Log, result: ScanResult, topomap: TopoMap) -> str:
 def judge(log: Log, *, alone: bool, pictures: Path | None) -> Log:
     """Print all about a log; the log, with the best truth there is."""
     began = time.process_time()
-    result = detect(None if alone else log.odometry, log.scans)
+    odometry = None if alone else log.odometry
+    try:
+        result = detect(odometry, log.scans)
+    except LaggingError as error:  # as `topobatch ingest` goes on
+        if odometry is None:
+            raise
+        result = detect(odometry.delayed(error.lag_s), log.scans, may_lag=False)
     detected = time.process_time()
     none = Detections(np.zeros(0, np.int64), np.zeros((0, 2)), Ragged.from_rows([]))
     run = Run(log.name, result.odometry, none, scanned=result.scanned)
