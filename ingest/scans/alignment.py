@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
-from .scatter import STRETCH, Scatter, motion_by_ends, odometry_scores, wall_scores
+from .scatter import STRETCH, Scatter, odometry_scores, wall_scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,26 +326,41 @@ class _Equations:
     def at(
         self, pose: FloatArray, steps: Steps, looks: _Quadratic, worth: float
     ) -> tuple[FloatArray, FloatArray]:
-        """The band (rows, 3 n) and the gradient (3 n,) at poses (n, 3)."""
+        """The band (rows, 3 n) and the gradient (3 n,) at poses (n, 3).
+
+        With the motion's axes rotated into the world, W its information and d the vector between
+        the two, the later pose has W, the earlier Bᵀ W B, both -W B, where B adds J d of the
+        rotation, J a quarter turn.
+        """
         n = len(pose)
         off, information = _odometry(pose, steps)
-        pull = np.einsum("pkl,pl->pk", information, off)
+        gradient = np.einsum("pkl,pl->pk", information, off)
         information = np.concatenate([worth * looks.information, information])
-        pull = np.concatenate([worth * looks.gradient, pull])[:, :, None]
-        J_first, J_second = motion_by_ends(pose, self.first, self.second)
-        at_first, at_second = J_first.transpose(0, 2, 1), J_second.transpose(0, 2, 1)
-        own = [
-            (at @ information @ J)[:, *np.tril_indices(3)]
-            for at, J in ((at_first, J_first), (at_second, J_second))
-        ]
-        both = (at_first @ information @ J_second).reshape(-1, 9)
-        terms = np.concatenate([*own, both], axis=1).T
+        gx, gy, g_turn = np.concatenate([worth * looks.gradient, gradient]).T
+        theta = pose[self.second, 2]
+        c, s = np.cos(theta), np.sin(theta)
+        xx, xy, yy = information[:, 0, 0], information[:, 0, 1], information[:, 1, 1]
+        w00 = c * c * xx - 2 * c * s * xy + s * s * yy
+        w10 = c * s * (xx - yy) + (c * c - s * s) * xy
+        w11 = s * s * xx + 2 * c * s * xy + c * c * yy
+        xt, yt, w22 = information[:, 0, 2], information[:, 1, 2], information[:, 2, 2]
+        w20, w21 = c * xt - s * yt, s * xt + c * yt
+        dx, dy = (pose[self.first, :2] - pose[self.second, :2]).T
+        v0, v1, v2 = w10 * dx - w00 * dy, w11 * dx - w10 * dy, w21 * dx - w20 * dy
+        by_turn = w20 + v0, w21 + v1, w22 + v2
+        later = w00, w10, w11, w20, w21, w22
+        earlier = w00, w10, w11, *by_turn[:2], by_turn[2] + v2 + v1 * dx - v0 * dy
+        both = -w00, -w10, -by_turn[0], -w10, -w11, -by_turn[1], -w20, -w21, -by_turn[2]
+        terms = np.stack([*later, *earlier, *both])
         band = _sums(self.entry, terms, self.rows * 3 * n).reshape(self.rows, 3 * n)
         # Fixed poses, and a small load for unconstrained ones.
         band[0, : 3 * self.fixed] += 1e10
         band[0] += 1e-6
-        ends = 3 * np.stack([self.first, self.second])[:, :, None] + np.arange(3)
-        return band, _sums(ends, np.stack([at_first @ pull, at_second @ pull]), 3 * n)
+        gx, gy = c * gx - s * gy, s * gx + c * gy
+        ends = 3 * np.stack([self.first] * 3 + [self.second] * 3)
+        ends += np.array([0, 1, 2, 0, 1, 2])[:, None]
+        terms = np.stack([gx, gy, g_turn, -gx, -gy, gx * dy - gy * dx - g_turn])
+        return band, _sums(ends, terms, 3 * n)
 
 
 def _sums(at: IntArray, terms: FloatArray, size: int) -> FloatArray:
