@@ -22,8 +22,8 @@ DEFINITION_BYTES = 1 << 25
 """Limit of the different schemas and channels of one file, 32 MiB: a thousand topics with the
 largest definitions in use take 20."""
 
-DEFINITION_COST = 200
-"""Memory of a channel in addition to its names [bytes]."""
+DEFINITION_COST = 1200
+"""Memory of a channel in addition to its names, with what reads it [bytes]."""
 
 TOO_MANY = "implausibly many or long descriptions of channels; some are left out"
 
