@@ -33,7 +33,7 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.digits import METRES, rounded
 from ..topology.matching.structure import padded_branches
 from ..topology.passes import NO_BRANCH
-from ..topology.polyline import leaving_rad, way_of
+from ..topology.polyline import Ways, leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .change import Change, ChangeKind, Witness
@@ -121,7 +121,7 @@ class _Seen:
         self._turn = {run: float(poses[run][2]) for run in maps}
         self._alike = _lookalikes(merged, self.nodes)
         self._near = _neighbours(merged)
-        self._driven: dict[str, Any] = {}
+        self._driven: dict[str, Ways] = {}
         self._at: list[list[int]] = [[] for _ in self.nodes]
         for e, ends in enumerate(zip(merged.source.tolist(), merged.target.tolist(), strict=True)):
             for node in {*ends}:
@@ -141,9 +141,8 @@ class _Seen:
         """Whether a run's corridors lie beside all of a fused edge."""
         if run not in self._driven:
             own = [k for k, members in enumerate(self.edges) if run in members]
-            points = [np.zeros((0, 2)), *(_spaced(self.merged.paths[k]) for k in own)]
-            self._driven[run] = cKDTree(np.concatenate(points))
-        away, _ = self._driven[run].query(_spaced(self.merged.paths[edge]))
+            self._driven[run] = Ways([self.merged.paths[k] for k in own], STEP_M)
+        away = self._driven[run].away(self.merged.paths[edge])
         return bool(away.max() <= CHANGES.beside_m)
 
     def times(self, run: str, node: int) -> IntArray:
@@ -233,13 +232,6 @@ def _neighbours(merged: TopoMap) -> list[list[int]]:
 
 STEP_M = 0.5
 """Spacing of the points by which corridors are compared: a third of `beside_m`."""
-
-
-def _spaced(path: FloatArray) -> FloatArray:
-    """(k, 2) points of a polyline, at most `STEP_M` apart."""
-    way = way_of(path)
-    at = np.linspace(0.0, way[-1], int(np.ceil(way[-1] / STEP_M)) + 1)
-    return np.stack([np.interp(at, way, path[:, k]) for k in (0, 1)], axis=-1)
 
 
 def _fault_rate(rate: float) -> float:

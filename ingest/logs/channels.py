@@ -23,7 +23,8 @@ DEFINITION_BYTES = 1 << 25
 largest definitions in use take 20."""
 
 DEFINITION_COST = 1200
-"""Memory of a channel in addition to its names, with what reads it [bytes]."""
+"""Memory of a channel in addition to its names, with what reads it [bytes]: 260,000 descriptions
+in one bag took 300 MB."""
 
 TOO_MANY = "implausibly many or long descriptions of channels; some are left out"
 

@@ -9,13 +9,15 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from math import hypot
 from typing import Any
 
 import numpy as np
 
-from .messages import LATEST_NS, DamageError, text
+from .messages import LATEST_NS, Channel, DamageError, text
 from .poses import Frames, Row
+from .schema import object_decoder
 
 POSES = 1 << 16
 """Longest list in one message that is decoded as objects."""
@@ -155,6 +157,18 @@ def load_json(raw: bytes | str) -> Any:
 
 
 # Objects
+
+
+def object_reader(channel: Channel) -> Callable[[bytes], Any]:
+    """A function from payload to message object, by the encoding of a channel; raises DamageError
+    if there is none."""
+    if channel.encoding in ("cdr", "ros1"):
+        return object_decoder(channel)
+    if channel.encoding == "json":
+        return load_json
+    if channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
+        return partial(protobuf_object, PROTOBUF[channel.type_name])
+    raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
 
 
 def object_rows(message: Any, frames: Frames) -> list[Row]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,11 @@ from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .columns import Growing
-from .foxglove import PROTOBUF, load_json, object_rows, protobuf_object
+from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import LATEST_NS, UNWANTED, Block, Channel, DamageError
 from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder
-from .schema import as_expected, object_decoder
+from .schema import as_expected
 from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
 
 DENSE = 64
@@ -41,15 +40,7 @@ def decoder_for(channel: Channel) -> PoseDecoder:
     kind = kind or JUNCTION_KINDS.get(channel.type_name)
     if kind is not None and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
         return WireDecoder(kind, channel.encoding == "ros1")
-    read: Callable[[bytes], Any]
-    if channel.encoding in ("cdr", "ros1"):
-        read = object_decoder(channel)
-    elif channel.encoding == "json":
-        read = load_json
-    elif channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
-        read = partial(protobuf_object, PROTOBUF[channel.type_name])
-    else:
-        raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
+    read = object_reader(channel)
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
 
 

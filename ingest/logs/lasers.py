@@ -16,20 +16,10 @@ from ...topology.arrays import Float32Array, IntArray
 from ...topology.se2 import yaw_from_quaternion
 from .clouds import Cloud, object_cloud, wire_cloud
 from .columns import Shape
-from .foxglove import (
-    PROTOBUF,
-    as_text,
-    get,
-    load_json,
-    pose_of,
-    protobuf_object,
-    real,
-    stamp_of,
-    unit_quaternion,
-)
+from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit_quaternion
 from .inflate import SLICE_BYTES, unpacked
 from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
-from .schema import as_expected, object_decoder
+from .schema import as_expected
 from .topics import CLOUD_BYTES, CLOUD_KINDS, SCAN_KINDS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
@@ -332,14 +322,7 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
         if kind == "multi_echo":
             return OneByOne(partial(echo_scan, ros1), _together)
         return TemplateDecoder(partial(_Template.of, ros1), _Template.scans, _in_order)
-    if serialized:
-        read = object_decoder(channel)
-    elif channel.encoding == "json":
-        read = load_json
-    elif channel.encoding == "protobuf" and channel.type_name in PROTOBUF:
-        read = partial(protobuf_object, PROTOBUF[channel.type_name])
-    else:
-        raise DamageError(f"messages are encoded as {channel.encoding[:40]!r}, which is not known")
+    read = object_reader(channel)
     if cloud:
         return OneByOne(lambda raw: slicer(object_cloud(read(raw))), _together)
     return OneByOne(lambda raw: object_scan(read(raw)), _together)

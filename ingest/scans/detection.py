@@ -164,7 +164,7 @@ def _result(
     fit, piece = np.concatenate(track.fit), np.concatenate(track.piece)
     covered = _covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser))
     passes, warnings = junction_passes(seen, driven), counted.warnings()
-    if not len(passes) and covered >= LEAST_COVERED and driven.way[-1] >= LEAST_WAY_M:
+    if seen and not len(passes) and covered >= LEAST_COVERED and driven.way[-1] >= LEAST_WAY_M:
         passes = pass_midway(driven)
         warnings.append(
             "no junction shows in the scans: the middle of the way stands for one, and only the "

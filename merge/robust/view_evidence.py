@@ -87,16 +87,12 @@ class ViewEvidence:
         return int(np.count_nonzero(self.bits > AGREES_BITS))
 
     @property
-    def _alike(self) -> float:
-        return _alike(Level(*self.null.tolist()))
-
-    @property
     def junctions(self) -> float:
         """As how many junctions the parts weigh that speak for the placement: each as its bits, of
         which `MATCH.junction_bits` are one, at least one and at most two. Where maps repeat
         themselves, what repeats is no witness."""
         weight = np.clip(self.bits / MATCH.junction_bits, 1.0, 2.0)
-        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - self._alike)
+        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - _alike(*self.null))
 
     def most_against(self, away_m: FloatArray) -> FloatArray:
         """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
@@ -110,7 +106,7 @@ class ViewEvidence:
         nearest = away_m.argmin(axis=1)
         part = _means(self.cell, self.z)[self.cell[nearest]]
         agree = np.clip((part - UNSEEN_Z[0]) / (UNSEEN_Z[1] - UNSEEN_Z[0]), 0.0, 1.0)
-        agree *= 1.0 - self._alike
+        agree *= 1.0 - _alike(*self.null)
         most = MATCH.most_bits + agree * (UNSEEN_BITS - MATCH.most_bits)
         return np.where(away_m.min(axis=1) < CELL_M / 2, most, np.inf)
 
@@ -380,12 +376,13 @@ def _consistent(apart_m: FloatArray, null: Level) -> FloatArray:
     known = (min(len(apart_m), MOST_PARTS) - 1) / len(apart_m)
     off = np.clip((apart_m - CONSISTENT_M) / (APART_M - CONSISTENT_M), 0.0, 2.0)
     bits = CONSISTENT_BITS * known * (1.0 - off)
-    return np.where(bits > 0, bits * (1.0 - _alike(null)), bits)
+    return np.where(bits > 0, bits * (1.0 - _alike(null.mean, null.sigma)), bits)
 
 
-def _alike(null: Level) -> float:
-    """0 to 1: how far the buildings repeat themselves, by the level of copies."""
-    return min(max((null.mean - null.sigma - USUAL.mean) / USUAL.sigma, 0.0), 1.0)
+def _alike(mean: float, sigma: float) -> float:
+    """0 to 1: how far the buildings repeat themselves, by the middle and spread of the z of
+    copies."""
+    return min(max((mean - sigma - USUAL.mean) / USUAL.sigma, 0.0), 1.0)
 
 
 def _odds(mean: float, null: Level, true: Level) -> float:

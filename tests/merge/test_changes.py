@@ -21,6 +21,13 @@ from topobatch.topology.document import map_from_document, map_to_document
 
 DAY_NS = 86_400 * 10**9
 
+CORNERS = {(i, j): (x, y) for i, x in enumerate((0, 7, 16, 29)) for j, y in enumerate((0, 5, 13))}
+STREETS = [
+    *(((i, j), (i + 1, j)) for i in range(3) for j in range(3)),
+    *(((i, j), (i, j + 1)) for i in range(4) for j in range(2)),
+]
+"""A grid of streets between corners."""
+
 
 @cache
 def observed(
@@ -55,6 +62,17 @@ def observed(
         if {int(world.source[e]), int(world.target[e])} <= then.truth.detected
     )
     return document, maps, lengths
+
+
+def two_days(*drawn):
+    """The document of the merge of drawn maps, a day from each to the next, that are locked as the
+    same; and the maps by their runs."""
+    maps = {
+        m.run: replace(m, observation_time_ns=m.observation_time_ns + EPOCH_NS + k * DAY_NS)
+        for k, m in enumerate(drawn)
+    }
+    locks = [Lock("monday", "tuesday", "same")]
+    return merged_to_document(merge_maps(list(maps.values()), locks=locks)), maps
 
 
 @pytest.mark.parametrize(("later", "kind"), [(True, ChangeKind.GONE), (False, ChangeKind.NEW)])
@@ -99,24 +117,13 @@ def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
 
 def test_a_corridor_gone_with_the_junction_at_its_end_is_one_change(draw) -> None:
     """Where it left a straight corridor, the later runs drive by without detecting a junction."""
-    corners = {
-        (i, j): (x, y) for i, x in enumerate((0, 7, 16, 29)) for j, y in enumerate((0, 5, 13))
-    }
-    across = [((i, j), (i + 1, j)) for i in range(3) for j in range(3)]
-    up = [((i, j), (i, j + 1)) for i in range(4) for j in range(2)]
     gone, end = ((1, 0), (1, 1)), (1, 0)
-    later = [pair for pair in across + up if end not in pair] + [((0, 0), (2, 0))]
-    left = {name: xy for name, xy in corners.items() if name != end}
-    drawn = [draw("monday", corners, across + up), draw("tuesday", left, later)]
-    maps = {
-        m.run: replace(m, observation_time_ns=m.observation_time_ns + EPOCH_NS + k * DAY_NS)
-        for k, m in enumerate(drawn)
-    }
-    locks = [Lock("monday", "tuesday", "same")]
-    merged = merged_to_document(merge_maps(list(maps.values()), locks=locks))
+    later = [pair for pair in STREETS if end not in pair] + [((0, 0), (2, 0))]
+    left = {name: xy for name, xy in CORNERS.items() if name != end}
+    merged, maps = two_days(draw("monday", CORNERS, STREETS), draw("tuesday", left, later))
     (change,) = changes(MergedDocument.model_validate(merged), 0, maps)
     ends = {tuple(merged["nodes"][j]["members"]["monday"]) for j in change.junctions}
-    assert ends == {(list(corners).index(name),) for name in gone}
+    assert ends == {(list(CORNERS).index(name),) for name in gone}
     assert (change.thing, change.kind, change.sure) == ("corridor", ChangeKind.GONE, True)
     assert [w.run for w in change.between] == ["monday", "tuesday"]
     what, when, who, evidence = change.words("north")
@@ -130,22 +137,11 @@ def test_a_corridor_gone_with_the_junction_at_its_end_is_one_change(draw) -> Non
 def test_a_junction_beside_another_is_not_gone(draw, apart) -> None:
     """Tuesday drives through one of monday's junctions, and knows another one beside it: the fused
     map shows a place twice."""
-    corners = {
-        (i, j): (x, y) for i, x in enumerate((0, 7, 16, 29)) for j, y in enumerate((0, 5, 13))
-    }
-    across = [((i, j), (i + 1, j)) for i in range(3) for j in range(3)]
-    up = [((i, j), (i, j + 1)) for i in range(4) for j in range(2)]
     middle = (1, 1)
-    later = [pair for pair in across + up if middle not in pair]
+    later = [pair for pair in STREETS if middle not in pair]
     later += [((0, 1), (2, 1)), ((1, 0), (1, 2))]
-    left = {name: xy for name, xy in corners.items() if name != middle}
-    drawn = [draw("monday", corners, across + up), draw("tuesday", left, later)]
-    maps = {
-        m.run: replace(m, observation_time_ns=m.observation_time_ns + EPOCH_NS + k * DAY_NS)
-        for k, m in enumerate(drawn)
-    }
-    locks = [Lock("monday", "tuesday", "same")]
-    merged = merged_to_document(merge_maps(list(maps.values()), locks=locks))
+    left = {name: xy for name, xy in CORNERS.items() if name != middle}
+    merged, maps = two_days(draw("monday", CORNERS, STREETS), draw("tuesday", left, later))
     (gone,) = changes(MergedDocument.model_validate(merged), 0, maps)
     assert (gone.thing, gone.kind) == ("junction", ChangeKind.GONE)
     one = merged["nodes"][gone.junctions[0]]

@@ -9,6 +9,7 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.scans.detection import detect
+from topobatch.ingest.scans.keyframes import Keyframes
 from topobatch.ingest.scans.scan import ScanBatch, ScanResult
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry
@@ -148,6 +149,9 @@ def test_a_corridor_without_a_junction_has_a_map() -> None:
     topomap = build_map(Run("r", result.odometry, NO_DETECTIONS, scanned=result.scanned))
     assert len(topomap) == 1
     assert np.ptp(topomap.views.pose[:, 0]) > 30
+    kept: list[Keyframes] = []
+    matched = detect(way, [batch], on_keyframes=kept.append)
+    assert (len(kept), len(matched.scanned.passes), matched.warnings) == (1, 0, ())
     short = drive((0, 0), (9, 0))
     assert len(detect(short, [scans(corridor, short)]).scanned.passes) == 0
 
