@@ -114,6 +114,7 @@ class _Track:
     recorded: list[FloatArray] = field(default_factory=list)
     piece: list[IntArray] = field(default_factory=list)
     fit: list[FloatArray] = field(default_factory=list)
+    loose_m: list[FloatArray] = field(default_factory=list)
     laser: list[IntArray] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
     searched: int = 0
@@ -130,6 +131,7 @@ class _Track:
             self.pose.append(compose(part.pose, off))
             self.piece.append(part.keyframes.piece)
             self.fit.append(part.fit)
+            self.loose_m.append(part.loose_m)
             self.laser.append(part.keyframes.laser)
             self.spans.append(part.spans)
             self.searched += int(part.searched.sum())
@@ -170,6 +172,8 @@ def _result(
             "no junction shows in the scans: the middle of the way stands for one, and only the "
             "walls along it can place the run in others"
         )
+    if recorded is None:
+        warnings.append(_alone(driven, np.concatenate(track.loose_m)))
     noise = matched_noise(track.spans, passes, alone=recorded is None)
     statistics = ScanStatistics(
         scans=counted.scans,
@@ -197,13 +201,33 @@ def _result(
     return ScanResult(odometry, scanned, statistics, (*warnings, *_warnings(statistics)))
 
 
+BARE_M = 0.1
+"""1 sigma of the distance between two keyframes, above which scans alone do not tell it: in `aces`
+the corrected path is 65 m long there, that by the scans 49 m; elsewhere 260 and 257 m."""
+MOST_TOLD = 3
+"""Stretches that a warning lists."""
+
+
+def _alone(driven: Driven, loose_m: FloatArray) -> str:
+    """A warning that there is no odometry, and where the scans do not tell the distance driven."""
+    told = "no odometry beside the scans: each scan was matched to the one before"
+    step = np.diff(driven.way)
+    bare = loose_m[1:] > BARE_M
+    begin, end = np.flatnonzero(np.diff(bare, prepend=False, append=False)).reshape(-1, 2).T
+    way = driven.way[end] - driven.way[begin]
+    if not (way > 0).any():
+        return told
+    longest = np.sort(np.argsort(-way, kind="stable")[:MOST_TOLD])
+    after_s = (driven.time_ns[begin] - driven.time_ns[0]) * 1e-9
+    where = ", ".join(f"{way[k]:.0f} m at {after_s[k]:.0f} s" for k in longest)
+    return (
+        f"{told}; along {step[bare].sum():.0f} of {driven.way[-1]:.0f} m only bare walls are in "
+        f"sight, which leave the distance open; the longest of them: {where} of the log"
+    )
+
+
 def _warnings(statistics: ScanStatistics) -> tuple[str, ...]:
     out = []
-    if not statistics.odometry:
-        out.append(
-            "no odometry beside the scans: each scan was matched to the one before, so that the "
-            "way along bare corridors is not well known"
-        )
     if statistics.covered < LEAST_COVERED and statistics.scans > 1:
         out.append(
             f"along {100 - 100 * statistics.covered:.0f} % of the way scans show too few surfaces "

@@ -42,14 +42,16 @@ class Matched:
     """Keyframes with final poses.
 
     pose: (k, 3) of the laser in the corrected frame; fit: (k,) share of the points that fit the
-    previous keyframe; searched: (k,) whether found by searching; spans: uncertainty of the poses;
-    errors: the learned model of the odometry's errors.
+    previous keyframe; searched: (k,) whether found by searching; loose_m: (k,) as in `PairMotion`,
+    from the previous keyframe; spans: uncertainty of the poses; errors: the learned model of the
+    odometry's errors.
     """
 
     keyframes: Keyframes
     pose: FloatArray
     fit: FloatArray
     searched: BoolArray
+    loose_m: FloatArray
     spans: SpanErrors
     errors: StepErrors
 
@@ -83,7 +85,7 @@ def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
     again in the next one.
     """
     held: Keyframes | None = None
-    solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool))
+    solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool), np.zeros(0))
     final, errors = 0, StepErrors()
     for fresh in in_order(keyframes(posed_scans), MATCHING.window):
         if held is not None:
@@ -101,16 +103,16 @@ def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Solved:
-    """The state of a window's keyframes: poses, fit and whether they were searched for (`Matched`),
-    and the alignment of the window."""
+    """The state of a window's keyframes as in `Matched`, and the alignment of the window."""
 
     pose: FloatArray
     fit: FloatArray
     searched: BoolArray
+    loose_m: FloatArray
     aligned: Aligned | None = None
 
     def since(self, row: int) -> _Solved:
-        return _Solved(self.pose[row:], self.fit[row:], self.searched[row:])
+        return _Solved(self.pose[row:], self.fit[row:], self.searched[row:], self.loose_m[row:])
 
 
 def _solve(
@@ -123,12 +125,13 @@ def _solve(
     new = n - len(known.pose)
     fit = np.concatenate([known.fit, np.ones(new)])
     searched = np.concatenate([known.searched, np.zeros(new, bool)])
+    loose_m = np.concatenate([known.loose_m, np.zeros(new)])
     fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
     pairs = fresh, before[fresh]
     found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), ALIGNMENT)
     sure = found.fit > least_fit
     errors = errors.learned(held, pairs, (found.motion, sure, sure & (found.loose_m < LOOSE_M)))
-    fit[fresh], searched[fresh] = found.fit, found.searched
+    fit[fresh], searched[fresh], loose_m[fresh] = found.fit, found.searched, found.loose_m
     consecutive = np.arange(1, n), np.arange(n - 1)
     raw = Steps(*errors.steps(held, *consecutive))
     guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
@@ -142,7 +145,7 @@ def _solve(
         settings=ALIGNMENT,
         stretch=STRETCH * _lasers(held),
     )
-    return _Solved(aligned.pose, fit, searched, aligned), errors
+    return _Solved(aligned.pose, fit, searched, loose_m, aligned), errors
 
 
 def _lasers(held: Keyframes) -> int:
@@ -198,5 +201,5 @@ def _guess(
 def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:
     assert solved.aligned is not None
     spans = span_errors(solved.aligned, rows, _lasers(held))
-    own = solved.pose[rows], solved.fit[rows], solved.searched[rows]
+    own = solved.pose[rows], solved.fit[rows], solved.searched[rows], solved.loose_m[rows]
     return Matched(take(held, rows), *own, spans, errors)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 
 import numpy as np
@@ -118,6 +119,16 @@ def test_scans_alone() -> None:
     assert np.percentile(drift(result, ROUND, 20.0), 90) < 1.0
     assert result.scanned.noise.along_m_per_sqrt_m > found().scanned.noise.along_m_per_sqrt_m
     assert any("no odometry" in warning for warning in result.warnings)
+
+
+def test_scans_alone_say_where_they_do_not_tell_the_distance() -> None:
+    hall = Building.of((-1, -1, 61, 1), (-1, -1, 1, 12), (59, -1, 61, 12))
+    result = detect(None, [scans(hall, drive((0, 10), (0, 0), (60, 0), (60, 10)))])
+    (told,) = (warning for warning in result.warnings if "no odometry" in warning)
+    # From 15 m behind the first corner to 15 m before the second, at 10 m / 0.6 m/s and on.
+    along, way = (float(n) for n in re.findall(r"along (\d+) of (\d+) m", told)[0])
+    assert along > 0.2 * way
+    assert "the longest of them" in told
 
 
 def test_motion_during_the_sweep_is_taken_out() -> None:
