@@ -88,11 +88,15 @@ def as_alignment(c: Candidate) -> Alignment:
 def agrees(found: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
     """Whether an alignment places b as T_a_b does, within the drift of chained transforms.
 
-    b: (n,) junctions of b, x + iy [m].
+    b: (n,) junctions of b, x + iy [m]. Where views alone match, the overlap may lie anywhere in b.
     """
-    middle = b[found.matched[:, 1]].mean()
+    b = b if len(b) else np.zeros(1, np.complex128)
+    centre = b.mean()
+    matched = b[found.matched[:, 1]]
+    middle = matched.mean() if len(matched) else centre
+    reach = abs(complex(middle - centre)) if len(matched) else float(np.abs(b - centre).max())
     here, there = (_laid(T, middle) for T in (found.transform, T_a_b))
-    gap, reach = abs(complex(here - there)), abs(complex(middle - b.mean()))
+    gap = abs(complex(here - there))
     turn = abs(float(wrap(found.transform[2] - T_a_b[2])))
     return gap < MATCH.place_m + MATCH.drift_per_m * reach and turn < MATCH.turn_rad
 
