@@ -59,6 +59,10 @@ class AlignmentSettings:
     one."""
     better_fit: float = 0.1
     """Least gain in fit for accepting the result of a search."""
+    least_shared: float = 0.35
+    """If the robot turned so far that less of a scan than this looks where the one before looked,
+    the odometry stands: the few walls in common fit at headings that are wrong by 6° to 15°
+    (`benchmarks/inside.py`, half a turn seen every metre)."""
     grain: float = 2.0**-17
     """Poses are rounded to this after every round [m, rad] (8 µm), far below the accuracy of
     matching: solvers differ between processors in the last digits, and gates would amplify that. As
@@ -119,7 +123,10 @@ def match_steps(
     start = steps.motion
     motion, fit, loose_m = _matched(scans, (first, second), (start, start, weak), settings)
     searched = np.zeros(n, bool)
-    lost = np.flatnonzero(fit < settings.lost_fit)
+    shared = _shared(scans, first, second, steps.motion[:, 2])
+    apart = shared < settings.least_shared
+    motion[apart] = settings.rounded(steps.motion)[apart]
+    lost = np.flatnonzero((fit < settings.lost_fit) & ~apart)
     tried = np.arange(-settings.search_rad, settings.search_rad + 1e-9, settings.search_step_rad)
     together = max(1, MOST_POINTS // (len(tried) * scans.beams))
     for some in (lost[k : k + together] for k in range(0, len(lost), together)):
@@ -139,6 +146,17 @@ def match_steps(
         loose_m[at] = found_loose_m.reshape(len(some), -1)[better, best[better]]
         searched[at] = True
     return PairMotion(motion, fit, searched, loose_m)
+
+
+def _shared(scans: Swept, first: IntArray, second: IntArray, turn: FloatArray) -> FloatArray:
+    """(p,) share of the field of view of scans `first` that lies in that of scans `second`, at
+    turns (p,) from these to those [rad]."""
+    width = np.minimum(scans.increment * scans.own_beams, 2 * np.pi)
+    begin = wrap(turn + scans.start[first] - scans.start[second]) % (2 * np.pi)
+    end = begin + width[first]
+    ahead = np.maximum(np.minimum(end, width[second]) - begin, 0.0)
+    around = np.maximum(np.minimum(end - 2 * np.pi, width[second]), 0.0)
+    return np.asarray((ahead + around) / np.maximum(width[first], 1e-9))
 
 
 def _matched(

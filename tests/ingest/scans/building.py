@@ -38,8 +38,20 @@ class Building:
             a, b = np.rint((np.array([x0, y0]) - corner) / CELL_M).astype(int)
             c, d = np.rint((np.array([x1, y1]) - corner) / CELL_M).astype(int)
             free[b:d, a:c] = True
+        return cls._with(free, corner)
+
+    @classmethod
+    def _with(cls, free: NDArray[np.bool_], corner: NDArray[np.float64]) -> Building:
         clear = distance_transform_edt(free) * CELL_M
         return cls(free, corner, clear.astype(np.float32))
+
+    def without(self, *boxes: tuple[float, float, float, float]) -> Building:
+        """With boxes (x, y, width, height) in it."""
+        free = self.free.copy()
+        for x, y, width, height in boxes:
+            a, b = ((np.array([x, y]) - self.corner) / CELL_M).astype(int)
+            free[b : b + int(height / CELL_M), a : a + int(width / CELL_M)] = False
+        return self._with(free, self.corner)
 
     def ranges(self, pose: NDArray[np.float64], angles: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, m) ranges from poses (n, 3), or (n, m, 3) for one per beam; NaN beyond 15 m."""

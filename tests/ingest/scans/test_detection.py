@@ -113,6 +113,27 @@ def test_result_does_not_depend_on_batches_or_the_order_of_beams() -> None:
         )
 
 
+def test_a_robot_that_turned_round_between_two_scans_keeps_its_heading() -> None:
+    rng = np.random.default_rng(6)
+    boxes = rng.uniform((0, -2.8, 0.2, 0.2), (19, 2.5, 0.6, 0.6), (40, 4))
+    aside = np.abs(boxes[:, 1] + boxes[:, 3] / 2) > 0.8
+    hall = Building.of((-1, -3, 21, 3)).without(*boxes[aside].tolist())
+    ends = [
+        (0.0, 0.0),
+        *((x, 0.0) for _ in range(6) for x in rng.uniform((15, 1), (19, 5)).tolist()),
+    ]
+    truth = drive(*ends)
+    whole = scans(hall, truth)
+    # The last scan of every metre: none while it turns on the spot.
+    row = np.flatnonzero(np.diff(np.floor(np.cumsum(truth.step_m))) > 0)
+    apart = ScanBatch(whole.times_ns[row], whole.ranges_m[row], 0.0, whole.angles_rad)
+    result = detect(biased(truth, BIAS), [apart])
+    real, ours = truth.at(result.odometry.time_ns), result.odometry.pose
+    turned = wrap(np.diff(real[:, 2]))
+    assert np.count_nonzero(np.abs(turned) > 3) == 11
+    assert np.abs(wrap(np.diff(ours[:, 2]) - turned)).max() < np.radians(4.0)
+
+
 def test_scans_alone() -> None:
     result = detect(None, parts(seen(), 100))
     assert not result.statistics.odometry
