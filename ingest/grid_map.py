@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+from scipy.ndimage import binary_dilation, label
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.connected import connected
@@ -30,6 +30,7 @@ from .scans.floorplan import (
     Place,
     skeleton_graph,
 )
+from .scans.open_space import distance
 from .scans.views import grid_views, too_large
 
 GRID_NOISE = RunNoise(
@@ -57,20 +58,28 @@ def map_of_grid(log: GridLog, settings: FloorplanSettings = FLOORPLAN) -> TopoMa
     """The topological map of the largest connected component of a grid's free space.
 
     It has no observations, and corridors without traversals. Where small obstacles hide all
-    junctions, they make junctions. Raises DataError if there is no junction. O(cells log cells).
+    junctions, they make junctions. Without any the widest place stands for one; raises DataError
+    if there is no space for one. O(cells log cells).
     """
     grid, large = lattice(_cropped(log.grid))
     warnings = (*log.warnings, *large)
     tried, (places, corridors, blocked) = _best_plan(grid, settings)
     if not any(place.kind in ("junction", "room") for place in places):
-        raise DataError(
-            f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
-            f"{int(grid.free.sum())} of them free, shows no junction and no room; "
-            + "; ".join((*large, "nothing can be mapped"))
-            + f" (with --robot-radius {settings.skeleton.clearance_m:g}: smaller robots fit "
-            "through narrower doors)"
+        widest = _widest(grid)
+        if widest is None:
+            raise DataError(
+                f"run {log.name}: the grid of {grid.free.shape[1]} x {grid.free.shape[0]} cells, "
+                f"{int(grid.free.sum())} of them free, shows no junction and no room; "
+                + "; ".join((*large, "nothing can be mapped"))
+                + f" (with --robot-radius {settings.skeleton.clearance_m:g}: smaller robots fit "
+                "through narrower doors)"
+            )
+        tried, places, corridors = settings, (widest,), ()
+        warnings += (
+            "no junction and no room behind a door shows in the grid: its widest place stands for "
+            "one, and only the walls around can place the map in others",
         )
-    if tried.skeleton.clearance_m < settings.skeleton.clearance_m:
+    elif tried.skeleton.clearance_m < settings.skeleton.clearance_m:
         warnings += (
             f"no junction for a robot of {settings.skeleton.clearance_m:g} m radius; mapped for "
             f"one of {tried.skeleton.clearance_m:g} m, which fits through narrower doors",
@@ -141,6 +150,23 @@ def _best_plan(grid: Grid, settings: FloorplanSettings) -> tuple[FloorplanSettin
         if "junction" in kinds:
             break
     return best
+
+
+LEAST_M2 = 20.0
+"""Least free area of a map without a junction: a room, a tenth of a view."""
+
+
+def _widest(grid: Grid) -> Place | None:
+    """The widest place of the largest part of the free space, as a room; None if it is small."""
+    parts, _ = label(grid.free)
+    area_m2 = np.bincount(parts[grid.free], minlength=2) * grid.resolution_m**2
+    part = int(area_m2.argmax())
+    if area_m2[part] < LEAST_M2:
+        return None
+    away = distance(parts == part, grid.resolution_m)
+    row, column = np.unravel_index(int(away.argmax()), away.shape)
+    xy = (np.array([column, row]) + 0.5) * grid.resolution_m
+    return Place(xy, np.zeros(0), "room", 1.0, area_m2=float(area_m2[part]))
 
 
 def lattice(grid: Grid) -> tuple[Grid, list[str]]:

@@ -115,6 +115,18 @@ def test_a_grid_without_junctions(tmp_path: Path) -> None:
             map_of_grid(GridLog("x", Grid(free, ~free, 0.1, (0.0, 0.0, 0.0)), {}))
 
 
+def test_the_widest_place_stands_for_a_hall_without_junctions() -> None:
+    free = np.zeros((220, 320), bool)
+    free[10:210, 10:310] = True
+    hall = map_of_grid(GridLog("hall", Grid(free, ~free, 0.05, (3.0, 4.0, 0.0)), {}))
+    assert hall.kind == ("room",)
+    assert hall.area_m2 == pytest.approx([150.0])
+    assert np.abs(hall.xy - (3 + 8, 4 + 5.5)).max() < 2.6
+    assert len(hall.views) > 0
+    (told,) = hall.info["warnings"]
+    assert "its widest place stands for one" in told
+
+
 def test_the_origin_places_the_map() -> None:
     grid = grid_of(make_world("maze", 20, 4))
     plain = topomap("a", grid._replace(origin=(0.0, 0.0, 0.0)))
