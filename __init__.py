@@ -6,9 +6,9 @@
     result = topobatch.merge(maps)
     graph = topobatch.to_networkx(result)
 
-`ingest`, `read_map`, `merge`, `to_networkx` and `Workspace` are described in docs/library.md and by
-their docstrings. Importing the package does nothing but define names; they are loaded when they are
-used, and the heavy libraries (rerun, rosbags, scipy.optimize) by the functions that need them.
+All names are described in docs/library.md and by their docstrings. Importing the package does
+nothing but define names; they are loaded when they are used, and the heavy libraries (rerun,
+rosbags, scipy.optimize) by the functions that need them.
 """
 
 from __future__ import annotations
@@ -21,9 +21,35 @@ if TYPE_CHECKING:
     from collections.abc import Callable
     from inspect import Signature
 
-    from .cli.library import Workspace, ingest, merge, read_map, to_networkx
+    from .cli.library import (
+        Workspace,
+        changes,
+        draw,
+        explain,
+        export,
+        ingest,
+        merge,
+        next_drives,
+        read_map,
+        site_map,
+        to_dataframe,
+        to_networkx,
+    )
 
-__all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
+__all__ = [
+    "Workspace",
+    "changes",
+    "draw",
+    "explain",
+    "export",
+    "ingest",
+    "merge",
+    "next_drives",
+    "read_map",
+    "site_map",
+    "to_dataframe",
+    "to_networkx",
+]
 
 _ALSO_FOLDERS = ("ingest", "merge")
 

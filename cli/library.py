@@ -16,11 +16,27 @@ from .workspace import Workspace
 
 if TYPE_CHECKING:
     from ..ingest.read_settings import Stamp, Way
+    from ..merge.change import Change
+    from ..merge.drive import Drive
     from ..merge.locks import Lock
-    from ..merge.result import MergeResult
+    from ..merge.merged_schema import MergedDocument
+    from ..merge.result import Component, MergeResult
     from ..topology.topomap import TopoMap
 
-__all__ = ["Workspace", "ingest", "merge", "read_map", "to_networkx"]
+__all__ = [
+    "Workspace",
+    "changes",
+    "draw",
+    "explain",
+    "export",
+    "ingest",
+    "merge",
+    "next_drives",
+    "read_map",
+    "site_map",
+    "to_dataframe",
+    "to_networkx",
+]
 
 
 def ingest(
@@ -248,6 +264,235 @@ def to_networkx(graph: TopoMap | MergeResult) -> Any:
         return nx.node_link_graph(merged_to_document(graph), edges="edges")
     document = map_to_document(graph)
     return nx.node_link_graph(document, edges="edges")
+
+
+def site_map(result: MergeResult, maps: Iterable[TopoMap], run: str) -> TopoMap:
+    """The merged map of the site that a run is part of, as one map.
+
+    Parameters
+    ----------
+    result, maps
+        A merge, and the maps that it merged.
+    run
+        Any run of the site.
+
+    Returns
+    -------
+    TopoMap
+        In the frame of the site, called like it.
+
+    Raises
+    ------
+    UsageError
+        The run was not merged.
+    """
+    from ..merge.component_map import component_map
+
+    component = _component_of(result, run)
+    own = {m.run: m for m in maps if m.run in component.poses}
+    return component_map(_document(result), component.id, component.name, own)
+
+
+def explain(result: MergeResult, maps: Iterable[TopoMap], a: str, b: str) -> str:
+    """Why two runs were merged or not: the evidence line by line, as ``topobatch explain``.
+
+    Parameters
+    ----------
+    result, maps
+        A merge by the default settings, and the maps that it merged.
+    a, b
+        Two of its runs.
+
+    Returns
+    -------
+    str
+        Several lines.
+
+    Raises
+    ------
+    UsageError
+        One of the runs was not merged.
+    """
+    from ..merge.decision_text import lines
+    from ..merge.robust.explained import Merge
+    from ..merge.robust.explained import explain as decision_of
+
+    for run in (a, b):
+        _component_of(result, run)
+    by_run = {m.run: m for m in maps}
+    with _on_one_thread():
+        return "\n".join(lines(decision_of(Merge.of(result, by_run.__getitem__), a, b)))
+
+
+def changes(result: MergeResult, maps: Iterable[TopoMap]) -> tuple[Change, ...]:
+    """What is there in some runs of a site and not in others, beyond chance.
+
+    Parameters
+    ----------
+    result, maps
+        A merge, and the maps that it merged.
+
+    Returns
+    -------
+    tuple of Change
+        Site by site, by decreasing evidence; ``words(site)`` of each are its description.
+    """
+    from ..merge.changes import changes as changes_of
+
+    by_run, document = {m.run: m for m in maps}, _document(result)
+    several = [c for c in result.components if len(c.poses) > 1]
+    found = [changes_of(document, c.id, {run: by_run[run] for run in c.poses}) for c in several]
+    return tuple(change for some in found for change in some if change.sure)
+
+
+def next_drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:
+    """What to record next, so that more runs come together, best first.
+
+    Parameters
+    ----------
+    result
+        A merge.
+    most
+        How many drives to propose.
+
+    Returns
+    -------
+    tuple of Drive
+        ``words`` of each are where it is and what it would settle, ``path`` is its way.
+    """
+    from ..merge.drives import drives
+
+    return drives(result, most)
+
+
+class Picture(str):
+    """A picture as the text of an SVG, which notebooks show."""
+
+    def _repr_svg_(self) -> str:
+        return str(self)
+
+
+def draw(
+    graph: TopoMap | MergeResult,
+    maps: Iterable[TopoMap] = (),
+    *,
+    theme: Literal["light", "dark"] = "light",
+) -> Picture:
+    """A map, or all sites of a merge, as a picture.
+
+    Parameters
+    ----------
+    graph
+        A map, or the result of a merge.
+    maps
+        The maps that were merged: their walls are drawn below, where lasers saw any.
+    theme
+        For light paper or a dark screen.
+
+    Returns
+    -------
+    Picture
+        The text of an SVG. Notebooks show it; ``Path("maze.svg").write_text(...)`` keeps it.
+
+    Examples
+    --------
+    >>> import topobatch
+    >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
+    >>> topobatch.draw(maze)[:5]
+    '<?xml'
+    """
+    from ..merge.result import MergeResult
+    from ..viz import draw as drawings
+    from ..viz.palette import DARK, LIGHT
+    from .draw import quiet_fonts
+
+    quiet_fonts()
+    colours = DARK if theme == "dark" else LIGHT
+    if isinstance(graph, MergeResult):
+        canvas = drawings.draw_merged(graph, colours, maps={m.run: m for m in maps})
+    else:
+        canvas = drawings.draw_map(graph, colours)
+    return Picture(canvas.as_bytes("svg").decode())
+
+
+def export(topomap: TopoMap, form: str) -> dict[str, str]:
+    """A map in a format that others load (docs/exports.md).
+
+    Parameters
+    ----------
+    topomap
+        The map of a run, or of a site (`site_map`).
+    form
+        ``"nav2"``, ``"lif"``, ``"rmf"``, ``"tmap2"``, ``"graphml"`` or ``"csv"``.
+
+    Returns
+    -------
+    dict
+        The text of each file, by its ending.
+
+    Raises
+    ------
+    UsageError
+        There is no such format, or it needs more than a map.
+    """
+    from ..topology.errors import UsageError
+    from ..viz.exports import MAP_FORMATS, MAX_ERROR_M
+
+    if form not in MAP_FORMATS:
+        raise UsageError(f"no map is exported as {form!r}: {', '.join(MAP_FORMATS)}")
+    return {ending: text(topomap, MAX_ERROR_M) for ending, text in MAP_FORMATS[form].items()}
+
+
+def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junctions") -> Any:
+    """The junctions or the corridors of a map as a table.
+
+    Parameters
+    ----------
+    topomap
+        The map of a run, or of a site (`site_map`).
+    of
+        Which of the two.
+
+    Returns
+    -------
+    pandas.DataFrame, or pyarrow.Table where pandas is not installed
+        The columns of ``topobatch export --format csv``.
+
+    Examples
+    --------
+    >>> import topobatch
+    >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
+    >>> len(topobatch.to_dataframe(maze, "corridors"))
+    29
+    """
+    import io
+    from importlib.util import find_spec
+
+    from pyarrow import csv
+
+    text = export(topomap, "csv")[f".{of}.csv"]
+    table = csv.read_csv(io.BytesIO(text.encode()))
+    return table.to_pandas() if find_spec("pandas") else table
+
+
+def _component_of(result: MergeResult, run: str) -> Component:
+    """The component that a run is part of."""
+    from ..topology.errors import UsageError
+    from ..topology.wording import listed
+
+    for component in result.components:
+        if run in component.poses:
+            return component
+    merged = sorted(run for c in result.components for run in c.poses)
+    raise UsageError(f"no run {run!r} was merged; there are {listed(merged, 12)}")
+
+
+def _document(result: MergeResult) -> MergedDocument:
+    from ..merge.document import merged_to_document
+    from ..merge.merged_schema import MergedDocument
+    from ..topology.map_schema import validated
+
+    return validated(MergedDocument, merged_to_document(result), "the merge")
 
 
 def _on_one_thread() -> AbstractContextManager[object]:

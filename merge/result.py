@@ -27,6 +27,7 @@ from ..topology.topomap import (
     TopoMap,
 )
 from ..topology.views import Views
+from ..topology.wording import counted
 
 T = TypeVar("T")
 
@@ -391,6 +392,13 @@ class MergeResult:
         count[Standing.JOINED] += rest.joined
         count[Standing.UNRELATED] += rest.unrelated + rest.screened
         return {standing: count[standing] for standing in Standing}
+
+    def __repr__(self) -> str:
+        """One line."""
+        runs = sum(len(c.poses) for c in self.components)
+        pairs = ", ".join(f"{n} {standing}" for standing, n in self.standings().items() if n)
+        sites = counted(len(self.components), "site")
+        return f"<merge of {counted(runs, 'run')}: {sites}; pairs: {pairs or 'none'}>"
 
     @property
     def threshold_bits(self) -> float | None:

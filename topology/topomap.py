@@ -14,6 +14,7 @@ from .passes import NO_BRANCH
 from .ragged import Ragged
 from .turning_points import KINDS, NO_TURNING_POINTS, TurningPoints
 from .views import NO_VIEWS, Views
+from .wording import counted
 
 VERTEX_COLUMNS = ("xy", "branches", "kind")
 EDGE_COLUMNS = (
@@ -193,6 +194,11 @@ class TopoMap(Graph):
             turned.branch >= self.branches.counts[turned.vertex]
         ):
             raise ValueError("a turning point names a vertex or a branch that does not exist")
+
+    def __repr__(self) -> str:
+        """One line: an array of a map fills a page."""
+        corridors = f"{counted(len(self.source), 'corridor')} of {self.length.sum():.0f} m"
+        return f"<map of {self.run}: {counted(len(self), 'junction')}, {corridors}>"
 
     def _check_certainty(self, n: int) -> None:
         if self.position_sigma is not None:

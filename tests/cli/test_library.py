@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import json
 import re
 import shutil
 import subprocess
@@ -134,3 +135,30 @@ def test_calls_that_cannot_be(tmp_path) -> None:
         topobatch.merge([], false_merge_rate=2.0)
     with pytest.raises(TopobatchError):
         topobatch.read_map(tmp_path / "nowhere.json")
+
+
+def test_the_notebook_runs(monkeypatch, capsys) -> None:
+    cells = json.loads((ROOT / "docs" / "tour.ipynb").read_text())["cells"]
+    monkeypatch.chdir(ROOT)
+    names: dict[str, object] = {}
+    for cell in cells:
+        if cell["cell_type"] == "code":
+            exec("".join(cell["source"]), names)  # as a notebook does
+    assert repr(names["maps"]).startswith("(<map of maze-1: 26 junctions, 29 corridors of 156 m>")
+    assert repr(names["result"]).startswith("<merge of 4 runs: 2 sites; pairs: 2 merged")
+    assert "12 junctions and 13 corridors agree" in capsys.readouterr().out
+    picture = topobatch.draw(names["result"], names["maps"])
+    assert picture._repr_svg_().startswith("<?xml")
+    assert names["graph"].startswith('{"type": "FeatureCollection"')
+    assert len(topobatch.to_dataframe(names["maze"])) == len(names["maze"])
+
+
+def test_what_a_merge_does_not_have_is_said() -> None:
+    from topobatch.topology.errors import UsageError
+
+    (maze,) = topobatch.ingest(ROOT / "sample_logs" / "maze-1.mcap")
+    result = topobatch.merge([maze])
+    with pytest.raises(UsageError, match="no run 'lab' was merged; there are maze-1"):
+        topobatch.explain(result, [maze], "maze-1", "lab")
+    with pytest.raises(UsageError, match="no map is exported as 'dxf': nav2"):
+        topobatch.export(maze, "dxf")
