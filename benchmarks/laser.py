@@ -415,7 +415,10 @@ def _visits(inside: NDArray[np.bool_], way: FloatArray) -> list[tuple[float, flo
 
 
 def closure(log: Log, result: ScanResult, topomap: TopoMap) -> str:
-    row = np.searchsorted(result.scanned.passes.time_ns, topomap.observation_time_ns)
+    times = topomap.observation_time_ns
+    # Two junctions may be passed at one moment.
+    again = np.arange(len(times)) - np.searchsorted(times, times)
+    row = np.searchsorted(result.scanned.passes.time_ns, times) + again
     centre = true_centres(log, result)[np.minimum(row, len(result.scanned.passes) - 1)]
     home = topomap.observation_vertex
     a, b = np.triu_indices(len(home), 1)
