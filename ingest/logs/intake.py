@@ -30,6 +30,9 @@ MOST_KEPT, BYTES_PER_POSE = 1 << 19, 40
 """Most poses of a topic that are kept in space, and bytes of a log for each further one: kept and
 sorted they take some 400 bytes, a message with four of them and its odometry far more than 160."""
 
+MOST_SINKS = 1 << 12
+"""Most channels of one log that are kept: with few messages, one takes some 25 kB."""
+
 FARTHEST = 1e9
 """Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
@@ -258,6 +261,8 @@ class Intake:
         number = UNWANTED
         if self._accept(channel):
             try:
+                if len(self.sinks) == MOST_SINKS:
+                    raise DamageError(f"more than {MOST_SINKS} topics, which is the limit")
                 decoder = self._decoder(channel)
                 self.sinks.append(Sink(channel, decoder, self._whole(channel), self.most))
                 number = len(self.sinks) - 1
