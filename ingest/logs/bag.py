@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import IntArray
-from .channels import NUMBERS, TOO_MANY, Channels
-from .chunks import RECORD_BYTES, Chunk, ChunkedLog, Index, Read, Scan, reader_of
+from .channels import NUMBERS, TOO_MANY
+from .chunks import RECORD_BYTES, Chunk, Index, Read, Scan, reader_of
 from .columns import Shape, column, gather, words
 from .inflate import WHOLE_BYTES
 from .messages import (
@@ -24,12 +23,11 @@ from .messages import (
     Bytes,
     Channel,
     DamageError,
-    Findings,
     normal_topic,
     normal_type,
     text,
 )
-from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source
 from .walk import bag_records
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -162,31 +160,11 @@ def _channel(record: Record, data: bytes) -> Channel:
     )
 
 
-class BagFile(ChunkedLog):
-    """One ROS 1 bag of format 2.0, uncompressed, bz2 or lz4."""
-
-    @cached_property
-    def index(self) -> Index | None:
-        """The index section of a closed bag, None if it is missing or wrong."""
-        with open_source(self.path) as source:
-            try:
-                return _read_index(source)
-            except DamageError:
-                return None
-
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> BagScan:
-        start = self.index.start if self.index is not None else None
-        return BagScan(source, channels, findings, start)
-
-
 class BagScan(Scan):
-    """One scan of a bag. index_at: where its index begins, None without one."""
+    """One scan of a bag, uncompressed, bz2 or lz4."""
 
-    def __init__(
-        self, source: Source, channels: Channels, findings: Findings, index_at: int | None
-    ) -> None:
-        super().__init__(source, channels, findings)
-        self._index_at = index_at
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
         self._template: HeadTemplate | None = None
         self._headers: set[bytes] = set()
         self._described = DESCRIBED
@@ -194,7 +172,7 @@ class BagScan(Scan):
     def all(self) -> Iterator[Chunk]:
         """All chunks up to the index, and runs of records outside of them."""
         position = len(MAGIC)
-        stop = self._source.size if self._index_at is None else self._index_at
+        stop = self._source.size if self._index is None else self._index.start
         while position < stop:
             record = record_at(self._source.read, position)
             chunk = _chunk(record) if record is not None else None
@@ -216,7 +194,7 @@ class BagScan(Scan):
                 yield Chunk("", position, size, size)
                 position += size
             else:
-                if record.op == BAG_HEADER and self._index_at is None:
+                if record.op == BAG_HEADER and self._index is None:
                     self._unclosed(record)
                 position = record.end
 
@@ -383,7 +361,7 @@ class HeadTemplate(NamedTuple):
         return column(heads, "<u4", self.conn_at), time
 
 
-def _read_index(source: Source) -> Index | None:
+def read_index(source: Source) -> Index | None:
     """The index of a bag, None if it is missing or inconsistent with the bag's header; raises
     DamageError."""
     header = record_at(source.read, len(MAGIC))

@@ -6,16 +6,18 @@ They are read and decompressed ahead of the decoding, checked, and skipped if th
 
 from __future__ import annotations
 
+import struct
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import IntArray
+from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from ..remote.source import Ranges
 from .channels import Channels
@@ -39,11 +41,14 @@ from .messages import (
     Channel,
     DamageError,
     Findings,
+    Passed,
     Progress,
     Survey,
     Want,
 )
-from .source import SLAB_BYTES, RemoteSource, Source, open_source
+from .source import SLAB_BYTES, Source, open_source
+
+ALLOW_SCAN = "--allow-scan"
 
 THREADS = 2
 """Threads that decompress: reading, decompression and checksums release the interpreter's lock."""
@@ -103,20 +108,25 @@ class Index(NamedTuple):
     start: int
 
 
-class ChunkedLog(ABC):
-    """One log in chunks."""
+class ChunkedLog:
+    """One log in chunks. read_index: gives the index of a format, None if there is none; scan: the
+    scan of that format."""
 
-    def __init__(self, path: LogPath) -> None:
+    def __init__(
+        self, path: LogPath, read_index: Callable[[Source], Index | None], scan: type[Scan]
+    ) -> None:
         self.path = path
+        self._read_index = read_index
+        self._scan = scan
 
-    @property
-    @abstractmethod
+    @cached_property
     def index(self) -> Index | None:
         """The file's index, None if it has none or a damaged one."""
-
-    @abstractmethod
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> Scan:
-        """A new scan of the file."""
+        with open_source(self.path) as source:
+            try:
+                return self._read_index(source)
+            except (DamageError, struct.error):
+                return None
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Message counts by the index."""
@@ -154,23 +164,38 @@ class ChunkedLog(ABC):
     ) -> Iterator[Block]:
         """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
         keep_freed_memory()
-        with open_source(self.path, progress) as source:
+        with open_source(self.path) as source:
             channels, needed = self._channels(want, findings)
-            if isinstance(source, RemoteSource) and isinstance(needed, str):
-                source.check_scan(needed)
-            scan = self._scan(source, channels, findings)
             whole = isinstance(needed, str)
-            with source.ahead([(0, source.size)] if isinstance(needed, str) else needed):
-                yield from scan.blocks(scan.all() if isinstance(needed, str) else scan.some(needed))
+            if isinstance(needed, str):
+                if isinstance(self.path, RemotePath) and not self.path.allow_scan:
+                    raise LogError(
+                        f"{self.path}: {needed}, so that all of its {source.size:,} bytes would "
+                        f"have to be read; {ALLOW_SCAN} does that"
+                    )
+                needed = [(0, source.size)]
+            passed = Passed(progress)
+            scan = self._scan(source, channels, findings, passed, self.index)
+            with source.ahead(needed):
+                yield from scan.blocks(scan.all() if whole else scan.some(needed))
             channels.finish(self.index.counts if self.index is not None else {}, by_index=not whole)
-            source.passed(source.size)
+            passed.passed(source.size)
 
 
 class Scan(ABC):
     """One scan over the records of a chunked log."""
 
-    def __init__(self, source: Source, channels: Channels, findings: Findings) -> None:
+    def __init__(
+        self,
+        source: Source,
+        channels: Channels,
+        findings: Findings,
+        passed: Passed,
+        index: Index | None,
+    ) -> None:
         self.findings = findings
+        self._passed = passed
+        self._index = index
         self._source = source
         self._channels = channels
         self._allowance = Allowance()
@@ -256,7 +281,7 @@ class Scan(ABC):
             self._fault("chunk", f"left out by a limit: {damage}")
         except DamageError as damage:
             self._fault("damaged chunk", f"skipped: {damage}")
-        self._source.passed(chunk.at + chunk.packed)
+        self._passed.passed(chunk.at + chunk.packed)
 
     def _fault(self, noun: str, rest: str, count: int = 1) -> None:
         self.findings.faults[noun, rest] += count

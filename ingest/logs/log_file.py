@@ -13,10 +13,11 @@ from pathlib import Path
 from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from .bag import MAGIC as BAG_MAGIC
-from .bag import BagFile
+from .bag import BagScan, read_index
+from .chunks import ChunkedLog
 from .inflate import WINDOW_BYTES, ZSTD_MAGIC
 from .mcap import MAGIC as MCAP_MAGIC
-from .mcap import McapFile
+from .mcap import McapScan, read_summary
 from .messages import Container
 from .saved_map import is_saved_map
 from .sqlite import MAGIC as SQLITE_MAGIC
@@ -111,9 +112,9 @@ class LogFile:
 
 def _container(path: LogPath, kind: str | None) -> Container:
     if kind == "mcap":
-        return McapFile(path)
+        return ChunkedLog(path, read_summary, McapScan)
     if kind == "bag":
-        return BagFile(path)
+        return ChunkedLog(path, read_index, BagScan)
     if kind == "sqlite3":
         return SqliteFile(_here(path, "a database can only be read as a whole"))
     raise LogError(f"{path}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, Channels
-from .chunks import RECORD_BYTES, Chunk, ChunkedLog, Index, Read, Scan
+from .chunks import RECORD_BYTES, Chunk, Index, Read, Scan
 from .columns import column, gather, words
 from .inflate import checksum
 from .messages import (
@@ -27,7 +27,7 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source
 from .walk import mcap_records
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -66,31 +66,12 @@ _KNOWN = np.array([0 < op <= DATA_END or op >= PRIVATE for op in range(256)])
 """Which opcodes a record may have."""
 
 
-class McapFile(ChunkedLog):
-    """One MCAP file of any profile."""
-
-    @cached_property
-    def index(self) -> Index | None:
-        """The summary section, None unless it is complete and its checksum right."""
-        with open_source(self.path) as source:
-            try:
-                return _read_summary(source)
-            except (DamageError, struct.error):
-                return None
-
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> McapScan:
-        return McapScan(source, channels, findings, self.index is None)
-
-
 class McapScan(Scan):
-    """One scan of a file. summary_lost: whether it has no summary, or one that is damaged."""
+    """One scan of an MCAP file of any profile."""
 
-    def __init__(
-        self, source: Source, channels: Channels, findings: Findings, summary_lost: bool
-    ) -> None:
-        super().__init__(source, channels, findings)
-        self._summary_lost = summary_lost
-        self._definitions = Definitions(channels)
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
+        self._definitions = Definitions(self._channels)
 
     def all(self) -> Iterator[Chunk]:
         """All chunks, and runs of records outside of them."""
@@ -118,7 +99,7 @@ class McapScan(Scan):
             if chunk is not None:
                 yield chunk
             elif op == FOOTER and end + len(MAGIC) == stop:
-                if self._summary_lost and _U64(head, RECORD_HEAD)[0]:
+                if self._index is None and _U64(head, RECORD_HEAD)[0]:
                     self.findings.note("the summary is damaged")
                 return
             position = end
@@ -292,7 +273,7 @@ def _strings(body: bytes, at: int, count: int) -> list[bytes]:
 # The summary
 
 
-def _read_summary(source: Source) -> Index | None:
+def read_summary(source: Source) -> Index | None:
     """The summary of a file, None if there is none; raises DamageError and struct.error."""
     footer = source.size - FOOTER_BYTES
     tail = source.read(footer, FOOTER_BYTES) if footer >= len(MAGIC) else b""

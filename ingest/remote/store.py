@@ -29,7 +29,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 TAIL_MOST = 1 << 19
-"""Limit on the end of an object that is requested without its size, or kept with its path."""
+"""Limit on the end of an object that is requested first."""
 
 MOST_KEYS = 1 << 22
 """Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
@@ -181,7 +181,7 @@ def store(root: str) -> ObjectStore:
             "connect_timeout": timedelta(seconds=patience.connect_s),
             "read_timeout": timedelta(seconds=patience.read_s),
             "timeout": timedelta(seconds=patience.request_s),
-            **({"allow_http": True} if _plain_http(root) else {}),
+            "allow_http": True,  # for who names an address or endpoint that begins so
         },
         retry_config={
             "max_retries": patience.retries,
@@ -196,21 +196,6 @@ def store(root: str) -> ObjectStore:
 
 
 PATIENCE = Patience()
-
-_ENDPOINTS = {
-    "s3": ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"),
-    "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
-    "gs": ("GOOGLE_SERVICE_ACCOUNT_KEY",),
-}
-
-
-def _plain_http(root: str) -> bool:
-    """Whether the address, or the environment's endpoint, is http:// explicitly."""
-    import os
-
-    scheme = root.partition("://")[0]
-    named = [root, *(os.environ.get(name, "") for name in _ENDPOINTS.get(scheme, ()))]
-    return any("http://" in url for url in named)
 
 
 @contextmanager
