@@ -123,18 +123,14 @@ def record_at(read: Read, position: int) -> Record | None:
         head = read(position, size + 8)
         if size + 8 > len(head):
             return None
-    record = _record(head, size, position)
-    return record if record is not None and _is_sound(record) else None
-
-
-def _record(head: bytes, size: int, position: int) -> Record | None:
     try:
         fields = _fields(head[4 : 4 + size])
     except DamageError:
         return None
     op = fields.get(b"op", b"")
     data_at, data_size = position + 8 + size, _U32(head, 4 + size)[0]
-    return Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
+    record = Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
+    return record if _is_sound(record) else None
 
 
 def _is_sound(record: Record) -> bool:
@@ -244,18 +240,13 @@ class BagScan(Scan):
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return bag_records(data)
 
-    def _head(self, data: Bytes) -> tuple[int, int]:
+    def _record_size(self, data: Bytes) -> int:
         record = record_at(reader_of(data), 0)
-        if record is None or record.op not in (MESSAGE, CONNECTION):
-            return 0, NUMBERS
-        return record.end, record.number(b"conn") if record.op == MESSAGE else NUMBERS
+        return record.end if record is not None and record.op in (MESSAGE, CONNECTION) else 0
 
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         conn, time, size_at, others = self._columns(data, where)
-        extra = self._one_by_one(data, others)
-        if extra:
-            columns = np.stack([conn, time, size_at])
-            conn, time, size_at = np.hstack([columns, np.array(extra, np.int64).T])
+        self._describe(data, others)
         if len(conn) == 0:
             return
         size = words(data, "<u4", size_at).astype(np.int64)
@@ -292,10 +283,8 @@ class BagScan(Scan):
                 return HeadTemplate.of(data[place : record.data_at - 4].tobytes())
         return None
 
-    def _one_by_one(self, data: Bytes, places: IntArray) -> list[tuple[int, int, int]]:
-        """Read connections, and messages whose header is not like the template's: connection, time
-        and position of the payload's size."""
-        out = []
+    def _describe(self, data: Bytes, places: IntArray) -> None:
+        """Read connections; other records, and messages unlike the template, count as damaged."""
         for place in places.tolist():
             size = _U32(data.data, place)[0]
             head = data[place : place + 4 + size].tobytes()
@@ -306,19 +295,14 @@ class BagScan(Scan):
                 self.findings.note(TOO_MANY)
                 break
             record = record_at(reader_of(data), place)
-            if record is not None and record.op == MESSAGE:
-                conn, time_ns = record.number(b"conn"), record.time_ns(b"time")
-                out.append((conn, time_ns, record.data_at - 4))
-                continue
             try:
                 if record is None or record.op != CONNECTION:
-                    raise DamageError("no record of a chunk")
+                    raise DamageError("no record of a chunk, or unlike the others")
                 channel = _channel(record, data[record.data_at : record.end].tobytes())
                 self._channels.describe(record.number(b"conn"), channel)
                 self._headers.add(head)
             except DamageError:
                 self._fault(*UNREADABLE, size)
-        return out
 
 
 def _chunk(record: Record) -> Chunk | None:

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
 from .messages import UNKNOWN, UNWANTED, Channel, Findings, Want
-from .topics import longest_message
 
 NUMBERS = 1 << 16
 """Channels have numbers below this."""
@@ -79,20 +78,6 @@ class Channels:
             (sink, parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts)))
             for sink, parts in rows.items()
         ]
-
-    def takes(self, number: int, size: int) -> bool:
-        """Whether a record above the usual limit is used; a message that is not counts as met."""
-        if number >= NUMBERS:
-            self._findings.note(TOO_MANY)
-            return False
-        wanted = self._sink_of(number) >= 0
-        longest = longest_message(self.described[number]) if wanted else 0
-        if size <= longest:
-            return True
-        self._met[number] += 1
-        if wanted:
-            self._findings.too_large(self.described[number].topic, longest)
-        return False
 
     def finish(self, declared: Mapping[int, int], *, by_index: bool) -> None:
         """Convert the counts to findings.

@@ -27,7 +27,7 @@ FIELDS = 256
 
 MOST_POINTS = 1 << 21
 """Largest cloud: a depth image of 1920 by 1080 pixels, or ten turns of the scanner with the most
-beams. Of how many bytes it may be: `topics.CLOUD_BYTES`."""
+beams. Of how many bytes it may be: `messages.MESSAGE_BYTES`."""
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""

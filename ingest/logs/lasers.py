@@ -19,9 +19,9 @@ from .clouds import Cloud, foxglove_cloud, wire_cloud
 from .columns import Shape
 from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit_quaternion
 from .inflate import SLICE_BYTES, unpacked
-from .messages import LATEST_NS, MESSAGE_BYTES, Block, Bytes, Channel, DamageError
+from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
 from .schema import as_expected
-from .topics import CLOUD_BYTES, CLOUD_KINDS
+from .topics import CLOUD_KINDS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
 MOST_BEAMS = 1 << 16
@@ -280,13 +280,13 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     if serialized and scan and as_expected(channel, "laser_scan"):
         return TemplateDecoder(partial(_Template.of, ros1), _Template.scans, _in_order)
     if serialized and channel.type_name == "sensor_msgs/msg/PointCloud2":
-        return OneByOne(lambda raw: slicer(wire_cloud(raw, ros1)), _together, CLOUD_BYTES)
+        return OneByOne(lambda raw: slicer(wire_cloud(raw, ros1)), _together, MESSAGE_BYTES)
     read = object_reader(channel)
     if channel.type_name in CLOUD_KINDS:
         return OneByOne(lambda raw: slicer(foxglove_cloud(read(raw))), _together)
     many = channel.type_name == "sensor_msgs/msg/MultiEchoLaserScan"
     return OneByOne(
-        lambda raw: object_scan(read(raw)), _together, ECHOES_BYTES if many else MESSAGE_BYTES
+        lambda raw: object_scan(read(raw)), _together, ECHOES_BYTES if many else OBJECT_BYTES
     )
 
 
@@ -303,7 +303,7 @@ class ScanIntake:
 
     def __init__(self, channel: Channel, slicer: Slicer) -> None:
         self._decoder = scan_decoder(channel, slicer)
-        self._cdr = channel.encoding == "cdr"
+        self._encoding = channel.encoding
         self._unpacked = 0
         self.messages = 0
 
@@ -324,8 +324,7 @@ class ScanIntake:
         filled = (np.cumsum(block.size) - block.size) // SLICE_BYTES
         for rows in np.split(np.arange(len(filled)), np.flatnonzero(np.diff(filled)) + 1):
             part = block.rows(rows)
-            for plain, failed in unpacked(part) if self._cdr else ((part, 0),):
+            for plain, failed in unpacked(part, self._encoding):
                 self._unpacked += failed
-                log_ns = np.clip(plain.log_time_ns, 0, LATEST_NS - 1)
                 for scans in self._decoder.decode(plain.data, plain.start, plain.size):
-                    yield TimedScans(scans, log_ns[scans.message])
+                    yield TimedScans(scans, plain.log_time_ns[scans.message])

@@ -132,12 +132,10 @@ class McapScan(Scan):
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return mcap_records(data, _NOT_IN_CHUNKS)
 
-    def _head(self, data: Bytes) -> tuple[int, int]:
-        if len(data) < RECORD_HEAD + MESSAGE_HEAD or int(data[0]) in _NOT_IN_CHUNKS:
-            return 0, NUMBERS
-        op, length = _RECORD(data.data)
-        number = int(data[RECORD_HEAD]) | int(data[RECORD_HEAD + 1]) << 8
-        return RECORD_HEAD + int(length), number if op == MESSAGE else NUMBERS
+    def _record_size(self, data: Bytes) -> int:
+        if len(data) < RECORD_HEAD or int(data[0]) in _NOT_IN_CHUNKS:
+            return 0
+        return RECORD_HEAD + int(_RECORD(data.data)[1])
 
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         is_message = data[where] == MESSAGE
@@ -215,26 +213,24 @@ class Definitions:
     def __init__(self, channels: Channels) -> None:
         self._channels = channels
         self._schemas: dict[int, tuple[str, str, bytes]] = {0: ("", "", b"")}
-        self._length = np.zeros(2 * NUMBERS, np.int64)
+        self._known = np.zeros(2 * NUMBERS, bool)
 
     def read(self, data: Bytes, where: IntArray) -> int:
-        """Read the new ones among records at `where`; returns the bytes of those that are damaged:
-        that cannot be read, or are of another length than before."""
+        """Read the new ones among records at `where`; returns the bytes of those that cannot be
+        read."""
         where = where[where + RECORD_HEAD + 2 <= len(data)]
         number = words(data, "<u2", where + RECORD_HEAD) + NUMBERS * (data[where] == SCHEMA)
-        size = words(data, "<i8", where + 1)
         first = np.unique(number, return_index=True)[1]
-        fresh = np.sort(first[self._length[number[first]] == 0])
+        fresh = np.sort(first[~self._known[number[first]]])
         damaged = 0
         for place, key in zip(where[fresh].tolist(), number[fresh].tolist(), strict=True):
             op, length = _RECORD(data.data, place)
             body = data[place + RECORD_HEAD : place + RECORD_HEAD + length].tobytes()
             try:
-                self._length[key] = length if self._add(op, body) else 0
+                self._known[key] = self._add(op, body)
             except (DamageError, struct.error):
                 damaged += len(body)
-        known = self._length[number]
-        return damaged + int(size[(known > 0) & (size != known)].sum())
+        return damaged
 
     def _add(self, op: int, body: bytes) -> bool:
         """Read a schema, or a channel if its schema is known."""
@@ -302,25 +298,15 @@ def read_summary(source: Source) -> Index | None:
     kinds: dict[frozenset[int], frozenset[int]] = {}  # few, of a million chunks
     chunks = []
     for at in where[op == CHUNK_INDEX].tolist():
-        begin, end, held = _chunk_index(raw, at)
-        chunks.append((begin, end, kinds.setdefault(held, held)))
+        begin, size, listed = struct.unpack_from("<QQI", raw, at + RECORD_HEAD + 16)
+        pairs = raw[at + RECORD_HEAD + 36 : at + RECORD_HEAD + 36 + listed]
+        held = frozenset(number for number, _ in struct.iter_unpack("<HQ", pairs))
+        chunks.append((begin, begin + size, kinds.setdefault(held, held)))
     chunks.sort(key=lambda chunk: chunk[0])
-    listed = frozenset[int]().union(*kinds)
+    named = frozenset[int]().union(*kinds)
     filled = {number for number, count in counts.items() if count}
     apart = all(end <= begin for (_, end, _), (begin, _, _) in pairwise(chunks))
     apart &= all(begin < end <= start for begin, end, _ in chunks)
-    distrusted = ""
-    if not chunks or not counts or not apart:
-        distrusted = "its index lists no chunks, counts no messages, or contradicts itself"
-    elif not filled | listed <= channels.described.keys():
-        distrusted = "its index does not describe all channels"
-    elif not filled <= listed:
-        distrusted = "its index does not say which chunk holds which messages"
+    sound = chunks and counts and apart and filled <= named <= channels.described.keys()
+    distrusted = "" if sound else "its index is incomplete or contradicts itself"
     return Index(channels.described, counts, (first, last), chunks, distrusted, bool(crc), start)
-
-
-def _chunk_index(raw: bytes, at: int) -> tuple[int, int, frozenset[int]]:
-    """First byte of a chunk, the one after its last, and its channels; raises struct.error."""
-    begin, size, listed = struct.unpack_from("<QQI", raw, at + RECORD_HEAD + 16)
-    pairs = raw[at + RECORD_HEAD + 36 : at + RECORD_HEAD + 36 + listed]
-    return begin, begin + size, frozenset(n for n, _ in struct.iter_unpack("<HQ", pairs))

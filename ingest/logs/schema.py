@@ -36,8 +36,6 @@ EXPECTED = {
     "pose_covariance": [*_HEADER, *_POSE, "[", "float64", "]"],
     "pose_array": [*_HEADER, "[", *_POSE, "]"],
     "transforms": ["[", *_HEADER, "string", *_POSE, "]"],
-    "foxglove_pose": [*_HEADER, *_POSE],
-    "foxglove_poses": [*_HEADER, "[", *_POSE, "]"],
     "laser_scan": [*_HEADER, *["float32"] * 7, "[", "float32", "]"],
 }
 """Leading primitive fields of each kind of message with a columnar decoder."""
@@ -56,7 +54,7 @@ def as_expected(channel: Channel, kind: str) -> bool:
     except DamageError:
         return True
     expected = list(EXPECTED[kind])
-    if channel.encoding == "ros1" and not kind.startswith("foxglove"):
+    if channel.encoding == "ros1":
         expected.insert(expected.index("int32"), "uint32")
     found = _primitives(fielddefs, channel.type_name)
     return all(next(found, None) == want for want in expected)

@@ -24,8 +24,10 @@ from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
 from .messages import (
     CUT,
+    MESSAGE_BYTES,
     NAME_BYTES,
     SCHEMA_BYTES,
+    TOO_LARGE,
     UNKNOWN,
     Block,
     Channel,
@@ -40,7 +42,6 @@ from .messages import (
     one_line,
     several,
 )
-from .topics import longest_message
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -130,13 +131,11 @@ class SqliteFile:
     def _whole_pages(self, findings: Findings) -> Iterator[Path]:
         """The database, or a copy without its last page if that is cut: the library would take
         what is missing of it for zeros."""
-        page, declared = _length(self.path)
-        size = self.path.stat().st_size
-        if size < declared:
-            findings.faults[CUT] = 1
+        page, size = _page_bytes(self.path), self.path.stat().st_size
         if size % page == 0:
             yield self.path
             return
+        findings.faults[CUT] = 1
         with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
             copy = Path(folder) / "copy.db3"
             try:
@@ -272,9 +271,8 @@ class _Reader:
 
         size: its length, or what stands in its place.
         """
-        longest = longest_message(channel)
-        if isinstance(size, int) and size > longest:
-            self._findings.too_large(channel.topic, longest)
+        if isinstance(size, int) and size > MESSAGE_BYTES:
+            self._findings.faults[TOO_LARGE] += 1
             return None
         with suppress(*_ERRORS):
             query = f"SELECT data FROM messages WHERE {self._id} = ?"
@@ -349,7 +347,7 @@ def _unused_pages(path: Path) -> int:
     used = 0
     with suppress(OSError), index.open("rb") as file:
         used = int.from_bytes(file.read(20)[16:], sys.byteorder)
-    frame = FRAME_HEAD + _length(path)[0]
+    frame = FRAME_HEAD + _page_bytes(path)
     with log.open("rb") as file:
         salt = file.read(LOG_HEAD)[16:24]
         for k in range((log.stat().st_size - LOG_HEAD - 1) // frame, used - 1, -1):
@@ -359,15 +357,10 @@ def _unused_pages(path: Path) -> int:
     return 0
 
 
-def _length(path: Path) -> tuple[int, int]:
-    """Size of a page, and of the file by its header, 0 if that is not said [bytes]."""
+def _page_bytes(path: Path) -> int:
     with path.open("rb") as file:
-        head = file.read(96)
-    page = int.from_bytes(head[16:18], "big")
-    page = page if page >= 512 and page & (page - 1) == 0 else 1 << 16
-    # The count of pages is right if the one who changed the file last wrote it.
-    counted = head[24:28] == head[92:96]
-    return page, int.from_bytes(head[28:32], "big") * page if counted else 0
+        page = int.from_bytes(file.read(18)[16:], "big")
+    return page if page >= 512 and page & (page - 1) == 0 else 1 << 16
 
 
 def _check_table(base: sqlite3.Connection, name: str) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .columns import Shape, column, gather
-from .messages import MESSAGE_BYTES, NAME_BYTES, Bytes, DamageError, text
+from .messages import NAME_BYTES, OBJECT_BYTES, Bytes, DamageError, text
 
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
@@ -219,7 +219,7 @@ class OneByOne(Decoder[P], Generic[Q, P]):
         self,
         parse: Callable[[bytes], Q],
         join: Callable[[list[tuple[int, Q]]], P],
-        longest: int = MESSAGE_BYTES,
+        longest: int = OBJECT_BYTES,
     ) -> None:
         super().__init__()
         self._parse, self._join, self._longest = parse, join, longest

@@ -220,19 +220,12 @@ class RemotePath:
         """The same place with no bytes but those that were read first."""
         return RemotePath(self.root, self.key, self._node, allow_scan=self.allow_scan)
 
-    @property
-    def kept_bytes(self) -> int:
-        """Bytes kept of this object, and of those directly in this folder."""
-        return sum(len(node.end.data) for node in self._nodes() if node.end is not None)
-
     def forget(self) -> None:
         """Drop the kept bytes; they are requested again when needed."""
         self._file = None
-        for node in self._nodes():
-            node.end = None
-
-    def _nodes(self) -> list[_Node]:
-        return [] if self._found is None else [self._found, *self._found.children.values()]
+        if self._found is not None:
+            for node in (self._found, *self._found.children.values()):
+                node.end = None
 
     def magic(self) -> bytes:
         """The first bytes, which tell the format, or the last: MCAP files end with the same

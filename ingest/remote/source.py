@@ -79,10 +79,6 @@ class RemoteFile:
         if known is not None:
             self._keep(known)
 
-    def cost(self, ranges: Ranges) -> int:
-        """Bytes that reading these ranges requests: in whole blocks, without those held."""
-        return sum(stop - start for start, stop in self._planned(ranges))
-
     def _planned(self, ranges: Ranges) -> Ranges:
         """Requests for the blocks of some ranges that are not held."""
         with self._lock:

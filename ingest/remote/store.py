@@ -101,7 +101,8 @@ def _answer(
 
     if isinstance(wanted, int) and root.startswith("az:"):
         # Azure does not support suffix ranges.
-        known = known or _head(root, key, named)
+        with _told(named):
+            known = known or _stat(obstore.head(store(root), key))
         wanted = max(0, known.size - wanted), known.size
     options: GetOptions = {"range": {"suffix": wanted} if isinstance(wanted, int) else wanted}
     if known is not None and known.etag and not known.etag.startswith("W/"):
@@ -120,13 +121,6 @@ def _answer(
     if isinstance(wanted, tuple) and (start, stop) != (wanted[0], min(wanted[1], stat.size)):
         raise LogError(f"{named}: the server sent bytes {start} to {stop} in place of {wanted}")
     return Got(start, data, stat)
-
-
-def _head(root: str, key: str, named: str) -> Stat:
-    import obstore
-
-    with _told(named):
-        return _stat(obstore.head(store(root), key))
 
 
 def _same(known: Stat, now: Stat) -> bool:
@@ -231,6 +225,7 @@ _MEANT = (
     ("http://169.254.169.254/", _CREDENTIALS),
     ("MissingAccount", _CREDENTIALS),
     ("TokenRequest", _CREDENTIALS),
+    ("TimedOut", "cannot be read: the server does not answer"),
 )
 """What an error with such a word in its type or text means."""
 
@@ -242,17 +237,13 @@ def _why(error: Exception) -> str:
         if word in f"{kind} {text}":
             return meaning
     head, _, inner = text.partition("Debug source")
-    again = re.search(r"after (\d+) retries", head)
-    tried = f", after {again[1]} retries" if again and again[1] != "0" else ""
     status = re.search(r"status code: (\d{3}[A-Za-z ]*)", head)
     answer = _code(head) or (status[1].strip() if status else "")
     if kind in ("PermissionDeniedError", "UnauthenticatedError"):
-        return f"access is denied ({answer or kind}{tried})"
-    cause = re.search(r'message: "([^"]+)"|(TimedOut)|(dns error)', inner)
-    silent = {"TimedOut": "the server does not answer"}
-    found = next((group for group in cause.groups() if group), "") if cause else ""
-    told = ", ".join(part for part in (answer, silent.get(found, found)) if part)
-    return f"cannot be read: {told or _first_line(head)}{tried}"
+        return f"access is denied ({answer or kind})"
+    cause = re.search(r'message: "([^"]+)"', inner)
+    told = answer or (cause[1] if cause else _first_line(head))
+    return f"cannot be read: {told}"
 
 
 def _code(text: str) -> str:
