@@ -153,11 +153,12 @@ class RemotePath:
         return self
 
     def is_file(self) -> bool:
-        """Whether there is an object."""
-        return self._node.there and not self._node.children
+        """Whether there is an object; an empty one with others below only marks their folder."""
+        node = self._node
+        return node.there and not (node.children and self.state.size == 0)
 
     def is_dir(self) -> bool:
-        """Whether there are objects below; one of the name itself only marks the folder."""
+        """Whether there are objects below."""
         return bool(self._node.children)
 
     def is_symlink(self) -> bool:
