@@ -186,14 +186,13 @@ def _run_all(
 ) -> None:
     """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
     the list as they are known."""
-    from .ingest_pool import announce, outcomes_of
+    from .ingest_pool import outcomes_of
     from .ingest_worker import IngestJob, IngestOutcome, job_size
 
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
         _show(outcome, screen)
-    announce(jobs, screen)
     sizes = {job.run: job_size(job) for job in jobs}
     total = sum(sizes.values())
     with screen.progress("ingesting", 2 * total) as advance:

@@ -162,12 +162,6 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     )  # fmt: skip
 
 
-def is_unchanged(job: IngestJob) -> bool:
-    """Whether `ingest_one` has nothing to do."""
-    job = replace(job, run=called(job.place, job.run))
-    return bool(_kept(job, _key(job, log_fingerprint(job.log))))
-
-
 def _kept(job: IngestJob, key: str) -> list[str]:
     """The runs that the same log gave before with the same settings, if all files exist; else
     none."""

@@ -5,14 +5,13 @@ from __future__ import annotations
 import re
 import struct
 from collections.abc import Iterator, Mapping
-from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import IntArray
-from .channels import NUMBERS, TOO_MANY, Channels
-from .chunks import RECORD_BYTES, Chunk, ChunkedLog, Index, Read, Scan, reader_of
+from .channels import NUMBERS, TOO_MANY
+from .chunks import RECORD_BYTES, Chunk, Index, Read, Scan, reader_of
 from .columns import Shape, column, gather, words
 from .inflate import WHOLE_BYTES
 from .messages import (
@@ -24,12 +23,11 @@ from .messages import (
     Bytes,
     Channel,
     DamageError,
-    Findings,
     normal_topic,
     normal_type,
     text,
 )
-from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source
 from .walk import bag_records
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -125,18 +123,14 @@ def record_at(read: Read, position: int) -> Record | None:
         head = read(position, size + 8)
         if size + 8 > len(head):
             return None
-    record = _record(head, size, position)
-    return record if record is not None and _is_sound(record) else None
-
-
-def _record(head: bytes, size: int, position: int) -> Record | None:
     try:
         fields = _fields(head[4 : 4 + size])
     except DamageError:
         return None
     op = fields.get(b"op", b"")
     data_at, data_size = position + 8 + size, _U32(head, 4 + size)[0]
-    return Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
+    record = Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
+    return record if _is_sound(record) else None
 
 
 def _is_sound(record: Record) -> bool:
@@ -162,31 +156,11 @@ def _channel(record: Record, data: bytes) -> Channel:
     )
 
 
-class BagFile(ChunkedLog):
-    """One ROS 1 bag of format 2.0, uncompressed, bz2 or lz4."""
-
-    @cached_property
-    def index(self) -> Index | None:
-        """The index section of a closed bag, None if it is missing or wrong."""
-        with open_source(self.path) as source:
-            try:
-                return _read_index(source)
-            except DamageError:
-                return None
-
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> BagScan:
-        start = self.index.start if self.index is not None else None
-        return BagScan(source, channels, findings, start)
-
-
 class BagScan(Scan):
-    """One scan of a bag. index_at: where its index begins, None without one."""
+    """One scan of a bag, uncompressed, bz2 or lz4."""
 
-    def __init__(
-        self, source: Source, channels: Channels, findings: Findings, index_at: int | None
-    ) -> None:
-        super().__init__(source, channels, findings)
-        self._index_at = index_at
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
         self._template: HeadTemplate | None = None
         self._headers: set[bytes] = set()
         self._described = DESCRIBED
@@ -194,7 +168,7 @@ class BagScan(Scan):
     def all(self) -> Iterator[Chunk]:
         """All chunks up to the index, and runs of records outside of them."""
         position = len(MAGIC)
-        stop = self._source.size if self._index_at is None else self._index_at
+        stop = self._source.size if self._index is None else self._index.start
         while position < stop:
             record = record_at(self._source.read, position)
             chunk = _chunk(record) if record is not None else None
@@ -216,7 +190,7 @@ class BagScan(Scan):
                 yield Chunk("", position, size, size)
                 position += size
             else:
-                if record.op == BAG_HEADER and self._index_at is None:
+                if record.op == BAG_HEADER and self._index is None:
                     self._unclosed(record)
                 position = record.end
 
@@ -266,18 +240,13 @@ class BagScan(Scan):
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return bag_records(data)
 
-    def _head(self, data: Bytes) -> tuple[int, int]:
+    def _record_size(self, data: Bytes) -> int:
         record = record_at(reader_of(data), 0)
-        if record is None or record.op not in (MESSAGE, CONNECTION):
-            return 0, NUMBERS
-        return record.end, record.number(b"conn") if record.op == MESSAGE else NUMBERS
+        return record.end if record is not None and record.op in (MESSAGE, CONNECTION) else 0
 
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         conn, time, size_at, others = self._columns(data, where)
-        extra = self._one_by_one(data, others)
-        if extra:
-            columns = np.stack([conn, time, size_at])
-            conn, time, size_at = np.hstack([columns, np.array(extra, np.int64).T])
+        self._describe(data, others)
         if len(conn) == 0:
             return
         size = words(data, "<u4", size_at).astype(np.int64)
@@ -314,10 +283,8 @@ class BagScan(Scan):
                 return HeadTemplate.of(data[place : record.data_at - 4].tobytes())
         return None
 
-    def _one_by_one(self, data: Bytes, places: IntArray) -> list[tuple[int, int, int]]:
-        """Read connections, and messages whose header is not like the template's: connection, time
-        and position of the payload's size."""
-        out = []
+    def _describe(self, data: Bytes, places: IntArray) -> None:
+        """Read connections; other records, and messages unlike the template, count as damaged."""
         for place in places.tolist():
             size = _U32(data.data, place)[0]
             head = data[place : place + 4 + size].tobytes()
@@ -328,19 +295,14 @@ class BagScan(Scan):
                 self.findings.note(TOO_MANY)
                 break
             record = record_at(reader_of(data), place)
-            if record is not None and record.op == MESSAGE:
-                conn, time_ns = record.number(b"conn"), record.time_ns(b"time")
-                out.append((conn, time_ns, record.data_at - 4))
-                continue
             try:
                 if record is None or record.op != CONNECTION:
-                    raise DamageError("no record of a chunk")
+                    raise DamageError("no record of a chunk, or unlike the others")
                 channel = _channel(record, data[record.data_at : record.end].tobytes())
                 self._channels.describe(record.number(b"conn"), channel)
                 self._headers.add(head)
             except DamageError:
                 self._fault(*UNREADABLE, size)
-        return out
 
 
 def _chunk(record: Record) -> Chunk | None:
@@ -383,7 +345,7 @@ class HeadTemplate(NamedTuple):
         return column(heads, "<u4", self.conn_at), time
 
 
-def _read_index(source: Source) -> Index | None:
+def read_index(source: Source) -> Index | None:
     """The index of a bag, None if it is missing or inconsistent with the bag's header; raises
     DamageError."""
     header = record_at(source.read, len(MAGIC))

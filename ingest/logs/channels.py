@@ -10,21 +10,16 @@ from numpy.typing import NDArray
 
 from ...topology.arrays import IntArray
 from .messages import UNKNOWN, UNWANTED, Channel, Findings, Want
-from .topics import longest_message
 
 NUMBERS = 1 << 16
 """Channels have numbers below this."""
 
 UNDESCRIBED = -2
-"""Sink number of a channel that is not described yet."""
+"""Sink number of a channel that is not described yet, or was not asked for."""
 
 DEFINITION_BYTES = 1 << 25
 """Limit of the different schemas and channels of one file, 32 MiB: a thousand topics with the
 largest definitions in use take 20."""
-
-DEFINITION_COST = 1200
-"""Memory of a channel in addition to its names, with what reads it [bytes]: 260,000 descriptions
-in one bag took 300 MB."""
 
 TOO_MANY = "implausibly many or long descriptions of channels; some are left out"
 
@@ -41,26 +36,33 @@ class Channels:
         self._room = DEFINITION_BYTES
 
     def describe(self, number: int, channel: Channel) -> None:
-        """Register a channel; the last description before its first message counts."""
-        if number >= NUMBERS or self._met[number] or self.described.get(number) == channel:
+        """Register a channel; the last description before it is asked for counts."""
+        if number >= NUMBERS or self._sink[number] != UNDESCRIBED or self._met[number]:
+            return
+        if self.described.get(number) == channel:
             return
         if not self.has_room(len(channel.topic) + len(channel.type_name) + len(channel.schema)):
             channel = channel._replace(schema=b"", schema_encoding="")
             if self._room < -DEFINITION_BYTES:
                 return
         self.described[number] = channel
-        self._sink[number] = self._want(channel)
 
     def has_room(self, size: int) -> bool:
         """Whether a description of this size is kept; otherwise that is told."""
-        self._room -= size + DEFINITION_COST
+        self._room -= size
         if self._room < 0:
             self._findings.note(TOO_MANY)
         return self._room >= 0
 
+    def _sink_of(self, number: int) -> int:
+        """The sink of a channel, which is asked for when its first message is met."""
+        if self._sink[number] == UNDESCRIBED and number in self.described:
+            self._sink[number] = self._want(self.described[number])
+        return int(self._sink[number])
+
     def wanted(self, number: int) -> bool:
         """Whether messages of a channel are wanted, or may be because it is not described."""
-        return bool(self._sink[number] != UNWANTED)
+        return self._sink_of(number) != UNWANTED
 
     def met(self, number: NDArray[Any], time_ns: IntArray) -> list[tuple[int, IntArray]]:
         """Count messages by their channel numbers; returns the wanted sinks, each with its rows."""
@@ -69,26 +71,13 @@ class Channels:
         self._findings.span(int(time_ns.min()), int(time_ns.max()))
         rows: dict[int, list[IntArray]] = {}
         for key in counts.nonzero()[0].tolist():
-            if self._sink[key] >= 0:
-                rows.setdefault(int(self._sink[key]), []).append((number == key).nonzero()[0])
+            sink = self._sink_of(key)
+            if sink >= 0:
+                rows.setdefault(sink, []).append((number == key).nonzero()[0])
         return [
             (sink, parts[0] if len(parts) == 1 else np.sort(np.concatenate(parts)))
             for sink, parts in rows.items()
         ]
-
-    def takes(self, number: int, size: int) -> bool:
-        """Whether a record above the usual limit is used; a message that is not counts as met."""
-        if number >= NUMBERS:
-            self._findings.note(TOO_MANY)
-            return False
-        wanted = bool(self._sink[number] >= 0)
-        longest = longest_message(self.described[number]) if wanted else 0
-        if size <= longest:
-            return True
-        self._met[number] += 1
-        if wanted:
-            self._findings.too_large(self.described[number].topic, longest)
-        return False
 
     def finish(self, declared: Mapping[int, int], *, by_index: bool) -> None:
         """Convert the counts to findings.

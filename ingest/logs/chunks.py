@@ -6,26 +6,28 @@ They are read and decompressed ahead of the decoding, checked, and skipped if th
 
 from __future__ import annotations
 
+import struct
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import IntArray
+from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from ..remote.source import Ranges
 from .channels import Channels
 from .inflate import (
+    INFLATED_BYTES,
     SLOW,
     WHOLE_BYTES,
-    Allowance,
-    LimitError,
-    WrongSizeError,
+    WRONG_SIZE,
     checksum,
+    excess,
     inflate,
     keep_freed_memory,
     pieces,
@@ -33,17 +35,21 @@ from .inflate import (
 from .messages import (
     CUT,
     MESSAGE_BYTES,
+    TOO_LARGE,
     UNREADABLE,
     Block,
     Bytes,
     Channel,
     DamageError,
     Findings,
+    Passed,
     Progress,
     Survey,
     Want,
 )
-from .source import SLAB_BYTES, RemoteSource, Source, open_source
+from .source import SLAB_BYTES, Source, open_source
+
+ALLOW_SCAN = "--allow-scan"
 
 THREADS = 2
 """Threads that decompress: reading, decompression and checksums release the interpreter's lock."""
@@ -55,7 +61,7 @@ AHEAD_BYTES, AHEAD = 1 << 25, 64
 """Bytes, and chunks, read and decompressed ahead of the decoding."""
 
 RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
-"""Longest record of most channels: a longer one holds a longer message than is decoded."""
+"""Longest record: a longer one holds a longer message than is read."""
 
 TRIES = 1 << 16
 """Places of one file that are looked at in search of a record, 10 µs each."""
@@ -103,20 +109,25 @@ class Index(NamedTuple):
     start: int
 
 
-class ChunkedLog(ABC):
-    """One log in chunks."""
+class ChunkedLog:
+    """One log in chunks. read_index: gives the index of a format, None if there is none; scan: the
+    scan of that format."""
 
-    def __init__(self, path: LogPath) -> None:
+    def __init__(
+        self, path: LogPath, read_index: Callable[[Source], Index | None], scan: type[Scan]
+    ) -> None:
         self.path = path
+        self._read_index = read_index
+        self._scan = scan
 
-    @property
-    @abstractmethod
+    @cached_property
     def index(self) -> Index | None:
         """The file's index, None if it has none or a damaged one."""
-
-    @abstractmethod
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> Scan:
-        """A new scan of the file."""
+        with open_source(self.path) as source:
+            try:
+                return self._read_index(source)
+            except (DamageError, struct.error):
+                return None
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Message counts by the index."""
@@ -143,37 +154,46 @@ class ChunkedLog(ABC):
         wanted = {number for number in found.channels if channels.wanted(number)}
         return channels, [(begin, end) for begin, end, held in found.chunks if held & wanted]
 
-    def cost(self, want: Want) -> int:
-        """Number of bytes of a remote file to be fetched for what is wanted."""
-        assert isinstance(self.path, RemotePath)
-        file, needed = self.path.file, self._channels(want, Findings())[1]
-        return file.cost([(0, file.size)] if isinstance(needed, str) else needed)
-
     def blocks(
         self, want: Want, findings: Findings, progress: Progress | None = None
     ) -> Iterator[Block]:
         """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
         keep_freed_memory()
-        with open_source(self.path, progress) as source:
+        with open_source(self.path) as source:
             channels, needed = self._channels(want, findings)
-            if isinstance(source, RemoteSource) and isinstance(needed, str):
-                source.check_scan(needed)
-            scan = self._scan(source, channels, findings)
             whole = isinstance(needed, str)
-            with source.ahead([(0, source.size)] if isinstance(needed, str) else needed):
-                yield from scan.blocks(scan.all() if isinstance(needed, str) else scan.some(needed))
+            if isinstance(needed, str):
+                if isinstance(self.path, RemotePath) and not self.path.allow_scan:
+                    raise LogError(
+                        f"{self.path}: {needed}, so that all of its {source.size:,} bytes would "
+                        f"have to be read; {ALLOW_SCAN} does that"
+                    )
+                needed = [(0, source.size)]
+            passed = Passed(progress)
+            scan = self._scan(source, channels, findings, passed, self.index)
+            with source.ahead(needed):
+                yield from scan.blocks(scan.all() if whole else scan.some(needed))
             channels.finish(self.index.counts if self.index is not None else {}, by_index=not whole)
-            source.passed(source.size)
+            passed.passed(source.size)
 
 
 class Scan(ABC):
     """One scan over the records of a chunked log."""
 
-    def __init__(self, source: Source, channels: Channels, findings: Findings) -> None:
+    def __init__(
+        self,
+        source: Source,
+        channels: Channels,
+        findings: Findings,
+        passed: Passed,
+        index: Index | None,
+    ) -> None:
         self.findings = findings
+        self._passed = passed
+        self._index = index
         self._source = source
         self._channels = channels
-        self._allowance = Allowance()
+        self._excess_left = INFLATED_BYTES
         self._tries = TRIES
         self._held: list[bytes] = []
         self._held_bytes = 0
@@ -197,9 +217,8 @@ class Scan(ABC):
         """The wanted messages among records."""
 
     @abstractmethod
-    def _head(self, data: Bytes) -> tuple[int, int]:
-        """Length of the record that begins with `data`, 0 if it cannot be one, and the number of
-        its channel, NUMBERS if it is no message."""
+    def _record_size(self, data: Bytes) -> int:
+        """Length of the record that begins with `data`, 0 if it cannot be one."""
 
     @abstractmethod
     def _next_record(self, read: Read, position: int, stop: int) -> int | None:
@@ -240,7 +259,10 @@ class Scan(ABC):
     def _of_chunk(self, chunk: Chunk, inflated: Callable[[], bytes]) -> Iterator[Block]:
         """The messages of a chunk, which is skipped if it is damaged."""
         try:
-            self._allowance.take(chunk.compression, chunk.packed, chunk.size)
+            more = excess(chunk.compression, chunk.packed, chunk.size)
+            if more > self._excess_left:
+                raise DamageError("a limit: they inflate to far more than logs do")
+            self._excess_left -= more
             if _in_parts(chunk):
                 yield from self._used_together()
                 yield from self._streamed(chunk)
@@ -252,11 +274,9 @@ class Scan(ABC):
                 self._held_bytes += max(len(raw), 64)  # an empty one takes memory as well
                 if self._held_bytes > 8 * SMALL_BYTES or chunk.size > SMALL_BYTES:
                     yield from self._used_together()
-        except LimitError as damage:
-            self._fault("chunk", f"left out by a limit: {damage}")
         except DamageError as damage:
             self._fault("damaged chunk", f"skipped: {damage}")
-        self._source.passed(chunk.at + chunk.packed)
+        self._passed.passed(chunk.at + chunk.packed)
 
     def _fault(self, noun: str, rest: str, count: int = 1) -> None:
         self.findings.faults[noun, rest] += count
@@ -287,14 +307,14 @@ class Scan(ABC):
     def _streamed(self, chunk: Chunk) -> Iterator[Block]:
         """The messages of a chunk too large for memory, or cut: what comes before its end is used.
 
-        A record too large for memory is skipped, unless its channel may hold such messages.
+        A record too large for memory is skipped.
         """
         held, need, skip, found, crc = bytearray(), 0, 0, 0, 0
         try:
             for piece in pieces(chunk.compression, _ChunkData(self._source, chunk)):
                 found, crc = found + len(piece), checksum(piece, crc)
                 if found > chunk.size:
-                    raise WrongSizeError
+                    raise DamageError(WRONG_SIZE)
                 held += piece[skip:]
                 skip = max(skip - len(piece), 0)
                 if len(held) < need:
@@ -303,10 +323,11 @@ class Scan(ABC):
                 where, stop = self._records(data)
                 yield from self._blocks(data[:stop], where)
                 rest = data[stop:]
-                need, number = self._head(rest)
+                need = self._record_size(rest)
                 if need == 0 and len(rest) > SLAB_BYTES:
                     raise DamageError("the records of a chunk do not fill it")
-                if need > RECORD_BYTES and not self._channels.takes(number, need):
+                if need > RECORD_BYTES:
+                    self._fault(*TOO_LARGE)
                     need, skip, rest = 0, need - len(rest), rest[:0]
                 held = bytearray(rest)
         except DamageError:
@@ -352,7 +373,7 @@ def _inflated(chunk: Chunk, read: Read) -> bytes:
     if chunk.compression:
         data = inflate(chunk.compression, data, chunk.size)
     elif len(data) != chunk.size:
-        raise WrongSizeError
+        raise DamageError(WRONG_SIZE)
     if chunk.crc and checksum(data) != chunk.crc:
         raise DamageError("checksum (CRC) is wrong")
     return data

@@ -27,7 +27,7 @@ FIELDS = 256
 
 MOST_POINTS = 1 << 21
 """Largest cloud: a depth image of 1920 by 1080 pixels, or ten turns of the scanner with the most
-beams. Of how many bytes it may be: `topics.CLOUD_BYTES`."""
+beams. Of how many bytes it may be: `messages.MESSAGE_BYTES`."""
 
 NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """numpy's kinds of the datatypes of sensor_msgs/PointField."""
@@ -56,7 +56,7 @@ class _Layout(NamedTuple):
     row_step: int
 
 
-def wire_cloud(raw: bytes | memoryview, ros1: bool) -> Cloud:
+def wire_cloud(raw: bytes, ros1: bool) -> Cloud:
     """The cloud of a message in CDR or ROS 1's encoding; raises DamageError."""
     parser = WireParser(raw, ros1)
     stamp_at, frame = parser.header()
@@ -76,33 +76,9 @@ def wire_cloud(raw: bytes | memoryview, ros1: bool) -> Cloud:
     return Cloud(seconds * 10**9 + nanoseconds, frame.lstrip("/"), _points(layout, data))
 
 
-def object_cloud(message: Any) -> Cloud:
-    """The cloud of a decoded message, by the names of its fields; raises DamageError."""
-    if get(message, "point_stride") is not None:
-        return _foxglove_cloud(message)
-    header, data = get(message, "header"), get(message, "data")
-    if not isinstance(data, np.ndarray) or data.dtype != np.uint8:
-        raise DamageError("a cloud without data")
-    layout = _Layout(
-        integer(get(message, "height")),
-        integer(get(message, "width")),
-        {
-            as_text(get(each, "name")): (
-                integer(get(each, "offset")),
-                integer(get(each, "datatype")),
-            )
-            for each in sequence(get(message, "fields"))[:FIELDS]
-        },
-        bool(get(message, "is_bigendian")),
-        integer(get(message, "point_step")),
-        integer(get(message, "row_step")),
-    )
-    frame = as_text(get(header, "frame_id")).lstrip("/")
-    return Cloud(stamp_of(header), frame, _points(layout, data))
-
-
-def _foxglove_cloud(message: Any) -> Cloud:
-    """The cloud of a decoded foxglove.PointCloud, by the names of its fields."""
+def foxglove_cloud(message: Any) -> Cloud:
+    """The cloud of a decoded foxglove.PointCloud, by the names of its fields; raises
+    DamageError."""
     data = get(message, "data")
     if isinstance(data, str):
         try:
@@ -115,38 +91,32 @@ def _foxglove_cloud(message: Any) -> Cloud:
         as_text(get(each, "name")): (integer(get(each, "offset")), integer(get(each, "type")))
         for each in sequence(get(message, "fields"))[:FIELDS]
     }
+    stride = integer(get(message, "point_stride"))
+    xyz = np.zeros((0, 3))
+    if len(data):
+        if stride <= 0:
+            raise DamageError("the points of a cloud take up no room")
+        known = {name: (at, FOXGLOVE_NUMBERS.get(kind, 0)) for name, (at, kind) in fields.items()}
+        xyz = _points(_Layout(1, len(data) // stride, known, False, stride, 0), data)
     pose = get(message, "pose")
-    return _placed(
-        stamp_of(message),
-        as_text(get(message, "frame_id")),
-        None if pose is None else pose_of(pose),
-        _packed(integer(get(message, "point_stride")), fields, data),
-    )
+    frame = as_text(get(message, "frame_id")).lstrip("/")
+    return Cloud(stamp_of(message), frame, xyz if pose is None else _placed(pose_of(pose), xyz))
 
 
-def _packed(stride: int, fields: dict[str, tuple[int, int]], data: NDArray[np.uint8]) -> FloatArray:
-    """(k, 3) the points of a foxglove.PointCloud."""
-    if len(data) == 0:
-        return np.zeros((0, 3))
-    if stride <= 0:
-        raise DamageError("the points of a cloud take up no room")
-    known = {name: (at, FOXGLOVE_NUMBERS.get(kind, 0)) for name, (at, kind) in fields.items()}
-    return _points(_Layout(1, len(data) // stride, known, False, stride, 0), data)
-
-
-def _placed(stamp_ns: int, frame: str, pose: tuple[float, ...] | None, xyz: FloatArray) -> Cloud:
+def _placed(pose: tuple[float, ...], xyz: FloatArray) -> FloatArray:
     """Points transformed to their frame; a pose of all zeros, protobuf's default, is the
     identity."""
-    if pose is not None and any(pose):
-        if not np.isfinite(pose).all():
-            raise DamageError("a pose holds numbers that are not finite")
-        x, y, z, w = unit_quaternion(pose[3:])
-        # v + 2 w (u × v) + 2 u × (u × v), u the vector part of the unit quaternion.
-        u = np.array([x, y, z])
-        with np.errstate(invalid="ignore", over="ignore"):
-            aside = np.cross(u, xyz)
-            xyz = xyz + 2 * (w * aside + np.cross(u, aside)) + np.array(pose[:3])
-    return Cloud(stamp_ns, frame.lstrip("/"), xyz)
+    if not any(pose):
+        return xyz
+    if not np.isfinite(pose).all():
+        raise DamageError("a pose holds numbers that are not finite")
+    x, y, z, w = unit_quaternion(pose[3:])
+    # v + 2 w (u × v) + 2 u × (u × v), u the vector part of the unit quaternion.
+    u = np.array([x, y, z])
+    with np.errstate(invalid="ignore", over="ignore"):
+        aside = np.cross(u, xyz)
+        xyz = xyz + 2 * (w * aside + np.cross(u, aside)) + np.array(pose[:3])
+    return xyz
 
 
 def _points(layout: _Layout, data: NDArray[np.uint8]) -> FloatArray:

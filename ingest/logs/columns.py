@@ -56,8 +56,8 @@ class Growing:
     decoding.
     """
 
-    ROOMS = (1 << 12, 1 << 16, 1 << 20)
-    """Initial capacities [rows]; unused room takes no memory."""
+    LEAST = 1 << 12
+    """Initial capacity [rows]; unused room takes no memory."""
 
     def __init__(self, kind: str, width: int | None = None) -> None:
         self._beyond = () if width is None else (width,)
@@ -68,20 +68,11 @@ class Growing:
         """Append rows, converted to the column's type."""
         end = self._count + len(rows)
         if end > len(self._rows):
-            self._grow(end)
+            # This fills what is new with zeros: little, so that few pages are touched in vain.
+            room = max(end, len(self._rows) * 5 // 4, self.LEAST)
+            self._rows.resize((room, *self._beyond), refcheck=False)
         self._rows[self._count : end] = rows
         self._count = end
-
-    def _grow(self, least: int) -> None:
-        room = next((room for room in self.ROOMS if room >= least), None)
-        if room is None:
-            # This fills what is new with zeros: little, so that few pages are touched in vain.
-            room = max(least, len(self._rows) * 5 // 4)
-            self._rows.resize((room, *self._beyond), refcheck=False)
-            return
-        larger = np.empty((room, *self._beyond), self._rows.dtype)
-        larger[: self._count] = self._rows[: self._count]
-        self._rows = larger
 
     def taken(self) -> NDArray[Any]:
         """All rows; the column is empty afterwards."""

@@ -13,11 +13,10 @@ has an example of each.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass
 from dataclasses import fields as members_of
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -28,18 +27,24 @@ from .foxglove import (
     as_text,
     get,
     load_json,
+    object_reader,
     real,
     sequence,
     stamp_of,
 )
 from .messages import Channel, DamageError
 from .poses import Frames, Row, RowDecoder
-from .schema import object_decoder
 
 _PATHS = ("center", "branches", "each", "stamp", "frame")
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 """Units of lengths [m]."""
+
+UNITS: Mapping[str, Mapping[str, Any]] = {
+    "unit": {"rad": "rad", "deg": "deg"},
+    "length": LENGTHS,
+}
+"""What the keys of units may be."""
 
 _WHOLE_TURN = 2 * np.pi * (1 + 1e-6)
 """Limit of headings in radians; in degrees few junctions stay below."""
@@ -85,8 +90,7 @@ class JunctionFields:
                     f"{', '.join(f'{k}=PATH' for k in _PATHS)}, unit=rad or unit=deg, and "
                     f"length={'|'.join(LENGTHS)}, each once"
                 )
-            read = {"unit": _unit, "length": _length}.get(key, partial(_path, key))
-            found[name] = read(value)
+            found[name] = _one_of(key, value) if key in UNITS else _path(key, value)
         for key in ("center", "branches"):
             if key not in found:
                 raise UsageError(f"--junction-fields {mapping!r} lacks {key}=PATH")
@@ -167,13 +171,7 @@ def fields_decoder(channel: Channel, fields: JunctionFields, log: str) -> RowDec
 
     Decoding raises UsageError that names the log where headings are beyond any in radians.
     """
-    decode: Callable[[bytes], Any]
-    if channel.encoding == "json":
-        decode = load_json
-    elif channel.encoding in ("cdr", "ros1"):
-        decode = object_decoder(channel)
-    else:
-        raise DamageError(f"fields of {channel.encoding[:40]!r} messages cannot be named")
+    decode = object_reader(channel)
 
     def rows(raw: bytes, frames: Frames) -> list[Row]:
         message = decode(raw)
@@ -185,16 +183,12 @@ def fields_decoder(channel: Channel, fields: JunctionFields, log: str) -> RowDec
     return RowDecoder(rows)
 
 
-def _unit(value: str) -> str:
-    if value not in ("rad", "deg"):
-        raise UsageError(f"--junction-fields: unit={value} is neither unit=rad nor unit=deg")
-    return value
-
-
-def _length(value: str) -> float:
-    if value not in LENGTHS:
-        raise UsageError(f"--junction-fields: length={value} is none of {', '.join(LENGTHS)}")
-    return LENGTHS[value]
+def _one_of(key: str, value: str) -> Any:
+    among = UNITS[key]
+    if value not in among:
+        known = ", ".join(f"{key}={name}" for name in among)
+        raise UsageError(f"--junction-fields: {key}={value} is none of {known}")
+    return among[value]
 
 
 def _path(key: str, value: str) -> FieldPath:

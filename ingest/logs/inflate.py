@@ -5,9 +5,9 @@ from __future__ import annotations
 import bz2
 import functools
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ except ImportError:  # a platform without its wheel
     from zlib import crc32
 
 from .columns import words
-from .messages import MESSAGE_BYTES, Block, DamageError
+from .messages import LATEST_NS, OBJECT_BYTES, Block, DamageError
 
 WHOLE_BYTES = 1 << 24
 """Chunks up to this size are decompressed at once, larger ones in pieces. Writers use 1 to 16
@@ -37,12 +37,9 @@ INFLATED_BYTES = 1 << 28
 """Limit of what the chunks of one file may together decompress to beyond plausible ratios: a second
 of zstd."""
 
-DEARER = {"bz2": 2}
-"""Factor of the cost of a byte."""
-
-RATIOS = {"bz2": 100}
-"""Plausible ratios, up to which decompression is unlimited: empty cost maps reach 500 with zstd.
-lz4 cannot exceed 255."""
+RATIOS, COSTS = {"bz2": 100}, {"bz2": 2}
+"""Plausible ratios, up to which decompression is unlimited, 1000 for others: empty cost maps reach
+500 with zstd, lz4 cannot exceed 255. Factors of the cost of a byte."""
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
@@ -70,32 +67,12 @@ def checksum(data: Any, before: int = 0) -> int:
     return int(crc32(data, before))
 
 
-class WrongSizeError(DamageError):
-    """Data decompress to another size than declared."""
-
-    def __init__(self) -> None:
-        super().__init__("a chunk does not decompress to its declared size")
+WRONG_SIZE = "a chunk does not decompress to its declared size"
 
 
-class LimitError(DamageError):
-    """A chunk decompresses to more than is allowed."""
-
-    def __init__(self) -> None:
-        super().__init__("they inflate to far more than logs do")
-
-
-class Allowance:
-    """What the chunks of one file may still decompress to beyond plausible ratios."""
-
-    def __init__(self) -> None:
-        self._left = INFLATED_BYTES
-
-    def take(self, compression: str, packed: int, size: int) -> None:
-        """Count a chunk that decompresses from `packed` to `size` bytes; raises LimitError."""
-        excess = max(size - RATIOS.get(compression, 1000) * packed, 0) * DEARER.get(compression, 1)
-        if excess > self._left:
-            raise LimitError
-        self._left -= excess
+def excess(compression: str, packed: int, size: int) -> int:
+    """What decompressing `packed` to `size` bytes costs beyond a plausible ratio."""
+    return max(size - RATIOS.get(compression, 1000) * packed, 0) * COSTS.get(compression, 1)
 
 
 @contextmanager
@@ -117,12 +94,23 @@ def inflate(compression: str, data: bytes, size: int) -> bytes:
     compression: "zstd", "lz4" or "bz2"; size: at most WHOLE_BYTES.
     """
     if size > WHOLE_BYTES:
-        raise WrongSizeError
+        raise DamageError(WRONG_SIZE)
     with _translated(compression):
-        out = _inflater(compression)(data, size)
+        if compression == "zstd":
+            out = _zstd(data, size)
+        elif compression == "lz4":
+            out = _lz4(data, size)
+        elif compression == "bz2":
+            out = bz2.BZ2Decompressor().decompress(data, size + 1)
+        else:
+            raise _unknown(compression)
     if len(out) != size:
-        raise WrongSizeError
+        raise DamageError(WRONG_SIZE)
     return out
+
+
+def _unknown(compression: str) -> DamageError:
+    return DamageError(f"compression {compression[:40]!r} is not known")
 
 
 def _zstd(data: bytes, size: int) -> bytes:
@@ -132,7 +120,7 @@ def _zstd(data: bytes, size: int) -> bytes:
     if context is None:
         context = _local.zstd = zstandard.ZstdDecompressor()
     if zstandard.frame_content_size(data) not in (-1, size):
-        raise WrongSizeError
+        raise DamageError(WRONG_SIZE)
     # No size would mean any size to the library.
     out: bytes = context.decompress(data, max_output_size=max(size, 1))
     return out
@@ -143,7 +131,7 @@ def _lz4(data: bytes, size: int) -> bytes:
 
     declared = lz4.frame.get_frame_info(data)["content_size"]
     if declared not in (0, size):
-        raise WrongSizeError
+        raise DamageError(WRONG_SIZE)
     out: bytes = (
         lz4.frame.decompress(data)
         if declared
@@ -152,60 +140,35 @@ def _lz4(data: bytes, size: int) -> bytes:
     return out
 
 
-def _bz2(data: bytes, size: int) -> bytes:
-    return bz2.BZ2Decompressor().decompress(data, size + 1)
+def pieces(compression: str, source: Any) -> Iterator[bytes]:
+    """The decompressed stream of a file in pieces of at most PIECE_BYTES, up to its end or its
+    data's.
 
-
-_INFLATERS: dict[str, Callable[[bytes, int], bytes]] = {"zstd": _zstd, "lz4": _lz4, "bz2": _bz2}
-
-
-def _inflater(compression: str) -> Callable[[bytes, int], bytes]:
-    if compression not in _INFLATERS:
-        raise DamageError(f"compression {compression[:40]!r} is not known")
-    return _INFLATERS[compression]
-
-
-class Read(Protocol):
-    """A file to read from: the next bytes, at most so many; none at its end."""
-
-    def read(self, size: int) -> bytes:
-        """The next bytes."""
-
-
-def pieces(compression: str, source: Read) -> Iterator[bytes]:
-    """A decompressed stream in pieces of at most PIECE_BYTES, up to its end or its data's.
-
-    Raises DamageError at a broken place, after everything before it.
+    Raises DamageError at a broken place, after everything before it: what is left of a stream is
+    returned before an error is raised.
     """
-    if compression == "":
-        while piece := source.read(PIECE_BYTES):
-            yield piece
-        return
-    _inflater(compression)
-    with _translated(compression):
-        reader = _opened(compression, source)
-        while piece := reader.read1(PIECE_BYTES):
-            yield piece
-
-
-def _opened(compression: str, source: Any) -> Any:
-    """What is left of a stream is returned before an error is raised."""
-    if compression == "zstd":
-        import zstandard
-
-        decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
-        return decompressor.stream_reader(source, read_size=INPUT_BYTES)
-    if compression == "bz2":
-        return bz2.BZ2File(source)
     import lz4.frame
+    import zstandard
 
-    return lz4.frame.LZ4FrameFile(source)
+    with _translated(compression):
+        reader = source
+        if compression == "zstd":
+            decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
+            reader = decompressor.stream_reader(source, read_size=INPUT_BYTES)
+        elif compression == "bz2":
+            reader = bz2.BZ2File(reader)
+        elif compression == "lz4":
+            reader = lz4.frame.LZ4FrameFile(source)
+        elif compression:
+            raise _unknown(compression)
+        while piece := (reader.read1 if compression else reader.read)(PIECE_BYTES):
+            yield piece
 
 
 # Messages that are compressed one by one
 
 
-def inflate_message(data: bytes, limit: int = MESSAGE_BYTES) -> bytes:
+def inflate_message(data: bytes, limit: int = OBJECT_BYTES) -> bytes:
     """One zstd payload of unknown size, at most `limit` bytes; else DamageError."""
     import zstandard
 
@@ -228,12 +191,14 @@ SLICE_BYTES = 1 << 22
 """Bytes of messages decompressed at once."""
 
 
-def unpacked(block: Block) -> Iterator[tuple[Block, int]]:
-    """A block in CDR whose payloads may be zstd streams (ROS 2 can compress single messages), as
-    blocks that are none, each with the number of messages left out that do not decompress."""
+def unpacked(block: Block, encoding: str) -> Iterator[tuple[Block, int]]:
+    """A block as blocks of plain payloads with plausible times, each with the number of messages
+    left out that do not decompress: ROS 2 can compress single messages, in CDR, by zstd."""
+    block = block._replace(log_time_ns=np.clip(block.log_time_ns, 0, LATEST_NS - 1))
     packed = block.size >= 9
-    packed[packed] = words(block.data, "<u4", block.start[packed]) == _ZSTD_WORD
-    if not packed.any():
+    if encoding == "cdr":
+        packed[packed] = words(block.data, "<u4", block.start[packed]) == _ZSTD_WORD
+    if encoding != "cdr" or not packed.any():
         yield block, 0
         return
     held: list[bytes] = []

@@ -9,15 +9,16 @@ from typing import Any
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.columns import take
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
 from .columns import Growing
 from .foxglove import object_reader, object_rows
 from .inflate import unpacked
-from .messages import LATEST_NS, UNWANTED, Block, Channel, DamageError
+from .messages import UNWANTED, Block, Channel, DamageError
 from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder
-from .schema import as_expected
-from .topics import JUNCTION_KINDS, ODOMETRY_KINDS
+from .schema import EXPECTED, as_expected
+from .topics import POSE_KINDS
 
 DENSE = 64
 """From so many messages in a block on, they are decoded in place; fewer are collected first. With 8
@@ -30,15 +31,17 @@ MOST_KEPT, BYTES_PER_POSE = 1 << 19, 40
 """Most poses of a topic that are kept in space, and bytes of a log for each further one: kept and
 sorted they take some 400 bytes, a message with four of them and its odometry far more than 160."""
 
+MOST_SINKS = 1 << 12
+"""Most channels of one log that are kept: with few messages, one takes some 25 kB."""
+
 FARTHEST = 1e9
 """Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
 
 def decoder_for(channel: Channel) -> PoseDecoder:
     """The decoder for a channel of one of the known types; raises DamageError if there is none."""
-    kind = ODOMETRY_KINDS[channel.type_name][1] if channel.type_name in ODOMETRY_KINDS else None
-    kind = kind or JUNCTION_KINDS.get(channel.type_name)
-    if kind is not None and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
+    kind = POSE_KINDS.get(channel.type_name)
+    if kind in EXPECTED and channel.encoding in ("cdr", "ros1") and as_expected(channel, kind):
         return WireDecoder(kind, channel.encoding == "ros1")
     read = object_reader(channel)
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
@@ -65,8 +68,7 @@ class PoseColumns:
 
 def states_sigma(channel: Channel) -> bool:
     """Whether messages of this type can state how uncertain their pose is, and are heeded."""
-    known = ODOMETRY_KINDS.get(channel.type_name)
-    return known is not None and known[1] == "pose_covariance"
+    return POSE_KINDS.get(channel.type_name) == "pose_covariance"
 
 
 def usable_poses(value: FloatArray) -> BoolArray:
@@ -157,7 +159,7 @@ class Sink:
             self.messages += len(block.start)
             self.undecoded += len(block.start)
             return
-        for part, failed in unpacked(block) if self.channel.encoding == "cdr" else ((block, 0),):
+        for part, failed in unpacked(block, self.channel.encoding):
             self.messages += failed
             self.undecoded += failed
             if len(part.start) >= DENSE:
@@ -192,7 +194,6 @@ class Sink:
 
     def _take(self, decoded: Poses, log_ns: IntArray, failed: int) -> None:
         """Append the poses of further messages; log_ns: one time per message."""
-        log_ns = np.clip(log_ns, 0, LATEST_NS - 1)
         # Messages are numbered in their order, so that each change of the number is a message.
         changes = np.count_nonzero(decoded.message[1:] != decoded.message[:-1])
         told = int(changes) + (len(decoded.message) > 0)
@@ -221,11 +222,11 @@ class Sink:
         if not _all_inside(poses.value):
             finite = np.asarray(_inside(poses.value).all(axis=1))
             self.not_finite += int((~finite).sum())
-            poses = poses.rows(finite)
+            poses = take(poses, finite)
         turned = _turned(poses.value)
         if not turned.all():
             self.zero_quaternion += int((~turned).sum())
-            poses = poses.rows(turned)
+            poses = take(poses, turned)
         return poses
 
 
@@ -258,6 +259,8 @@ class Intake:
         number = UNWANTED
         if self._accept(channel):
             try:
+                if len(self.sinks) == MOST_SINKS:
+                    raise DamageError(f"more than {MOST_SINKS} topics, which is the limit")
                 decoder = self._decoder(channel)
                 self.sinks.append(Sink(channel, decoder, self._whole(channel), self.most))
                 number = len(self.sinks) - 1

@@ -1,33 +1,34 @@
 """Planar scans out of messages of any type and encoding, and out of point clouds.
 
 The layout of a LaserScan depends on its frame's name and its number of beams, so that those of one
-laser are decoded as columns. Echoes have a different one in every message.
+laser are decoded as columns.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import Float32Array, IntArray
 from ...topology.se2 import yaw_from_quaternion
-from .clouds import Cloud, object_cloud, wire_cloud
+from .clouds import Cloud, foxglove_cloud, wire_cloud
 from .columns import Shape
 from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit_quaternion
 from .inflate import SLICE_BYTES, unpacked
-from .messages import LATEST_NS, Block, Bytes, Channel, DamageError
+from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
 from .schema import as_expected
-from .topics import CLOUD_BYTES, CLOUD_KINDS, SCAN_KINDS
+from .topics import CLOUD_KINDS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
 MOST_BEAMS = 1 << 16
 """Largest number of beams; laser scanners have hundreds or thousands."""
 
-MOST_ECHOES = 16
-"""Largest number of echoes of one beam; scanners report at most three."""
+ECHOES_BYTES = 1 << 20
+"""Longest scan of several echoes: each beam becomes an object; those of scanners have 40 kB."""
 
 ABOUT = ("angle_min", "angle_max", "angle_increment", "time_increment", "scan_time")
 ABOUT_BYTES = 4 * (len(ABOUT) + 2)
@@ -194,61 +195,16 @@ def _together(found: list[tuple[int, RawScans]]) -> list[RawScans]:
     ]
 
 
-def echo_scan(ros1: bool, raw: bytes) -> RawScans:
-    """A MultiEchoLaserScan in CDR or ROS 1's encoding; raises DamageError.
-
-    Of a beam the strongest echo counts if intensities are recorded (dust, rain and glass return
-    little), else the first.
-    """
-    parser = WireParser(raw, ros1)
-    stamp_at, frame, about_at, beams = _parsed_head(parser)
-    # From the first echo on everything is 4 bytes wide: lists, each behind its length.
-    count = (len(raw) - parser.position) // 4
-    words = np.frombuffer(raw, f"{parser.order}u4", count, parser.position).tolist()
-    values = np.frombuffer(raw, f"{parser.order}f4", count, parser.position)
-    echoes, end = _lists(words, 0, beams)
-    if echoes is None:
-        raise DamageError("its echoes do not fit into the message")
-    strengths = _lists(words, end + 1, beams)[0] if words[end : end + 1] == [beams] else None
-    strengths = strengths or echoes[:0]
-    ranges = np.full(beams, np.nan, np.float32)
-    for beam, (begin, length) in enumerate(echoes):
-        if length:
-            graded = beam < len(strengths) and strengths[beam][1] == length
-            power = values[strengths[beam][0] :][:length] if graded else values[:1]
-            # Compared one by one, so that an intensity that is not a number is never the largest.
-            best = max(range(len(power)), key=lambda k: power[k]) if graded else 0
-            ranges[beam] = values[begin + best]
-    (stamp_ns,) = stamps_ns(
-        np.frombuffer(raw, np.uint8)[None], stamp_at, parser.order, ros1
-    ).tolist()
-    about = np.frombuffer(raw, f"{parser.order}f4", ABOUT_BYTES // 4, about_at).tolist()
-    return one_scan(stamp_ns, ranges, _geometry(frame, about))
-
-
-def _lists(words: list[int], at: int, count: int) -> tuple[list[tuple[int, int]] | None, int]:
-    """Begin and length of `count` lists among words, the first one's length at `at`, and where they
-    end; None if they do not fit."""
-    out = []
-    for _ in range(count):
-        length = words[at] if at < len(words) else MOST_ECHOES + 1
-        if length > MOST_ECHOES:
-            return None, at
-        out.append((at + 1, length))
-        at += 1 + length
-    return (out, at) if at <= len(words) else (None, at)
-
-
 def object_scan(message: Any) -> RawScans:
     """A decoded scan by the names of its fields; raises DamageError.
 
     Supports sensor_msgs/LaserScan (`angle_min`), foxglove.LaserScan (`start_angle`), and multi-echo
-    scans, of which the first echoes count.
+    scans, of which the strongest echo of each beam counts.
     """
     header = get(message, "header")
     source = message if header is None else header
     stamp, frame = stamp_of(source), as_text(get(source, "frame_id")).lstrip("/")
-    ranges = _ranges(get(message, "ranges"))
+    ranges = _ranges(get(message, "ranges"), get(message, "intensities"))
     if get(message, "start_angle") is not None:
         first, last = (real(get(message, name)) for name in ("start_angle", "end_angle"))
         step = (last - first) / max(len(ranges) - 1, 1)
@@ -280,22 +236,30 @@ def _or(value: Any, otherwise: float) -> float:
     return otherwise if value is None else real(value)
 
 
-def _ranges(value: Any) -> Float32Array:
-    """(m,) ranges, of multiple echoes the first; null in JSON is no range. Values too large become
-    inf."""
+def _ranges(value: Any, strengths: Any) -> Float32Array:
+    """(m,) ranges; null in JSON is no range. Values too large become inf."""
     if value is None or isinstance(value, str) or not hasattr(value, "__len__"):
         raise DamageError("a list of ranges is missing")
     _checked_beams(len(value))
     if not (isinstance(value, np.ndarray) and value.dtype.kind in "fiu"):
-        value = np.array([_range(each) for each in value], np.float64)
+        powers = strengths if isinstance(strengths, list) else []
+        pairs = zip_longest(value, powers[: len(value)])
+        value = np.array([_range(*pair) for pair in pairs], np.float64)
     with np.errstate(over="ignore"):
         return np.asarray(value).astype(np.float32)
 
 
-def _range(value: Any) -> float:
+def _range(value: Any, strength: Any) -> float:
+    """Of multiple echoes the strongest if intensities are recorded (dust, rain and glass return
+    little), else the first."""
     echoes = get(value, "echoes")
     if echoes is not None:
-        value = echoes[0] if len(echoes) else None
+        powers = get(strength, "echoes")
+        best = 0
+        if powers is not None and len(powers) == len(echoes) > 1:
+            # Compared one by one, so that an intensity that is not a number is never the largest.
+            best = max(range(len(powers)), key=lambda k: powers[k])
+        value = echoes[best] if len(echoes) else None
     return float("nan") if value is None else real(value)
 
 
@@ -311,25 +275,19 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
 
     slicer: makes a scan of a cloud.
     """
-    cloud = channel.type_name in CLOUD_KINDS
-    kind = "cloud" if cloud else SCAN_KINDS.get(channel.type_name)
     serialized, ros1 = channel.encoding in ("cdr", "ros1"), channel.encoding == "ros1"
-    foxglove = channel.type_name.startswith("foxglove")
-    if serialized and kind is not None and not foxglove and as_expected(channel, kind):
-        if cloud:
-            parse = partial(_sliced_wire, slicer, ros1)
-            return OneByOne(parse, _together, CLOUD_BYTES, in_place=True)
-        if kind == "multi_echo":
-            return OneByOne(partial(echo_scan, ros1), _together)
+    scan = channel.type_name == "sensor_msgs/msg/LaserScan"
+    if serialized and scan and as_expected(channel, "laser_scan"):
         return TemplateDecoder(partial(_Template.of, ros1), _Template.scans, _in_order)
+    if serialized and channel.type_name == "sensor_msgs/msg/PointCloud2":
+        return OneByOne(lambda raw: slicer(wire_cloud(raw, ros1)), _together, MESSAGE_BYTES)
     read = object_reader(channel)
-    if cloud:
-        return OneByOne(lambda raw: slicer(object_cloud(read(raw))), _together)
-    return OneByOne(lambda raw: object_scan(read(raw)), _together)
-
-
-def _sliced_wire(slicer: Slicer, ros1: bool, raw: memoryview) -> RawScans:
-    return slicer(wire_cloud(raw, ros1))
+    if channel.type_name in CLOUD_KINDS:
+        return OneByOne(lambda raw: slicer(foxglove_cloud(read(raw))), _together)
+    many = channel.type_name == "sensor_msgs/msg/MultiEchoLaserScan"
+    return OneByOne(
+        lambda raw: object_scan(read(raw)), _together, ECHOES_BYTES if many else OBJECT_BYTES
+    )
 
 
 class TimedScans(NamedTuple):
@@ -345,7 +303,7 @@ class ScanIntake:
 
     def __init__(self, channel: Channel, slicer: Slicer) -> None:
         self._decoder = scan_decoder(channel, slicer)
-        self._cdr = channel.encoding == "cdr"
+        self._encoding = channel.encoding
         self._unpacked = 0
         self.messages = 0
 
@@ -366,8 +324,7 @@ class ScanIntake:
         filled = (np.cumsum(block.size) - block.size) // SLICE_BYTES
         for rows in np.split(np.arange(len(filled)), np.flatnonzero(np.diff(filled)) + 1):
             part = block.rows(rows)
-            for plain, failed in unpacked(part) if self._cdr else ((part, 0),):
+            for plain, failed in unpacked(part, self._encoding):
                 self._unpacked += failed
-                log_ns = np.clip(plain.log_time_ns, 0, LATEST_NS - 1)
                 for scans in self._decoder.decode(plain.data, plain.start, plain.size):
-                    yield TimedScans(scans, log_ns[scans.message])
+                    yield TimedScans(scans, plain.log_time_ns[scans.message])

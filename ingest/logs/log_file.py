@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,11 +13,12 @@ from pathlib import Path
 from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
 from .bag import MAGIC as BAG_MAGIC
-from .bag import BagFile
-from .inflate import WINDOW_BYTES, ZSTD_MAGIC
+from .bag import BagScan, read_index
+from .chunks import ChunkedLog
+from .inflate import ZSTD_MAGIC, pieces
 from .mcap import MAGIC as MCAP_MAGIC
-from .mcap import McapFile
-from .messages import Container
+from .mcap import McapScan, read_summary
+from .messages import Container, DamageError
 from .saved_map import is_saved_map
 from .sqlite import MAGIC as SQLITE_MAGIC
 from .sqlite import SqliteFile
@@ -111,9 +112,9 @@ class LogFile:
 
 def _container(path: LogPath, kind: str | None) -> Container:
     if kind == "mcap":
-        return McapFile(path)
+        return ChunkedLog(path, read_summary, McapScan)
     if kind == "bag":
-        return BagFile(path)
+        return ChunkedLog(path, read_index, BagScan)
     if kind == "sqlite3":
         return SqliteFile(_here(path, "a database can only be read as a whole"))
     raise LogError(f"{path}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")
@@ -127,18 +128,12 @@ def _here(path: LogPath, why: str) -> Path:
 
 
 def _unpack(path: Path, target: Path) -> Path:
-    import zstandard
-
     written, most = 0, max(UNPACKED_BYTES, UNPACKED_RATIO * path.stat().st_size)
-    with path.open("rb") as source, target.open("wb") as sink:
-        reader = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(source)
-        try:
-            while piece := reader.read(1 << 20):
-                written += len(piece)
-                if written > most:
-                    raise LogError(f"{path}: inflates to more than {most >> 20} MiB")
-                sink.write(piece)
-        except zstandard.ZstdError:
-            # The part before the damage is read; the walk reports the truncation.
-            sink.flush()
+    # What comes before damage is read; the walk reports the truncation.
+    with path.open("rb") as source, target.open("wb") as sink, suppress(DamageError):
+        for piece in pieces("zstd", source):
+            written += len(piece)
+            if written > most:
+                raise LogError(f"{path}: inflates to more than {most >> 20} MiB")
+            sink.write(piece)
     return target

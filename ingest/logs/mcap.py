@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, Channels
-from .chunks import RECORD_BYTES, Chunk, ChunkedLog, Index, Read, Scan
+from .chunks import RECORD_BYTES, Chunk, Index, Read, Scan
 from .columns import column, gather, words
 from .inflate import checksum
 from .messages import (
@@ -27,7 +27,7 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source
 from .walk import mcap_records
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -66,31 +66,12 @@ _KNOWN = np.array([0 < op <= DATA_END or op >= PRIVATE for op in range(256)])
 """Which opcodes a record may have."""
 
 
-class McapFile(ChunkedLog):
-    """One MCAP file of any profile."""
-
-    @cached_property
-    def index(self) -> Index | None:
-        """The summary section, None unless it is complete and its checksum right."""
-        with open_source(self.path) as source:
-            try:
-                return _read_summary(source)
-            except (DamageError, struct.error):
-                return None
-
-    def _scan(self, source: Source, channels: Channels, findings: Findings) -> McapScan:
-        return McapScan(source, channels, findings, self.index is None)
-
-
 class McapScan(Scan):
-    """One scan of a file. summary_lost: whether it has no summary, or one that is damaged."""
+    """One scan of an MCAP file of any profile."""
 
-    def __init__(
-        self, source: Source, channels: Channels, findings: Findings, summary_lost: bool
-    ) -> None:
-        super().__init__(source, channels, findings)
-        self._summary_lost = summary_lost
-        self._definitions = Definitions(channels)
+    def __init__(self, *parts: Any) -> None:
+        super().__init__(*parts)
+        self._definitions = Definitions(self._channels)
 
     def all(self) -> Iterator[Chunk]:
         """All chunks, and runs of records outside of them."""
@@ -118,7 +99,7 @@ class McapScan(Scan):
             if chunk is not None:
                 yield chunk
             elif op == FOOTER and end + len(MAGIC) == stop:
-                if self._summary_lost and _U64(head, RECORD_HEAD)[0]:
+                if self._index is None and _U64(head, RECORD_HEAD)[0]:
                     self.findings.note("the summary is damaged")
                 return
             position = end
@@ -151,12 +132,10 @@ class McapScan(Scan):
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return mcap_records(data, _NOT_IN_CHUNKS)
 
-    def _head(self, data: Bytes) -> tuple[int, int]:
-        if len(data) < RECORD_HEAD + MESSAGE_HEAD or int(data[0]) in _NOT_IN_CHUNKS:
-            return 0, NUMBERS
-        op, length = _RECORD(data.data)
-        number = int(data[RECORD_HEAD]) | int(data[RECORD_HEAD + 1]) << 8
-        return RECORD_HEAD + int(length), number if op == MESSAGE else NUMBERS
+    def _record_size(self, data: Bytes) -> int:
+        if len(data) < RECORD_HEAD or int(data[0]) in _NOT_IN_CHUNKS:
+            return 0
+        return RECORD_HEAD + int(_RECORD(data.data)[1])
 
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         is_message = data[where] == MESSAGE
@@ -234,26 +213,24 @@ class Definitions:
     def __init__(self, channels: Channels) -> None:
         self._channels = channels
         self._schemas: dict[int, tuple[str, str, bytes]] = {0: ("", "", b"")}
-        self._length = np.zeros(2 * NUMBERS, np.int64)
+        self._known = np.zeros(2 * NUMBERS, bool)
 
     def read(self, data: Bytes, where: IntArray) -> int:
-        """Read the new ones among records at `where`; returns the bytes of those that are damaged:
-        that cannot be read, or are of another length than before."""
+        """Read the new ones among records at `where`; returns the bytes of those that cannot be
+        read."""
         where = where[where + RECORD_HEAD + 2 <= len(data)]
         number = words(data, "<u2", where + RECORD_HEAD) + NUMBERS * (data[where] == SCHEMA)
-        size = words(data, "<i8", where + 1)
         first = np.unique(number, return_index=True)[1]
-        fresh = np.sort(first[self._length[number[first]] == 0])
+        fresh = np.sort(first[~self._known[number[first]]])
         damaged = 0
         for place, key in zip(where[fresh].tolist(), number[fresh].tolist(), strict=True):
             op, length = _RECORD(data.data, place)
             body = data[place + RECORD_HEAD : place + RECORD_HEAD + length].tobytes()
             try:
-                self._length[key] = length if self._add(op, body) else 0
+                self._known[key] = self._add(op, body)
             except (DamageError, struct.error):
                 damaged += len(body)
-        known = self._length[number]
-        return damaged + int(size[(known > 0) & (size != known)].sum())
+        return damaged
 
     def _add(self, op: int, body: bytes) -> bool:
         """Read a schema, or a channel if its schema is known."""
@@ -292,7 +269,7 @@ def _strings(body: bytes, at: int, count: int) -> list[bytes]:
 # The summary
 
 
-def _read_summary(source: Source) -> Index | None:
+def read_summary(source: Source) -> Index | None:
     """The summary of a file, None if there is none; raises DamageError and struct.error."""
     footer = source.size - FOOTER_BYTES
     tail = source.read(footer, FOOTER_BYTES) if footer >= len(MAGIC) else b""
@@ -321,25 +298,15 @@ def _read_summary(source: Source) -> Index | None:
     kinds: dict[frozenset[int], frozenset[int]] = {}  # few, of a million chunks
     chunks = []
     for at in where[op == CHUNK_INDEX].tolist():
-        begin, end, held = _chunk_index(raw, at)
-        chunks.append((begin, end, kinds.setdefault(held, held)))
+        begin, size, listed = struct.unpack_from("<QQI", raw, at + RECORD_HEAD + 16)
+        pairs = raw[at + RECORD_HEAD + 36 : at + RECORD_HEAD + 36 + listed]
+        held = frozenset(number for number, _ in struct.iter_unpack("<HQ", pairs))
+        chunks.append((begin, begin + size, kinds.setdefault(held, held)))
     chunks.sort(key=lambda chunk: chunk[0])
-    listed = frozenset[int]().union(*kinds)
+    named = frozenset[int]().union(*kinds)
     filled = {number for number, count in counts.items() if count}
     apart = all(end <= begin for (_, end, _), (begin, _, _) in pairwise(chunks))
     apart &= all(begin < end <= start for begin, end, _ in chunks)
-    distrusted = ""
-    if not chunks or not counts or not apart:
-        distrusted = "its index lists no chunks, counts no messages, or contradicts itself"
-    elif not filled | listed <= channels.described.keys():
-        distrusted = "its index does not describe all channels"
-    elif not filled <= listed:
-        distrusted = "its index does not say which chunk holds which messages"
+    sound = chunks and counts and apart and filled <= named <= channels.described.keys()
+    distrusted = "" if sound else "its index is incomplete or contradicts itself"
     return Index(channels.described, counts, (first, last), chunks, distrusted, bool(crc), start)
-
-
-def _chunk_index(raw: bytes, at: int) -> tuple[int, int, frozenset[int]]:
-    """First byte of a chunk, the one after its last, and its channels; raises struct.error."""
-    begin, size, listed = struct.unpack_from("<QQI", raw, at + RECORD_HEAD + 16)
-    pairs = raw[at + RECORD_HEAD + 36 : at + RECORD_HEAD + 36 + listed]
-    return begin, begin + size, frozenset(n for n, _ in struct.iter_unpack("<HQ", pairs))

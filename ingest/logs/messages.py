@@ -27,10 +27,13 @@ NAME_BYTES = 4096
 SCHEMA_BYTES = 1 << 20
 """Longest message definition accepted: twenty times the largest in use, of a thousand lines."""
 
-MESSAGE_BYTES = 1 << 24
-"""Longest message that is decoded, 16 MiB: an odometry message has 700 bytes, an array of a
-thousand poses 56,000. Longer ones are skipped without being read, but for clouds and grids
-(`topics.longest_message`)."""
+MESSAGE_BYTES = 1 << 26
+"""Longest message that is read, 64 MiB: a cloud of `clouds.MOST_POINTS` of 32 bytes. Longer ones
+are left out."""
+
+OBJECT_BYTES = 1 << 24
+"""Longest message that is decoded as objects, 16 MiB: an odometry message has 700 bytes, an array
+of a thousand poses 56,000."""
 
 
 class Channel(NamedTuple):
@@ -144,6 +147,7 @@ Fault = tuple[str, str]
 
 CUT: Fault = ("", "the log is cut short")
 UNREADABLE: Fault = ("byte", "could not be read as messages")
+TOO_LARGE: Fault = ("message", f"above {MESSAGE_BYTES >> 20} MiB left out")
 UNKNOWN: Fault = ("message", "of channels that the log does not describe")
 
 
@@ -174,10 +178,6 @@ class Findings:
     def note(self, sentence: str) -> None:
         """Keep a sentence, once."""
         self.faults["", sentence] = 1
-
-    def too_large(self, topic: str, limit: int, count: int = 1) -> None:
-        """Count messages left out as longer than a limit [bytes]."""
-        self.faults["message", f"of {topic} above {limit >> 20} MiB left out"] += count
 
     def beyond(self, known: Sequence[Findings]) -> Findings:
         """The faults that no other scan of the same log found, as far as their numbers tell."""

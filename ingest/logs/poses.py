@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.columns import joined, take
 from .columns import Shape
 from .messages import Bytes, DamageError
 from .wire import OneByOne, TemplateDecoder, WireParser, stamps_ns
@@ -45,7 +45,8 @@ FRAMES = 1024
 """Largest number of pairs of frames in one topic."""
 
 
-class Poses(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
     """Poses of a batch of messages, in the order of the messages.
 
     message: (k,) index of the message in the batch; part: (k,) index of the junction in the
@@ -60,17 +61,6 @@ class Poses(NamedTuple):
     frame: IntArray
     value: FloatArray
     sigma_m: FloatArray | None = None
-
-    def rows(self, which: NDArray[Any]) -> Poses:
-        """The chosen poses, by number or by mask."""
-        return Poses(
-            self.message[which],
-            self.part[which],
-            self.stamp_ns[which],
-            self.frame[which],
-            self.value[which],
-            None if self.sigma_m is None else self.sigma_m[which],
-        )
 
 
 @dataclass(slots=True)
@@ -115,11 +105,8 @@ def join(parts: Sequence[Poses]) -> Poses:
         return no_poses()
     if len(parts) == 1:
         return parts[0]
-    *columns, sigmas = zip(*parts, strict=True)
-    sigma_m = None if any(s is None for s in sigmas) else np.concatenate(sigmas)
-    message, part, stamp_ns, frame, value = map(np.concatenate, columns)
-    joined = Poses(message, part, stamp_ns, frame, value, sigma_m)
-    return joined.rows(np.argsort(joined.message, kind="stable"))
+    together = joined(parts)
+    return take(together, np.argsort(together.message, kind="stable"))
 
 
 class _Run(NamedTuple):
@@ -178,12 +165,9 @@ def _parsed(kind: Kind, ros1: bool, frames: Frames, raw: bytes) -> _Template:
             pair = frames.number(frame, parser.string())
             runs.append(_Run(stamp, pair, parser.doubles(NUMBERS), 1))
     else:
-        stamp, frame = (
-            (parser.stamp(), parser.string()) if kind.startswith("foxglove") else parser.header()
-        )
+        stamp, frame = parser.header()
         child = parser.string() if kind == "odometry" else ""
-        many = kind in ("pose_array", "foxglove_poses")
-        count = parser.count() if many else 1
+        count = parser.count() if kind == "pose_array" else 1
         if count > MOST_POSES:
             raise DamageError(f"more than {MOST_POSES} poses in a message, which is the limit")
         stated = kind == "pose_covariance"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
-from ...topology.wording import legible
+from ...topology.wording import legible, listed
 from ..remote.path import LogPath, RemotePath, log_path
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
 from .metadata import METADATA_BYTES, Metadata, parse_metadata
@@ -17,9 +17,6 @@ from .saved_map import is_saved_map, saved_map_files
 from .split_recordings import is_path_of_parts, name_of_parts, parts_at
 
 METADATA = "metadata.yaml"
-NOTES = 12
-"""Limit on missing or unexpected files that are named."""
-
 WHOLE_BYTES = 1 << 26
 SAMPLE_BYTES = 1 << 16
 SAMPLES = 256
@@ -163,19 +160,16 @@ def _folder(path: LogPath) -> Recording:
     metadata = Metadata([], None)
     if (path / METADATA).is_file():
         metadata = _metadata(path / METADATA, notes)
-        there = {_bare(file) for file in files} | names
-        missing = [
-            f"{METADATA} names {name}, which is missing or no log"
-            for name in metadata.files
-            if name not in there
-        ]
-        known = {_PACKED.sub("", name) for name in metadata.files}
-        strangers = [
-            f"{METADATA} does not name {legible(file.path.name)}, which is read all the same"
-            for file in files
-            if known and _bare(file) not in known
-        ]
-        notes += [*_some(missing, "also names"), *_some(strangers, "does not name")]
+        there, known = {_bare(file) for file in files} | names, metadata.files
+        missing = [name for name in known if name not in there]
+        known = [_PACKED.sub("", name) for name in known]
+        strange = [legible(file.path.name) for file in files if known and _bare(file) not in known]
+        if missing:
+            verb = "is" if len(missing) == 1 else "are"
+            notes.append(f"{METADATA} names {listed(missing)}, which {verb} missing or no log")
+        if strange:
+            verb = "is" if len(strange) == 1 else "are"
+            notes.append(f"{METADATA} does not name {listed(strange)}, which {verb} read")
     if not files:
         raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
     return Recording(path, tuple(files), tuple(notes), metadata.messages)
@@ -209,9 +203,3 @@ def _metadata(path: LogPath, notes: list[str]) -> Metadata:
     except OSError as error:
         notes.append(f"{METADATA} cannot be read ({error.strerror}); all files are used")
     return Metadata([], None)
-
-
-def _some(notes: list[str], what: str) -> list[str]:
-    """The first NOTES notes, and the number of further ones."""
-    more = len(notes) - NOTES
-    return [*notes[:NOTES], f"{METADATA} {what} {more} further files"] if more > 0 else notes

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from ...topology.errors import LogError
 from ..remote.path import LogPath, RemotePath
-from ..remote.source import Ranges, ReadAhead
-from .messages import Passed, Progress
+from ..remote.source import Ranges, RemoteFile
 
 SLAB_BYTES = 1 << 20
 """Bytes read at a time in a walk record by record."""
@@ -18,14 +17,11 @@ SLAB_BYTES = 1 << 20
 LEAST_BYTES = 1 << 14
 """Bytes read first where little may be of use, as between damaged places."""
 
-ALLOW_SCAN = "--allow-scan"
 
-
-class FileSource(Passed):
+class FileSource:
     """A file here; raises LogError if it cannot be read. Threads may share it."""
 
-    def __init__(self, path: Path, progress: Progress | None = None) -> None:
-        super().__init__(progress)
+    def __init__(self, path: Path) -> None:
         try:
             self._file = path.open("rb")
             self.size = path.stat().st_size
@@ -61,47 +57,14 @@ class FileSource(Passed):
         return data
 
 
-class RemoteSource(Passed):
-    """An object in a bucket or on a server, by the same methods; raises LogError on its errors."""
-
-    def __init__(self, path: RemotePath, progress: Progress | None = None) -> None:
-        super().__init__(progress)
-        self.path = path
-        self.size = path.file.size
-        self._ahead: ReadAhead | None = None
-
-    def __enter__(self) -> RemoteSource:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        pass
-
-    @contextmanager
-    def ahead(self, ranges: Ranges) -> Iterator[None]:
-        """Context in which these ranges are read, in order; they are requested ahead."""
-        self._ahead = self.path.file.reading_ahead(ranges)
-        yield
-        self._ahead = None
-
-    def check_scan(self, why: str) -> None:
-        """Raise LogError if the whole object must not be read; why: there is no index."""
-        if not self.path.allow_scan:
-            raise LogError(
-                f"{self.path}: {why}, so that all of its {self.size:,} bytes would have to be "
-                f"read; {ALLOW_SCAN} does that"
-            )
-
-    def read(self, offset: int, length: int) -> bytes:
-        """The bytes [offset, offset + length), fewer at the object's end."""
-        length = min(length, self.size - offset)
-        return self.path.file.read(offset, length, self._ahead) if length > 0 else b""
+Source = FileSource | RemoteFile
 
 
-Source = FileSource | RemoteSource
-
-
-def open_source(path: LogPath, progress: Progress | None = None) -> Source:
+@contextmanager
+def open_source(path: LogPath) -> Iterator[Source]:
     """The bytes of the file or object at a path."""
     if isinstance(path, RemotePath):
-        return RemoteSource(path, progress)
-    return FileSource(path, progress)
+        yield path.file
+        return
+    with FileSource(path) as file:
+        yield file

@@ -6,10 +6,10 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
+import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
-from functools import cached_property
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -24,8 +24,10 @@ from .channels import DEFINITION_BYTES
 from .inflate import keep_freed_memory
 from .messages import (
     CUT,
+    MESSAGE_BYTES,
     NAME_BYTES,
     SCHEMA_BYTES,
+    TOO_LARGE,
     UNKNOWN,
     Block,
     Channel,
@@ -40,8 +42,6 @@ from .messages import (
     one_line,
     several,
 )
-from .topics import longest_message
-from .write_ahead import PAGES, WriteAhead, beside, read_write_ahead
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -62,8 +62,14 @@ STEPS_AT_ONCE = 10_000
 PATIENCE = 1000
 """Damaged places that are stepped over; a file with more is an attack. Each takes about 1 ms."""
 
+LOG_HEAD, FRAME_HEAD = 32, 24
+"""Bytes in a write-ahead log in front of all frames, and of the page in each."""
+
 TOPICS = 1 << 15
 """Most topics that are read."""
+
+FARTHEST = 1 << 40
+"""Longest step over a damaged place, in numbers of rows."""
 
 MOST_MISSING = 1 << 20
 """A larger step between the numbers of two rows counts as a wrong number."""
@@ -80,33 +86,23 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    @cached_property
-    def _write_ahead(self) -> WriteAhead | None:
-        """The write-ahead log beside the file if it is damaged: the library would leave out what
-        follows, without a word."""
-        found = read_write_ahead(self.path)
-        return found if found is not None and found.damaged else None
-
     def survey(self, exact: bool = False) -> Survey | None:
-        """Channels with their counts; None if the tables cannot be read.
+        """Channels with their counts; None if the tables cannot be read, or not all changes.
 
         exact: count all rows. Else a channel with any message counts as 1: counting reads every
         row's page, which takes as long as reading the run.
         """
-        if self._write_ahead is not None:
-            return None
         try:
             with _connected(self.path) as base:
                 channels = _channels(base)
-                present = _counts(base) if exact else _present(base, list(channels))
+                if _unused_pages(self.path):
+                    return None
                 counts = dict.fromkeys(channels.values(), 0)
-                for key, count in present.items():
+                for key, count in _counts(base, channels, exact).items():
                     if key in channels:
                         counts[channels[key]] += count
-                ends = (
-                    "(SELECT min(timestamp) FROM messages), (SELECT max(timestamp) FROM messages)"
-                )
-                first, last = base.execute(f"SELECT {ends}").fetchone()
+                ends = "SELECT (SELECT min(timestamp) FROM messages), max(timestamp) FROM messages"
+                first, last = base.execute(ends).fetchone()
         except (*_ERRORS, DamageError):
             return None
         return Survey(counts, first or 0, last or 0, sure=True)
@@ -117,37 +113,34 @@ class SqliteFile:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         keep_freed_memory()
         passed = Passed(progress)
-        with self._sound(findings) as path:
-            for anyhow in (False, True):
+        with self._whole_pages(findings) as path:
+            for salvage in (False, True):
                 try:
-                    with _connected(path, anyhow) as base:
-                        yield from _Reader(base, want, findings, passed).blocks()
+                    with _connected(path, salvage) as base:
+                        reader = _Reader(base, want, findings, passed)
+                        if pages := _unused_pages(path):
+                            about = "of changes cannot be read and are not used"
+                            findings.note(f"write-ahead log: {several(pages, 'page')} {about}")
+                        yield from reader.blocks()
                     break
                 except (*_ERRORS, DamageError) as error:
                     findings.note(f"the database is damaged ({one_line(error)})")
         passed.passed(self.path.stat().st_size)
 
     @contextmanager
-    def _sound(self, findings: Findings) -> Iterator[Path]:
-        """The database, or a copy without what is known to be damaged.
-
-        What is sound of a damaged write-ahead log is merged, and a page that is cut is left out:
-        the library would take what is missing of it for zeros.
-        """
-        page, declared = _length(self.path)
-        size = self.path.stat().st_size
-        if size < declared:
-            findings.faults[CUT] = 1
-        if self._write_ahead is None and size % page == 0:
+    def _whole_pages(self, findings: Findings) -> Iterator[Path]:
+        """The database, or a copy without its last page if that is cut: the library would take
+        what is missing of it for zeros."""
+        page, size = _page_bytes(self.path), self.path.stat().st_size
+        if size % page == 0:
             yield self.path
             return
+        findings.faults[CUT] = 1
         with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
             copy = Path(folder) / "copy.db3"
             try:
                 shutil.copyfile(self.path, copy)
                 os.truncate(copy, size // page * page)
-                if self._write_ahead is not None:
-                    self._write_ahead.merge(copy, findings)
             except OSError as error:
                 reason = error.strerror
                 raise LogError(f"{self.path}: cannot be copied to be read ({reason})") from error
@@ -185,88 +178,67 @@ class _Reader:
             )
 
     def _batches(self) -> Iterator[list[_Row]]:
-        """All rows by ascending number; what cannot be read is stepped over."""
-        last = -(1 << 63)
-        for _ in range(PATIENCE):
+        """All rows by ascending number; what cannot be read is stepped over.
+
+        Where a batch cannot be read, it is halved down to the single row.
+        """
+        first, count, patience = -(1 << 63), ROWS, PATIENCE
+        while patience:
             try:
-                found = self._base.execute(f"{self._query}{self._from('>')}", (last,))
-                while rows := found.fetchmany(ROWS):
-                    last = rows[-1][0]
-                    yield rows
-                return
+                rows = self._rows_from(first, count)
+                if not rows:
+                    return
+                yield rows
+                first = rows[-1][0] + 1
+                continue
             except _ERRORS as error:
                 self._findings.note(f"the database is damaged ({one_line(error)})")
-            rows = self._up_to_damage(last)
-            last = max(rows[-1][0] if rows else last, 0)
-            behind = self._first_from(last + 1) or self._readable_after(last + 1)
-            yield [*rows, behind] if behind is not None else rows
+            if count > 1:
+                count //= 2
+                continue
+            behind = self._first_readable(first)
             if behind is None:
                 return
-            last = behind[0]
+            first, count, patience = behind, ROWS, patience - 1
         self._findings.note("the database is damaged in too many places: the rest is left out")
 
-    def _up_to_damage(self, last: int) -> list[_Row]:
-        """The rows after a number, one by one, up to the one before the first that cannot be read.
+    def _rows_from(self, number: int, count: int) -> list[_Row]:
+        query = f"{self._query}WHERE {self._id} >= ? ORDER BY {self._id} LIMIT ?"
+        return self._base.execute(query, (number, count)).fetchall()
 
-        The library's module for Python drops that one, or all rows that were asked for together.
-        """
-        rows: list[_Row] = []
-        with suppress(*_ERRORS):
-            for row in self._base.execute(f"{self._query}{self._from('>')}", (last,)):
-                rows.append(row)
-                if len(rows) == ROWS:
-                    break
-        return rows
-
-    def _readable_after(self, bad: int) -> _Row | None:
-        """The first row that can be read behind the number of one that cannot.
+    def _first_readable(self, bad: int) -> int | None:
+        """The number behind the damage that begins at a number, None if it has no end.
 
         Doubles the step until a row can be read, then bisects: rows next to each other share their
         page.
         """
-        top, step, found = self._largest(), 1, None
-        while found is None:
-            if bad + step > top:
+        bad, step = max(bad, 0), 1
+        while not self._is_readable(bad + step):
+            bad, step = bad + step, 2 * step
+            if step > FARTHEST:
                 return None
-            found = self._first_from(bad + step)
-            bad, step = (bad, step) if found is not None else (bad + step, 2 * step)
-        good = bad + step
-        while good - bad > 1:
-            middle = (good + bad) // 2
-            row = self._first_from(middle)
-            found, good, bad = (row, middle, bad) if row is not None else (found, good, middle)
-        return found
+        while step > 1:
+            step //= 2
+            if not self._is_readable(bad + step):
+                bad += step
+        return bad + 1
 
-    def _first_from(self, number: int) -> _Row | None:
-        """The first row from a number on, None if it cannot be read."""
+    def _is_readable(self, number: int) -> bool:
+        """Whether the first row from a number on can be read, if there is any."""
         with suppress(*_ERRORS):
-            query = f"{self._query}{self._from('>=')} LIMIT 1"
-            found: _Row | None = self._base.execute(query, (number,)).fetchone()
-            return found
-        return None
-
-    def _from(self, compared: str) -> str:
-        return f"WHERE {self._id} {compared} ? ORDER BY {self._id}"
-
-    def _largest(self) -> int:
-        """The largest number of a row, or a larger one: a row takes 8 bytes and more."""
-        with suppress(*_ERRORS):
-            (found,) = self._base.execute(f"SELECT max({self._id}) FROM messages").fetchone()
-            return int(found or 0)
-        (pages,) = self._base.execute("PRAGMA page_count").fetchone()
-        return int(pages) * 512
+            self._rows_from(number, 1)
+            return True
+        return False
 
     def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted ones of some rows; columns may hold any type in SQLite."""
-        if not rows:
-            return
-        numbers, topics, times, payloads = zip(*rows, strict=True)
-        topic, time = np.array(topics), np.array(times)
-        if not topic.dtype == time.dtype == np.int64:
-            good = [row for row in rows if type(row[1]) is type(row[2]) is int]
+        good = [row for row in rows if type(row[1]) is type(row[2]) is int]
+        if len(good) < len(rows):
             self._findings.faults[_BROKEN_ROW] += len(rows) - len(good)
-            yield from self._block(good)
+        if not good:
             return
+        numbers, topics, times, payloads = zip(*good, strict=True)
+        topic, time = np.array(topics), np.array(times)
         self._count_missing(np.array(numbers))
         self._findings.span(int(time.min()), int(time.max()))
         for key in sorted(set(topics)):
@@ -299,9 +271,8 @@ class _Reader:
 
         size: its length, or what stands in its place.
         """
-        longest = longest_message(channel)
-        if isinstance(size, int) and size > longest:
-            self._findings.too_large(channel.topic, longest)
+        if isinstance(size, int) and size > MESSAGE_BYTES:
+            self._findings.faults[TOO_LARGE] += 1
             return None
         with suppress(*_ERRORS):
             query = f"SELECT data FROM messages WHERE {self._id} = ?"
@@ -321,55 +292,19 @@ class _Reader:
 
 
 @contextmanager
-def _connected(path: Path, anyhow: bool = False) -> Iterator[sqlite3.Connection]:
-    """Open a database for reading, without leaving files beside it.
+def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection]:
+    """A read-only connection that runs no code of the file, with work limited by the file's size.
 
-    Without unmerged changes only the file is opened (`immutable`); this would ignore a write-ahead
-    log, so that with one the library opens both. If it cannot write the index that it needs then, a
-    copy is opened. anyhow: even if the file is shorter than its header says.
+    Leaves no file behind: without a write-ahead log only the database is opened (`immutable`); with
+    one the library opens both, and makes the index that it needs. salvage: open the database alone,
+    even if it is shorter than its header says.
     """
-    name = quote(str(path.resolve()))
-    if not any(log.stat().st_size for log in beside(path)):
-        with closing(_opened(f"file:{name}?immutable=1", path, anyhow)) as base:
-            yield base
-        return
-    index = path.with_name(path.name + "-shm")
-    existed = index.exists()
-    # An index that is there is the recorder's; what is wrong with it is worked out in memory.
-    mode = "mode=ro&readonly_shm=1" if existed else "mode=ro"
-    try:
-        with closing(_opened(f"file:{name}?{mode}", path, anyhow)) as base:
-            try:
-                base.execute("SELECT 1 FROM sqlite_master").fetchone()
-            except sqlite3.OperationalError:
-                with _copied(path, anyhow) as copy:
-                    yield copy
-                return
-            yield base
-    finally:
-        if not existed:
-            index.unlink(missing_ok=True)
-
-
-@contextmanager
-def _copied(path: Path, anyhow: bool) -> Iterator[sqlite3.Connection]:
-    with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
-        target = Path(folder) / path.name
-        for source in (path, *beside(path)):
-            shutil.copyfile(source, target.with_name(source.name))
-        with closing(_opened(f"file:{quote(str(target))}", path, anyhow)) as base:
-            yield base
-
-
-def _opened(uri: str, path: Path, anyhow: bool) -> sqlite3.Connection:
-    """A read-only connection that runs no code of the file, with work limited by the file's
-    size."""
-    try:
-        base = sqlite3.connect(uri, uri=True)
-    except sqlite3.Error as error:
-        raise LogError(f"{path}: cannot be opened as a database ({one_line(error)})") from error
-    base.text_factory = lambda raw: raw.decode("utf-8", "replace")
-    size = sum(file.stat().st_size for file in (path, *beside(path)))
+    log, index = _log_of(path), path.with_name(path.name + "-shm")
+    existed, mode = index.exists(), "immutable=1"
+    if log is not None and not salvage:
+        # An index that is there is the recorder's; what is wrong with it is worked out in memory.
+        mode = "mode=ro&readonly_shm=1" if existed else "mode=ro"
+    size = path.stat().st_size + (log.stat().st_size if log is not None else 0)
     left = LEAST_STEPS + STEPS_PER_BYTE * size
 
     def spent() -> bool:
@@ -377,23 +312,55 @@ def _opened(uri: str, path: Path, anyhow: bool) -> sqlite3.Connection:
         left -= STEPS_AT_ONCE
         return left < 0
 
-    base.set_progress_handler(spent, STEPS_AT_ONCE)
-    with suppress(*_ERRORS):  # what is wrong with the file shows when it is asked for something
-        base.execute("PRAGMA trusted_schema = OFF")
-        if anyhow:
-            base.execute("PRAGMA writable_schema = ON")
-    return base
+    try:
+        with closing(
+            sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
+        ) as base:
+            base.text_factory = lambda raw: raw.decode("utf-8", "replace")
+            base.set_progress_handler(spent, STEPS_AT_ONCE)
+            with suppress(*_ERRORS):  # what is wrong with the file shows when something is asked
+                base.execute("PRAGMA trusted_schema = OFF")
+                if salvage:
+                    base.execute("PRAGMA writable_schema = ON")
+            yield base
+    finally:
+        if not existed:
+            index.unlink(missing_ok=True)
 
 
-def _length(path: Path) -> tuple[int, int]:
-    """Size of a page, and of the file by its header, 0 if that is not said [bytes]."""
+def _log_of(path: Path) -> Path | None:
+    """The write-ahead log beside a database, if there is one that holds any change."""
+    log = path.with_name(path.name + "-wal")
+    return log if log.is_file() and log.stat().st_size > LOG_HEAD else None
+
+
+def _unused_pages(path: Path) -> int:
+    """Pages in the write-ahead log of an open database that the library leaves out, without a word.
+
+    It stops at the first frame whose checksum is wrong; its index holds the number of those before
+    (https://www.sqlite.org/fileformat2.html, section 4). What a log held before it was begun anew
+    stands behind its frames, under another salt.
+    """
+    log, index = _log_of(path), path.with_name(path.name + "-shm")
+    if log is None:
+        return 0
+    used = 0
+    with suppress(OSError), index.open("rb") as file:
+        used = int.from_bytes(file.read(20)[16:], sys.byteorder)
+    frame = FRAME_HEAD + _page_bytes(path)
+    with log.open("rb") as file:
+        salt = file.read(LOG_HEAD)[16:24]
+        for k in range((log.stat().st_size - LOG_HEAD - 1) // frame, used - 1, -1):
+            file.seek(LOG_HEAD + k * frame + 8)
+            if used == 0 or file.read(8) == salt:
+                return k + 1 - used
+    return 0
+
+
+def _page_bytes(path: Path) -> int:
     with path.open("rb") as file:
-        head = file.read(96)
-    page = int.from_bytes(head[16:18], "big")
-    page = page if page in PAGES else PAGES[-1]
-    # The count of pages is right if the one who changed the file last wrote it.
-    counted = head[24:28] == head[92:96]
-    return page, int.from_bytes(head[28:32], "big") * page if counted else 0
+        page = int.from_bytes(file.read(18)[16:], "big")
+    return page if page >= 512 and page & (page - 1) == 0 else 1 << 16
 
 
 def _check_table(base: sqlite3.Connection, name: str) -> None:
@@ -449,13 +416,11 @@ def _definitions(base: sqlite3.Connection) -> Mapping[str, tuple[str, bytes]]:
     return out
 
 
-def _counts(base: sqlite3.Connection) -> dict[int, int]:
-    """Messages per topic."""
-    return dict(base.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
-
-
-def _present(base: sqlite3.Connection, keys: list[int]) -> dict[int, int]:
-    """Topics with any message; most are among the first rows, those that are not take one pass."""
+def _counts(base: sqlite3.Connection, keys: Iterable[int], exact: bool) -> dict[int, int]:
+    """Messages per topic; if not exact, 1 for any number of them."""
+    if exact:
+        return dict(base.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+    # Most topics are among the first rows; those that are not take one pass.
     early = "SELECT DISTINCT topic_id FROM (SELECT topic_id FROM messages LIMIT 5000)"
     present = {key for (key,) in base.execute(early)}
     if not present.issuperset(keys):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from ...topology.errors import LogError, UsageError
-from .messages import MESSAGE_BYTES, Channel
+from .messages import Channel
 from .poses import Kind
 
 ODOMETRY_KINDS: Mapping[str, tuple[int, Kind]] = {
@@ -30,44 +30,45 @@ JUNCTION_KINDS: Mapping[str, Kind] = {
     "foxglove_msgs/msg/PosesInFrame": "foxglove_poses",
 }
 
-_KINDS: Mapping[str, Kind] = {n: kind for n, (_, kind) in ODOMETRY_KINDS.items()} | dict(
+POSE_KINDS: Mapping[str, Kind] = {n: kind for n, (_, kind) in ODOMETRY_KINDS.items()} | dict(
     JUNCTION_KINDS
 )
+"""All types of poses."""
 
 
 def decoded_alike(one: str, other: str) -> bool:
     """Whether messages of two types are decoded alike."""
-    return one == other or (one in _KINDS and _KINDS[one] == _KINDS.get(other))
+    return one == other or (one in POSE_KINDS and POSE_KINDS[one] == POSE_KINDS.get(other))
 
 
 PARTICLES = ("/particlecloud", "/particle_cloud")
 """Topics with many poses of the robot, not of a junction."""
 
-TRANSFORM_KINDS: Mapping[str, Kind | None] = {
-    "tf2_msgs/msg/TFMessage": "transforms",
-    "tf/msg/tfMessage": "transforms",
-    "foxglove.FrameTransform": None,
-    "foxglove.FrameTransforms": None,
-    "foxglove_msgs/msg/FrameTransform": None,
-    "foxglove_msgs/msg/FrameTransforms": None,
-}
-"""Types with transforms between frames; None: decoded message by message."""
+TRANSFORM_KINDS = (
+    "tf2_msgs/msg/TFMessage",
+    "tf/msg/tfMessage",
+    "foxglove.FrameTransform",
+    "foxglove.FrameTransforms",
+    "foxglove_msgs/msg/FrameTransform",
+    "foxglove_msgs/msg/FrameTransforms",
+)
+"""Types with transforms between frames."""
 
-SCAN_KINDS: Mapping[str, str | None] = {
-    "sensor_msgs/msg/LaserScan": "laser_scan",
-    "sensor_msgs/msg/MultiEchoLaserScan": "multi_echo",
-    "foxglove.LaserScan": None,
-    "foxglove_msgs/msg/LaserScan": None,
-}
-"""Types of planar scans; None: decoded message by message."""
+SCAN_KINDS = (
+    "sensor_msgs/msg/LaserScan",
+    "sensor_msgs/msg/MultiEchoLaserScan",
+    "foxglove.LaserScan",
+    "foxglove_msgs/msg/LaserScan",
+)
+"""Types of planar scans."""
 
-CLOUD_KINDS: Mapping[str, None] = {
-    "sensor_msgs/msg/PointCloud2": None,
-    "foxglove.PointCloud": None,
-    "foxglove_msgs/msg/PointCloud": None,
-}
+CLOUD_KINDS = (
+    "sensor_msgs/msg/PointCloud2",
+    "foxglove.PointCloud",
+    "foxglove_msgs/msg/PointCloud",
+)
 
-GRID_KINDS: Mapping[str, None] = {"nav_msgs/msg/OccupancyGrid": None}
+GRID_KINDS = ("nav_msgs/msg/OccupancyGrid",)
 
 ODOMETRY_TYPES = (
     "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped, PoseWithCovarianceStamped or "
@@ -77,23 +78,6 @@ JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
 SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
 CLOUD_TYPES = "sensor_msgs/PointCloud2 or foxglove.PointCloud"
 GRID_TYPES = "nav_msgs/OccupancyGrid"
-
-
-CLOUD_BYTES = 1 << 26
-"""Longest cloud in CDR or ROS 1's encoding, which is decoded in place: `clouds.MOST_POINTS` of 32
-bytes."""
-
-GRID_BYTES = (1 << 24) + (1 << 13)
-"""Longest grid in these encodings: `saved_map.MOST_CELLS`, and what is told of them."""
-
-
-def longest_message(channel: Channel) -> int:
-    """Longest message of a channel that is decoded [bytes]."""
-    if channel.encoding not in ("cdr", "ros1"):
-        return MESSAGE_BYTES
-    if channel.type_name == "sensor_msgs/msg/PointCloud2":
-        return CLOUD_BYTES
-    return GRID_BYTES if channel.type_name in GRID_KINDS else MESSAGE_BYTES
 
 
 @dataclass(frozen=True, slots=True)

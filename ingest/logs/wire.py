@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from ...topology.arrays import IntArray
 from .columns import Shape, column, gather
-from .messages import MESSAGE_BYTES, NAME_BYTES, Bytes, DamageError, text
+from .messages import NAME_BYTES, OBJECT_BYTES, Bytes, DamageError, text
 
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
@@ -24,7 +24,7 @@ TEMPLATES = 64
 class WireParser:
     """Parses one message and records the offsets that a template needs."""
 
-    def __init__(self, raw: bytes | memoryview, ros1: bool) -> None:
+    def __init__(self, raw: bytes, ros1: bool) -> None:
         self._raw = raw
         self.ros1 = ros1
         self.fixed: list[tuple[int, int]] = []
@@ -70,7 +70,7 @@ class WireParser:
         at = self.advance(length)
         if length:
             self.fixed.append((at, at + length))
-        return text(bytes(self._raw[at : at + length]).rstrip(b"\0"))
+        return text(self._raw[at : at + length].rstrip(b"\0"))
 
     def stamp(self) -> int:
         """Offset of a time."""
@@ -212,31 +212,26 @@ class OneByOne(Decoder[P], Generic[Q, P]):
     """Decodes messages one by one, for encodings without fixed offsets.
 
     parse: what one message holds, or DamageError; join: of contents with the numbers of their
-    messages, in order; longest: of the messages that are decoded [bytes]; in_place: whether parse
-    takes a view of the message, instead of bytes.
+    messages, in order; longest: of the messages that are decoded [bytes].
     """
 
     def __init__(
         self,
-        parse: Callable[[Any], Q],
+        parse: Callable[[bytes], Q],
         join: Callable[[list[tuple[int, Q]]], P],
-        longest: int = MESSAGE_BYTES,
-        in_place: bool = False,
+        longest: int = OBJECT_BYTES,
     ) -> None:
         super().__init__()
-        self._parse, self._join = parse, join
-        self._longest, self._in_place = longest, in_place
+        self._parse, self._join, self._longest = parse, join, longest
 
     def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
         """What a batch of messages holds."""
         found: list[tuple[int, Q]] = []
         for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
-            message = data[at : at + length]
             try:
                 if length > self._longest:
                     raise DamageError("a message is implausibly long")
-                raw = message.data if self._in_place else message.tobytes()
-                found.append((number, self._parse(raw)))
+                found.append((number, self._parse(data[at : at + length].tobytes())))
             except DamageError as damage:
                 self._leave_out(damage)
         return self._join(found)

@@ -1,6 +1,6 @@
 """Addresses of logs in buckets and on web servers, with the pathlib methods that are needed.
 
-A bucket's listing is read once and kept as a tree; what is read of an object's ends (its summary,
+A bucket's listing is read once and kept as a tree; what is read of an object first (its summary,
 for instance) is kept with it and pickled to other processes.
 """
 
@@ -11,7 +11,8 @@ import re
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit, urlunsplit
@@ -52,18 +53,15 @@ def is_remote(text: str) -> bool:
 
 
 @dataclass(slots=True)
-class Known:
-    """The known state of an object, and what was read of its ends."""
-
-    stat: Stat | None = None
-    ends: list[Got] = field(default_factory=list)
-
-
-@dataclass(slots=True)
 class _Node:
-    """A node of a bucket's tree: an object, a folder with its entries, both, or nothing."""
+    """A node of a bucket's tree: an object, a folder with its entries, or nothing.
 
-    known: Known | None = None
+    there: whether there is an object; stat: its state, if known; end: what was read first of it.
+    """
+
+    there: bool = False
+    stat: Stat | None = None
+    end: Got | None = None
     children: dict[str, _Node] = field(default_factory=dict)
 
     def at(self, key: str) -> _Node:
@@ -73,23 +71,10 @@ class _Node:
             node = node.children.setdefault(name, _Node())
         return node
 
-    def kinds(self) -> list[_Node]:
-        """The object and the folder of this name. An empty object only marks the folder."""
-        if self.known is None or not self.children:
-            return [self]
-        folder = _Node(None, self.children)
-        marks = self.known.stat is not None and self.known.stat.size == 0
-        return [folder] if marks else [_Node(self.known), folder]
-
-    def objects(self) -> list[Known]:
-        """The known object, and those directly in the folder."""
-        nodes = [self, *self.children.values()]
-        return [node.known for node in nodes if node.known is not None]
-
     def flat(self) -> _Node:
         """A copy with the folder's direct entries only."""
-        children = {name: _Node(node.known) for name, node in self.children.items()}
-        return _Node(self.known, children)
+        children = {name: replace(node, children={}) for name, node in self.children.items()}
+        return replace(self, children=children)
 
 
 class RemotePath:
@@ -156,27 +141,25 @@ class RemotePath:
     def __reduce__(self) -> Any:
         # Of a bag folder, its files are used; trees may be deeper than pickle goes.
         found = self._found.flat() if self._found is not None else None
-        return _path, (self.root, self.key, found, self.allow_scan)
+        return partial(RemotePath, allow_scan=self.allow_scan), (self.root, self.key, found)
 
     def __truediv__(self, name: str) -> RemotePath:
-        node = self._node.children.get(name, _Node()).kinds()[0]
-        return RemotePath(self.root, self._below(name), node, allow_scan=self.allow_scan)
-
-    def _below(self, name: str) -> str:
-        return f"{self.key.rstrip('/')}/{name}".lstrip("/")
+        key = f"{self.key.rstrip('/')}/{name}".lstrip("/")
+        node = self._node.children.get(name, _Node())
+        return RemotePath(self.root, key, node, allow_scan=self.allow_scan)
 
     def resolve(self) -> RemotePath:
         """This path."""
         return self
 
     def is_file(self) -> bool:
-        """Whether there is an object."""
-        return self._node.known is not None
+        """Whether there is an object; an empty one with others below only marks their folder."""
+        node = self._node
+        return node.there and not (node.children and self.state.size == 0)
 
     def is_dir(self) -> bool:
-        """Whether there is no object, but some below."""
-        node = self._node
-        return node.known is None and bool(node.children)
+        """Whether there are objects below."""
+        return bool(self._node.children)
 
     def is_symlink(self) -> bool:
         """False."""
@@ -187,10 +170,8 @@ class RemotePath:
         return self.is_file() or self.is_dir()
 
     def iterdir(self) -> Iterator[RemotePath]:
-        """The entries of a folder. An object and a folder of one name are both returned."""
-        for name, node in self._node.children.items():
-            for each in node.kinds():
-                yield RemotePath(self.root, self._below(name), each, allow_scan=self.allow_scan)
+        """The entries of a folder."""
+        return (self / name for name in self._node.children)
 
     def stat(self) -> Stat:
         """With `st_size`."""
@@ -211,11 +192,9 @@ class RemotePath:
         """Read all small files of a name below concurrently, so that opening them is immediate."""
         found, waiting = [], [self]
         while waiting:
-            folder = waiting.pop()
-            for each in folder.iterdir():
+            for each in waiting.pop().iterdir():
                 waiting += [each] if each.is_dir() else []
-                if each.name == name and each.is_file() and each.state.size <= SMALL_FILE_BYTES:
-                    found.append(each)
+                found += [each] if each.name == name and each.is_file() else []
         for _ in side_by_side(_read_if_there, found):
             pass
 
@@ -225,44 +204,39 @@ class RemotePath:
     def state(self) -> Stat:
         """Size, tag and time of the object, requested together with the end that holds its
         index."""
-        known = self._object
-        if known.stat is None:
-            self._first_look(known)
-        assert known.stat is not None
-        return known.stat
+        node = self._object
+        if node.stat is None:
+            self._first_look(node)
+        assert node.stat is not None
+        return node.stat
 
     @property
     def file(self) -> RemoteFile:
         """The object for reading; bytes read are kept as long as this path."""
         if self._file is None:
-            self._file = RemoteFile(self.state.size, self._object.ends, self._requested)
+            self._file = RemoteFile(self.state.size, self._object.end, self._requested)
         return self._file
 
     def fresh(self) -> RemotePath:
-        """The same place with no bytes but those of the object's ends."""
+        """The same place with no bytes but those that were read first."""
         return RemotePath(self.root, self.key, self._node, allow_scan=self.allow_scan)
-
-    @property
-    def kept_bytes(self) -> int:
-        """Bytes kept of the ends of this object, and of those directly in this folder."""
-        known = self._found.objects() if self._found is not None else []
-        return sum(len(got.data) for each in known for got in each.ends)
 
     def forget(self) -> None:
         """Drop the kept bytes; they are requested again when needed."""
         self._file = None
-        for known in self._found.objects() if self._found is not None else ():
-            known.ends = []
+        if self._found is not None:
+            for node in (self._found, *self._found.children.values()):
+                node.end = None
 
     def magic(self) -> bytes:
         """The first bytes, which tell the format, or the last: MCAP files end with the same
         magic."""
-        known = self._object
-        if not known.ends:
-            self._first_look(known)
-        if not known.ends:
+        node = self._object
+        if node.end is None:
+            self._first_look(node)
+        if node.end is None:
             return b""
-        start, data, stat = known.ends[0]
+        start, data, stat = node.end
         ends = start + len(data) == stat.size and data[-8:-3] == b"\x89MCAP"
         return data[-8:] if ends and not _HEAD_FIRST.search(self.name) else self.file.read(0, 16)
 
@@ -271,28 +245,31 @@ class RemotePath:
         start = max(0, self.state.size - TAIL_BYTES)
         return self.file.read(start, self.state.size - start)
 
-    def _first_look(self, known: Known) -> None:
+    def _first_look(self, node: _Node) -> None:
         """Request the end of the object that holds its index: the first of a bag, the last of
-        others."""
-        size = known.stat.size if known.stat is not None else TAIL_SHARE * TAIL_BYTES
+        others, all of a description."""
+        size = node.stat.size if node.stat is not None else TAIL_SHARE * TAIL_BYTES
         wanted: tuple[int, int] | int = min(TAIL_BYTES + size // TAIL_SHARE, TAIL_MOST)
         if _HEAD_FIRST.search(self.name):
             wanted = 0, min(size, HEAD_BYTES)
+        elif self.name.endswith(".yaml"):
+            wanted = TAIL_MOST
         if size > 0:
-            known.ends = [self._requested(wanted).result()]
-            known.stat = known.stat or known.ends[0].stat
+            known, key = node.stat, self.key.rstrip("/")
+            node.end = requested(self.root, key, wanted, known, named=str(self)).result()
+            node.stat = node.stat or node.end.stat
 
-    def _requested(self, wanted: tuple[int, int] | int) -> Future[Got]:
+    def _requested(self, wanted: tuple[int, int]) -> Future[Got]:
         """A request for bytes of the object in its known state."""
-        known = self._object.stat
-        return requested(self.root, self.key.rstrip("/"), wanted, known, named=str(self))
+        return requested(
+            self.root, self.key.rstrip("/"), wanted, self._object.stat, named=str(self)
+        )
 
     @property
-    def _object(self) -> Known:
-        known = self._node.known
-        if known is None:
+    def _object(self) -> _Node:
+        if not self._node.there:
             raise MissingObjectError(f"{self}: no such object")
-        return known
+        return self._node
 
     @property
     def _node(self) -> _Node:
@@ -302,45 +279,35 @@ class RemotePath:
 
     def _looked_up(self) -> _Node:
         """The node: an object if it is named like a log, else a folder, else an object."""
-        alone = _Node(Known())
         http = self.root.startswith("http")
         named = bool(self.key) and not self.key.endswith("/")
-        if named and (http or _LOG.search(self.key)) and self._is_there(alone):
+        if named and (http or _LOG.search(self.key)) and (alone := self._alone()):
             return alone
         if http:
             raise LogError(f"{self}: no such file on the server")
-        folder = self._listed()
-        if folder.children or not named or _LOG.search(self.key) or not self._is_there(alone):
-            return folder
-        return alone
-
-    def _listed(self) -> _Node:
-        """The folder with everything below it, by one listing."""
         folder, prefix = _Node(), self.key.rstrip("/")
         skip = len(prefix) + 1 if prefix else 0
         for key, stat in listed(self.root, prefix, named=str(self)):
             if key[skip:]:
-                folder.at(key[skip:]).known = Known(stat)
-        return folder
+                node = folder.at(key[skip:])
+                node.there, node.stat = True, stat
+        if folder.children or not named or _LOG.search(self.key):
+            return folder
+        return self._alone() or folder
 
-    def _is_there(self, node: _Node) -> bool:
-        self._found = node
+    def _alone(self) -> _Node | None:
+        """The object of this name, None if there is none."""
+        node = _Node(there=True)
         try:
-            self._first_look(self._object)
+            self._first_look(node)
         except MissingObjectError:
-            return False
-        finally:
-            self._found = None
-        return True
+            return None
+        return node
 
 
 def _read_if_there(file: RemotePath) -> None:
     with suppress(LogError):  # what fails does so again when it is wanted
         file.open()
-
-
-def _path(root: str, key: str, found: _Node | None, allow_scan: bool) -> RemotePath:
-    return RemotePath(root, key, found, allow_scan=allow_scan)
 
 
 def _public(address: str) -> str:

@@ -8,10 +8,11 @@ from __future__ import annotations
 import threading
 from bisect import bisect_left, bisect_right
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from contextlib import contextmanager
 
-from .store import TAIL_MOST, Got
+from .store import Got
 
 BLOCK_BYTES = 1 << 12
 """Unit of what is read and kept. A range wastes one on average: 4 % of a chunk of 100 kB. Keeping
@@ -66,23 +67,19 @@ class ReadAhead:
 class RemoteFile:
     """One object for reading; thread-safe. Raises LogError on server errors.
 
-    known: bytes that were read before; what is read of its index is added.
+    known: bytes that were read before, if any; ask: requests further ones.
     """
 
-    def __init__(self, size: int, known: list[Got], ask: Ask) -> None:
+    def __init__(self, size: int, known: Got | None, ask: Ask) -> None:
         self.size = size
         self._ask = ask
         self._lock = threading.Lock()
         self._held: OrderedDict[int, bytes] = OrderedDict()
-        self._known = known
-        for got in known:
-            self._keep(got)
+        self._ahead: ReadAhead | None = None
+        if known is not None:
+            self._keep(known)
 
-    def cost(self, ranges: Ranges) -> int:
-        """Bytes that reading these ranges requests: in whole blocks, without those held."""
-        return sum(stop - start for start, stop in self.planned(ranges))
-
-    def planned(self, ranges: Ranges) -> Ranges:
+    def _planned(self, ranges: Ranges) -> Ranges:
         """Requests for the blocks of some ranges that are not held."""
         with self._lock:
             held = sorted(self._held)
@@ -100,28 +97,29 @@ class RemoteFile:
     def _bytes(self, first: int, stop: int) -> tuple[int, int]:
         return first * BLOCK_BYTES, min(stop * BLOCK_BYTES, self.size)
 
-    def reading_ahead(self, ranges: Ranges) -> ReadAhead:
-        """What reads these ranges, in order."""
-        return ReadAhead(self.planned(ranges), self._ask)
+    @contextmanager
+    def ahead(self, ranges: Ranges) -> Iterator[None]:
+        """Context in which these ranges are read, in order; they are requested ahead."""
+        self._ahead = ReadAhead(self._planned(ranges), self._ask)
+        yield
+        self._ahead = None
 
-    def read(self, offset: int, length: int, ahead: ReadAhead | None = None) -> bytes:
-        """The bytes at an offset, fewer at the object's end."""
+    def read(self, offset: int, length: int) -> bytes:
+        """The bytes [offset, offset + length), fewer at the object's end."""
         first, stop = offset // BLOCK_BYTES, -(-min(offset + length, self.size) // BLOCK_BYTES)
         with self._lock:
-            blocks = [self._block(k, stop, ahead) for k in range(first, stop)]
+            blocks = [self._block(k, stop) for k in range(first, stop)]
         at = offset - first * BLOCK_BYTES
         return b"".join(blocks)[at : at + length]
 
-    def _block(self, k: int, stop: int, ahead: ReadAhead | None) -> bytes:
+    def _block(self, k: int, stop: int) -> bytes:
         """A block; if it is not held, it is read with those behind it up to `stop`."""
         if k not in self._held:
-            got = ahead.at(k * BLOCK_BYTES) if ahead is not None else None
+            got = self._ahead.at(k * BLOCK_BYTES) if self._ahead is not None else None
             if got is None:
                 most = min(stop, k + PART_BYTES // BLOCK_BYTES)
                 end = next((n for n in range(k + 1, most) if n in self._held), most)
                 got = self._ask(self._bytes(k, end)).result()
-                if ahead is None and len(got.data) <= TAIL_MOST:
-                    self._known.append(got)
             self._keep(got)
         self._held.move_to_end(k)
         return self._held[k]

@@ -29,7 +29,7 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 TAIL_MOST = 1 << 19
-"""Limit on the end of an object that is requested without its size, or kept with its path."""
+"""Limit on the end of an object that is requested first."""
 
 MOST_KEYS = 1 << 22
 """Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
@@ -101,7 +101,8 @@ def _answer(
 
     if isinstance(wanted, int) and root.startswith("az:"):
         # Azure does not support suffix ranges.
-        known = known or _head(root, key, named)
+        with _told(named):
+            known = known or _stat(obstore.head(store(root), key))
         wanted = max(0, known.size - wanted), known.size
     options: GetOptions = {"range": {"suffix": wanted} if isinstance(wanted, int) else wanted}
     if known is not None and known.etag and not known.etag.startswith("W/"):
@@ -120,13 +121,6 @@ def _answer(
     if isinstance(wanted, tuple) and (start, stop) != (wanted[0], min(wanted[1], stat.size)):
         raise LogError(f"{named}: the server sent bytes {start} to {stop} in place of {wanted}")
     return Got(start, data, stat)
-
-
-def _head(root: str, key: str, named: str) -> Stat:
-    import obstore
-
-    with _told(named):
-        return _stat(obstore.head(store(root), key))
 
 
 def _same(known: Stat, now: Stat) -> bool:
@@ -181,7 +175,7 @@ def store(root: str) -> ObjectStore:
             "connect_timeout": timedelta(seconds=patience.connect_s),
             "read_timeout": timedelta(seconds=patience.read_s),
             "timeout": timedelta(seconds=patience.request_s),
-            **({"allow_http": True} if _plain_http(root) else {}),
+            "allow_http": True,  # for who names an address or endpoint that begins so
         },
         retry_config={
             "max_retries": patience.retries,
@@ -196,21 +190,6 @@ def store(root: str) -> ObjectStore:
 
 
 PATIENCE = Patience()
-
-_ENDPOINTS = {
-    "s3": ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT"),
-    "az": ("AZURE_STORAGE_ENDPOINT", "AZURE_ENDPOINT"),
-    "gs": ("GOOGLE_SERVICE_ACCOUNT_KEY",),
-}
-
-
-def _plain_http(root: str) -> bool:
-    """Whether the address, or the environment's endpoint, is http:// explicitly."""
-    import os
-
-    scheme = root.partition("://")[0]
-    named = [root, *(os.environ.get(name, "") for name in _ENDPOINTS.get(scheme, ()))]
-    return any("http://" in url for url in named)
 
 
 @contextmanager
@@ -246,6 +225,7 @@ _MEANT = (
     ("http://169.254.169.254/", _CREDENTIALS),
     ("MissingAccount", _CREDENTIALS),
     ("TokenRequest", _CREDENTIALS),
+    ("TimedOut", "cannot be read: the server does not answer"),
 )
 """What an error with such a word in its type or text means."""
 
@@ -257,17 +237,13 @@ def _why(error: Exception) -> str:
         if word in f"{kind} {text}":
             return meaning
     head, _, inner = text.partition("Debug source")
-    again = re.search(r"after (\d+) retries", head)
-    tried = f", after {again[1]} retries" if again and again[1] != "0" else ""
     status = re.search(r"status code: (\d{3}[A-Za-z ]*)", head)
     answer = _code(head) or (status[1].strip() if status else "")
     if kind in ("PermissionDeniedError", "UnauthenticatedError"):
-        return f"access is denied ({answer or kind}{tried})"
-    cause = re.search(r'message: "([^"]+)"|(TimedOut)|(dns error)', inner)
-    silent = {"TimedOut": "the server does not answer"}
-    found = next((group for group in cause.groups() if group), "") if cause else ""
-    told = ", ".join(part for part in (answer, silent.get(found, found)) if part)
-    return f"cannot be read: {told or _first_line(head)}{tried}"
+        return f"access is denied ({answer or kind})"
+    cause = re.search(r'message: "([^"]+)"', inner)
+    told = answer or (cause[1] if cause else _first_line(head))
+    return f"cannot be read: {told}"
 
 
 def _code(text: str) -> str:

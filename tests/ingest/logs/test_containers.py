@@ -171,6 +171,12 @@ def test_messages_left_in_a_write_ahead_log_are_read(logs, tmp_path):
     before = {file.name: file.read_bytes() for file in copy.iterdir()}
     assert_whole(logs, read_run(copy))
     assert {file.name: file.read_bytes() for file in copy.iterdir()} == before
+    log = bytearray(before["run.db3-wal"])
+    log[len(log) // 2] ^= 4
+    (copy / "run.db3-wal").write_bytes(log)
+    run = read_run(copy)
+    assert len(run.odometry) + len(run.detections) == 200
+    assert any("of changes cannot be read and are not used" in text for text in run.warnings)
 
 
 def test_a_folder_of_parts_is_one_run(logs, tmp_path):

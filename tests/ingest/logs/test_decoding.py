@@ -72,7 +72,7 @@ def test_columns_equal_the_library_bit_for_bit(logs, kind, encoding, data):
     ("definition", "expected"),
     [
         ("float64 x", False),
-        ("x/Loop a\n" + "=" * 80 + "\nMSG: x/Loop\nx/Loop a", False),
+        ("x/Loop a\n" + "=" * 80 + "\nMSG: x/Loop\nx/Loop a", True),
         ("", True),
         ("std_msgs/Header header\nPose[] poses", True),
         ("\x00\xff# nothing", True),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -29,11 +28,6 @@ def fleet(bucket: Any) -> Any:
 def test_a_bucket_gives_the_same_documents_as_a_folder(fleet: Any, tmp_path: Path) -> None:
     done = topobatch("ingest", f"{fleet.url}/fleet/", "-w", tmp_path / "remote")
     assert (done.returncode, done.stderr) == (0, "")
-    said = re.search(r"to read: (\S+) of (\S+) MB in 2 remote logs", done.stdout)
-    assert said is not None
-    # Rounded, and without the indexes, which have been read.
-    assert float(said[1]) == pytest.approx(fleet.proxy.sent / 1e6, abs=0.05 + 0.03)
-    assert float(said[2]) == 0.4
     logs = (SAMPLES / "maze-1.mcap", SAMPLES / "maze-2.bag")
     assert topobatch("ingest", *logs, "-w", tmp_path / "local").returncode == 0
     for run in ("maze-1", "maze-2"):
@@ -50,13 +44,12 @@ def test_what_did_not_change_is_not_read_again(fleet: Any, tmp_path: Path, jobs:
     first = len(fleet.proxy.gets)
     fleet.proxy.clear()
     again = topobatch(*call)
-    assert "to read: 0.0 of 0.0 MB in 0 remote logs" in again.stdout
     assert "(2 unchanged)" in again.stdout
     assert fleet.proxy.gets == []
     fleet.put("fleet/mon/maze-1.mcap", (SAMPLES / "maze-1.mcap").read_bytes())
     fleet.put("fleet/wed/streets-1.mcap", (SAMPLES / "streets-1.mcap").read_bytes())
     more = topobatch(*call)
-    assert "in 1 remote log" in more.stdout
+    assert more.returncode == 0
     assert len(fleet.proxy.gets) < first
 
 
@@ -72,7 +65,6 @@ def test_a_log_without_index_costs_itself_alone(fleet: Any, tmp_path: Path) -> N
     assert f"error: {fleet.url}/fleet/base.db3: a database can only be read" in done.stderr
     assert sorted(p.stem for p in (tmp_path / "maps").glob("*.json")) == ["maze-1", "maze-2"]
     allowed = topobatch(*call, "--allow-scan")
-    assert "to read: 0.1 of 0.1 MB in 1 remote log" in allowed.stdout
     assert (tmp_path / "maps" / "cut.json").is_file()
     assert "the log is cut short" in allowed.stderr
 
