@@ -279,7 +279,7 @@ def _odometry(place: Workspace, topomap: TopoMap, log: LogPath | None) -> Odomet
     from .ingest_worker import origin, read_again
 
     run, record = topomap.run, place.ingested(topomap.run) or {}
-    at = log or place.log_of(run, "name it by --log")
+    at = log or place.log_of(run)
     found = read_run(at, read_again(record))
     why = _differs(topomap, found)
     if why is None:

@@ -7,11 +7,8 @@ import shlex
 import shutil
 import socket
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote
@@ -29,8 +26,6 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 """Where the viewer is served: to this machine alone."""
 
-ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
-
 
 def view(
     run: Annotated[
@@ -43,12 +38,6 @@ def view(
         ),
     ] = None,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    with_log: Annotated[
-        bool,
-        typer.Option(
-            "--with-log", help="Open the raw log of the run beside its map (MCAP logs only)."
-        ),
-    ] = False,
     web: Annotated[
         bool,
         typer.Option(
@@ -67,34 +56,27 @@ def view(
 ) -> None:
     """Open the merged map, a run's, or the explanation of a pair, in the rerun viewer.
 
-    Drag the time line below the map: a run's map grows as it was driven, a merged map as its runs
-    were joined. With --with-log a page for every topic of the raw log stands beside it, at the same
-    time: speeds, laser echoes, pictures, tables of messages.
+    Drag the time line below a run's map: the robot drives on it. The viewer opens MCAP logs as
+    well: rerun maps/RUN.rrd run.mcap.
 
     --web serves rerun's viewer on 127.0.0.1, also where there is no display, and prints the page's
     address. From another machine: ssh -L 9090:127.0.0.1:9090 -L 9091:127.0.0.1:9091.
 
     \b
       topobatch view
-      topobatch view run1 --with-log
+      topobatch view run1
       topobatch view --web --port 9090
       topobatch explain run1 run2
       topobatch view run1:run2
     """
     place = Workspace(workspace)
-    if with_log and run is None:
-        raise UsageError(ONE_RUN)
     if port and not web:
         raise UsageError("--port goes with --web")
     recording = _recording(place, run)
-    show = partial(_serve, port=port) if web else partial(_open, place=place, run=run)
-    if not with_log or run is None:
-        show([recording])
-        return
-    if recording != place.map_rrd(run):
-        raise UsageError(ONE_RUN)
-    with _raw_log(place, run, recording) as both:
-        show(both)
+    if web:
+        _serve(recording, port)
+    else:
+        _open(recording, place, run)
 
 
 def _recording(place: Workspace, run: str | None) -> Path:
@@ -120,52 +102,30 @@ def _recording(place: Workspace, run: str | None) -> Path:
     raise place.unknown([run], "run, merge or pair A:B named")
 
 
-@contextmanager
-def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]]:
-    """The recording of a run with its log, and the blueprint of both: in the workspace or, if that
-    is not writable, in a temporary folder while the viewer is open."""
-    from ..viz.raw_log import write_raw_log
-
-    log = place.log_of(run)
-    if not isinstance(log, Path):
-        raise DataError(f"{log}: the viewer reads files only; copy the log here to look at it")
-    topomap = place.read_map(run)
-    with tempfile.TemporaryDirectory() as spare:
-        both, views = place.raw_log_rrd(run), place.raw_log_views_rrd(run)
-        try:
-            write_raw_log(both, views, log, recording, topomap)
-        except PermissionError:
-            if not _has_display():
-                raise
-            both, views = (Path(spare) / file.name for file in (both, views))
-            write_raw_log(both, views, log, recording, topomap)
-        yield [views, both]
-
-
-def _open(recordings: list[Path], *, place: Workspace, run: str | None) -> None:
-    """Open recordings in the viewer, or print how to without a display."""
+def _open(recording: Path, place: Workspace, run: str | None) -> None:
+    """Open a recording in the viewer, or print how to without a display."""
     if not _has_display():
-        names = shlex.join(r.name for r in recordings)
         named = [] if run is None else [run]
-        with_log = ["--with-log"] if len(recordings) > 1 else []
-        say(f"{recordings[0]}: there is no display here. To look at it:")
-        say(f"  on a machine with a screen:  rerun {names}   (pip install rerun-sdk)")
-        say(f"  in a browser:  {place.call('view', *named, *with_log, '--web')}")
+        say(f"{recording}: there is no display here. To look at it:")
+        say(
+            f"  on a machine with a screen:  rerun {shlex.quote(recording.name)}   "
+            "(pip install rerun-sdk)"
+        )
+        say(f"  in a browser:  {place.call('view', *named, '--web')}")
         return
     import subprocess
 
-    call = [sys.executable, "-m", "rerun", *map(str, recordings)]
-    raise typer.Exit(subprocess.call(call))
+    raise typer.Exit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
 
 
-def _serve(recordings: list[Path], *, port: int) -> None:
-    """Serve recordings and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
+def _serve(recording: Path, port: int) -> None:
+    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
     taken."""
     import subprocess
 
     page, data = _ports(port)
     ports = ("--bind", HOST, "--web-viewer-port", str(page), "--port", str(data))
-    call = [_viewer(), "--serve-web", *ports, *map(str, recordings)]
+    call = [_viewer(), "--serve-web", *ports, str(recording)]
     # Rerun reports its use over the network unless it runs for CI.
     server = subprocess.Popen(call, env={**os.environ, "CI": "1", "RUST_LOG": "error"})
     try:

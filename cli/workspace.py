@@ -62,7 +62,6 @@ class Workspace:
             self.maps,
             cache,
             cache / "ingest",
-            cache / "log",
             self.merge_record.parent,
             self.export_record.parent,
             self.root / "explain",
@@ -177,8 +176,8 @@ class Workspace:
         return self.root / "exports"
 
     def recordings_of(self, run: str) -> Iterator[Path]:
-        """The recordings in which a run may be: of its map, also with its log, and of pairs."""
-        yield from (self.map_rrd(run), self.raw_log_rrd(run), self.raw_log_views_rrd(run))
+        """The recordings in which a run may be: of its map, and of pairs."""
+        yield self.map_rrd(run)
         for other in self.runs():
             yield self.explain_rrd(*sorted((run, other)))
 
@@ -203,20 +202,18 @@ class Workspace:
             return None  # a cache: without it the run is just done again
         return found if isinstance(found, dict) else None
 
-    def log_of(self, run: str, otherwise: str = "ingest it again") -> LogPath:
-        """The log that a run's map was made from; remote ones are not checked to exist.
-
-        DataError if it is not recorded or does not exist; `otherwise`: advice in that case.
-        """
+    def log_of(self, run: str) -> LogPath:
+        """The log that a run's map was made from; remote ones are not checked to exist. DataError
+        if it is not recorded or does not exist."""
         from ..ingest.logs.recording import log_exists
         from ..ingest.remote.path import log_path
 
         log = (self.ingested(run) or {}).get("log")
         if not isinstance(log, str):
-            raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
+            raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
         place = log_path(log)
         if isinstance(place, Path) and not log_exists(place):
-            raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
+            raise DataError(f"{log}: the log of run {run} is not there any more; name it by --log")
         return place
 
     @property
@@ -233,14 +230,6 @@ class Workspace:
     def export_record(self) -> Path:
         """The record of the files that exports of the merge wrote; may be deleted at any time."""
         return self.root / "cache" / "exports" / f"{plain_name(self.merge, MERGE)}.json"
-
-    def raw_log_rrd(self, run: str) -> Path:
-        """The recording of a run with its log; may be deleted at any time."""
-        return self.root / "cache" / "log" / f"{plain_name(run)}.log.rrd"
-
-    def raw_log_views_rrd(self, run: str) -> Path:
-        """How to show that recording; may be deleted at any time."""
-        return self.root / "cache" / "log" / f"{plain_name(run)}.views.rrd"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""

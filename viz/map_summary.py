@@ -13,7 +13,7 @@ from ..topology.driven_branches import driven_branches
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
-from .history import Question
+from .questions import Question
 
 MOST_LINES = 40
 """Longer lists are cut; the JSON document has all entries."""
@@ -29,11 +29,11 @@ at first): two junctions that were not taken for one.
 Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). **White**: the
 robot at the cursor, behind it its last minute (**bright green**). **Violet** dots: raw detections,
 a star of branches at the cursor; or junctions that scans show, dull where variants of the detector
-do not agree. Under the map: walls that the laser saw up to then (**slate**), or the grid that the
+do not agree. Under the map: walls that the laser saw (**slate**), or the grid that the
 map was made from.
 
-Drag the time line below: the map grows as it was driven. Point at anything for what is known about
-it, or select it and open the panels at the top right; the left one shows and hides layers.
+Drag the time line below: the robot drives. Point at anything for what is known about it, or select
+it and open the panels at the top right; the left one shows and hides layers.
 **Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of the map."""
 
 

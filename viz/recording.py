@@ -17,15 +17,12 @@ import rerun_bindings
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.files import write_atomically
-from .palette import BACKGROUND, UNLIT, Colour, Colours
+from .palette import BACKGROUND
 
 APPLICATION_ID = "topobatch"
 
 CLOCKS = ("message_log_time", "ros2_timestamp")
 """Timelines of a raw log as rerun names them: the map uses the same, to share the cursor."""
-
-JOIN = "join"
-"""Timeline of a merge: one step for each join of two groups of runs."""
 
 UP = rr.Transform3D(mat3x3=[[1, 0, 0], [0, -1, 0], [0, 0, 1]])
 """Mirrors y: it points down in the viewer's 2D views."""
@@ -97,50 +94,8 @@ class Recording:
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row for each time, on the timelines CLOCKS."""
         stamps = np.asarray(time_ns, np.int64).astype("datetime64[ns]")
-        self._send(path, [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS], columns)
-
-    def over_steps(self, path: PathParts, steps: IntArray, columns: Iterable[Any]) -> None:
-        """Log one row for each step of a merge, on the timeline JOIN."""
-        self._send(path, [rr.TimeColumn(JOIN, sequence=steps)], columns)
-
-    def _send(self, path: PathParts, times: list[rr.TimeColumn], columns: Iterable[Any]) -> None:
+        times = [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS]
         self._stream.send_columns(entity(path), times, columns)
-
-
-MOST_CELLS = 400_000
-"""Limit on logged colours (4 bytes each) of one entity; above it, changes are grouped in time."""
-
-
-def light_up(
-    send: Callable[[PathParts, IntArray, Iterable[Any]], None],
-    path: PathParts,
-    archetype: Any,
-    when: IntArray,
-    colours: Colours | Colour,
-    *,
-    begin: int | None = None,
-    now: Colour | None = None,
-    dim: Colour = UNLIT,
-) -> None:
-    """Log the colours of an entity of n elements over time: `dim` before when (n,), from then on
-    `colours`, one each or one for all.
-
-    send: `over_time` or `over_steps` of a recording; begin: time of the first row, if earlier; now:
-    colour of the elements whose step is the current one. All elements are in one entity with one
-    row for each change, so that an element's index is the same at any time.
-    """
-    times = np.unique(np.concatenate([when, when + 1] if now is not None else [when]))
-    most = max(MOST_CELLS // max(len(when), 1), 2)
-    if len(times) > most:
-        times = times[np.unique(np.linspace(0, len(times) - 1, most).round().astype(np.int64))]
-    if begin is not None and begin < times[0]:
-        times = np.concatenate([[begin], times])
-    lit = (when[None, :] <= times[:, None])[:, :, None]
-    rows = np.where(lit, np.asarray(colours, np.uint8), np.asarray(dim, np.uint8))
-    if now is not None:
-        rows[times[:, None] == when[None, :]] = now
-    columns = archetype.columns(colors=rows.reshape(-1, 3))
-    send(path, times, columns.partition([len(when)] * len(times)))
 
 
 def entity(path: PathParts) -> str:

@@ -45,15 +45,13 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
 LEGEND = """\
 ## How to read it
 
-**Map**: every corridor is a ribbon with one strand for each run that drove it; junctions seen by
-several runs are white, others grey. The names are in *Legend*. Drag the *join* time line: runs
-light up in the order in which they were joined. A white line ties the two runs that the step
-rests on; *Story* tells why. **Red** dots: where joined runs contradict each other. Under the map:
-what the lasers of all runs saw, walls **slate**, free space a little brighter than what is not
-known. Short strokes: branches that nobody drove. **Runs**: each run's own map, laid into its
-component. **Undecided**: pairs that the evidence does not decide, those with most of it first, with
-both placements: the first run **blue**, the second **orange**; matched junctions in white,
-contradictions in red.
+**Map**: every corridor is a ribbon with one strand for each run that drove it, in the colour that
+its name has beside *Verdicts*; junctions seen by several runs are white, others grey. **Red** dots:
+where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
+**slate**, free space a little brighter than what is not known. Short strokes: branches that nobody
+drove. **Runs**: each run's own map, laid into its component. **Undecided**: pairs that the evidence
+does not decide, those with most of it first, with both placements: the first run **blue**, the
+second **orange**; matched junctions in white, contradictions in red.
 
 **Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
 other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**

@@ -5,8 +5,8 @@ import numpy as np
 
 from topobatch.merge.result import MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.history import history, questions
 from topobatch.viz.map_summary import map_summary
+from topobatch.viz.questions import questions
 from topobatch.viz.verdicts import (
     CLASS,
     DIAGONAL,
@@ -40,7 +40,7 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
 
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
     topomap = make_map("lab_2*")
-    asked = questions(topomap, history(topomap).visit)
+    asked = questions(topomap)
     told = map_summary(topomap, asked)
     assert "# lab\\_2\\*" in told
     assert "**5** vertices (2 bends, 1 dead end, 2 junctions)" in told
