@@ -84,7 +84,7 @@ def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
             low, high = wide_low, wide_high
         overrides[entity((*MAP, "detection"))] = _behind_cursor(DETECTION_S)
         overrides[entity((*MAP, "trail"))] = _behind_cursor(TRAIL_S)
-    return map_view(MAP[0], "Map", low, high, overrides)
+    return map_view(MAP, "Map", low, high, overrides)
 
 
 def _behind_cursor(seconds: float) -> rrb.VisibleTimeRanges:

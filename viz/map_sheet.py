@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.decision_text import short
-from ..topology.arrays import FloatArray, IntArray
-from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import SHEET_MARGIN, bounds, extent, pen_m
+from .drawing import SHEET_MARGIN, bounds
 from .placements import Spot
-from .recording import HAIR, UP, PathParts, Recording, map_view, placed, strips
-from .sheet import ASPECT, Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
+from .recording import HAIR, PathParts, Recording, map_view, strips
+from .sheet import ASPECT, Cell, corners_of, outline
 
 TITLE_LETTERS, SHORTEST_TITLE = 150, 5
 """Letters across a view of typical width; titles with room for fewer than SHORTEST_TITLE are left
@@ -27,7 +24,7 @@ out."""
 
 def sheet_view(root: str, name: str, cells: Sequence[Cell]) -> rrb.Spatial2DView:
     """A view of everything below `/root`, which is laid out in these cells."""
-    return map_view(root, name, *bounds([corners_of(cells)], margin=SHEET_MARGIN))
+    return map_view([root], name, *bounds([corners_of(cells)], margin=SHEET_MARGIN))
 
 
 def write_words(
@@ -44,19 +41,6 @@ def write_words(
         places, radii=0.0, colors=colours, labels=words, show_labels=True, draw_order=order
     )
     recording.static(path, shown)
-
-
-def write_rings(
-    recording: Recording,
-    path: PathParts,
-    xy: FloatArray,
-    radius_m: float,
-    order: palette.Order = palette.Order.EVIDENCE,
-) -> None:
-    """Write white dots behind the junctions at xy (n, 2), which show as rings."""
-    if len(xy):
-        dots = rr.Points2D(xy, radii=radius_m, colors=palette.WHITE, draw_order=order)
-        recording.static(path, dots)
 
 
 def write_contradictions(
@@ -163,39 +147,3 @@ def write_own_maps(
             info,
             once=rr.Points2D.from_fields(colors=tint),
         )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LaidOver:
-    """Map b over map a, at T_a_b. titles: forms, longest first; matched: junctions of a; spots:
-    where the two contradict each other."""
-
-    path: PathParts
-    titles: tuple[str, ...]
-    maps: tuple[TopoMap, TopoMap]
-    T_a_b: FloatArray
-    matched: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    spots: Sequence[Spot] = ()
-
-
-def write_laid_over(recording: Recording, root: str, laid: Sequence[LaidOver]) -> list[Cell]:
-    """Write maps over maps in two colours, side by side; returns their cells."""
-    points = [
-        np.concatenate([extent(each.maps[0]), apply(each.T_a_b, extent(each.maps[1]))])
-        for each in laid
-    ]
-    turns = [upright_rad(each.maps[0].paths) for each in laid]
-    cells = arrange(points, turns, sheet_margin_m(points))
-    recording.static((root,), UP)
-    write_cards(recording, root, cells, [each.titles for each in laid])
-    pen = pen_m([m for each in laid for m in each.maps])
-    colours = [palette.of_rank(0), palette.of_rank(1)]
-    for each, cell in zip(laid, cells, strict=True):
-        here, (a, b) = (root, *each.path), each.maps
-        recording.static(here, placed(cell.T_sheet_map))
-        recording.static((*here, "b"), placed(each.T_a_b))
-        paths = [(*here, "a", a.run), (*here, "b", b.run)]
-        write_own_maps(recording, paths, (a, b), colours, pen)
-        write_rings(recording, (*here, "matched"), a.xy[each.matched], 2.2 * pen)
-        write_contradictions(recording, (*here, "contradictions"), each.spots, pen)
-    return cells

@@ -20,20 +20,16 @@ from .fused_layers import (
     write_walls,
 )
 from .map_sheet import sheet_view
-from .pair_layers import (
+from .matrix_layer import (
     MATRIX,
-    UNDECIDED,
     matrix_bounds,
     write_matrix,
-    write_undecided,
 )
 from .parts import colours_of, lay_out
 from .recording import Recording, blueprint, markdown, write_recording
 from .verdicts import (
-    MOST_PLACEMENTS,
     merge_summary,
     runs_in_order,
-    undecided,
 )
 from .walls import wall_points
 
@@ -49,7 +45,6 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     by_name = _by_name(result, maps)
     runs = runs_in_order(result)
     colours = colours_of(result)
-    pairs = undecided(result)[:MOST_PLACEMENTS]
 
     def fill(recording: Recording) -> rrb.Blueprint:
         walls = walls_by_component(result, by_name)
@@ -62,9 +57,6 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
             sheet_view(FUSED, "Map", sheet),
             sheet_view(RUNS, "Runs", sheet),
         ]
-        if pairs:
-            cells = write_undecided(recording, pairs, by_name)
-            views.append(sheet_view(UNDECIDED, "Undecided", cells))
         write_matrix(recording, result, runs, colours)
         recording.static(("summary",), markdown(merge_summary(result)))
         return _blueprint(views, [_matrix_view(runs)] if len(runs) > 1 else [])

@@ -186,13 +186,13 @@ def screen(lines: Iterable[str]) -> rr.TextDocument:
 
 
 def map_view(
-    root: str, name: str, low: FloatArray, high: FloatArray, overrides: Any = None
+    roots: Sequence[str], name: str, low: FloatArray, high: FloatArray, overrides: Any = None
 ) -> rrb.Spatial2DView:
-    """A 2D view of everything below `/root`, which is mirrored by UP. low, high: corners of its
-    bounds [m]."""
+    """A 2D view of everything below `/root` for each root, which is mirrored by UP. low, high:
+    corners of its bounds [m]."""
     return rrb.Spatial2DView(
         origin="/",
-        contents=f"/{root}/**",
+        contents=[f"/{root}/**" for root in roots],
         name=name,
         background=BACKGROUND,
         # The view's y points down, the map's up.

@@ -16,9 +16,6 @@ DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
 """Class of each standing in the verdict matrix."""
 
-MOST_PLACEMENTS = 12
-"""Undecided pairs that are drawn, strongest evidence first: with more, their names have no room."""
-
 
 def runs_in_order(result: MergeResult) -> list[str]:
     """All runs by component, components of most runs first."""
@@ -49,9 +46,7 @@ LEGEND = """\
 its name has beside *Verdicts*; junctions seen by several runs are white, others grey. **Red** dots:
 where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
 **slate**, free space a little brighter than what is not known. Short strokes: branches that nobody
-drove. **Runs**: each run's own map, laid into its component. **Undecided**: pairs that the evidence
-does not decide, those with most of it first, with both placements: the first run **blue**, the
-second **orange**; matched junctions in white, contradictions in red.
+drove. **Runs**: each run's own map, laid into its component.
 
 **Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
 other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
@@ -111,12 +106,6 @@ def _components(result: MergeResult) -> str:
 def _notes(result: MergeResult) -> str:
     warnings = result.info.get("warnings") or ()
     return "## Warnings\n\n" + bulleted(plain(w) for w in warnings) if warnings else ""
-
-
-def undecided(result: MergeResult) -> list[PairVerdict]:
-    """Pairs that fit somewhere and were not joined, the strongest first."""
-    open_ = (Standing.AMBIGUOUS, Standing.KEPT_OUT)
-    return strongest(p for p in result.verdicts if p.standing in open_ and p.best is not None)
 
 
 def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:

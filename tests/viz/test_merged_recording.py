@@ -36,8 +36,6 @@ def test_a_merge_is_written_and_read_back(tmp_path: Path, merge_of: Merge) -> No
     assert got.value("/verdicts/evidence", "reason") == [p.reason for p in result.verdicts]
     numbers = got.value("/verdicts/bits", "Points2D:labels")
     assert numbers[0] == "3.9"  # as reasons and documents have it
-    assert "/undecided/pairs/c/d/best/matched" in got.entities
-    assert "/undecided/pairs/c/d/runner-up/b/d/corridors" in got.entities
     assert "go on" in got.value("/verdicts/evidence", "advice")
 
 

@@ -1,5 +1,4 @@
-"""Pairs of runs as layers of a merge's recording: the matrix of verdicts, placements of undecided
-pairs."""
+"""The matrix of verdicts of a merge's recording."""
 
 from __future__ import annotations
 
@@ -8,19 +7,16 @@ from collections.abc import Mapping
 import numpy as np
 import rerun as rr
 
-from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..merge.result import MergeResult, Standing, shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.se2 import apply
-from ..topology.topomap import TopoMap
 from . import palette
-from .map_sheet import LaidOver, write_laid_over, write_words
-from .placements import contradiction_spots
+from .map_sheet import write_words
 from .recording import HAIR, Recording
-from .sheet import Cell, outline
+from .sheet import outline
 from .verdicts import CLASS, DIAGONAL, LOCKED, verdict_matrix
 
-MATRIX, UNDECIDED = "verdicts", "undecided"
-"""Entity roots of the two views."""
+MATRIX = "verdicts"
+"""Its entity root."""
 
 MOST_NAMES = 16
 """Above this many runs the matrix shows their names on hovering only."""
@@ -124,26 +120,3 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         labels = [shown_bits(p.evidence_bits) + f"\n{LOCKED}" * bool(p.locked) for p in pairs]
         places = ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE]
         write_words(recording, (MATRIX, "bits"), places, labels, order=palette.Order.TIE)
-
-
-def write_undecided(
-    recording: Recording, pairs: list[PairVerdict], maps: Mapping[str, TopoMap]
-) -> list[Cell]:
-    """Write the best and the next best placement of every given pair side by side, map b over map
-    a.
-
-    Returns the cells, one for each placement.
-    """
-    laid = []
-    for p in pairs:
-        a, b, pair = maps[p.a], maps[p.b], f"{p.a} - {p.b}"
-        for name, alignment in (("best", p.best), ("runner-up", p.runner_up)):
-            if alignment is None:
-                continue
-            bits, T = shown_bits(alignment.evidence_bits), alignment.transform
-            titles = (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair)
-            against = zip(alignment.contradictions, alignment.contradicting, strict=False)
-            spots = contradiction_spots(against, a.xy, apply(T, b.xy))
-            path = ("pairs", p.a, p.b, name)
-            laid.append(LaidOver(path, titles, (a, b), T, alignment.matched[:, 0], spots))
-    return write_laid_over(recording, UNDECIDED, laid)
