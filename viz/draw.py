@@ -222,7 +222,7 @@ def draw_merged(
         c: np.concatenate([wall_points(walls_of(own, "")), *(d.path for d in ways[c])])
         for c, own in views.items()
     }
-    parts = lay_out(result, for_paper=True, walls=seen)
+    parts = lay_out(result, seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = _sheet(cells, theme, width, "merged")

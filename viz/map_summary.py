@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from ..topology.document import map_to_document
 from ..topology.driven_branches import driven_branches
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
@@ -38,15 +36,13 @@ it and open the panels at the top right; the left one shows and hides layers.
 
 
 def map_summary(topomap: TopoMap, asked: Sequence[Question]) -> str:
-    """A Markdown page about one map: counts, a legend, closures, warnings, and what its document
-    states of its source, its calibration and its noise."""
+    """A Markdown page about one map: counts, a legend, closures, warnings."""
     parts = [
         f"# {plain(topomap.run)}",
         _counts(topomap),
         LEGEND if len(topomap) else "The map is empty: no junction was found in this run.",
         _closures(asked),
         _warnings(topomap),
-        _stated(topomap),
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
 
@@ -132,14 +128,3 @@ def correction(topomap: TopoMap, name: str) -> float:
     error = told.get(name) if isinstance(told, Mapping) else None
     applied = error.get("applied") if isinstance(error, Mapping) else None
     return float(applied) if isinstance(applied, (int, float)) else 0.0
-
-
-STATED = ("source", "driven", "calibration", "noise")
-"""Parts of the document's `graph` that the page shows."""
-
-
-def _stated(topomap: TopoMap) -> str:
-    """What the map was made from, what was corrected, and the noise of its run (one sigma)."""
-    graph = map_to_document(topomap)["graph"]
-    told = {name: graph[name] for name in STATED if name in graph}
-    return f"## Stated by its document\n\n~~~json\n{json.dumps(told, indent=1)}\n~~~"

@@ -48,7 +48,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
 
     def fill(recording: Recording) -> rrb.Blueprint:
         walls = walls_by_component(result, by_name)
-        parts = lay_out(result, walls={c: wall_points(grid) for c, grid in walls.items()})
+        parts = lay_out(result, {c: wall_points(grid) for c, grid in walls.items()})
         sheet = [part.cell for part in parts]
         write_fused_layers(recording, result, by_name, parts, colours)
         write_fused_contradictions(recording, result, by_name, parts)
