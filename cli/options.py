@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from ..topology.errors import TopobatchError
-from .workspace import MERGED, USUAL, Workspace
+from .workspace import USUAL, Workspace
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:
@@ -73,23 +73,6 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     except (TopobatchError, OSError):
         return []
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
-
-
-def complete_site(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Sites of the merge with this prefix."""
-    named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
-    try:
-        graph = Workspace(Path(named or DEFAULT_WORKSPACE)).read_merged().graph
-    except (TopobatchError, OSError):
-        return []
-    return sorted(name for name in {*graph.sites.values()} if name.startswith(incomplete))
-
-
-def complete_map(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The same, the merged map and its sites."""
-    merged = [MERGED] if MERGED.startswith(incomplete) else []
-    named = [*complete_site(ctx, incomplete), *complete_run(ctx, incomplete)]
-    return [*merged, *dict.fromkeys(named)]
 
 
 Command = Callable[..., None]

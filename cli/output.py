@@ -160,6 +160,11 @@ class Screen:
         if not self.quiet:
             self._emit(text, err=False)
 
+    def folded(self, text: str) -> None:
+        """Print a long line of the result as several."""
+        for line in folded(text):
+            self.line(line)
+
     def detail(self, text: str) -> None:
         """Print what is being done, with the seconds since the start; with --verbose only."""
         if self.verbose:

@@ -23,7 +23,6 @@ from .options import (
     MergeOption,
     QuietOption,
     WorkspaceOption,
-    complete_map,
     complete_run,
 )
 from .output import Screen, checked_output, say_text
@@ -57,7 +56,7 @@ def transfer(
             "--to",
             metavar="RUN|merged",
             help="The run, or merged, to carry them to.",
-            autocompletion=complete_map,
+            autocompletion=complete_run,
         ),
     ],
     within: Annotated[

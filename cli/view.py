@@ -18,7 +18,7 @@ import typer
 from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
-from .workspace import Workspace, pair_named
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     import subprocess
@@ -28,15 +28,16 @@ HOST = "127.0.0.1"
 
 
 def view(
-    run: Annotated[
-        str | None,
+    what: Annotated[
+        str,
         typer.Argument(
-            metavar="RUN|A:B",
+            metavar="[RUN|A:B]",
             help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
             "topobatch explain found; the merged map without.",
+            show_default=False,
             autocompletion=complete_run,
         ),
-    ] = None,
+    ] = MERGED,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     web: Annotated[
         bool,
@@ -72,46 +73,39 @@ def view(
     place = Workspace(workspace)
     if port and not web:
         raise UsageError("--port goes with --web")
-    recording = _recording(place, run)
+    recording = _recording(place, what)
     if web:
         _serve(recording, port)
     else:
-        _open(recording, place, run)
+        _open(recording, place.call("view", *([] if what == MERGED else [what]), "--web"))
 
 
-def _recording(place: Workspace, run: str | None) -> Path:
-    """The recording to open; UsageError or DataError if there is none."""
-    if run is None:
-        if not place.merged_rrd.is_file():
-            place.require_merge()
-            raise DataError(f"{place.merged_rrd}: is not there; merge again")
-        return place.merged_rrd
-    if run in place.runs():
-        recording = place.map_rrd(run)
-        if not recording.is_file():
-            raise DataError(f"{recording}: is not there; ingest the log of {run} again")
-        return recording
-    merge = place.merge_named(run)
-    if merge is not None and merge.merged_rrd.is_file():
-        return merge.merged_rrd
-    if pair := pair_named(run, place.runs()):
-        recording = place.explain_rrd(*pair)
-        if not recording.is_file():
-            raise DataError(f"{recording}: is not there; {place.call('explain', *pair)} makes it")
-        return recording
-    raise place.unknown([run], "run, merge or pair A:B named")
+def _recording(place: Workspace, what: str) -> Path:
+    """The recording to open, of a site that of its merge; UsageError or DataError if there is
+    none."""
+    found = place.named(what)
+    if found.run is not None:
+        recording, how = place.map_rrd(found.run), f"ingest the log of {found.run} again"
+    elif found.pair is not None:
+        recording = place.explain_rrd(*found.pair)
+        how = f"{place.call('explain', *found.pair)} makes it"
+    else:
+        recording, how = found.place.merged_rrd, "merge again"
+        found.place.require_merge()
+    if not recording.is_file():
+        raise DataError(f"{recording}: is not there; {how}")
+    return recording
 
 
-def _open(recording: Path, place: Workspace, run: str | None) -> None:
+def _open(recording: Path, in_browser: str) -> None:
     """Open a recording in the viewer, or print how to without a display."""
     if not _has_display():
-        named = [] if run is None else [run]
         say(f"{recording}: there is no display here. To look at it:")
         say(
             f"  on a machine with a screen:  rerun {shlex.quote(recording.name)}   "
             "(pip install rerun-sdk)"
         )
-        say(f"  in a browser:  {place.call('view', *named, '--web')}")
+        say(f"  in a browser:  {in_browser}")
         return
     import subprocess
 

@@ -7,7 +7,7 @@ import os
 import shlex
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -94,7 +94,7 @@ class Workspace:
         return () if self.root == usual else ("-w", str(self.root))
 
     @property
-    def named(self) -> tuple[str, ...]:
+    def of_merge(self) -> tuple[str, ...]:
         """The options that name this merge in a call of what reads one."""
         return () if self.merge == MERGED else ("--merge", self.merge)
 
@@ -275,6 +275,22 @@ class Workspace:
             return named if named.merged_json.is_file() else None
         except UsageError:  # no name that a merge could have
             return None
+
+    def named(self, what: str) -> Named:
+        """What a name stands for; UsageError or DataError if it is none."""
+        runs = self.runs()
+        if what in runs and what != MERGED:
+            return Named(self, run=what)
+        if pair := pair_named(what, runs):
+            if pair[0] == pair[1]:
+                raise UsageError(f"two runs are needed, got {pair[0]!r} twice")
+            return Named(self, pair=pair)
+        merge = self if what == MERGED else self.merge_named(what)
+        if merge is not None:
+            return Named(merge)
+        if self.merged_json.is_file() and what in self.read_merged().graph.sites.values():
+            return Named(self, site=what)
+        raise self.unknown([what], "run, site, merge or pair A:B named")
 
     def merges(self) -> list[Workspace]:
         """This workspace with each of its merges, the one with the default name first."""
@@ -491,7 +507,6 @@ class Workspace:
 
         if not make and not self.root.is_dir():
             raise self.no_maps()
-        new = [path for path in (self.root, *self.root.parents) if not path.exists()]
         lock = FileLock(self.root / ".lock")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -500,32 +515,15 @@ class Workspace:
             say(f"{self.root}: another topobatch is at work there; waiting for it")
             lock.acquire()
         except OSError as error:
-            what = "made" if new else "written"
-            copy = "" if new else "copy it, or "
             raise DataError(
-                f"{self.root}: cannot be {what} ({error.strerror}); {copy}name another --workspace"
+                f"{self.root}: cannot be written ({error.strerror}); name another --workspace"
             ) from error
         try:
             self._clear_left_overs()
             yield
         finally:
             self._clear_left_overs()  # of worker processes that were stopped
-            if new:
-                self._remove_if_empty(new)
             lock.release()
-
-    def _remove_if_empty(self, new: Sequence[Path]) -> None:
-        """Take back a workspace that was made for nothing; new: the folders made for it, innermost
-        first. Called while the lock is held: whoever waits for it finds its file gone, and makes
-        another."""
-        record = self.ingest_record("x").parent
-        for folder in (self.maps, record, record.parent):
-            _remove_folder(folder)
-        with suppress(OSError):  # a file in use stays on some systems, and with it the workspace
-            if [path.name for path in self.root.iterdir()] == [".lock"]:
-                (self.root / ".lock").unlink()
-        for folder in new:
-            _remove_folder(folder)
 
     def _clear_left_overs(self) -> None:
         from ..topology.files import LEFT_OVER
@@ -537,6 +535,16 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A run, a pair of runs, a site, or without any the merge of a workspace."""
+
+    place: Workspace
+    run: str | None = None
+    pair: tuple[str, str] | None = None
+    site: str | None = None
 
 
 def _meant(names: Sequence[str], known: Sequence[str]) -> str:
@@ -555,11 +563,6 @@ def _decided(path: Path, from_document: Callable[[Any, str], T], none: T) -> T:
     from ..topology.files import read_json
 
     return from_document(read_json(path), str(path)) if os.path.lexists(path) else none
-
-
-def _remove_folder(folder: Path) -> None:
-    with suppress(OSError):  # it is not there, or holds something
-        folder.rmdir()
 
 
 def is_workspace(folder: Path) -> bool:

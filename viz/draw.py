@@ -33,6 +33,7 @@ from .drawing import (
     extent,
     strands,
 )
+from .pages import map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
 from .placements import VIEWS, Mark, decision_picture
@@ -66,13 +67,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
     keys += _walls(canvas, [topomap.views], turn, theme["wall"])
     keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
-    ways = topomap.turning_points
-    told = (
-        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
-        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
-        f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
-    )
-    canvas.finish([topomap.run, told], [keys])
+    canvas.finish([topomap.run, map_told(topomap)], [keys])
     return canvas
 
 

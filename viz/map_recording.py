@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .grid_layer import write_grid
 from .map_blueprint import MAP, map_blueprint
 from .map_sheet import corridors_told
-from .map_summary import correction, map_summary
+from .pages import map_page
 from .questions import Question, questions, visits
 from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
@@ -70,11 +70,11 @@ def write_map_recording(
             _track(recording, track)
             _drift(recording, track, topomap)
             if detections is not None:
-                x, y = (correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
+                x, y = (_correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
                 _detections(recording, detections.moved((-x, -y)), track)
             if scanned is not None:
                 _scans(recording, scanned.passes, topomap, track)
-        recording.static(("summary",), markdown(map_summary(topomap, asked)))
+        recording.static(("summary",), markdown(map_page(topomap, asked)))
         return map_blueprint(topomap, track)
 
     write_recording(path, topomap.run, fill)
@@ -336,3 +336,11 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
         clearance_m=passes.clearance_m,
     )
     recording.static((*MAP, "scans", "junctions"), dots, told)
+
+
+def _correction(topomap: TopoMap, name: str) -> float:
+    """What the map was corrected by, by its name in `graph.calibration`; 0 if it was not."""
+    told = topomap.info.get("calibration")
+    error = told.get(name) if isinstance(told, Mapping) else None
+    applied = error.get("applied") if isinstance(error, Mapping) else None
+    return float(applied) if isinstance(applied, (int, float)) else 0.0

@@ -7,13 +7,12 @@ from collections.abc import Mapping
 import numpy as np
 import rerun as rr
 
-from ..merge.result import MergeResult, Standing, shown_bits
+from ..merge.result import MergeResult, Standing
 from ..topology.arrays import FloatArray
 from . import palette
-from .map_sheet import write_words
 from .recording import HAIR, Recording
 from .sheet import outline
-from .verdicts import CLASS, DIAGONAL, LOCKED, verdict_matrix
+from .verdicts import CLASS, DIAGONAL, verdict_matrix
 
 MATRIX = "verdicts"
 """Its entity root."""
@@ -21,14 +20,8 @@ MATRIX = "verdicts"
 MOST_NAMES = 16
 """Above this many runs the matrix shows their names on hovering only."""
 
-MOST_NUMBERS = 8
-"""Up to this many runs the evidence is written into the matrix, above only shown by dots."""
-
 MOST_DOTS = 300
 """Above this many runs the matrix has no dots."""
-
-LABEL_RISE = 0.12
-"""Offset of cell labels upwards, since the viewer writes them below their point."""
 
 FULL_DOT_BITS = 100.0
 """Evidence of the largest dot [bits]."""
@@ -93,8 +86,7 @@ def _names_width(runs: list[str]) -> float:
 
 
 def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
-    """Write the evidence as numbers above the diagonal, and dots with the pair's attributes below
-    it."""
+    """Write the evidence as dots with the pair's attributes, below the diagonal."""
     row = {run: i for i, run in enumerate(runs)}
     pairs = [p for p in result.verdicts if p.a in row and p.b in row]
     if not pairs:
@@ -116,7 +108,3 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         advice=[p.advice or "" for p in pairs],
     )
     recording.static((MATRIX, "evidence"), dots, info)
-    if len(runs) <= MOST_NUMBERS:
-        labels = [shown_bits(p.evidence_bits) + f"\n{LOCKED}" * bool(p.locked) for p in pairs]
-        places = ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE]
-        write_words(recording, (MATRIX, "bits"), places, labels, order=palette.Order.TIE)

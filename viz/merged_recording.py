@@ -25,10 +25,10 @@ from .matrix_layer import (
     matrix_bounds,
     write_matrix,
 )
+from .pages import merge_page
 from .parts import colours_of, lay_out
 from .recording import Recording, blueprint, markdown, write_recording
 from .verdicts import (
-    merge_summary,
     runs_in_order,
 )
 from .walls import wall_points
@@ -58,7 +58,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
             sheet_view(RUNS, "Runs", sheet),
         ]
         write_matrix(recording, result, runs, colours)
-        recording.static(("summary",), markdown(merge_summary(result)))
+        recording.static(("summary",), markdown(merge_page(result)))
         return _blueprint(views, [_matrix_view(runs)] if len(runs) > 1 else [])
 
     write_recording(path, RECORDING_ID, fill)

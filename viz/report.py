@@ -28,7 +28,7 @@ from ..merge.result import Component, MergeResult, Standing, shown_bits, site_vi
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
-from .map_summary import minutes
+from .pages import minutes
 from .palette import LIGHT
 from .parts import ranks
 from .report_maps import INK, SiteLayers, blank_figure, described_change, site_map
