@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import chain
 
 import numpy as np
 import rerun as rr
@@ -19,7 +18,7 @@ from ..topology.views import Views
 from . import palette
 from .drawing import Strand, branch_arrows, pen_m, strands
 from .grid_layer import write_grid
-from .map_sheet import write_cards, write_contradictions, write_own_maps
+from .map_sheet import write_cards, write_contradictions, write_own_map
 from .parts import Part, rows_of
 from .placements import Spot, contradiction_spots
 from .recording import UP, PathParts, Recording, placed, strips
@@ -47,16 +46,11 @@ def write_fused_layers(
     _ribbons(recording, result.fused, parts, colours, pen)
     _junctions(recording, result.fused, parts, pen)
     _unexplored(recording, result.fused, parts, pen)
-    lying = [(part, run) for part in parts for run in sorted(part.component.poses)]
-    for part, run in lying:
-        recording.static((RUNS, part.name, run), placed(part.component.poses[run]))
-    write_own_maps(
-        recording,
-        [(RUNS, part.name, run) for part, run in lying],
-        [maps[run] for _, run in lying],
-        [colours[run] for _, run in lying],
-        pen,
-    )
+    for part in parts:
+        for run, pose in sorted(part.component.poses.items()):
+            path = (RUNS, part.name, run)
+            recording.static(path, placed(pose))
+            write_own_map(recording, path, maps[run], colours[run], pen)
 
 
 def write_fused_contradictions(
@@ -120,23 +114,19 @@ def _ribbons(
 ) -> None:
     """Write each corridor as parallel lines of the runs that drove it."""
     of_run: dict[PathParts, list[Strand]] = {}
-    home = {run: part.name for part in parts for run in part.component.poses}
-    edges = np.concatenate([np.zeros(0, np.int64), *(part.edges for part in parts)])
-    for strand in strands(fused, edges, pen):
-        own = (FUSED, home[strand.run], "corridors", strand.run)
-        of_run.setdefault(own, []).append(strand)
-    if not of_run:
-        return
-    drawn = list(chain.from_iterable(of_run.values()))
-    lines = rr.LineStrips2D.from_fields(
-        strips=strips([strand.path for strand in drawn]),
-        radii=[pen * strand.share / 2 for strand in drawn],
-        draw_order=palette.Order.CORRIDOR,
-    )
-    told = _corridor_info(fused, np.array([strand.edge for strand in drawn]))
-    tint = np.array([colours[path[-1]] for path in of_run], np.uint8)
-    once = rr.LineStrips2D.from_fields(colors=tint)
-    recording.static_each([*of_run], [*map(len, of_run.values())], lines, told, once=once)
+    for part in parts:
+        for strand in strands(fused, part.edges, pen):
+            path = (FUSED, part.name, "corridors", strand.run)
+            of_run.setdefault(path, []).append(strand)
+    for path, own in of_run.items():
+        lines = rr.LineStrips2D.from_fields(
+            strips=strips([strand.path for strand in own]),
+            radii=[pen * strand.share / 2 for strand in own],
+            colors=colours[path[-1]],
+            draw_order=palette.Order.CORRIDOR,
+        )
+        edges = np.array([strand.edge for strand in own])
+        recording.static(path, lines, _corridor_info(fused, edges))
 
 
 def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
@@ -153,28 +143,29 @@ def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
 
 def _junctions(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
     """Write the junctions of the fused map: white if several runs saw it, else grey."""
-    rows = np.concatenate([np.zeros(0, np.int64), *(part.vertices for part in parts)])
-    if len(rows) == 0:
-        return
-    runs = np.array([len(fused.members[i]) for i in rows.tolist()])
-    told = rr.AnyValues(
-        vertex=rows,
-        kind=[fused.kind[i] for i in rows.tolist()],
-        branches=fused.branches.counts[rows],
-        runs=runs,
-        fused_from=[_members_told(fused.members[i]) for i in rows.tolist()],
-        passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
-    )
-    points = rr.Points2D.from_fields(
-        positions=fused.xy[rows],
-        radii=pen * np.where(runs > 1, 2.4, 1.4),
-        colors=np.where(runs[:, None] > 1, palette.WHITE, palette.SINGLE).astype(np.uint8),
-        labels=list(map(str, rows.tolist())),
-        show_labels=False,
-        draw_order=palette.Order.JUNCTION,
-    )
-    paths = [(FUSED, part.name, "junctions") for part in parts]
-    recording.static_each(paths, [len(part.vertices) for part in parts], points, told)
+    for part in parts:
+        rows = part.vertices
+        if len(rows) == 0:
+            continue
+        members = [fused.members[i] for i in rows.tolist()]
+        several = np.array([len(runs) > 1 for runs in members])
+        points = rr.Points2D(
+            fused.xy[rows],
+            radii=pen * np.where(several, 2.4, 1.4),
+            colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
+            labels=list(map(str, rows.tolist())),
+            show_labels=False,
+            draw_order=palette.Order.JUNCTION,
+        )
+        told = rr.AnyValues(
+            vertex=rows,
+            kind=[fused.kind[i] for i in rows.tolist()],
+            branches=fused.branches.counts[rows],
+            runs=np.array([len(runs) for runs in members]),
+            fused_from=[_members_told(runs) for runs in members],
+            passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
+        )
+        recording.static((FUSED, part.name, "junctions"), points, told)
 
 
 def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
@@ -185,19 +176,17 @@ def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
 
 def _unexplored(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
     """Write the branches that no run drove."""
+    origins, vectors = branch_arrows(fused, 6 * pen)
     free = np.flatnonzero(~driven_branches(fused))
     owner = fused.component[fused.branches.owner[free]]
-    own = [free[rows] for rows in rows_of(owner, [part.component.id for part in parts])]
-    if len(free) == 0:
-        return
-    origins, vectors = branch_arrows(fused, 6 * pen)
-    bare = np.concatenate(own)
-    arrows = rr.Arrows2D(
-        origins=origins[bare],
-        vectors=vectors[bare],
-        radii=pen / 3,
-        colors=palette.FAINT,
-        draw_order=palette.Order.STUB,
-    )
-    paths = [(FUSED, part.name, "branches never driven") for part in parts]
-    recording.static_each(paths, [len(rows) for rows in own], arrows)
+    of_parts = rows_of(owner, [part.component.id for part in parts])
+    for part, rows in zip(parts, of_parts, strict=True):
+        if len(rows):
+            arrows = rr.Arrows2D(
+                origins=origins[free[rows]],
+                vectors=vectors[free[rows]],
+                radii=pen / 3,
+                colors=palette.FAINT,
+                draw_order=palette.Order.STUB,
+            )
+            recording.static((FUSED, part.name, "branches never driven"), arrows)

@@ -91,59 +91,37 @@ def _fitting(titles: Sequence[str], cell: Cell, seen_m: float) -> str:
     return short(titles[-1], room) if room >= SHORTEST_TITLE else ""
 
 
-def corridors_told(*maps: TopoMap) -> rr.AnyValues:
-    """The attributes of the corridors of several maps, concatenated."""
-    ends = [pair for m in maps for pair in zip(m.source.tolist(), m.target.tolist(), strict=True)]
+def corridors_told(m: TopoMap) -> rr.AnyValues:
+    """The attributes of the corridors of a map."""
     return rr.AnyValues(
-        corridor=np.concatenate([np.arange(len(m.source)) for m in maps]),
-        between=[f"{u} - {v}" for u, v in ends],
-        length_m=np.concatenate([m.length for m in maps]),
-        length_sigma_m=np.concatenate([m.length_sigma for m in maps]),
-        traversals=np.concatenate([m.traversals for m in maps]),
+        corridor=np.arange(len(m.source)),
+        between=[f"{u} - {v}" for u, v in zip(m.source.tolist(), m.target.tolist(), strict=True)],
+        length_m=m.length,
+        length_sigma_m=m.length_sigma,
+        traversals=m.traversals,
     )
 
 
-def write_own_maps(
-    recording: Recording,
-    paths: Sequence[PathParts],
-    maps: Sequence[TopoMap],
-    colours: Sequence[palette.Colour],
-    pen: float,
+def write_own_map(
+    recording: Recording, path: PathParts, m: TopoMap, colour: palette.Colour, pen: float
 ) -> None:
-    """Write each run's own map below its entity path, in its own frame and in one colour."""
-    corridors, junctions = [len(m.source) for m in maps], [len(m) for m in maps]
-    tint = np.array(colours, np.uint8).reshape(-1, 3)
-    if any(corridors):
+    """Write a run's own map below its entity path, in its own frame and in one colour."""
+    if len(m.source):
         lines = rr.LineStrips2D.from_fields(
-            strips=strips([path for m in maps for path in m.paths]),
+            strips=strips(m.paths),
             radii=0.4 * pen,
+            colors=colour,
             draw_order=palette.Order.CORRIDOR,
         )
-        recording.static_each(
-            [(*path, "corridors") for path in paths],
-            corridors,
-            lines,
-            corridors_told(*maps),
-            once=rr.LineStrips2D.from_fields(colors=tint),
-        )
-    if any(junctions):
-        vertices = [v for count in junctions for v in range(count)]
-        points = rr.Points2D.from_fields(
-            positions=np.concatenate([m.xy for m in maps]),
+        recording.static((*path, "corridors"), lines, corridors_told(m))
+    if len(m):
+        points = rr.Points2D(
+            m.xy,
             radii=1.2 * pen,
-            labels=list(map(str, vertices)),
+            colors=colour,
+            labels=[*map(str, range(len(m)))],
             show_labels=False,
             draw_order=palette.Order.JUNCTION,
         )
-        info = rr.AnyValues(
-            vertex=np.array(vertices),
-            kind=[kind for m in maps for kind in m.kind],
-            branches=np.concatenate([m.degree for m in maps]),
-        )
-        recording.static_each(
-            [(*path, "junctions") for path in paths],
-            junctions,
-            points,
-            info,
-            once=rr.Points2D.from_fields(colors=tint),
-        )
+        info = rr.AnyValues(vertex=np.arange(len(m)), kind=list(m.kind), branches=m.degree)
+        recording.static((*path, "junctions"), points, info)

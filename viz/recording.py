@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -33,21 +31,6 @@ HAIR = rr.Radius.ui_points(0.75)
 PathParts = tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Slice:
-    """Rows of an Arrow array, to be logged to one entity."""
-
-    array: pa.Array
-
-    def as_arrow_array(self) -> pa.Array:
-        return self.array
-
-
-def _arrays(*parts: rr.AsComponents) -> list[tuple[rr.ComponentDescriptor, pa.Array]]:
-    batches = (batch for part in parts for batch in part.as_component_batches())
-    return [(batch.component_descriptor(), batch.as_arrow_array()) for batch in batches]
-
-
 class Recording:
     """A recording being written. Entity paths are given as parts, so that a part may hold any
     characters.
@@ -64,32 +47,6 @@ class Recording:
         """Log components without a time."""
         first, *more = parts
         self._stream.log(entity(path), first, *more, static=True)
-
-    def static_each(
-        self,
-        paths: Sequence[PathParts],
-        counts: Sequence[int],
-        *parts: rr.AsComponents,
-        once: rr.AsComponents | None = None,
-    ) -> None:
-        """Log components without a time to several entities; those with a count of 0 are skipped.
-
-        `parts` hold the elements of all entities concatenated, counts[k] of them for paths[k]:
-        building them at once takes half the time. Components of one element hold for every entity;
-        `once` has one element for each entity.
-        """
-        things, single = _arrays(*parts), _arrays(*([] if once is None else [once]))
-        stops = np.cumsum([0, *counts]).tolist()
-        ends, total = pairwise(stops), stops[-1]
-        for k, (path, (start, stop)) in enumerate(zip(paths, ends, strict=True)):
-            if stop > start:
-                own = [
-                    (told, array[start:stop] if len(array) == total else array)
-                    for told, array in things
-                ]
-                own += [(told, array[k : k + 1]) for told, array in single]
-                batches = [rr.DescribedComponentBatch(_Slice(part), told) for told, part in own]
-                self._stream.log(entity(path), batches, static=True)
 
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row for each time, on the timelines CLOCKS."""
@@ -168,7 +125,7 @@ def placed(T_parent_child: FloatArray) -> rr.Transform3D:
 
 def strips(lines: Sequence[FloatArray]) -> Any:
     """Polylines, (k, 2) each, as one Arrow array: rerun would convert them one by one."""
-    points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2)), *lines]))
+    points = rr.components.Position2DBatch(np.concatenate(lines))
     stops = pa.array(np.cumsum([0, *map(len, lines)]), pa.int32())
     kind = rr.components.LineStrip2DBatch([]).as_arrow_array().type
     return pa.ListArray.from_arrays(stops, points.as_arrow_array(), type=kind)
