@@ -18,6 +18,7 @@ from .journal import note
 from .matching import MatchOptions, kept_results, match_share, matching, read_maps, share_of
 from .options import (
     DEFAULT_WORKSPACE,
+    FalseMergeRate,
     JsonOption,
     QuietOption,
     VerboseOption,
@@ -48,17 +49,6 @@ of long-lived objects; with the default of 700, collection takes a tenth of a me
 finds 2 MB."""
 
 OVERWRITE = "give this merge another --output NAME, or overwrite with --replace"
-
-
-FalseMergeRate = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SHARE",
-        min=1e-9,
-        max=0.5,
-        help="Share of batches that may hold any false merge; default 0.001.",
-    ),
-]
 
 
 @dataclass(frozen=True, slots=True)

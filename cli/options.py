@@ -60,6 +60,16 @@ ComponentOption = Annotated[
     typer.Option(metavar="N", min=0, help="Only this component of the merged map, by its number."),
 ]
 
+FalseMergeRate = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        min=1e-9,
+        max=0.5,
+        help="Share of batches that may hold any false merge; default 0.001.",
+    ),
+]
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what is being done.")]

@@ -116,8 +116,7 @@ def _ribbons(
     of_run: dict[PathParts, list[Strand]] = {}
     for part in parts:
         for strand in strands(fused, part.edges, pen):
-            path = (FUSED, part.name, "corridors", strand.run)
-            of_run.setdefault(path, []).append(strand)
+            of_run.setdefault((FUSED, part.name, "corridors", strand.run), []).append(strand)
     for path, own in of_run.items():
         lines = rr.LineStrips2D.from_fields(
             strips=strips([strand.path for strand in own]),
