@@ -15,7 +15,6 @@ from .options import (
     JsonOption,
     MergeOption,
     WorkspaceOption,
-    complete_site,
 )
 from .output import folded, say, say_lines
 from .workspace import MERGED, Workspace
@@ -30,7 +29,6 @@ def changes(
         typer.Argument(
             metavar="SITE",
             help="Only this site (topobatch list).",
-            autocompletion=complete_site,
         ),
     ] = None,
     component: ComponentOption = None,
@@ -95,4 +93,4 @@ def changes(
         else "no two runs were merged: nothing to compare"
     )
     if any(c.sure for c in shown):
-        say(f"times are UTC; on the map, with numbers: {place.call('report', *place.named)}")
+        say(f"times are UTC; on the map, with numbers: {place.call('report', *place.of_merge)}")

@@ -10,14 +10,14 @@ import typer
 
 from ..topology.errors import UsageError
 from .export import write_files
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_map
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import checked_output, say
-from .workspace import MERGED, Workspace, pair_named
+from .workspace import Workspace
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from ..merge.result import Component, MergeResult
+    from ..merge.result import Component
     from ..topology.topomap import TopoMap
     from ..viz.canvas import Canvas, Format
     from ..viz.palette import Theme
@@ -30,7 +30,7 @@ def draw(
             metavar="RUN|SITE|merged|A:B",
             help="A run or a site, for its map; merged, or the --output NAME of a merge; or two "
             "runs, for why they were merged or not.",
-            autocompletion=complete_map,
+            autocompletion=complete_run,
         ),
     ],
     out: Annotated[Path, typer.Argument(metavar="OUT.svg|OUT.png", help="The picture to write.")],
@@ -86,20 +86,17 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     """The drawing of a run, a merge or a pair."""
     from ..viz import draw as drawings
 
-    runs = place.runs()
-    if what in runs and what != MERGED:
-        return drawings.draw_map(place.read_map(what), theme)
-    if pair := pair_named(what, runs):
-        if pair[0] == pair[1]:
-            raise UsageError(f"two runs are needed, got {pair[0]!r} twice")
+    found = place.named(what)
+    if found.run is not None:
+        return drawings.draw_map(place.read_map(found.run), theme)
+    if found.pair is not None:
         from .explain import decided
 
-        return drawings.draw_decision(*decided(place, pair), theme)
-    merge = _merge_of(place, what)
-    if merge is not None:
-        result = merge.read_result()
-        return drawings.draw_merged(result, theme, maps=walled(merge, result.components))
-    result, site = _site(place, what)
+        return drawings.draw_decision(*decided(place, found.pair), theme)
+    result = found.place.read_result()
+    if found.site is None:
+        return drawings.draw_merged(result, theme, maps=walled(place, result.components))
+    (site,) = (c for c in result.components if c.site == found.site)
     return drawings.draw_sites(result, [site.id], theme, walled(place, [site]))
 
 
@@ -112,21 +109,3 @@ def walled(place: Workspace, components: Iterable[Component]) -> dict[str, TopoM
     runs = [run for c in components for run in c.poses]
     maps, _ = place.read_maps(runs if len(runs) <= MOST_WALLED else ())
     return maps
-
-
-def _merge_of(place: Workspace, what: str) -> Workspace | None:
-    """The workspace with the named merge; None where there is none."""
-    if what == MERGED:
-        place.require_merge()
-        return place
-    return None if ":" in what else place.merge_named(what)
-
-
-def _site(place: Workspace, what: str) -> tuple[MergeResult, Component]:
-    """The merge, and the component of a site; otherwise an error that lists what there is."""
-    if place.merged_json.is_file():
-        result = place.read_result()
-        for component in result.components:
-            if component.site == what:
-                return result, component
-    raise place.unknown([what], "run, site, merge or pair A:B named")

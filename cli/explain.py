@@ -21,18 +21,14 @@ from .options import (
 )
 from .output import say, say_lines, warn, width
 from .paper_options import PaperOptions
-from .workspace import MERGED, Workspace, pair_named
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     from ..merge.decision import Decision
-    from ..merge.merged_schema import MergedDocument, MergeEntry
+    from ..merge.merged_schema import MergedDocument
     from ..merge.paper.method import PaperSettings
     from ..merge.robust.settings import RobustSettings
     from ..topology.topomap import TopoMap
-
-
-TO_MERGE = "topobatch merge --all"
-"""What gives runs a verdict."""
 
 
 @grouped
@@ -85,7 +81,10 @@ def explain(
     place = Workspace(workspace, merge)
     if merge != MERGED:
         place.require_merge()
-    a, b = (a, b) if b is not None else _both(place, a)
+    if b is None:
+        a, _, b = a.partition(":")
+        if not b:
+            raise UsageError("two runs are needed: topobatch explain A B")
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
     first, second = place.chosen_runs([a, b], False)
@@ -96,19 +95,8 @@ def explain(
         _by_evidence(place, (first, second), as_json, rows)
 
 
-def _both(place: Workspace, named: str) -> tuple[str, str]:
-    """The runs of "A:B"."""
-    if pair := pair_named(named, place.runs()):
-        return pair
-    if ":" in named:
-        raise place.unknown([named], "runs A:B named")
-    raise UsageError("two runs are needed: topobatch explain A B")
-
-
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
     """Explain the decision of the robust method."""
-    from dataclasses import replace
-
     from ..merge.decision import to_document
     from ..merge.decision_text import lines
     from ..viz.decision_recording import write_decision_recording
@@ -117,8 +105,7 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     if as_json:
         say_lines(json.dumps(to_document(decision)))
     else:
-        here = replace(decision, notes=tuple(_here(place, note) for note in decision.notes))
-        for line in lines(here, rows, width()):
+        for line in lines(decision, rows, width()):
             say_lines(line)
     recording = place.explain_rrd(*pair)
     try:
@@ -130,12 +117,6 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
         say(f"recording: {recording}  (look at it: {place.call('view', ':'.join(pair))})")
 
 
-def _here(place: Workspace, note: str) -> str:
-    """A note with the call that it suggests on this workspace. Pictures and recordings, which may
-    be moved, have it without."""
-    return note.replace(f"({TO_MERGE})", f"({place.call('merge', '--all')})")
-
-
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
     """The maps of a pair and the decision on it, with the settings and runs of the merge that had
     both. Without such a merge the decision is that of the two by themselves."""
@@ -145,7 +126,7 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     from .unchanged import changed_since, told_changed
 
     document = _last_merge(place)
-    why_not = _not_merged(document, pair, place.merged_json.name)
+    why_not = _not_merged(place, document, pair)
     settings, read = settings_of(place, document), cache(place.read_map)
     kept = kept_results(place, settings, warn)
     if document is None or why_not:
@@ -192,10 +173,11 @@ def _last_merge(place: Workspace) -> MergedDocument | None:
     return place.read_merged() if place.merged_json.exists() else None
 
 
-def _not_merged(document: MergedDocument | None, pair: tuple[str, str], name: str) -> str:
+def _not_merged(place: Workspace, document: MergedDocument | None, pair: tuple[str, str]) -> str:
     """Why the workspace's merge has no verdict on a pair, "" if it has one."""
     if document is None:
-        return f"not merged yet ({TO_MERGE})"
+        return f"not merged yet ({place.call('merge', '--all')})"
+    name = place.merged_json.name
     if document.graph.method == "paper":
         return f"{name} is a merge by --method paper (see topobatch explain --method paper)"
     return "" if _holds(document, pair) else f"{name} does not hold both runs"
@@ -217,25 +199,23 @@ def _by_paper(
     from ..merge.paper.explain import explain as explained
     from ..merge.paper.explain import lines, to_document
     from ..merge.paper.method import DEFAULT_PAPER
+    from ..merge.result import shown_bits
 
     map_a, map_b = (place.read_map(run) for run in pair)
     document = _last_merge(place)
-    merged_with = _merged_with(place, document)
-    found = explained(map_a, map_b, options.over(merged_with or DEFAULT_PAPER))
+    settings = options.over(_merged_with(place, document) or DEFAULT_PAPER)
+    found = explained(map_a, map_b, settings)
     said = None if document is None else document.entry(*pair)
-    name = place.merged_json.name
     if as_json:
         say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
-    else:
-        how = "" if found.settings == merged_with else ", with the settings of that merge"
-        how = " by another method" if merged_with is None else how
-        verdict = [f"verdict: not merged yet; {place.call('merge', '--all')}"]
-        if said is not None:
-            verdict = _verdict_lines(said, f"{name}{how}")
-        elif document is not None:
-            verdict = [f"verdict: {name} does not list the two runs as a pair"]
-        for line in [*lines(found, rows or 20), "", *verdict]:
-            say_lines(line)
+        return
+    for line in lines(found, rows or 20):
+        say_lines(line)
+    if document is not None and said is not None:
+        by = f"{place.merged_json.name}, by the {document.graph.method} method"
+        say(
+            f"verdict of {by}: {said.verdict}, {shown_bits(said.evidence_bits)} bits: {said.reason}"
+        )
 
 
 def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSettings | None:
@@ -248,24 +228,3 @@ def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSett
         return settings_from_document(document.graph.settings or {})
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
-
-
-def _verdict_lines(said: MergeEntry, merge: str) -> list[str]:
-    """The verdict of a merge, of any method. merge: name of its document."""
-    from math import degrees
-
-    from ..merge.result import shown_bits
-
-    bits = shown_bits(said.evidence_bits)
-    lines = [f"verdict of {merge}: {said.verdict}, {bits} bits: {said.reason}"]
-    lines += [f"  against it: {sentence}" for sentence in said.contradictions]
-    if said.runner_up is not None:
-        at = said.runner_up.transform
-        lines.append(
-            f"  next best: {shown_bits(said.runner_up.evidence_bits)} bits, "
-            f"{counted(len(said.runner_up.matched), 'junction')}, at ({at.x:.2f}, {at.y:.2f}) m, "
-            f"turned by {degrees(at.theta):.1f}°"
-        )
-    if said.advice:
-        lines.append(f"  to settle it: {said.advice}")
-    return lines

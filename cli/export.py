@@ -20,10 +20,10 @@ from .options import (
     QuietOption,
     SiteOption,
     WorkspaceOption,
-    complete_map,
+    complete_run,
 )
 from .output import Screen, checked_output, say_lines, say_text
-from .workspace import MERGED, Workspace
+from .workspace import MERGED, Named, Workspace
 
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
@@ -60,7 +60,7 @@ def export(
             help="A run, a site, or all sites of the merged map (merged, which is the default, or "
             "the --output NAME of a merge).",
             show_default=False,
-            autocompletion=complete_map,
+            autocompletion=complete_run,
         ),
     ] = MERGED,
     output: Annotated[
@@ -110,7 +110,8 @@ def export(
     place, screen = Workspace(workspace), Screen(quiet or as_json)
     if output not in (None, STDOUT):
         checked_output(output)
-    sources = _sources(place, what, component, site, screen)
+    found = place.named(what)
+    sources = _sources(found, component, site, screen)
     texts: dict[str, str | bytes] = {}
     for source in sources:
         if form == "grid":
@@ -131,51 +132,33 @@ def export(
     write_files(paths)
     for path in paths:
         screen.line(str(path))
-    merged = _merge_named(place, what)
-    if merged is not None and output is None and site is None and component is None:
-        for path in _superseded(merged, form, paths):
+    whole = (found.run, found.site, site, component) == (None,) * 4
+    if whole and output is None:
+        for path in _superseded(found.place, form, paths):
             path.unlink(missing_ok=True)
     if as_json:
         say_lines(json.dumps({"format": form, "files": sorted(map(str, paths))}))
 
 
 def _sources(
-    place: Workspace, what: str, component: int | None, site: str | None, screen: Screen
+    found: Named, component: int | None, site: str | None, screen: Screen
 ) -> list[Exported]:
     """The maps to export: a run's, or one for each chosen component of a merge."""
-    merged = _merge_named(place, what)
-    if merged is None and _is_site(place, what):
-        return _sources(place, MERGED, component, what, screen)
-    if merged is None:
+    place = found.place
+    if found.pair is not None:
+        raise UsageError("one map is exported, of a run or of a site; a pair has none of its own")
+    if found.run is not None:
         if component is not None or site is not None:
             option = "--site" if component is None else "--component"
-            raise UsageError(f"{option} goes with the merged map; {what!r} is a run")
-        if what not in place.runs():
-            raise place.unknown([what], "run or site named")
-        (run,) = place.chosen_runs([what], False)
-        topomap = place.read_map(run)
-        return [Exported(run, topomap, {run: topomap})]
-    document = merged.read_merged()
-    ids = [c.id for c in document.graph.components]
-    one = merged.component(document.graph, component, site)
-    chosen = ids if one is None else [one]
-    names = {c.id: c.site or f"{MERGED}-{c.id}" for c in document.graph.components}
-    stem = "" if merged.merge == MERGED else f"{merged.merge}-"
-    return [_component(merged, document, c, f"{stem}{names[c]}", screen) for c in chosen]
-
-
-def _is_site(place: Workspace, what: str) -> bool:
-    """Whether this is the name of a site and not of a run."""
-    if what in place.runs() or not place.merged_json.is_file():
-        return False
-    return what in place.read_merged().graph.sites.values()
-
-
-def _merge_named(place: Workspace, what: str) -> Workspace | None:
-    """The workspace with the merge of this name; None if it is a run's."""
-    if what == MERGED:
-        return place
-    return None if what in place.runs() else place.merge_named(what)
+            raise UsageError(f"{option} goes with the merged map; {found.run!r} is a run")
+        topomap = place.read_map(found.run)
+        return [Exported(found.run, topomap, {found.run: topomap})]
+    document = place.read_merged()
+    one = place.component(document.graph, component, site or found.site)
+    chosen = [c for c in document.graph.components if one in (None, c.id)]
+    stem = "" if place.merge == MERGED else f"{place.merge}-"
+    names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
+    return [_component(place, document, c, name, screen) for c, name in names.items()]
 
 
 def _component(
@@ -279,7 +262,7 @@ def _odometry(place: Workspace, topomap: TopoMap, log: LogPath | None) -> Odomet
     from .ingest_worker import origin, read_again
 
     run, record = topomap.run, place.ingested(topomap.run) or {}
-    at = log or place.log_of(run, "name it by --log")
+    at = log or place.log_of(run)
     found = read_run(at, read_again(record))
     why = _differs(topomap, found)
     if why is None:

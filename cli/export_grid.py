@@ -106,7 +106,7 @@ class _Logs:
         for run, topomap in sorted(source.maps.items()):
             if len(topomap.views):
                 with self._failing(run):
-                    self._at[run] = log or place.log_of(run, "name it by --log")
+                    self._at[run] = log or place.log_of(run)
                     self.bytes[run] = log_size(self._at[run])
 
     @contextmanager

@@ -202,11 +202,8 @@ def _run_all(
         def on_bytes(read: int) -> None:
             nonlocal so_far
             so_far = max(so_far, read)
-            # Reading is faster than the rest: the first log tells how long the others take.
-            known = [o.run for o in outcomes if o.status == "unchanged"]
-            kept = sum(2 * sizes.get(run, 0) for run in known)
-            sure = len(finished) > len(known) or len(jobs) == 1
-            advance(*_done(so_far, finished, sizes), sure=sure, kept=kept)
+            kept = sum(2 * sizes.get(o.run, 0) for o in outcomes if o.status == "unchanged")
+            advance(*_done(so_far, finished, sizes), kept=kept)
 
         workers = _workers(asked, len(jobs), total)
         with closing(outcomes_of(jobs, workers, on_bytes)) as known:

@@ -168,9 +168,10 @@ def _kept(job: IngestJob, key: str) -> list[str]:
     before = job.place.ingested(job.run) or {}
     had = _runs_of(before, job.run)
     seen = before.get("views")
-    views = [job.place.map_views(run) for run in had if isinstance(seen, list) and run in seen]
-    same = not job.force and before.get("key") == key and _all_there(job.place, had, views)
-    return had if same else []
+    files = [path(run) for run in had for path in (job.place.map_json, job.place.map_rrd)]
+    files += [job.place.map_views(run) for run in had if isinstance(seen, list) and run in seen]
+    there = all(file.is_file() and not file.is_symlink() for file in files)
+    return had if there and not job.force and before.get("key") == key else []
 
 
 def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:
@@ -204,12 +205,6 @@ def read_again(record: Mapping[str, Any]) -> ReadSettings:
     except (ValidationError, UsageError):
         return ReadSettings()
     return replace(known, strict=False)
-
-
-def _all_there(place: Workspace, runs: Sequence[str], views: Sequence[Path]) -> bool:
-    files = [path(run) for run in runs for path in (place.map_json, place.map_rrd)]
-    files += views if files else []
-    return bool(files) and all(file.is_file() and not file.is_symlink() for file in files)
 
 
 def _clear_away(place: Workspace, before: dict[str, Any], run: str, kept: Set[str]) -> None:

@@ -8,8 +8,7 @@ import typer
 
 from ..topology.errors import UsageError
 from .journal import note
-from .merge import FalseMergeRate
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, grouped
+from .options import DEFAULT_WORKSPACE, FalseMergeRate, WorkspaceOption, grouped
 from .output import say, warn
 from .read_options import MapOptions, ReadOptions
 from .settings_file import NAMES, settings_text, told_settings

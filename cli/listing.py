@@ -8,7 +8,7 @@ import re
 import stat
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
@@ -23,7 +23,7 @@ from .version import VERSION
 from .workspace import Workspace
 
 if TYPE_CHECKING:
-    from ..merge.merged_schema import MergedDocument
+    from ..merge.merged_schema import ComponentEntry, MergedDocument
 
 ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 
@@ -64,8 +64,9 @@ def list_runs(
       topobatch list --json
     """
     place = Workspace(workspace)
-    merged = _merge(place)
-    rows = [_listed(place, run, merged) for run in place.runs()]
+    merged = _last_merge(place)
+    home = {run: c for c in merged.graph.components for run in c.runs} if merged else {}
+    rows = [_listed(place, run, merged, home.get(run)) for run in place.runs()]
     if not rows:
         raise place.no_maps()
     if as_json:
@@ -75,11 +76,11 @@ def list_runs(
     head = ("run", "junctions", "corridors", "first pass (UTC)", "health", "stale")
     first, *lines = table(head, [_row(row) for row in rows])
     say(first)
-    for title, own in _by_site(rows, merged):
+    for title, own in _by_site(rows, _sizes(merged) if merged else {}):
         say(title)
         for k in own:
             say(lines[k])
-    gone = sorted(set(merged.home) - {row.run for row in rows})
+    gone = home.keys() - {row.run for row in rows}
     if gone:
         say(f"in the last merge, but not here any more: {counted(len(gone), 'run')}")
     stale = sum(bool(row.stale) for row in rows)
@@ -101,9 +102,9 @@ def _row(row: Listed) -> tuple[str, ...]:
     return (row.run, junctions, corridors, recorded, row.health, "; ".join(row.stale))
 
 
-def _by_site(rows: Sequence[Listed], merged: _Merge) -> list[tuple[str, list[int]]]:
+def _by_site(rows: Sequence[Listed], sizes: Mapping[int, str]) -> list[tuple[str, list[int]]]:
     """Titles, each with the numbers of the rows below it: the sites of several runs, the largest
-    first; runs that are alone; runs that were not merged."""
+    first; runs that are alone; runs that were not merged. sizes: of components, in words."""
     groups: dict[tuple[int, int, str], list[int]] = {}
     for k, row in enumerate(rows):
         if row.component is None:
@@ -112,40 +113,20 @@ def _by_site(rows: Sequence[Listed], merged: _Merge) -> list[tuple[str, list[int
             key = (0, -1, "alone")
         else:
             called = row.site or f"component {row.component}"
-            size = merged.sizes.get(row.component, "")
+            size = sizes.get(row.component, "")
             key = (0, -(row.runs or 0), f"{called}: {counted(row.runs or 0, 'run')}{size}")
         groups.setdefault(key, []).append(k)
     return [(title, own) for (*_, title), own in sorted(groups.items())]
 
 
-@dataclass(frozen=True, slots=True)
-class _Merge:
-    """The last merge, if any: component and its size of every run, `contents` of the merged maps;
-    sites: the name of every run's site; sizes: of every component, in words."""
-
-    home: Mapping[str, tuple[int, int]] = field(default_factory=dict)
-    documents: Mapping[str, str] = field(default_factory=dict)
-    sites: Mapping[str, str] = field(default_factory=dict)
-    sizes: Mapping[int, str] = field(default_factory=dict)
-
-    def change(self, place: Workspace, run: str) -> list[str]:
-        """How a map changed since."""
-        if self.home and run not in self.home:
-            return ["not merged"]
-        return ["map changed since the merge"] * len(changed_since(place, self.documents, [run]))
-
-
-def _merge(place: Workspace) -> _Merge:
+def _last_merge(place: Workspace) -> MergedDocument | None:
     if not os.path.lexists(place.merged_json):
-        return _Merge()
+        return None
     try:
-        document = place.read_merged()
-        graph = document.graph
+        return place.read_merged()
     except DataError as error:
         warn(f"{error}; listed without it")
-        return _Merge()
-    home = {run: (c.id, len(c.runs)) for c in graph.components for run in c.runs}
-    return _Merge(home, graph.maps or {}, graph.sites, _sizes(document))
+        return None
 
 
 def _sizes(document: MergedDocument) -> dict[int, str]:
@@ -171,12 +152,17 @@ def _sizes(document: MergedDocument) -> dict[int, str]:
     return out
 
 
-def _listed(place: Workspace, run: str, merged: _Merge) -> Listed:
-    path = place.maps / f"{run}.json"
-    made_ns = os.lstat(path).st_mtime_ns
-    old = merged.change(place, run)
-    component, runs = merged.home.get(run, (None, None))
-    site = merged.sites.get(run)
+def _listed(
+    place: Workspace, run: str, merged: MergedDocument | None, home: ComponentEntry | None
+) -> Listed:
+    """home: the run's component in the last merge."""
+    made_ns = os.lstat(place.maps / f"{run}.json").st_mtime_ns
+    old = []
+    if merged is not None and home is None:
+        old.append("not merged")
+    elif merged is not None and changed_since(place, merged.graph.maps or {}, [run]):
+        old.append("map changed since the merge")
+    component, runs, site = (home.id, len(home.runs), home.site) if home else (None, None, None)
     try:
         m = place.read_map(run)
     except (DataError, OSError) as error:

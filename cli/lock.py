@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -71,13 +71,11 @@ def lock(
         return
     if same + never + clear != 1:
         raise UsageError("say one of --same, --never and --clear")
-    if clear and at is not None:
-        raise UsageError("--at goes with --same; --clear forgets all that was said about the two")
-    if never and at is not None:
-        raise UsageError("--at goes with --same; --never is about whole runs")
+    if at is not None and not same:
+        raise UsageError("--at goes with --same")
     from ..merge.locks import Lock, with_lock, without_lock
 
-    wanted = None if clear else Lock(a, b, _decision(same), _pair(at))
+    wanted = None if clear else Lock(a, b, "same" if same else "never", _pair(at))
     place.require()
     if wanted is not None:
         place.chosen_runs([a, b], False)
@@ -88,7 +86,7 @@ def lock(
         locks = place.locks()
         kept = without_lock(locks, a, b) if wanted is None else with_lock(locks, wanted)
         place.write_locks(kept)
-        done = "clear" if clear else _decision(same)
+        done = "clear" if wanted is None else wanted.decision
         note(place, "lock", f"{min(a, b)} + {max(a, b)}: {done}", warn)
     _show(kept)
     say(f"next: {place.call('merge', '--all')}")
@@ -115,10 +113,6 @@ def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
         f"by the maps of {lock.a} and {lock.b}, {why}; see: {place.call('explain', lock.a, lock.b)}"
     )
     return yes or confirmed("lock them as the same?")
-
-
-def _decision(same: bool) -> Literal["same", "never"]:
-    return "same" if same else "never"
 
 
 def _pair(at: str | None) -> tuple[int, int] | None:

@@ -217,9 +217,10 @@ def cluster(address: str) -> Iterator[Executor]:
         raise UsageError(
             "--cluster needs Dask: python -m pip install 'topobatch[cluster]'"
         ) from error
-    _check(address)
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
+    except ValueError as error:
+        raise UsageError(f"--cluster {address}: {error}") from error
     except OSError as error:
         raise DataError(f"--cluster {address}: no scheduler answers there") from error
     with client:
@@ -237,17 +238,3 @@ def require_cluster(address: str) -> None:
     """Raise as `cluster` if none is there, also where nothing would need it."""
     with cluster(address):
         pass
-
-
-def _check(address: str) -> None:
-    """UsageError for an address that is none: of one that is tried, Dask tells for a minute."""
-    from distributed.comm.addressing import parse_address, parse_host_port
-    from distributed.comm.registry import get_backend
-
-    try:
-        scheme, place = parse_address(address)
-        get_backend(scheme)
-        if scheme != "inproc" and not 0 < parse_host_port(place)[1] < 1 << 16:
-            raise ValueError("its port must lie in 1 … 65535")
-    except ValueError as error:
-        raise UsageError(f"--cluster {address}: {error}") from error

@@ -18,6 +18,7 @@ from .journal import note
 from .matching import MatchOptions, kept_results, match_share, matching, read_maps, share_of
 from .options import (
     DEFAULT_WORKSPACE,
+    FalseMergeRate,
     JsonOption,
     QuietOption,
     VerboseOption,
@@ -25,7 +26,7 @@ from .options import (
     complete_run,
     grouped,
 )
-from .output import Screen, folded, say_lines
+from .output import Screen, say_lines
 from .paper_options import PaperOptions
 from .settings_file import by_settings
 from .site_names import sites_before, with_sites
@@ -38,9 +39,6 @@ if TYPE_CHECKING:
     from ..merge.workers import Workers
     from ..topology.topomap import TopoMap
 
-Line = tuple[Literal["line", "folded", "verbose", "warning"], str]
-"""A line of output and how it is printed; verbose: folded, and with --verbose only."""
-
 MOST_AMBIGUOUS, MOST_SITES, MOST_RUNS = 5, 12, 8
 """Limits of what is printed: ambiguous pairs, sites, runs of a site. The end of a merge fits on a
 screen of 24 lines: what was found stays in sight, and `list`, `explain` and --verbose tell more."""
@@ -51,17 +49,6 @@ of long-lived objects; with the default of 700, collection takes a tenth of a me
 finds 2 MB."""
 
 OVERWRITE = "give this merge another --output NAME, or overwrite with --replace"
-
-
-FalseMergeRate = Annotated[
-    float | None,
-    typer.Option(
-        metavar="SHARE",
-        min=1e-9,
-        max=0.5,
-        help="Share of batches that may hold any false merge; default 0.001.",
-    ),
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,6 +118,8 @@ def merge(
       topobatch merge --all
       topobatch merge run1 run2 --output two
     """
+    from ..viz.pages import pairs_told
+
     place, screen = Workspace(workspace), Screen(quiet or as_json, verbose)
     if output is not None:
         place = Workspace(workspace, output)
@@ -155,10 +144,11 @@ def merge(
             place, chosen, everything, (how, paper), dict if replace_last else before, where, screen
         )
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
-        told = "; ".join([f"{place.merge}: {runs_of}, {_counts(result)}", *moved])
+        told = "; ".join([f"{place.merge}: {runs_of}, {pairs_told(result)}", *moved])
         note(place, "merge", f"{told}{by_settings(place)}", screen.warn)
-    for line in (*_summary(result, place), *(("folded", each) for each in moved)):
-        _show(line, screen)
+    _show(result, place, screen)
+    for each in moved:
+        screen.folded(each)
     if as_json:
         say_lines(json.dumps(_told(place, result)))
     if broken:
@@ -196,16 +186,6 @@ def _merged_or_standing(
     return result, moved, broken
 
 
-def _show(line: Line, screen: Screen) -> None:
-    """Print a line."""
-    kind, text = line
-    if kind == "warning":
-        screen.warn(text)
-    elif kind != "verbose" or screen.verbose:
-        for each in [text] if kind == "line" else folded(text):
-            screen.line(each)
-
-
 @contextmanager
 def _seldom_collected() -> Iterator[None]:
     before = gc.get_threshold()
@@ -233,6 +213,7 @@ def _repeat(
 ) -> None:
     """Repeat one merge; see `merge_again`."""
     from ..merge.document import read_merged
+    from ..viz.pages import pairs_told
 
     try:
         graph = read_merged(place.merged_json).graph
@@ -263,7 +244,7 @@ def _repeat(
         screen,
     )
     name = "" if place.merge == MERGED else f", {place.merge}"
-    screen.line(f"merged again{name}: {counted(len(maps), 'run')}, {_counts(result)}")
+    screen.line(f"merged again{name}: {counted(len(maps), 'run')}, {pairs_told(result)}")
     for each in moved:
         screen.line(each)
 
@@ -402,41 +383,43 @@ def rename_sites(place: Workspace, screen: Screen) -> None:
             _write(each, renamed, maps, screen)
 
 
-def _summary(result: MergeResult, place: Workspace) -> Iterator[Line]:
-    """The printed summary of a merge: the pairs first, and the answer last, where it stays on the
+def _show(result: MergeResult, place: Workspace, screen: Screen) -> None:
+    """Print the summary of a merge: the pairs first, and the answer last, where it stays on the
     screen."""
-    home = {run: component.id for component in result.components for run in component.poses}
-    yield from (("warning", text) for text in _warnings(result, home))
-    yield from _pair_lines(result)
-    yield "line", f"{place.merged_json}"
-    yield "line", _counts(result)
-    yield from _site_lines(result, place)
+    from ..viz.pages import pairs_told
+
+    for text in _warnings(result):
+        screen.warn(text)
+    _show_pairs(result, screen)
+    screen.line(f"{place.merged_json}")
+    screen.line(pairs_told(result))
+    _show_sites(result, place, screen)
     name = () if place.merge == MERGED else (place.merge,)
-    yield "line", f"{place.merged_rrd}  (look at it: {place.call('view', *name)})"
-    yield from (("line", text) for text in _next_steps(result, place))
+    screen.line(f"{place.merged_rrd}  (look at it: {place.call('view', *name)})")
+    for text in _next_steps(result, place):
+        screen.line(text)
 
 
-def _pair_lines(result: MergeResult) -> Iterator[Line]:
-    """Pairs of runs: the ambiguous ones, strongest first, with advice on the first of them; those
-    that are merged if they are asked for."""
+def _show_pairs(result: MergeResult, screen: Screen) -> None:
+    """Print the ambiguous pairs of runs, strongest first, with advice on the first of them; with
+    --verbose all of them, and those that are merged."""
     from ..merge.merging import ALONE
     from ..merge.result import Standing
 
-    def of(standing: Standing) -> list[PairVerdict]:
-        return [pair for pair in result.verdicts if pair.standing is standing]
-
-    for pair in of(Standing.MERGED):
-        yield "verbose", f"  {pair.a} + {pair.b}: {pair.reason}"
-    for pair in of(Standing.JOINED):
-        yield "verbose", f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}"
-    ambiguous = sorted(of(Standing.AMBIGUOUS), key=lambda pair: -pair.evidence_bits)
-    for pair in ambiguous[:MOST_AMBIGUOUS]:
-        yield "folded", f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}"
-    for pair in ambiguous[MOST_AMBIGUOUS:]:
-        yield "verbose", f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}"
+    pairs: dict[Standing, list[PairVerdict]] = {}
+    for pair in result.verdicts:
+        pairs.setdefault(pair.standing, []).append(pair)
+    if screen.verbose:
+        for pair in pairs.get(Standing.MERGED, ()):
+            screen.folded(f"  {pair.a} + {pair.b}: {pair.reason}")
+        for pair in pairs.get(Standing.JOINED, ()):
+            screen.folded(f"  {pair.a} … {pair.b}: {pair.reason.partition(ALONE)[0]}")
+    ambiguous = sorted(pairs.get(Standing.AMBIGUOUS, ()), key=lambda pair: -pair.evidence_bits)
+    for pair in ambiguous if screen.verbose else ambiguous[:MOST_AMBIGUOUS]:
+        screen.folded(f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}")
     advice = next((pair for pair in ambiguous[:MOST_AMBIGUOUS] if pair.advice), None)
     if advice is not None:
-        yield "folded", f"  to settle {advice.a} ? {advice.b}: {advice.advice}"
+        screen.folded(f"  to settle {advice.a} ? {advice.b}: {advice.advice}")
 
 
 def _open_because(pair: PairVerdict) -> str:
@@ -448,19 +431,20 @@ def _open_because(pair: PairVerdict) -> str:
     return f"{told_bits(pair.evidence_bits, pair.threshold_bits)}; {pair.lacks}"
 
 
-def _site_lines(result: MergeResult, place: Workspace) -> Iterator[Line]:
-    """A line for each site of several runs, the largest first, and one for runs that stand
+def _show_sites(result: MergeResult, place: Workspace, screen: Screen) -> None:
+    """Print a line for each site of several runs, the largest first, and one for runs that stand
     alone."""
     sites = sorted((c for c in result.components if len(c.poses) > 1), key=lambda c: -len(c.poses))
     for site in sites[:MOST_SITES]:
         names = listed(sorted(site.poses), MOST_RUNS)
         sure = _weakest(result, site.poses)
-        yield "folded", f"site {site.name}: {counted(len(site.poses), 'run')}: {names}{sure}"
+        screen.folded(f"site {site.name}: {counted(len(site.poses), 'run')}: {names}{sure}")
     if len(sites) > MOST_SITES:
-        yield "line", f"and {counted(len(sites) - MOST_SITES, 'more site')}: {place.call('list')}"
+        more = counted(len(sites) - MOST_SITES, "more site")
+        screen.line(f"and {more}: {place.call('list')}")
     alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
     if alone:
-        yield "folded", f"alone: {listed(sorted(alone), MOST_RUNS)}"
+        screen.folded(f"alone: {listed(sorted(alone), MOST_RUNS)}")
 
 
 def _weakest(result: MergeResult, runs: Collection[str]) -> str:
@@ -490,12 +474,11 @@ def _next_steps(result: MergeResult, place: Workspace) -> Iterator[str]:
             break
     if open_ := result.standings()[Standing.AMBIGUOUS]:
         pairs = f"{counted(open_, 'pair')} {'is' if open_ == 1 else 'are'} open"
-        yield f"{pairs}; what to record to settle most: {place.call('next', *place.named)}"
+        yield f"{pairs}; what to record to settle most: {place.call('next', *place.of_merge)}"
 
 
 def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:
     """The merge as JSON values: its files, its sites, the number of pairs by standing."""
-    home = {run: component.id for component in result.components for run in component.poses}
     return {
         "merged": str(place.merged_json),
         "recording": str(place.merged_rrd),
@@ -503,34 +486,17 @@ def _told(place: Workspace, result: MergeResult) -> dict[str, Any]:
             {"site": c.name, "component": c.id, "runs": sorted(c.poses)} for c in result.components
         ],
         "pairs": {str(standing): count for standing, count in result.standings().items()},
-        "warnings": [*_warnings(result, home)],
+        "warnings": [*_warnings(result)],
     }
 
 
-def _warnings(result: MergeResult, home: Mapping[str, int]) -> Iterator[str]:
-    """Warnings about a merge; home: the component of every run."""
+def _warnings(result: MergeResult) -> Iterator[str]:
     from ..merge.robust.entries import doubt
 
+    home = {run: component.id for component in result.components for run in component.poses}
     yield from map(str, result.info.get("warnings") or ())
     for pair in result.verdicts:
         if pair.locked == "same" and home[pair.a] != home[pair.b]:
             yield f"{pair.a} and {pair.b} are not joined: {pair.reason}"
         if pair.accepted_by == "lock" and (why := doubt(pair)):
             yield f"{pair.a} and {pair.b} are joined by a lock; by their maps {why}"
-
-
-def _counts(result: MergeResult) -> str:
-    """Counts of all pairs by verdict, as a line."""
-    from ..merge.result import Standing, pairs_of
-
-    runs = sum(len(component.poses) for component in result.components)
-    count = result.standings()
-    others, kept_out = count[Standing.JOINED], count[Standing.KEPT_OUT]
-    return (
-        f"{counted(pairs_of(runs), 'pair')}: {count[Standing.MERGED]:,} merged, "
-        f"{f'{others:,} joined through others, ' if others else ''}"
-        f"{count[Standing.AMBIGUOUS]:,} ambiguous, "
-        f"{count[Standing.UNRELATED]:,} unrelated"
-        f"{f', {kept_out:,} kept out' if kept_out else ''}; "
-        f"{counted(len(result.components), 'site')}"
-    )

@@ -18,7 +18,6 @@ from .options import (
     JsonOption,
     MergeOption,
     WorkspaceOption,
-    complete_site,
 )
 from .output import checked_output, folded, say, say_lines
 from .workspace import MERGED, Workspace
@@ -40,7 +39,6 @@ def next_drives(
         typer.Argument(
             metavar="SITE",
             help="Only drives that begin at this site, or join it.",
-            autocompletion=complete_site,
         ),
     ] = None,
     most: Annotated[
@@ -111,7 +109,7 @@ def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> lis
         for line in (f"{settles}; {expected}", drive.way):
             out += folded(f"   {line}", indent="   ")
     out.append("after the drive, ingest its log and merge again")
-    plan = place.call("next", *place.named, "-o", "plan.svg")
+    plan = place.call("next", *place.of_merge, "-o", "plan.svg")
     return [*out, f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)"]
 
 
@@ -136,7 +134,7 @@ def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> l
     for name, own in ways.items():
         which = f" {listed([str(v) for v in own])}" if len(own) <= MOST_JUNCTIONS else ""
         out += folded(f"  {name}: {counted(len(own), 'junction')}{which}", indent="    ")
-    plan = place.call("next", *place.named, "-o", "plan.svg")
+    plan = place.call("next", *place.of_merge, "-o", "plan.svg")
     return [*out, f"on a map with numbers: {plan}"]
 
 

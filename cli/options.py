@@ -13,7 +13,7 @@ from typing import Annotated, Any, get_type_hints
 import typer
 
 from ..topology.errors import TopobatchError
-from .workspace import MERGED, USUAL, Workspace
+from .workspace import USUAL, Workspace
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:
@@ -60,6 +60,16 @@ ComponentOption = Annotated[
     typer.Option(metavar="N", min=0, help="Only this component of the merged map, by its number."),
 ]
 
+FalseMergeRate = Annotated[
+    float | None,
+    typer.Option(
+        metavar="SHARE",
+        min=1e-9,
+        max=0.5,
+        help="Share of batches that may hold any false merge; default 0.001.",
+    ),
+]
+
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="Print what is being done.")]
@@ -73,23 +83,6 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     except (TopobatchError, OSError):
         return []
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
-
-
-def complete_site(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Sites of the merge with this prefix."""
-    named = ctx.params.get("workspace") or os.environ.get("TOPOBATCH_WORKSPACE")
-    try:
-        graph = Workspace(Path(named or DEFAULT_WORKSPACE)).read_merged().graph
-    except (TopobatchError, OSError):
-        return []
-    return sorted(name for name in {*graph.sites.values()} if name.startswith(incomplete))
-
-
-def complete_map(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The same, the merged map and its sites."""
-    merged = [MERGED] if MERGED.startswith(incomplete) else []
-    named = [*complete_site(ctx, incomplete), *complete_run(ctx, incomplete)]
-    return [*merged, *dict.fromkeys(named)]
 
 
 Command = Callable[..., None]

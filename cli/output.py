@@ -160,6 +160,11 @@ class Screen:
         if not self.quiet:
             self._emit(text, err=False)
 
+    def folded(self, text: str) -> None:
+        """Print a long line of the result as several."""
+        for line in folded(text):
+            self.line(line)
+
     def detail(self, text: str) -> None:
         """Print what is being done, with the seconds since the start; with --verbose only."""
         if self.verbose:
@@ -201,60 +206,46 @@ class Screen:
         drawn with --quiet or without a terminal.
         """
         if self.quiet or not sys.stderr.isatty():
-            yield lambda done, told="", doing="", sure=True, kept=0: None
+            yield lambda done, words="", doing="", kept=0: None
             return
         from rich.console import Console
-        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn
+        from rich.progress import (
+            BarColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+            TimeRemainingColumn,
+        )
 
-        bar = [BarColumn()] if total else [SpinnerColumn()]
-        texts = [TextColumn(f"{{task.fields[{name}]}}", markup=False) for name in ("told", "left")]
-        columns = [TextColumn("{task.description}", markup=False), *bar, *texts]
-        progress = Progress(*columns, console=Console(stderr=True), transient=True)
-        begun = time.monotonic()
-        first = "" if total else _Elapsed(begun)
-        task = progress.add_task(label, total=total or None, told="", left=first)
-        phase = _Elapsed(begun)
-        now = ""
+        what, told = (
+            TextColumn(f"{{task.{name}}}", markup=False) for name in ("description", "fields[told]")
+        )
+        clock = TimeRemainingColumn(elapsed_when_finished=True) if total else TimeElapsedColumn()
+        columns = (what, BarColumn(), told, TextColumn("left:" if total else ""), clock)
+        bar = Progress(*columns, console=Console(stderr=True), transient=True)
+        task = bar.add_task(label, total=total or None, told="")
 
-        def advance(
-            done: int, told: str = "", doing: str = "", sure: bool = True, kept: int = 0
-        ) -> None:
-            nonlocal phase, now
-            if doing != now:
-                phase, now = _Elapsed(time.monotonic()), doing
-            known = told or (_amount(done, total, unit) if total and unit and not doing else "")
-            known += f", {kept:,} of them kept" if kept and known and not told else ""
-            left: object = phase if doing or not total else ""
-            if total > kept and sure and not doing:
-                left = _left(time.monotonic() - begun, (done - kept) / (total - kept))
-            progress.update(task, completed=done, told=known, left=left, description=doing or label)
+        def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
+            known = words or (_amount(done, total, unit) if unit and not doing else "")
+            known += f", {kept:,} of them kept" if kept and known and not words else ""
+            # By the fresh work alone the time left is told.
+            most = total - kept if total > kept else None
+            doing = doing or label
+            bar.update(task, total=most, completed=done - kept, told=known, description=doing)
 
-        with progress:
-            self._progress = progress
+        with bar:
+            self._progress = bar
             try:
                 yield advance
             finally:
                 self._progress = None
 
 
-class _Elapsed:
-    """The time since a moment, as a text that is made anew whenever the bar is drawn."""
-
-    def __init__(self, since_s: float) -> None:
-        self.since_s = since_s
-
-    def __str__(self) -> str:
-        return _duration(time.monotonic() - self.since_s)
-
-
 class Advance(Protocol):
-    """Sets how much is done; told: in words, instead of counts; doing: what is done now, shown with
-    the time since it began; sure: whether the time left follows from what is done; kept: how much
-    of that was done before, and says nothing of the speed."""
+    """Sets how much is done; words: in words, instead of counts; doing: what is done now; kept: how
+    much of that was done before, and says nothing of the speed."""
 
-    def __call__(
-        self, done: int, told: str = "", doing: str = "", sure: bool = True, kept: int = 0
-    ) -> None:
+    def __call__(self, done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         """Show it."""
 
 
@@ -262,18 +253,3 @@ def _amount(done: int, total: int, unit: str) -> str:
     if unit == "bytes":
         return f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
     return f"{done:,} of {total:,} {unit}"
-
-
-SURE_S, SURE_SHARE = 2.0, 0.03
-"""No time is foretold before so many seconds and such a share of the work: it would jump about."""
-
-
-def _left(spent_s: float, share: float) -> str:
-    """The time left in words, after so many seconds and such a share of the work."""
-    if spent_s < SURE_S or not SURE_SHARE <= share < 1:
-        return ""
-    return f"about {_duration(max(spent_s * (1 - share) / share, 1))}"
-
-
-def _duration(seconds: float) -> str:
-    return f"{seconds / 60:.0f} min" if seconds >= 90 else f"{seconds:.0f} s"

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from itertools import islice
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -23,7 +23,6 @@ from .options import (
     MergeOption,
     QuietOption,
     WorkspaceOption,
-    complete_map,
     complete_run,
 )
 from .output import Screen, checked_output, say_text
@@ -57,7 +56,7 @@ def transfer(
             "--to",
             metavar="RUN|merged",
             help="The run, or merged, to carry them to.",
-            autocompletion=complete_map,
+            autocompletion=complete_run,
         ),
     ],
     within: Annotated[
@@ -92,20 +91,18 @@ def transfer(
     """
     screen = Screen(quiet)
     place = Workspace(workspace, merge)
-    to_file = output is not None and str(output) != "-"
-    if output is not None and to_file:
-        checked_output(output)
+    out = None if output is None or str(output) == "-" else checked_output(output)
     columns, known = read_places(places)
     found, why = _carried(place, known, source, target)
     rows = [_row(p, found, k, within, why) for k, p in enumerate(known)]
     text = places_text(_header(columns), rows)
-    if output is None or not to_file:
+    if out is None:
         say_text(text)
     else:
         from ..topology.files import write_text
 
-        write_text(output, text)
-        screen.line(str(output))
+        write_text(out, text)
+        screen.line(str(out))
     if found is None:
         screen.complain(f"{places}: nothing was carried: {why}")
         raise typer.Exit(1)
@@ -217,42 +214,33 @@ class Place:
 def read_places(path: Path) -> tuple[list[str], list[Place]]:
     """The columns and the places of a CSV file; DataError with the line number if it is
     invalid."""
-    try:
-        with path.open("rb") as file:
-            raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file or folder") from error
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    with path.open("rb") as file:
+        raw = file.read(MOST_BYTES + 1)  # devices have a size of 0, and no end
     if len(raw) > MOST_BYTES:
         raise DataError(f"{path}: is larger than {MOST_BYTES >> 20} MiB; not a table of places")
     try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise DataError(f"{path}: is no UTF-8 text ({error.reason})") from error
-    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
-    try:
-        names = [_unquoted(name.strip()) for name in next(reader, [])]
+        reader = csv.DictReader(io.StringIO(raw.decode("utf-8-sig"), newline=""), strict=True)
+        names = [_unquoted(name.strip()) for name in reader.fieldnames or ()]
         missing = [name for name in ("name", "x", "y") if name not in names]
         if missing or len(set(names)) < len(names):
             wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
             raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
+        reader.fieldnames = names
         most = MOST_VALUES // len(names)
-        filled = ((reader.line_num, row) for row in reader if row)
-        places = [_place(path, line, names, row) for line, row in islice(filled, most)]
-        if next(filled, None) is not None:
+        places = [_place(path, reader.line_num, row) for row in islice(reader, most)]
+        if next(reader, None) is not None:
             raise DataError(f"{path}: holds more than {most:,} places; cut it into parts")
-    except csv.Error as error:
-        raise DataError(f"{path}:{reader.line_num}: is not CSV: {error}") from error
+    except (csv.Error, UnicodeDecodeError) as error:
+        raise DataError(f"{path}: is not CSV in UTF-8: {error}") from error
     if not places:
         raise DataError(f"{path}: holds no place")
     return names, places
 
 
-def _place(path: Path, line: int, names: Sequence[str], row: Sequence[str]) -> Place:
-    if len(row) != len(names):
+def _place(path: Path, line: int, row: Mapping[Any, Any]) -> Place:
+    if None in row or None in row.values():
         raise DataError(f"{path}:{line}: has more or fewer values than the first line")
-    cells = dict(zip(names, map(_unquoted, row), strict=True))
+    cells = {name: _unquoted(cell) for name, cell in row.items()}
     theta = cells.get("theta", "").strip()
     x, y = (_number(path, line, name, cells[name]) for name in ("x", "y"))
     return Place(line, cells, x, y, _number(path, line, "theta", theta) if theta else None)

@@ -7,11 +7,8 @@ import shlex
 import shutil
 import socket
 import sys
-import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from urllib.parse import quote
@@ -21,7 +18,7 @@ import typer
 from ..topology.errors import DataError, UsageError
 from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
 from .output import say
-from .workspace import Workspace, pair_named
+from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
     import subprocess
@@ -29,26 +26,19 @@ if TYPE_CHECKING:
 HOST = "127.0.0.1"
 """Where the viewer is served: to this machine alone."""
 
-ONE_RUN = "--with-log goes with one run: topobatch view RUN --with-log"
-
 
 def view(
-    run: Annotated[
-        str | None,
+    what: Annotated[
+        str,
         typer.Argument(
-            metavar="RUN|A:B",
+            metavar="[RUN|A:B]",
             help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
             "topobatch explain found; the merged map without.",
+            show_default=False,
             autocompletion=complete_run,
         ),
-    ] = None,
+    ] = MERGED,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
-    with_log: Annotated[
-        bool,
-        typer.Option(
-            "--with-log", help="Open the raw log of the run beside its map (MCAP logs only)."
-        ),
-    ] = False,
     web: Annotated[
         bool,
         typer.Option(
@@ -67,105 +57,69 @@ def view(
 ) -> None:
     """Open the merged map, a run's, or the explanation of a pair, in the rerun viewer.
 
-    Drag the time line below the map: a run's map grows as it was driven, a merged map as its runs
-    were joined. With --with-log a page for every topic of the raw log stands beside it, at the same
-    time: speeds, laser echoes, pictures, tables of messages.
+    Drag the time line below a run's map: the robot drives on it. The viewer opens MCAP logs as
+    well: rerun maps/RUN.rrd run.mcap.
 
     --web serves rerun's viewer on 127.0.0.1, also where there is no display, and prints the page's
     address. From another machine: ssh -L 9090:127.0.0.1:9090 -L 9091:127.0.0.1:9091.
 
     \b
       topobatch view
-      topobatch view run1 --with-log
+      topobatch view run1
       topobatch view --web --port 9090
       topobatch explain run1 run2
       topobatch view run1:run2
     """
     place = Workspace(workspace)
-    if with_log and run is None:
-        raise UsageError(ONE_RUN)
     if port and not web:
         raise UsageError("--port goes with --web")
-    recording = _recording(place, run)
-    show = partial(_serve, port=port) if web else partial(_open, place=place, run=run)
-    if not with_log or run is None:
-        show([recording])
-        return
-    if recording != place.map_rrd(run):
-        raise UsageError(ONE_RUN)
-    with _raw_log(place, run, recording) as both:
-        show(both)
+    recording = _recording(place, what)
+    if web:
+        _serve(recording, port)
+    else:
+        _open(recording, place.call("view", *([] if what == MERGED else [what]), "--web"))
 
 
-def _recording(place: Workspace, run: str | None) -> Path:
-    """The recording to open; UsageError or DataError if there is none."""
-    if run is None:
-        if not place.merged_rrd.is_file():
-            place.require_merge()
-            raise DataError(f"{place.merged_rrd}: is not there; merge again")
-        return place.merged_rrd
-    if run in place.runs():
-        recording = place.map_rrd(run)
-        if not recording.is_file():
-            raise DataError(f"{recording}: is not there; ingest the log of {run} again")
-        return recording
-    merge = place.merge_named(run)
-    if merge is not None and merge.merged_rrd.is_file():
-        return merge.merged_rrd
-    if pair := pair_named(run, place.runs()):
-        recording = place.explain_rrd(*pair)
-        if not recording.is_file():
-            raise DataError(f"{recording}: is not there; {place.call('explain', *pair)} makes it")
-        return recording
-    raise place.unknown([run], "run, merge or pair A:B named")
+def _recording(place: Workspace, what: str) -> Path:
+    """The recording to open, of a site that of its merge; UsageError or DataError if there is
+    none."""
+    found = place.named(what)
+    if found.run is not None:
+        recording, how = place.map_rrd(found.run), f"ingest the log of {found.run} again"
+    elif found.pair is not None:
+        recording = place.explain_rrd(*found.pair)
+        how = f"{place.call('explain', *found.pair)} makes it"
+    else:
+        recording, how = found.place.merged_rrd, "merge again"
+        found.place.require_merge()
+    if not recording.is_file():
+        raise DataError(f"{recording}: is not there; {how}")
+    return recording
 
 
-@contextmanager
-def _raw_log(place: Workspace, run: str, recording: Path) -> Iterator[list[Path]]:
-    """The recording of a run with its log, and the blueprint of both: in the workspace or, if that
-    is not writable, in a temporary folder while the viewer is open."""
-    from ..viz.raw_log import write_raw_log
-
-    log = place.log_of(run)
-    if not isinstance(log, Path):
-        raise DataError(f"{log}: the viewer reads files only; copy the log here to look at it")
-    topomap = place.read_map(run)
-    with tempfile.TemporaryDirectory() as spare:
-        both, views = place.raw_log_rrd(run), place.raw_log_views_rrd(run)
-        try:
-            write_raw_log(both, views, log, recording, topomap)
-        except PermissionError:
-            if not _has_display():
-                raise
-            both, views = (Path(spare) / file.name for file in (both, views))
-            write_raw_log(both, views, log, recording, topomap)
-        yield [views, both]
-
-
-def _open(recordings: list[Path], *, place: Workspace, run: str | None) -> None:
-    """Open recordings in the viewer, or print how to without a display."""
+def _open(recording: Path, in_browser: str) -> None:
+    """Open a recording in the viewer, or print how to without a display."""
     if not _has_display():
-        names = shlex.join(r.name for r in recordings)
-        named = [] if run is None else [run]
-        with_log = ["--with-log"] if len(recordings) > 1 else []
-        say(f"{recordings[0]}: there is no display here. To look at it:")
-        say(f"  on a machine with a screen:  rerun {names}   (pip install rerun-sdk)")
-        say(f"  in a browser:  {place.call('view', *named, *with_log, '--web')}")
+        say(f"{recording}: there is no display here. To look at it:")
+        say(
+            f"  on a machine with a screen:  rerun {shlex.quote(recording.name)}   "
+            "(pip install rerun-sdk)"
+        )
+        say(f"  in a browser:  {in_browser}")
         return
     import subprocess
 
-    call = [sys.executable, "-m", "rerun", *map(str, recordings)]
-    raise typer.Exit(subprocess.call(call))
+    raise typer.Exit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
 
 
-def _serve(recordings: list[Path], *, port: int) -> None:
-    """Serve recordings and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
+def _serve(recording: Path, port: int) -> None:
+    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
     taken."""
     import subprocess
 
     page, data = _ports(port)
     ports = ("--bind", HOST, "--web-viewer-port", str(page), "--port", str(data))
-    call = [_viewer(), "--serve-web", *ports, *map(str, recordings)]
+    call = [_viewer(), "--serve-web", *ports, str(recording)]
     # Rerun reports its use over the network unless it runs for CI.
     server = subprocess.Popen(call, env={**os.environ, "CI": "1", "RUST_LOG": "error"})
     try:

@@ -7,7 +7,7 @@ import os
 import shlex
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
@@ -62,7 +62,6 @@ class Workspace:
             self.maps,
             cache,
             cache / "ingest",
-            cache / "log",
             self.merge_record.parent,
             self.export_record.parent,
             self.root / "explain",
@@ -95,7 +94,7 @@ class Workspace:
         return () if self.root == usual else ("-w", str(self.root))
 
     @property
-    def named(self) -> tuple[str, ...]:
+    def of_merge(self) -> tuple[str, ...]:
         """The options that name this merge in a call of what reads one."""
         return () if self.merge == MERGED else ("--merge", self.merge)
 
@@ -177,8 +176,8 @@ class Workspace:
         return self.root / "exports"
 
     def recordings_of(self, run: str) -> Iterator[Path]:
-        """The recordings in which a run may be: of its map, also with its log, and of pairs."""
-        yield from (self.map_rrd(run), self.raw_log_rrd(run), self.raw_log_views_rrd(run))
+        """The recordings in which a run may be: of its map, and of pairs."""
+        yield self.map_rrd(run)
         for other in self.runs():
             yield self.explain_rrd(*sorted((run, other)))
 
@@ -203,20 +202,18 @@ class Workspace:
             return None  # a cache: without it the run is just done again
         return found if isinstance(found, dict) else None
 
-    def log_of(self, run: str, otherwise: str = "ingest it again") -> LogPath:
-        """The log that a run's map was made from; remote ones are not checked to exist.
-
-        DataError if it is not recorded or does not exist; `otherwise`: advice in that case.
-        """
+    def log_of(self, run: str) -> LogPath:
+        """The log that a run's map was made from; remote ones are not checked to exist. DataError
+        if it is not recorded or does not exist."""
         from ..ingest.logs.recording import log_exists
         from ..ingest.remote.path import log_path
 
         log = (self.ingested(run) or {}).get("log")
         if not isinstance(log, str):
-            raise DataError(f"run {run}: it is not recorded where its log is; {otherwise}")
+            raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
         place = log_path(log)
         if isinstance(place, Path) and not log_exists(place):
-            raise DataError(f"{log}: the log of run {run} is not there any more; {otherwise}")
+            raise DataError(f"{log}: the log of run {run} is not there any more; name it by --log")
         return place
 
     @property
@@ -233,14 +230,6 @@ class Workspace:
     def export_record(self) -> Path:
         """The record of the files that exports of the merge wrote; may be deleted at any time."""
         return self.root / "cache" / "exports" / f"{plain_name(self.merge, MERGE)}.json"
-
-    def raw_log_rrd(self, run: str) -> Path:
-        """The recording of a run with its log; may be deleted at any time."""
-        return self.root / "cache" / "log" / f"{plain_name(run)}.log.rrd"
-
-    def raw_log_views_rrd(self, run: str) -> Path:
-        """How to show that recording; may be deleted at any time."""
-        return self.root / "cache" / "log" / f"{plain_name(run)}.views.rrd"
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
@@ -286,6 +275,22 @@ class Workspace:
             return named if named.merged_json.is_file() else None
         except UsageError:  # no name that a merge could have
             return None
+
+    def named(self, what: str) -> Named:
+        """What a name stands for; UsageError or DataError if it is none."""
+        runs = self.runs()
+        if what in runs and what != MERGED:
+            return Named(self, run=what)
+        if pair := pair_named(what, runs):
+            if pair[0] == pair[1]:
+                raise UsageError(f"two runs are needed, got {pair[0]!r} twice")
+            return Named(self, pair=pair)
+        merge = self if what == MERGED else self.merge_named(what)
+        if merge is not None:
+            return Named(merge)
+        if self.merged_json.is_file() and what in self.read_merged().graph.sites.values():
+            return Named(self, site=what)
+        raise self.unknown([what], "run, site, merge or pair A:B named")
 
     def merges(self) -> list[Workspace]:
         """This workspace with each of its merges, the one with the default name first."""
@@ -502,7 +507,6 @@ class Workspace:
 
         if not make and not self.root.is_dir():
             raise self.no_maps()
-        new = [path for path in (self.root, *self.root.parents) if not path.exists()]
         lock = FileLock(self.root / ".lock")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
@@ -511,32 +515,15 @@ class Workspace:
             say(f"{self.root}: another topobatch is at work there; waiting for it")
             lock.acquire()
         except OSError as error:
-            what = "made" if new else "written"
-            copy = "" if new else "copy it, or "
             raise DataError(
-                f"{self.root}: cannot be {what} ({error.strerror}); {copy}name another --workspace"
+                f"{self.root}: cannot be written ({error.strerror}); name another --workspace"
             ) from error
         try:
             self._clear_left_overs()
             yield
         finally:
             self._clear_left_overs()  # of worker processes that were stopped
-            if new:
-                self._remove_if_empty(new)
             lock.release()
-
-    def _remove_if_empty(self, new: Sequence[Path]) -> None:
-        """Take back a workspace that was made for nothing; new: the folders made for it, innermost
-        first. Called while the lock is held: whoever waits for it finds its file gone, and makes
-        another."""
-        record = self.ingest_record("x").parent
-        for folder in (self.maps, record, record.parent):
-            _remove_folder(folder)
-        with suppress(OSError):  # a file in use stays on some systems, and with it the workspace
-            if [path.name for path in self.root.iterdir()] == [".lock"]:
-                (self.root / ".lock").unlink()
-        for folder in new:
-            _remove_folder(folder)
 
     def _clear_left_overs(self) -> None:
         from ..topology.files import LEFT_OVER
@@ -548,6 +535,16 @@ class Workspace:
             for path in folder.glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A run, a pair of runs, a site, or without any the merge of a workspace."""
+
+    place: Workspace
+    run: str | None = None
+    pair: tuple[str, str] | None = None
+    site: str | None = None
 
 
 def _meant(names: Sequence[str], known: Sequence[str]) -> str:
@@ -566,11 +563,6 @@ def _decided(path: Path, from_document: Callable[[Any, str], T], none: T) -> T:
     from ..topology.files import read_json
 
     return from_document(read_json(path), str(path)) if os.path.lexists(path) else none
-
-
-def _remove_folder(folder: Path) -> None:
-    with suppress(OSError):  # it is not there, or holds something
-        folder.rmdir()
 
 
 def is_workspace(folder: Path) -> bool:

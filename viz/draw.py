@@ -8,7 +8,7 @@ from types import MappingProxyType
 import numpy as np
 
 from ..merge.decision import Decision
-from ..merge.decision_text import advice, because, digits_of, headline
+from ..merge.decision_text import advice, because, headline
 from ..merge.drive import Drive
 from ..merge.result import (
     FusedMap,
@@ -18,11 +18,10 @@ from ..merge.result import (
 )
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
-from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
-from ..topology.se2 import apply, compose, turned
+from ..topology.se2 import apply
 from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.views import CELL_M, REACH_M, Views
+from ..topology.views import Views
 from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, letters
 from .drawing import (
@@ -34,10 +33,11 @@ from .drawing import (
     extent,
     strands,
 )
+from .pages import map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import CORNERS, WIDTHS, Mark, Overlay, marks, overlays, placements
-from .sheet import Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
+from .placements import VIEWS, Mark, decision_picture
+from .sheet import Cell, corners_of, outline, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
@@ -67,13 +67,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
     keys += _walls(canvas, [topomap.views], turn, theme["wall"])
     keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
-    ways = topomap.turning_points
-    told = (
-        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
-        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
-        f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
-    )
-    canvas.finish([topomap.run, told], [keys])
+    canvas.finish([topomap.run, map_told(topomap)], [keys])
     return canvas
 
 
@@ -223,7 +217,7 @@ def draw_merged(
         c: np.concatenate([wall_points(walls_of(own, "")), *(d.path for d in ways[c])])
         for c, own in views.items()
     }
-    parts = lay_out(result, for_paper=True, walls=seen)
+    parts = lay_out(result, seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = _sheet(cells, theme, width, "merged")
@@ -370,110 +364,63 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     """Draw why two runs were merged or not: the placements of b over a, with lines between matched
     junctions, the links that speak for a placement and what speaks against it."""
     a, b = with_turning_points(a), with_turning_points(b)
-    drawn, beside = placements(a, b, decision), overlays(decision)
+    seen = [wall_points(walls_of([m.views], m.frame)) for m in (a, b)]
+    picture = decision_picture(a, b, decision, (seen[0], seen[1]))
+    canvas = _sheet(picture.cells, theme, WIDTH_PT, "pair")
+    _frames(canvas, picture.cells, picture.titles)
+    for mark in picture.marks:
+        _mark(canvas, mark)
+    for T_sheet_a, T_sheet_b in picture.laid:
+        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"])
+        # Those of a show through.
+        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75)
     heading = [headline(decision), because(decision), advice(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
-    laid = [(p.title, p.T_a_b) for p in drawn]
-    canvas, cells = _over(a, b, laid, theme, "pair", beside=beside)
-    kinds = {"contradictions"} if beside else set()
-    for picture, cell in zip(drawn, cells, strict=False):
-        for mark in marks(picture, a, b, digits_of(decision)):
-            _mark(canvas, mark, cell.T_sheet_map)
-            kinds.add(mark.name[0])
-    canvas.finish(heading, [_pair_keys(theme, (a, b), kinds)])
+    canvas.finish(heading, [_pair_keys(theme, (a, b), {n for m in picture.marks for n in m.name})])
     return canvas
 
 
-PEN_PT, RING_PT = 1.6, 6.5
-"""Width of a run's line in the picture of a pair, and of the ring round a junction."""
+PEN_PT, RING_PT, DOT_PT = 1.6, 6.5, 3.6
+"""Width of a run's line in the picture of a pair, of the ring round a junction, and of a dot."""
+
+TINY_M = 1e-3
+"""Length of the line that is drawn for a cell of a wall."""
 
 
-def _mark(canvas: Canvas, mark: Mark, T: FloatArray) -> None:
-    """Draw a mark of a placement, moved onto the sheet by T."""
-    pens = np.broadcast_to(mark.pens, len(mark.xy))
-    aside = 7.0 / canvas.points_per_m
-    for xy, ink, told, width in zip(mark.xy, mark.ink, mark.told, pens, strict=True):
-        at, colour = apply(T, xy.reshape(-1, 2)), canvas.theme[ink]
+def _mark(canvas: Canvas, mark: Mark) -> None:
+    """Draw a mark: in one piece, or one by one if something is said of each."""
+    colour, order = canvas.theme[mark.ink], mark.order
+    if mark.form == "cell":
+        at = np.stack(mark.xy)
+        width_pt = float(np.max(mark.pens)) * canvas.points_per_m
+        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt)
+        return
+    each = len(mark.told) > 1
+    pens = np.broadcast_to(mark.pens, len(mark.xy)).tolist()
+    for k in range(len(mark.xy)) if each else [0]:
+        xy, told = mark.xy[k : k + 1] if each else mark.xy, mark.told[k] if mark.told else ""
         if mark.form == "line":
-            canvas.lines([at], colour, PEN_PT * width, order=mark.order, told=told)
-        elif mark.form == "ring":
-            canvas.dots(at, colour, RING_PT, order=mark.order, told=told, ring=True)
+            canvas.lines(xy, colour, PEN_PT * (pens[k] if pens else 1.0), order=order, told=told)
+        elif mark.form == "number":
+            x, y = (xy[0] + 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])).tolist()
+            canvas.words((x, y), told, size_pt=SMALL_PT)
         else:
-            x, y = at[0].tolist()
-            canvas.words((x - aside, y + aside), told, size_pt=SMALL_PT)
+            ring = mark.form == "ring"
+            size_pt = RING_PT if ring else DOT_PT
+            canvas.dots(np.stack(xy), colour, size_pt, order=order, told=told, ring=ring)
 
 
-FILLED, TINY_M = 0.85, 1e-3
-"""Share of a cell that views take, below its title; length of the line that is drawn for a dot."""
-
-VIEW_SHARE = 0.6
-"""Least width of a picture of views over that of a placement: of large buildings views are drawn
-larger than their maps."""
-
-
-def _views(canvas: Canvas, overlay: Overlay, cell: Cell, turn_rad: float) -> None:
-    """Draw two views over each other in a cell."""
-    low, high = cell.low, cell.high
-    scale = FILLED * float((high - low).min()) / (2 * REACH_M)
-    dot_pt = CELL_M * scale * canvas.points_per_m
-    for run, kind, xy in overlay.layers(turn_rad):
-        colour = {
-            SILENT: canvas.theme.pale_run(run),
-            AGREES: canvas.theme.run(run),
-            CONTRADICTS: canvas.theme["against"],
-        }[kind]
-        at = (low + high) / 2 + scale * xy
-        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, dot_pt * WIDTHS[run])
-
-
-def _pair_keys(theme: Theme, maps: tuple[TopoMap, TopoMap], kinds: Collection[str]) -> list[Key]:
-    """kinds: of the marks that there are."""
+def _pair_keys(theme: Theme, maps: tuple[TopoMap, TopoMap], names: Collection[str]) -> list[Key]:
+    """names: of the marks that there are."""
     keys = [Key("line", theme.run(k), m.run) for k, m in enumerate(maps)]
     if all(len(m.views) for m in maps):
         keys += [
-            Key("wide line", theme.pale_run(k), f"walls of {m.run}") for k, m in enumerate(maps)
+            Key("wide line", theme[f"pale {k}"], f"walls of {m.run}") for k, m in enumerate(maps)
         ]
-    of_kind = {
+    known = {
         "matched": Key("ring", theme["ink"], "matched junctions, tied"),
         "links": Key("wide line", theme["agrees"], "link that speaks for it"),
         "contradictions": Key("ring", theme["against"], "what speaks against it"),
+        VIEWS: Key("ring", theme["against"], "what speaks against it"),
     }
-    return [*keys, *(key for kind, key in of_kind.items() if kind in kinds)]
-
-
-def _over(
-    a: TopoMap,
-    b: TopoMap,
-    laid: Sequence[tuple[str, FloatArray]],
-    theme: Theme,
-    name: str,
-    *,
-    beside: Sequence[Overlay] = (),
-) -> tuple[Canvas, list[Cell]]:
-    """Draw map b over map a once for each (title, T_a_b), and views beside these."""
-    of_a, of_b = (
-        np.concatenate([extent(m), wall_points(walls_of([m.views], m.frame))]) for m in (a, b)
-    )
-    points = [np.concatenate([of_a, apply(T, of_b)]) for _, T in laid]
-    turn = upright_rad(a.paths)
-    wide = min((float(np.ptp(p, axis=0).max()) for p in points if len(p)), default=0.0)
-    square = CORNERS * max(VIEW_SHARE * wide / (2 * REACH_M), 1.0)
-    shown = [*points, *(turned(square, -turn) for _ in beside)]
-    cells = arrange(shown, [turn] * len(shown), sheet_margin_m(points))
-    canvas = _sheet(cells, theme, WIDTH_PT, name)
-    _frames(canvas, cells, [*(title for title, _ in laid), *(o.title for o in beside)])
-    for overlay, cell in zip(beside, cells[len(laid) :], strict=True):
-        _views(canvas, overlay, cell, turn)
-    for (_, T), cell in zip(laid, cells, strict=False):
-        _own_map(canvas, a, cell.T_sheet_map, theme.run(0))
-        _own_map(canvas, b, compose(cell.T_sheet_map, T), theme.run(1))
-        _walls(canvas, [a.views], cell.T_sheet_map, theme.pale_run(0))
-        # Those of a show through.
-        _walls(canvas, [b.views], compose(cell.T_sheet_map, T), theme.pale_run(1), alpha=0.75)
-    return canvas, cells
-
-
-def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, colour: str) -> None:
-    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, told=m.run)
-    if len(m):
-        canvas.dots(apply(T, m.xy), colour, 3.6)
+    return list(dict.fromkeys([*keys, *(key for name, key in known.items() if name in names)]))

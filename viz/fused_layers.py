@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from itertools import chain
 
 import numpy as np
 import rerun as rr
@@ -19,19 +18,14 @@ from ..topology.views import Views
 from . import palette
 from .drawing import Strand, branch_arrows, pen_m, strands
 from .grid_layer import write_grid
-from .map_sheet import write_cards, write_contradictions, write_own_maps
+from .map_sheet import write_cards, write_contradictions, write_own_map
 from .parts import Part, rows_of
 from .placements import Spot, contradiction_spots
-from .recording import UP, PathParts, Recording, light_up, placed, strips
-from .sheet import Cell
-from .story import Step, first_steps
+from .recording import UP, PathParts, Recording, placed, strips
 from .walls import FINE_M, walls_of
 
-FUSED, RUNS, LEGEND = "map", "runs", "legend"
-"""Entity roots of the two views of the components, and of the key to the runs' colours."""
-
-LEGEND_ROWS, LEGEND_COLUMN = 34, 8.0
-"""Rows of a column of the key, and the distance of columns in rows."""
+FUSED, RUNS = "map", "runs"
+"""Entity roots of the two views of the components."""
 
 
 def write_fused_layers(
@@ -39,12 +33,9 @@ def write_fused_layers(
     result: MergeResult,
     maps: Mapping[str, TopoMap],
     parts: list[Part],
-    *,
     colours: Mapping[str, palette.Colour],
-    steps: Sequence[Step],
 ) -> None:
-    """Write the fused map in the runs' colours as it grew by the steps of merging, and each run's
-    own map in its place."""
+    """Write the fused map in the runs' colours, and each run's own map in its place."""
     for root in (FUSED, RUNS):
         recording.static((root,), UP)
         titles = [part.titles for part in parts] if len(parts) > 1 else []
@@ -52,22 +43,14 @@ def write_fused_layers(
         for part in parts:
             recording.static((root, part.name), placed(part.cell.T_sheet_map))
     pen = pen_m([result.fused])
-    first = first_steps(steps)
-    _ribbons(recording, result.fused, parts, colours, pen=pen, first=first)
+    _ribbons(recording, result.fused, parts, colours, pen)
     _junctions(recording, result.fused, parts, pen)
-    for part in parts:
-        _junctions_in_time(recording, result.fused, part, first)
     _unexplored(recording, result.fused, parts, pen)
-    lying = [(part, run) for part in parts for run in sorted(part.component.poses)]
-    for part, run in lying:
-        recording.static((RUNS, part.name, run), placed(part.component.poses[run]))
-    write_own_maps(
-        recording,
-        [(RUNS, part.name, run) for part, run in lying],
-        [maps[run] for _, run in lying],
-        [colours[run] for _, run in lying],
-        pen,
-    )
+    for part in parts:
+        for run, pose in sorted(part.component.poses.items()):
+            path = (RUNS, part.name, run)
+            recording.static(path, placed(pose))
+            write_own_map(recording, path, maps[run], colours[run], pen)
 
 
 def write_fused_contradictions(
@@ -122,69 +105,27 @@ def write_walls(recording: Recording, grids: Mapping[int, Grid], parts: list[Par
             write_grid(recording, (FUSED, part.name, "walls"), grids[part.component.id])
 
 
-def write_legend(
-    recording: Recording, parts: list[Part], colours: Mapping[str, palette.Colour]
-) -> list[Cell]:
-    """Write the names of all merged runs in their colours, in columns, each component under its
-    title; nothing where no runs are merged."""
-    several = [part for part in parts if len(part.component.poses) > 1]
-    if not several:
-        return []
-    entries: list[tuple[str, palette.Colour]] = []
-    for part in several:
-        entries.append((part.component.name, palette.TITLE))
-        entries += [(run, colours[run]) for run in sorted(part.component.poses)]
-    rows = min(LEGEND_ROWS, len(entries))
-    number = np.arange(len(entries))
-    places = np.stack([LEGEND_COLUMN * (number // rows), -(number % rows)], axis=-1)
-    names = rr.Points2D(
-        places.astype(np.float64),
-        radii=rr.Radius.ui_points(2.0),
-        colors=[colour for _, colour in entries],
-        labels=[name for name, _ in entries],
-        show_labels=True,
-    )
-    recording.static((LEGEND,), UP)
-    recording.static((LEGEND, "runs"), names)
-    low = np.array([-LEGEND_COLUMN, -rows - 1.0])
-    high = np.array([LEGEND_COLUMN * (-(-len(entries) // rows)), 1.0])
-    return [Cell(np.zeros(3), low, high)]
-
-
 def _ribbons(
     recording: Recording,
     fused: FusedMap,
     parts: list[Part],
     colours: Mapping[str, palette.Colour],
-    *,
     pen: float,
-    first: Mapping[str, int],
 ) -> None:
-    """Write each corridor as parallel lines of the runs that drove it, dim until the run is joined
-    with another; first: at which step that happens."""
+    """Write each corridor as parallel lines of the runs that drove it."""
     of_run: dict[PathParts, list[Strand]] = {}
-    home = {run: part.name for part in parts for run in part.component.poses}
-    edges = np.concatenate([np.zeros(0, np.int64), *(part.edges for part in parts)])
-    for strand in strands(fused, edges, pen):
-        own = (FUSED, home[strand.run], "corridors", strand.run)
-        of_run.setdefault(own, []).append(strand)
-    if not of_run:
-        return
-    drawn = list(chain.from_iterable(of_run.values()))
-    lines = rr.LineStrips2D.from_fields(
-        strips=strips([strand.path for strand in drawn]),
-        radii=[pen * strand.share / 2 for strand in drawn],
-        draw_order=palette.Order.CORRIDOR,
-    )
-    told = _corridor_info(fused, np.array([strand.edge for strand in drawn]))
-    recording.static_each([*of_run], [len(own) for own in of_run.values()], lines, told)
-    for path in of_run:
-        run = path[-1]
-        if run in first:
-            when = np.array([first[run]])
-            light_up(recording.over_steps, path, rr.LineStrips2D, when, colours[run], begin=0)
-        else:
-            recording.static(path, rr.LineStrips2D.from_fields(colors=colours[run]))
+    for part in parts:
+        for strand in strands(fused, part.edges, pen):
+            of_run.setdefault((FUSED, part.name, "corridors", strand.run), []).append(strand)
+    for path, own in of_run.items():
+        lines = rr.LineStrips2D.from_fields(
+            strips=strips([strand.path for strand in own]),
+            radii=[pen * strand.share / 2 for strand in own],
+            colors=colours[path[-1]],
+            draw_order=palette.Order.CORRIDOR,
+        )
+        edges = np.array([strand.edge for strand in own])
+        recording.static(path, lines, _corridor_info(fused, edges))
 
 
 def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
@@ -200,46 +141,30 @@ def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
 
 
 def _junctions(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    """Write the junctions of the fused map, whose colours `_junctions_in_time` adds."""
-    rows = np.concatenate([np.zeros(0, np.int64), *(part.vertices for part in parts)])
-    if len(rows) == 0:
-        return
-    runs = np.array([len(fused.members[i]) for i in rows.tolist()])
-    told = rr.AnyValues(
-        vertex=rows,
-        kind=[fused.kind[i] for i in rows.tolist()],
-        branches=fused.branches.counts[rows],
-        runs=runs,
-        fused_from=[_members_told(fused.members[i]) for i in rows.tolist()],
-        passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
-    )
-    points = rr.Points2D.from_fields(
-        positions=fused.xy[rows],
-        radii=pen * np.where(runs > 1, 2.4, 1.4),
-        labels=list(map(str, rows.tolist())),
-        show_labels=False,
-        draw_order=palette.Order.JUNCTION,
-    )
-    paths = [(FUSED, part.name, "junctions") for part in parts]
-    recording.static_each(paths, [len(part.vertices) for part in parts], points, told)
-
-
-def _junctions_in_time(
-    recording: Recording, fused: FusedMap, part: Part, first: Mapping[str, int]
-) -> None:
-    """Write the junctions' colours by step: dim until a run that saw it is joined with another,
-    then white if several runs saw it, else grey."""
-    if len(part.vertices) == 0:
-        return
-    path = (FUSED, part.name, "junctions")
-    members = [fused.members[i] for i in part.vertices.tolist()]
-    several = np.array([len(runs) > 1 for runs in members])[:, None]
-    colours = np.where(several, palette.WHITE, palette.SINGLE).astype(np.uint8)
-    if first.keys() & part.component.poses.keys():
-        when = np.array([min(first.get(run, 0) for run in runs) for runs in members])
-        light_up(recording.over_steps, path, rr.Points2D, when, colours, begin=0)
-    else:
-        recording.static(path, rr.Points2D.from_fields(colors=colours))
+    """Write the junctions of the fused map: white if several runs saw it, else grey."""
+    for part in parts:
+        rows = part.vertices
+        if len(rows) == 0:
+            continue
+        members = [fused.members[i] for i in rows.tolist()]
+        several = np.array([len(runs) > 1 for runs in members])
+        points = rr.Points2D(
+            fused.xy[rows],
+            radii=pen * np.where(several, 2.4, 1.4),
+            colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
+            labels=list(map(str, rows.tolist())),
+            show_labels=False,
+            draw_order=palette.Order.JUNCTION,
+        )
+        told = rr.AnyValues(
+            vertex=rows,
+            kind=[fused.kind[i] for i in rows.tolist()],
+            branches=fused.branches.counts[rows],
+            runs=np.array([len(runs) for runs in members]),
+            fused_from=[_members_told(runs) for runs in members],
+            passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
+        )
+        recording.static((FUSED, part.name, "junctions"), points, told)
 
 
 def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
@@ -250,19 +175,17 @@ def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
 
 def _unexplored(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
     """Write the branches that no run drove."""
+    origins, vectors = branch_arrows(fused, 6 * pen)
     free = np.flatnonzero(~driven_branches(fused))
     owner = fused.component[fused.branches.owner[free]]
-    own = [free[rows] for rows in rows_of(owner, [part.component.id for part in parts])]
-    if len(free) == 0:
-        return
-    origins, vectors = branch_arrows(fused, 6 * pen)
-    bare = np.concatenate(own)
-    arrows = rr.Arrows2D(
-        origins=origins[bare],
-        vectors=vectors[bare],
-        radii=pen / 3,
-        colors=palette.FAINT,
-        draw_order=palette.Order.STUB,
-    )
-    paths = [(FUSED, part.name, "branches never driven") for part in parts]
-    recording.static_each(paths, [len(rows) for rows in own], arrows)
+    of_parts = rows_of(owner, [part.component.id for part in parts])
+    for part, rows in zip(parts, of_parts, strict=True):
+        if len(rows):
+            arrows = rr.Arrows2D(
+                origins=origins[free[rows]],
+                vectors=vectors[free[rows]],
+                radii=pen / 3,
+                colors=palette.FAINT,
+                draw_order=palette.Order.STUB,
+            )
+            recording.static((FUSED, part.name, "branches never driven"), arrows)

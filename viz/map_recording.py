@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +14,20 @@ import rerun.blueprint as rrb
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.odometry import Odometry
-from ..topology.run import Detections, Grid, Scanned
-from ..topology.se2 import compose
+from ..topology.run import Detections, Grid, Scanned, ScanPasses
+from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .grid_layer import write_grid
-from .history import History, Question, history, questions
 from .map_blueprint import MAP, map_blueprint
 from .map_sheet import corridors_told
-from .map_summary import correction, map_summary
-from .recording import HAIR, UP, PathParts, Recording, light_up, markdown, write_recording
+from .pages import map_page
+from .questions import Question, questions, visits
+from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
 from .robot_track import RobotTrack, robot_track
-from .scan_layers import write_scans
+from .walls import walls_of
 
 FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
 """Radii, in pens, of the rings round a junction, one for each accepted closure."""
@@ -54,57 +54,47 @@ def write_map_recording(
     OSError if the file cannot be written.
     """
     track = robot_track(topomap, odometry) if odometry is not None else None
-    known = history(topomap)
-    asked = questions(topomap, known.visit)
+    asked = questions(topomap)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
         whole = with_turning_points(topomap)
-        grown = known if whole is topomap else history(whole)
         if grid is not None:
             write_grid(recording, (*MAP, "grid"), grid)
-        begin = int(odometry.time_ns[0]) if odometry is not None and len(odometry) else None
-        _corridors(recording, whole, grown, begin)
-        _branches(recording, whole, grown, begin)
-        _junctions(recording, whole, grown, begin)
-        _closures(recording, topomap, asked, begin)
-        _visits(recording, topomap, known, asked, odometry)
+        _corridors(recording, whole)
+        _branches(recording, whole)
+        _junctions(recording, whole)
+        _closures(recording, topomap, asked)
+        _events(recording, topomap, asked, odometry)
         if track is not None:
             _track(recording, track)
             _drift(recording, track, topomap)
             if detections is not None:
-                x, y = (correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
-                _detections(recording, MAP, detections.moved((-x, -y)), track)
+                x, y = (_correction(topomap, name) for name in ("lever_x_m", "lever_y_m"))
+                _detections(recording, detections.moved((-x, -y)), track)
             if scanned is not None:
-                write_scans(recording, MAP, scanned.passes, topomap, track)
-        recording.static(("summary",), markdown(map_summary(topomap, asked)))
+                _scans(recording, scanned.passes, topomap, track)
+        recording.static(("summary",), markdown(map_page(topomap, asked)))
         return map_blueprint(topomap, track)
 
     write_recording(path, topomap.run, fill)
 
 
-def _corridors(
-    recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None
-) -> None:
+def _corridors(recording: Recording, topomap: TopoMap) -> None:
     if len(topomap.source) == 0:
         return
     share = np.clip((topomap.traversals - 1) / 3.0, 0.0, 1.0)[:, None]
     dull, bright = np.array(palette.CORRIDOR), np.array(palette.WHITE)
-    colours = (dull + 0.45 * share * (bright - dull)).astype(np.uint8)
-    path = (*MAP, "corridors")
-    recording.static(
-        path,
-        rr.LineStrips2D.from_fields(
-            strips=list(topomap.paths),
-            radii=pen_m([topomap]) / 2,
-            draw_order=palette.Order.CORRIDOR,
-        ),
-        corridors_told(topomap),
+    lines = rr.LineStrips2D(
+        list(topomap.paths),
+        radii=pen_m([topomap]) / 2,
+        colors=(dull + 0.45 * share * (bright - dull)).astype(np.uint8),
+        draw_order=palette.Order.CORRIDOR,
     )
-    light_up(recording.over_time, path, rr.LineStrips2D, known.corridor_ns, colours, begin=begin_ns)
+    recording.static((*MAP, "corridors"), lines, corridors_told(topomap))
 
 
-def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None) -> None:
+def _branches(recording: Recording, topomap: TopoMap) -> None:
     driven = driven_branches(topomap)
     pen = pen_m([topomap])
     origins, vectors = branch_arrows(topomap, 7 * pen)
@@ -114,29 +104,28 @@ def _branches(recording: Recording, topomap: TopoMap, known: History, begin_ns: 
     )
     for name, which, colour, order in layers:
         if which.any():
-            path = (*MAP, name)
-            arrows = rr.Arrows2D.from_fields(
-                origins=origins[which], vectors=vectors[which], radii=pen / 3, draw_order=order
+            arrows = rr.Arrows2D(
+                origins=origins[which],
+                vectors=vectors[which],
+                radii=pen / 3,
+                colors=colour,
+                draw_order=order,
             )
-            recording.static(path, arrows)
-            when = known.vertex_ns[topomap.branches.owner[which]]
-            light_up(recording.over_time, path, rr.Arrows2D, when, colour, begin=begin_ns)
+            recording.static((*MAP, name), arrows)
 
 
-def _junctions(
-    recording: Recording, topomap: TopoMap, known: History, begin_ns: int | None
-) -> None:
+def _junctions(recording: Recording, topomap: TopoMap) -> None:
     n = len(topomap)
     if n == 0:
         return
-    path = (*MAP, "junctions")
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
     recording.static(
-        path,
-        rr.Points2D.from_fields(
-            positions=topomap.xy,
+        (*MAP, "junctions"),
+        rr.Points2D(
+            topomap.xy,
             radii=_dot(topomap) * pen_m([topomap]),
+            colors=palette.by_degree(topomap.degree),
             labels=[str(i) for i in range(n)],
             show_labels=n <= MOST_NUMBERED,
             draw_order=palette.Order.JUNCTION,
@@ -154,8 +143,6 @@ def _junctions(
             **sizes,
         ),
     )
-    colours = palette.by_degree(topomap.degree)
-    light_up(recording.over_time, path, rr.Points2D, known.vertex_ns, colours, begin=begin_ns)
 
 
 def _dot(topomap: TopoMap) -> FloatArray:
@@ -163,9 +150,7 @@ def _dot(topomap: TopoMap) -> FloatArray:
     return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
 
-def _closures(
-    recording: Recording, topomap: TopoMap, asked: Sequence[Question], begin_ns: int | None
-) -> None:
+def _closures(recording: Recording, topomap: TopoMap, asked: Sequence[Question]) -> None:
     """Write every closure as a line of its own: an accepted one as a ring round its junction, the
     first one innermost; a refused one between the two junctions."""
     groups: dict[str, list[tuple[Question, FloatArray]]] = {"accepted": [], "refused": []}
@@ -184,15 +169,8 @@ def _closures(
             name = "accepted" if question.closure.accepted else "refused"
             groups[name].append((question, topomap.xy[[u, v]]))
     for name, colour in (("accepted", palette.CLOSED), ("refused", palette.REFUSED)):
-        drawn = groups[name]
-        if drawn:
-            path = (*MAP, "closures", name)
-            _closure_lines(recording, path, topomap, drawn)
-            when = np.array([q.closure.time_b_ns for q, _ in drawn], np.int64)
-            hidden = palette.BACKGROUND
-            light_up(
-                recording.over_time, path, rr.LineStrips2D, when, colour, begin=begin_ns, dim=hidden
-            )
+        if drawn := groups[name]:
+            _closure_lines(recording, (*MAP, "closures", name), topomap, drawn, colour)
 
 
 def _closure_lines(
@@ -200,12 +178,16 @@ def _closure_lines(
     path: PathParts,
     topomap: TopoMap,
     drawn: Sequence[tuple[Question, FloatArray]],
+    colour: palette.Colour,
 ) -> None:
     ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
     recording.static(
         path,
-        rr.LineStrips2D.from_fields(
-            strips=[line for _, line in drawn], radii=HAIR, draw_order=palette.Order.CLOSURE
+        rr.LineStrips2D(
+            [line for _, line in drawn],
+            radii=HAIR,
+            colors=colour,
+            draw_order=palette.Order.CLOSURE,
         ),
         rr.AnyValues(
             closure=[q.told for q, _ in drawn],
@@ -216,31 +198,21 @@ def _closure_lines(
     )
 
 
-def _visits(
+def _events(
     recording: Recording,
     topomap: TopoMap,
-    known: History,
     asked: Sequence[Question],
     odometry: Odometry | None,
 ) -> None:
-    """Write over time the junction passed last, and a log of passes, closures, and what is wrong
-    with the odometry."""
+    """Write a log of passes, closures, and what is wrong with the odometry."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex
     if len(time_ns) == 0:
         return
-    ring = rr.Points2D.columns(
-        positions=topomap.xy[vertex], radii=np.full(len(vertex), 3.4 * pen_m([topomap]))
-    )
-    recording.over_time((*MAP, "last junction"), time_ns, ring)
-    recording.static(
-        (*MAP, "last junction"),
-        rr.Points2D.from_fields(colors=palette.TRAIL, draw_order=palette.Order.RING),
-    )
     kinds = [topomap.kind[v].replace("_", " ") for v in vertex.tolist()]
     log = [
         (t, "INFO", f"{kind} {v}, visit {visit}")
         for t, kind, v, visit in zip(
-            time_ns.tolist(), kinds, vertex.tolist(), known.visit.tolist(), strict=True
+            time_ns.tolist(), kinds, vertex.tolist(), visits(topomap).tolist(), strict=True
         )
     ]
     log += [(q.closure.time_b_ns, "INFO" if q.closure.accepted else "WARN", q.told) for q in asked]
@@ -301,9 +273,7 @@ BRANCH_M = 0.8
 """Length of a drawn branch."""
 
 
-def _detections(
-    recording: Recording, root: PathParts, detections: Detections, track: RobotTrack
-) -> None:
+def _detections(recording: Recording, detections: Detections, track: RobotTrack) -> None:
     """Write every detection as a dot, and over time its branches as a star, at the poses of the
     corrected track. Detections outside of the track's time range are left out."""
     time_ns = detections.time_ns
@@ -315,7 +285,7 @@ def _detections(
     ahead = np.column_stack([detections.centre[rows], np.zeros(len(rows))])
     centre = compose(pose, ahead)[:, :2]
     recording.static(
-        (*root, "detections"),
+        (*MAP, "detections"),
         rr.Points2D(
             centre,
             radii=rr.Radius.ui_points(1.0),
@@ -331,8 +301,46 @@ def _detections(
     if not seen.any():
         return
     columns = rr.LineStrips2D.columns(strips=list(strips)).partition(branches.counts[seen])
-    recording.over_time((*root, "detection"), time_ns[rows][seen], columns)
+    recording.over_time((*MAP, "detection"), time_ns[rows][seen], columns)
     look = rr.LineStrips2D.from_fields(
         radii=rr.Radius.ui_points(1.5), colors=palette.DETECTION, draw_order=palette.Order.SEEN
     )
-    recording.static((*root, "detection"), look)
+    recording.static((*MAP, "detection"), look)
+
+
+SURE = 5.5 / 7
+"""Confidence above which a junction is drawn as sure: six of the detector's seven variants
+agree."""
+
+
+def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: RobotTrack) -> None:
+    """Write the walls and the free space of the map's views, and the junctions of a run's scans,
+    placed on the map by the track."""
+    walls = walls_of([topomap.views], topomap.frame)
+    if walls is not None:
+        write_grid(recording, (*MAP, "scans", "walls"), walls)
+    if len(passes) == 0:
+        return
+    sure = (passes.confidence > SURE)[:, None]
+    dots = rr.Points2D(
+        apply(track.at(passes.time_ns), passes.centre),
+        radii=rr.Radius.ui_points(2.5),
+        colors=np.where(sure, palette.DETECTION, palette.DOUBTFUL).astype(np.uint8),
+        draw_order=palette.Order.TIE,
+    )
+    told = rr.AnyValues(
+        seen=np.arange(len(passes)),
+        confidence=passes.confidence,
+        branches=passes.branches.counts,
+        windows=passes.windows,
+        clearance_m=passes.clearance_m,
+    )
+    recording.static((*MAP, "scans", "junctions"), dots, told)
+
+
+def _correction(topomap: TopoMap, name: str) -> float:
+    """What the map was corrected by, by its name in `graph.calibration`; 0 if it was not."""
+    told = topomap.info.get("calibration")
+    error = told.get(name) if isinstance(told, Mapping) else None
+    applied = error.get("applied") if isinstance(error, Mapping) else None
+    return float(applied) if isinstance(applied, (int, float)) else 0.0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,14 +10,12 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.decision_text import short
-from ..topology.arrays import FloatArray, IntArray
-from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from . import palette
-from .drawing import SHEET_MARGIN, bounds, extent, pen_m
+from .drawing import SHEET_MARGIN, bounds
 from .placements import Spot
-from .recording import HAIR, UP, PathParts, Recording, map_view, placed, strips
-from .sheet import ASPECT, Cell, arrange, corners_of, outline, sheet_margin_m, upright_rad
+from .recording import HAIR, PathParts, Recording, map_view, strips
+from .sheet import ASPECT, Cell, corners_of, outline
 
 TITLE_LETTERS, SHORTEST_TITLE = 150, 5
 """Letters across a view of typical width; titles with room for fewer than SHORTEST_TITLE are left
@@ -27,7 +24,7 @@ out."""
 
 def sheet_view(root: str, name: str, cells: Sequence[Cell]) -> rrb.Spatial2DView:
     """A view of everything below `/root`, which is laid out in these cells."""
-    return map_view(root, name, *bounds([corners_of(cells)], margin=SHEET_MARGIN))
+    return map_view([root], name, *bounds([corners_of(cells)], margin=SHEET_MARGIN))
 
 
 def write_words(
@@ -44,19 +41,6 @@ def write_words(
         places, radii=0.0, colors=colours, labels=words, show_labels=True, draw_order=order
     )
     recording.static(path, shown)
-
-
-def write_rings(
-    recording: Recording,
-    path: PathParts,
-    xy: FloatArray,
-    radius_m: float,
-    order: palette.Order = palette.Order.EVIDENCE,
-) -> None:
-    """Write white dots behind the junctions at xy (n, 2), which show as rings."""
-    if len(xy):
-        dots = rr.Points2D(xy, radii=radius_m, colors=palette.WHITE, draw_order=order)
-        recording.static(path, dots)
 
 
 def write_contradictions(
@@ -107,95 +91,37 @@ def _fitting(titles: Sequence[str], cell: Cell, seen_m: float) -> str:
     return short(titles[-1], room) if room >= SHORTEST_TITLE else ""
 
 
-def corridors_told(*maps: TopoMap) -> rr.AnyValues:
-    """The attributes of the corridors of several maps, concatenated."""
-    ends = [pair for m in maps for pair in zip(m.source.tolist(), m.target.tolist(), strict=True)]
+def corridors_told(m: TopoMap) -> rr.AnyValues:
+    """The attributes of the corridors of a map."""
     return rr.AnyValues(
-        corridor=np.concatenate([np.arange(len(m.source)) for m in maps]),
-        between=[f"{u} - {v}" for u, v in ends],
-        length_m=np.concatenate([m.length for m in maps]),
-        length_sigma_m=np.concatenate([m.length_sigma for m in maps]),
-        traversals=np.concatenate([m.traversals for m in maps]),
+        corridor=np.arange(len(m.source)),
+        between=[f"{u} - {v}" for u, v in zip(m.source.tolist(), m.target.tolist(), strict=True)],
+        length_m=m.length,
+        length_sigma_m=m.length_sigma,
+        traversals=m.traversals,
     )
 
 
-def write_own_maps(
-    recording: Recording,
-    paths: Sequence[PathParts],
-    maps: Sequence[TopoMap],
-    colours: Sequence[palette.Colour],
-    pen: float,
+def write_own_map(
+    recording: Recording, path: PathParts, m: TopoMap, colour: palette.Colour, pen: float
 ) -> None:
-    """Write each run's own map below its entity path, in its own frame and in one colour."""
-    corridors, junctions = [len(m.source) for m in maps], [len(m) for m in maps]
-    tint = np.array(colours, np.uint8).reshape(-1, 3)
-    if any(corridors):
+    """Write a run's own map below its entity path, in its own frame and in one colour."""
+    if len(m.source):
         lines = rr.LineStrips2D.from_fields(
-            strips=strips([path for m in maps for path in m.paths]),
+            strips=strips(m.paths),
             radii=0.4 * pen,
+            colors=colour,
             draw_order=palette.Order.CORRIDOR,
         )
-        recording.static_each(
-            [(*path, "corridors") for path in paths],
-            corridors,
-            lines,
-            corridors_told(*maps),
-            once=rr.LineStrips2D.from_fields(colors=tint),
-        )
-    if any(junctions):
-        vertices = [v for count in junctions for v in range(count)]
-        points = rr.Points2D.from_fields(
-            positions=np.concatenate([m.xy for m in maps]),
+        recording.static((*path, "corridors"), lines, corridors_told(m))
+    if len(m):
+        points = rr.Points2D(
+            m.xy,
             radii=1.2 * pen,
-            labels=list(map(str, vertices)),
+            colors=colour,
+            labels=[*map(str, range(len(m)))],
             show_labels=False,
             draw_order=palette.Order.JUNCTION,
         )
-        info = rr.AnyValues(
-            vertex=np.array(vertices),
-            kind=[kind for m in maps for kind in m.kind],
-            branches=np.concatenate([m.degree for m in maps]),
-        )
-        recording.static_each(
-            [(*path, "junctions") for path in paths],
-            junctions,
-            points,
-            info,
-            once=rr.Points2D.from_fields(colors=tint),
-        )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LaidOver:
-    """Map b over map a, at T_a_b. titles: forms, longest first; matched: junctions of a; spots:
-    where the two contradict each other."""
-
-    path: PathParts
-    titles: tuple[str, ...]
-    maps: tuple[TopoMap, TopoMap]
-    T_a_b: FloatArray
-    matched: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    spots: Sequence[Spot] = ()
-
-
-def write_laid_over(recording: Recording, root: str, laid: Sequence[LaidOver]) -> list[Cell]:
-    """Write maps over maps in two colours, side by side; returns their cells."""
-    points = [
-        np.concatenate([extent(each.maps[0]), apply(each.T_a_b, extent(each.maps[1]))])
-        for each in laid
-    ]
-    turns = [upright_rad(each.maps[0].paths) for each in laid]
-    cells = arrange(points, turns, sheet_margin_m(points))
-    recording.static((root,), UP)
-    write_cards(recording, root, cells, [each.titles for each in laid])
-    pen = pen_m([m for each in laid for m in each.maps])
-    colours = [palette.of_rank(0), palette.of_rank(1)]
-    for each, cell in zip(laid, cells, strict=True):
-        here, (a, b) = (root, *each.path), each.maps
-        recording.static(here, placed(cell.T_sheet_map))
-        recording.static((*here, "b"), placed(each.T_a_b))
-        paths = [(*here, "a", a.run), (*here, "b", b.run)]
-        write_own_maps(recording, paths, (a, b), colours, pen)
-        write_rings(recording, (*here, "matched"), a.xy[each.matched], 2.2 * pen)
-        write_contradictions(recording, (*here, "contradictions"), each.spots, pen)
-    return cells
+        info = rr.AnyValues(vertex=np.arange(len(m)), kind=list(m.kind), branches=m.degree)
+        recording.static((*path, "junctions"), points, info)

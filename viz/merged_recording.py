@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import rerun.blueprint as rrb
-from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, TimelineColumn
 
 from ..merge.result import MergeResult
 from ..topology.topomap import TopoMap
@@ -14,30 +13,23 @@ from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .fused_layers import (
     FUSED,
-    LEGEND,
     RUNS,
     walls_by_component,
     write_fused_contradictions,
     write_fused_layers,
-    write_legend,
     write_walls,
 )
 from .map_sheet import sheet_view
-from .pair_layers import (
+from .matrix_layer import (
     MATRIX,
-    UNDECIDED,
     matrix_bounds,
     write_matrix,
-    write_undecided,
 )
+from .pages import merge_page
 from .parts import colours_of, lay_out
-from .recording import JOIN, Recording, blueprint, markdown, write_recording
-from .story import STORY, joining_steps, write_story
+from .recording import Recording, blueprint, markdown, write_recording
 from .verdicts import (
-    MOST_PLACEMENTS,
-    merge_summary,
     runs_in_order,
-    undecided,
 )
 from .walls import wall_points
 
@@ -53,30 +45,21 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     by_name = _by_name(result, maps)
     runs = runs_in_order(result)
     colours = colours_of(result)
-    steps = joining_steps(result)
-    pairs = undecided(result)[:MOST_PLACEMENTS]
 
     def fill(recording: Recording) -> rrb.Blueprint:
         walls = walls_by_component(result, by_name)
-        parts = lay_out(result, walls={c: wall_points(grid) for c, grid in walls.items()})
+        parts = lay_out(result, {c: wall_points(grid) for c, grid in walls.items()})
         sheet = [part.cell for part in parts]
-        write_fused_layers(recording, result, by_name, parts, colours=colours, steps=steps)
+        write_fused_layers(recording, result, by_name, parts, colours)
         write_fused_contradictions(recording, result, by_name, parts)
         write_walls(recording, walls, parts)
         views = [
             sheet_view(FUSED, "Map", sheet),
             sheet_view(RUNS, "Runs", sheet),
         ]
-        if pairs:
-            cells = write_undecided(recording, pairs, by_name)
-            views.append(sheet_view(UNDECIDED, "Undecided", cells))
-        side = [sheet_view(LEGEND, "Legend", [c]) for c in write_legend(recording, parts, colours)]
-        if steps:
-            write_story(recording, FUSED, steps, parts, by_name)
         write_matrix(recording, result, runs, colours)
-        recording.static(("summary",), markdown(merge_summary(result)))
-        side += [_matrix_view(runs)] if len(runs) > 1 else []
-        return _blueprint(views, side, told=bool(steps))
+        recording.static(("summary",), markdown(merge_page(result)))
+        return _blueprint(views, [_matrix_view(runs)] if len(runs) > 1 else [])
 
     write_recording(path, RECORDING_ID, fill)
 
@@ -102,23 +85,14 @@ def _matrix_view(runs: list[str]) -> rrb.Spatial2DView:
     )
 
 
-def _blueprint(
-    maps: list[rrb.Spatial2DView], side: list[rrb.Spatial2DView], *, told: bool
-) -> rrb.Blueprint:
-    pages: list[rrb.View] = [rrb.TextDocumentView(origin="/summary", name="Summary")]
-    if told:
-        columns = rrb.TextLogColumns(
-            timeline_columns=[TimelineColumn(JOIN)],
-            text_log_columns=[TextLogColumn(TextLogColumnKind.Body)],
-        )
-        pages.append(rrb.TextLogView(origin=f"/{STORY}", name="Story", columns=columns))
+def _blueprint(maps: list[rrb.Spatial2DView], verdicts: list[rrb.Spatial2DView]) -> rrb.Blueprint:
+    summary = rrb.TextDocumentView(origin="/summary", name="Summary")
     return blueprint(
         rrb.Horizontal(
             rrb.Tabs(*maps, active_tab=0, name="Maps"),
-            rrb.Vertical(rrb.Tabs(*pages, active_tab=0, name="Details"), *side, name="Verdicts"),
+            rrb.Vertical(summary, *verdicts, name="Verdicts"),
             column_shares=[5, 2],
             name="Merged map",
         ),
-        # "following" starts with the cursor at the last step, where the whole map is shown.
-        rrb.TimePanel(state="collapsed", timeline=JOIN, play_state="following", fps=1.0),
+        rrb.TimePanel(state="hidden"),
     )

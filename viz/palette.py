@@ -111,12 +111,6 @@ def of_rank(rank: int) -> Colour:
     return stepped(rank - len(_RUNS), 0.45, 0.95)
 
 
-def dimmed(colour: Colour) -> Colour:
-    """The colour half-way to the background."""
-    red, green, blue = ((x + y) // 2 for x, y in zip(colour, BACKGROUND, strict=True))
-    return red, green, blue
-
-
 def stepped(step: int, saturation: float, value: float) -> Colour:
     """The colour after `step` golden-angle steps in hue."""
     hue = (0.31 + 0.61803398875 * step) % 1.0
@@ -172,20 +166,22 @@ def _hex(colour: Iterable[int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run ("run 0")."""
+    """Colours as #rrggbb: the named ones of _INKS; one for each rank of a run ("run 0"); and that
+    half-way to the paper, for its walls ("pale 0")."""
 
     inks: Mapping[str, str]
     run: Callable[[int], str]
     """The colour of a run by its rank among those drawn together, from 0."""
 
     def __getitem__(self, ink: str) -> str:
-        rank = ink.removeprefix("run ")
-        return self.inks[ink] if rank == ink else self.run(int(rank))
-
-    def pale_run(self, rank: int) -> str:
-        """The colour of a run half-way to that of the paper: of its walls, below its map."""
-        of_run, paper = rgb(self.run(rank)), rgb(self["paper"])
-        return _hex((x + y) // 2 for x, y in zip(of_run, paper, strict=True))
+        if ink in self.inks:
+            return self.inks[ink]
+        kind, rank = ink.split()
+        colour = self.run(int(rank))
+        if kind == "pale":
+            both = zip(rgb(colour), rgb(self["paper"]), strict=True)
+            colour = _hex((x + y) // 2 for x, y in both)
+        return colour
 
 
 def _light_run(rank: int) -> str:

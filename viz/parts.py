@@ -12,20 +12,13 @@ from ..merge.result import Component, MergeResult
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
-from .sheet import ASPECT, MIN_SIDE_M, Cell, arrange, sheet_margin_m, upright_rad
+from .sheet import MIN_SIDE_M, Cell, arrange, upright_rad
 
 NO_WALLS: Mapping[int, FloatArray] = MappingProxyType({})
 
-FEW, FLEET_MARGIN = 12, 0.22
-"""Up to FEW maps the margin is a share of the largest one, above it FLEET_MARGIN of the median
-one."""
-
-TITLE_SHARE = 0.02
-"""Height of a title over the width of a view."""
-
-PAPER_MARGIN, ALONE_MARGIN = 0.18, 0.04
-"""Margin of a cell in a static drawing over the median map's extent: with room for a title, and for
-a single map, which has none."""
+MARGIN, ALONE_MARGIN = 0.18, 0.04
+"""Margin of a cell over the median map's extent: with room for a title, and for a single map, which
+has none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,15 +48,10 @@ class Part:
         return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
 
 
-def lay_out(
-    result: MergeResult,
-    *,
-    for_paper: bool = False,
-    walls: Mapping[int, FloatArray] = NO_WALLS,
-) -> list[Part]:
+def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
     """All components on one sheet, those of most runs first.
 
-    for_paper: with margins by the median map; walls: points (k, 2) of the walls of a component, by
+    walls: points (k, 2) of the walls of a component, by
     its id, that its cell is to hold as well [m].
     """
     fused = result.fused
@@ -76,11 +64,8 @@ def lay_out(
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
-    margin = _fleet_margin_m(points) if len(order) > FEW else sheet_margin_m(points)
-    if for_paper:
-        share = PAPER_MARGIN if len(order) > 1 else ALONE_MARGIN
-        margin = share * _usual_extent(points)
-    cells = arrange(points, turns, margin)
+    share = MARGIN if len(order) > 1 else ALONE_MARGIN
+    cells = arrange(points, turns, share * _usual_extent(points))
     junction = ~fused.is_turned
     places = [int(junction[rows].sum()) for rows in vertices]
     return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
@@ -91,13 +76,6 @@ def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
     order = np.argsort(owner, kind="stable")
     begin, end = (np.searchsorted(owner[order], wanted, side) for side in ("left", "right"))
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
-
-
-def _fleet_margin_m(points: list[FloatArray]) -> float:
-    """A margin by the median map, at least a title's height on a sheet that fills its view."""
-    usual_m = FLEET_MARGIN * _usual_extent(points)
-    area = sum(float(np.prod(np.ptp(p, axis=0) + 2 * usual_m)) for p in points if len(p))
-    return max(usual_m, TITLE_SHARE * float(np.sqrt(ASPECT * area)))
 
 
 def _usual_extent(points: list[FloatArray]) -> float:

@@ -1,26 +1,29 @@
-"""What a picture of a decision shows: the placements of one map on another side by side, and the
-views that speak most for a placement and against it, laid over each other."""
+"""The picture of a decision: the placements of one map on another side by side, and the views that
+speak most for a placement and against it, laid over each other.
+
+It is a list of marks, which `draw` writes on paper and `decision_recording` into a recording.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from ..merge.decision import Decision, Placement, Term
-from ..merge.decision_text import itemised, listed, other_name
+from ..merge.decision_text import digits_of, itemised, listed, other_name
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
-from ..topology.matching.views import AGREES, CONTRADICTS, SILENT, Compared
-from ..topology.se2 import apply, compose, inverse, turned
+from ..topology.matching.views import AGREES, CONTRADICTS, SILENT
+from ..topology.se2 import apply, compose, turned
 from ..topology.topomap import TopoMap
-from ..topology.views import REACH_M
+from ..topology.views import CELL_M, REACH_M
 from ..topology.wording import counted
 from .drawing import MOST_NUMBERED, extent
 from .palette import Order
-from .sheet import upright_rad
+from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 
 APART, ASIDE = 0.15, 0.2
 """The vertical gap between two maps drawn apart, and their horizontal offset, so that connecting
@@ -39,7 +42,7 @@ class Picture:
     tied: bool
 
 
-def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
+def _placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
     """The pictures of a decision: the verdict's placement, the same with the maps drawn apart, and
     the next best placement. An undecided pair has no picture with the maps apart; a pair joined
     through other runs starts with the placement that follows from those. Where nothing fits, the
@@ -60,29 +63,24 @@ def placements(a: TopoMap, b: TopoMap, decision: Decision) -> list[Picture]:
             count = len(placement.alignment.matched)
             title = f"the {counted(count, 'matched junction')} tied"
             out.append(Picture("tied", title, placement, _apart(a, b, T), tied=True))
-    return out or [Picture("maps", "no placement", None, _below(a, b), tied=False)]
+    if out:
+        return out
+    turn = upright_rad(a.paths) - upright_rad(b.paths)
+    apart = _apart(a, b, np.array([0.0, 0.0, -turn]))
+    return [Picture("maps", "no placement", None, apart, tied=False)]
 
 
 def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     """T_a_b translated so that b lies below a where a is drawn upright."""
     turn = upright_rad(a.paths)
     upright = np.array([0.0, 0.0, turn])
-    of_a, of_b = apply(upright, a.xy), apply(compose(upright, T_a_b), b.xy)
+    origin = np.zeros((1, 2))  # of maps without junctions
+    of_a = apply(upright, extent(a) if len(a) else origin)
+    of_b = apply(compose(upright, T_a_b), extent(b) if len(b) else origin)
     reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
     drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * reach
     away = np.array([ASIDE * reach, drop, 0.0])
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
-
-
-def _below(a: TopoMap, b: TopoMap) -> FloatArray:
-    """A pose of b below a, both upright where a is."""
-    upright = [np.array([0.0, 0.0, upright_rad(m.paths)]) for m in (a, b)]
-    drawn = [extent(m) if len(m) else np.zeros((1, 2)) for m in (a, b)]
-    of_a, of_b = map(apply, upright, drawn)
-    gap = APART * max(float(np.ptp(of_a, axis=0).max()), float(np.ptp(of_b, axis=0).max()), 4.0)
-    low, high = of_a.min(axis=0), of_b.max(axis=0)
-    away = np.array([low[0] - of_b[:, 0].min(), low[1] - high[1] - gap, 0.0])
-    return compose(inverse(upright[0]), compose(away, upright[1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,110 +109,159 @@ def contradiction_spots(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mark:
-    """Lines, rings or numbers on a picture of a placement, in the frame of a.
+    """Lines, dots, rings, numbers, or cells of walls.
 
-    name: of its entity; xy: (n, 2, 2) ends of lines, or (n, 2) points [m]; ink: of `Theme`, of
-    each; told: of each what is said of it, or the number; info: columns for queries; pens: widths
-    of lines, over that of a map's.
+    name: of its entity; xy: polylines (k, 2), or points (2,) [m]; ink: of `Theme`; told: what is
+    said of each, or of all together if there is one text; pens: widths of lines, over that of a
+    map's, or of cells [m].
     """
 
     name: tuple[str, ...]
-    form: Literal["line", "ring", "number"]
-    xy: FloatArray
-    ink: Sequence[str]
-    told: Sequence[str]
+    form: Literal["line", "dot", "ring", "number", "cell"]
+    xy: Sequence[FloatArray]
+    ink: str
     order: Order
-    info: Mapping[str, Any] = field(default_factory=dict)
-    pens: FloatArray = field(default_factory=lambda: np.ones(1))
+    told: Sequence[str] = ()
+    pens: float | FloatArray = 1.0
+
+    def moved(self, root: tuple[str, ...], T: FloatArray) -> Mark:
+        """The mark moved by T, its entity below `root`."""
+        xy = [apply(T, each.reshape(-1, 2)).reshape(each.shape) for each in self.xy]
+        return replace(self, name=(*root, *self.name), xy=xy)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DecisionPicture:
+    """Cells with their titles, and the marks in them. laid: for each placement the poses of a and
+    of b on the sheet."""
+
+    cells: list[Cell]
+    titles: list[str]
+    marks: list[Mark]
+    laid: list[tuple[FloatArray, FloatArray]]
+
+
+PLACEMENTS, VIEWS = "placements", "views"
+"""Entity roots."""
+
+VIEW_SHARE = 0.6
+"""Least width of a picture of views over that of a placement: of large buildings views are drawn
+larger than their maps."""
+
+FILLED = 0.85
+"""Share of a cell that views take, below its title."""
+
+_CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+"""(4, 2) corners of a view, about its place [m]."""
+
+NO_POINTS = np.zeros((0, 2))
+
+
+def decision_picture(
+    a: TopoMap,
+    b: TopoMap,
+    decision: Decision,
+    walls: tuple[FloatArray, FloatArray] = (NO_POINTS, NO_POINTS),
+) -> DecisionPicture:
+    """The picture of a decision on two maps. walls: further points (k, 2) of a and of b, in their
+    frames, that have to lie in it."""
+    drawn = _placements(a, b, decision)
+    views = [t for p in decision.placements[:1] for t in p.of("views") if t.seen is not None]
+    views.sort(key=lambda t: -t.bits)
+    of_a, of_b = (np.concatenate([extent(m), own]) for m, own in zip((a, b), walls, strict=True))
+    points = [np.concatenate([of_a, apply(p.T_a_b, of_b)]) for p in drawn]
+    turn = upright_rad(a.paths)
+    wide = min((float(np.ptp(p, axis=0).max()) for p in points if len(p)), default=0.0)
+    square = turned(_CORNERS * max(VIEW_SHARE * wide / (2 * REACH_M), 1.0), -turn)
+    shown = [*points, *(square for _ in views)]
+    cells = arrange(shown, [turn] * len(shown), sheet_margin_m(points))
+    titles, marks = [p.title for p in drawn], []
+    for p, cell in zip(drawn, cells, strict=False):
+        own = [*_maps(p, a, b), *_evidence(p, a, b, digits_of(decision))]
+        marks += [mark.moved((PLACEMENTS, p.name), cell.T_sheet_map) for mark in own]
+    for term, cell in zip(views, cells[len(drawn) :], strict=True):
+        name = "for" if term.bits > 0 else "against"
+        titles.append(f"views {name} it: {term.bits:+.1f} bits")
+        marks += _seen(term, name, cell, turn)
+    laid = [
+        (cell.T_sheet_map, compose(cell.T_sheet_map, p.T_a_b))
+        for p, cell in zip(drawn, cells, strict=False)
+    ]
+    return DecisionPicture(cells, titles, marks, laid)
+
+
+def _maps(picture: Picture, a: TopoMap, b: TopoMap) -> Iterator[Mark]:
+    """Both maps, in the frame of a."""
+    for k, (m, T) in enumerate(((a, np.zeros(3)), (b, picture.T_a_b))):
+        own, ink = ("ab"[k], m.run), f"run {k}"
+        paths = [apply(T, path) for path in m.paths]
+        yield Mark((*own, "corridors"), "line", paths, ink, Order.CORRIDOR, [m.run])
+        if len(m):
+            yield Mark((*own, "junctions"), "dot", [*apply(T, m.xy)], ink, Order.JUNCTION)
 
 
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
 
 
-def marks(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator[Mark]:
-    """What a picture shows besides the two maps: matched junctions with a line between each two and
-    their numbers, of b only where it is drawn apart; links between junctions of a, with b apart
-    also of b; contradictions. digits: decimals of bits."""
+def _evidence(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator[Mark]:
+    """What a picture shows besides the two maps, in the frame of a: matched junctions with a line
+    between each two and their numbers, of b only where it is drawn apart; links between junctions
+    of a, with b apart also of b; contradictions. digits: decimals of bits."""
     placement = picture.placement
     if placement is None:
         return
     at = (a.xy, apply(picture.T_a_b, b.xy))
     pairs = placement.alignment.matched
     ends = [at[k][pairs[:, k]] for k in (0, 1)]
-    n, sides = len(pairs), ((0, "a"), (1, "b"))
-    if n:
+    sides = ((0, "a"), (1, "b"))
+    if len(pairs):
         same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
-        info = {"junction_of_a": pairs[:, 0].tolist(), "junction_of_b": pairs[:, 1].tolist()}
-        tied = np.stack(ends, axis=1)
-        half = np.full(n, 0.5)
-        yield Mark(("ties",), "line", tied, ["ink"] * n, same, Order.TIE, info, half)
+        tied = [*np.stack(ends, axis=1)]
+        yield Mark(("ties",), "line", tied, "ink", Order.TIE, same, 0.5)
         for k, side in sides:
-            yield Mark(("matched", side), "ring", ends[k], ["ink"] * n, same, Order.RING)
-        for k, side in sides[: 1 + picture.tied] if n <= MOST_NUMBERED else ():
+            yield Mark(("matched", side), "ring", [*ends[k]], "ink", Order.RING, same)
+        for k, side in sides[: 1 + picture.tied] if len(pairs) <= MOST_NUMBERED else ():
             told = [str(v) for v in pairs[:, k].tolist()]
-            yield Mark(("numbers", side), "number", ends[k], [f"run {k}"] * n, told, Order.WORDS)
+            yield Mark(("numbers", side), "number", [*ends[k]], f"run {k}", Order.WORDS, told)
     links = itemised(placement, "corridor")
     for k, side in sides[: 1 + picture.tied]:
-        shown = [t for t in links if len((t.a, t.b)[k]) == 2]
-        if shown:
-            bits = np.array([t.bits for t in shown])
-            yield Mark(
-                ("links", side),
-                "line",
-                at[k][np.array([(t.a, t.b)[k] for t in shown])],
-                ["agrees" if t.bits >= 0 else "against" for t in shown],
-                [_bits_told(t, digits) for t in shown],
-                Order.EVIDENCE,
-                {"bits": bits.tolist(), "what": [t.text for t in shown]},
-                1.2 + 1.8 * np.minimum(np.abs(bits) / FULL_BITS, 1.0),
-            )
+        for ink in ("agrees", "against"):
+            shown = [
+                t for t in links if len((t.a, t.b)[k]) == 2 and (t.bits >= 0) == (ink == "agrees")
+            ]
+            if shown:
+                xy = [at[k][list((t.a, t.b)[k])] for t in shown]
+                told = [_bits_told(t, digits) for t in shown]
+                bits = np.abs([t.bits for t in shown])
+                pens = 1.2 + 1.8 * np.minimum(bits / FULL_BITS, 1.0)
+                yield Mark(("links", side, ink), "line", xy, ink, Order.EVIDENCE, told, pens)
     terms = [t for t in itemised(placement, "unseen") if t.a or t.b]
     spots = contradiction_spots(((_bits_told(t, digits), (t.a, t.b)) for t in terms), *at)
     if spots:
-        told = [spot.told for spot in spots]
-        where = np.array([spot.xy for spot in spots])
-        ink, info = ["against"] * len(spots), {"contradiction": told}
-        yield Mark(("contradictions",), "ring", where, ink, told, Order.CONTRADICTION, info)
+        told, where = [spot.told for spot in spots], [spot.xy for spot in spots]
+        yield Mark(("contradictions",), "ring", where, "against", Order.CONTRADICTION, told)
 
 
 def _bits_told(term: Term, digits: int) -> str:
     return f"{term.bits:+.{digits}f} bits: {term.text}"
 
 
-CORNERS = REACH_M * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-"""(4, 2) corners of a picture, about the place of the first view [m]."""
-
 WIDTHS = (1.0, 0.5)
 """Widths of the walls of a and of b, over that of a cell: where both lie, both show."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Overlay:
-    """A picture: its name, its title, and its walls."""
-
-    name: str
-    title: str
-    seen: Compared
-
-    def layers(self, turn_rad: float) -> Iterator[tuple[int, int, FloatArray]]:
-        """Of which run (0 or 1), of which kind, and the middles of the cells (k, 2) about the place
-        of the first view, turned; what contradicts last."""
-        xy = turned(self.seen.xy, turn_rad)
-        for kind in (SILENT, AGREES, CONTRADICTS):
-            for run in (0, 1):
-                own = (self.seen.kind == kind) & (self.seen.of_second == (run == 1))
-                if own.any():
-                    yield run, kind, xy[own]
-
-
-def overlays(decision: Decision) -> list[Overlay]:
-    """The pictures of the first placement of a decision: what speaks for it, then against it."""
-    shown = [t for p in decision.placements[:1] for t in p.of("views") if t.seen is not None]
-    out = []
-    for term in sorted(shown, key=lambda t: -t.bits):
-        name = "for" if term.bits > 0 else "against"
-        title = f"views {name} it: {term.bits:+.1f} bits"
-        if term.seen is not None:
-            out.append(Overlay(name, title, term.seen))
-    return out
+def _seen(term: Term, name: str, cell: Cell, turn_rad: float) -> Iterator[Mark]:
+    """Two views over each other in a cell; what contradicts last."""
+    assert term.seen is not None
+    scale = FILLED * float((cell.high - cell.low).min()) / (2 * REACH_M)
+    xy = (cell.low + cell.high) / 2 + scale * turned(term.seen.xy, turn_rad)
+    for kind, told in ((SILENT, "silent"), (AGREES, "agrees"), (CONTRADICTS, "contradicts")):
+        for run in (0, 1):
+            own = (term.seen.kind == kind) & (term.seen.of_second == (run == 1))
+            if own.any():
+                ink = {SILENT: f"pale {run}", AGREES: f"run {run}"}.get(kind, "against")
+                side = WIDTHS[run] * CELL_M * scale
+                yield Mark(
+                    (VIEWS, name, "ab"[run], told), "cell", [*xy[own]], ink, Order.WALL, (), side
+                )

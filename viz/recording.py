@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +15,12 @@ import rerun_bindings
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.files import write_atomically
-from .palette import BACKGROUND, UNLIT, Colour, Colours
+from .palette import BACKGROUND
 
 APPLICATION_ID = "topobatch"
 
 CLOCKS = ("message_log_time", "ros2_timestamp")
 """Timelines of a raw log as rerun names them: the map uses the same, to share the cursor."""
-
-JOIN = "join"
-"""Timeline of a merge: one step for each join of two groups of runs."""
 
 UP = rr.Transform3D(mat3x3=[[1, 0, 0], [0, -1, 0], [0, 0, 1]])
 """Mirrors y: it points down in the viewer's 2D views."""
@@ -34,21 +29,6 @@ HAIR = rr.Radius.ui_points(0.75)
 """The thinnest line that is visible on every screen [points]."""
 
 PathParts = tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Slice:
-    """Rows of an Arrow array, to be logged to one entity."""
-
-    array: pa.Array
-
-    def as_arrow_array(self) -> pa.Array:
-        return self.array
-
-
-def _arrays(*parts: rr.AsComponents) -> list[tuple[rr.ComponentDescriptor, pa.Array]]:
-    batches = (batch for part in parts for batch in part.as_component_batches())
-    return [(batch.component_descriptor(), batch.as_arrow_array()) for batch in batches]
 
 
 class Recording:
@@ -68,79 +48,11 @@ class Recording:
         first, *more = parts
         self._stream.log(entity(path), first, *more, static=True)
 
-    def static_each(
-        self,
-        paths: Sequence[PathParts],
-        counts: Sequence[int],
-        *parts: rr.AsComponents,
-        once: rr.AsComponents | None = None,
-    ) -> None:
-        """Log components without a time to several entities; those with a count of 0 are skipped.
-
-        `parts` hold the elements of all entities concatenated, counts[k] of them for paths[k]:
-        building them at once takes half the time. Components of one element hold for every entity;
-        `once` has one element for each entity.
-        """
-        things, single = _arrays(*parts), _arrays(*([] if once is None else [once]))
-        stops = np.cumsum([0, *counts]).tolist()
-        ends, total = pairwise(stops), stops[-1]
-        for k, (path, (start, stop)) in enumerate(zip(paths, ends, strict=True)):
-            if stop > start:
-                own = [
-                    (told, array[start:stop] if len(array) == total else array)
-                    for told, array in things
-                ]
-                own += [(told, array[k : k + 1]) for told, array in single]
-                batches = [rr.DescribedComponentBatch(_Slice(part), told) for told, part in own]
-                self._stream.log(entity(path), batches, static=True)
-
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row for each time, on the timelines CLOCKS."""
         stamps = np.asarray(time_ns, np.int64).astype("datetime64[ns]")
-        self._send(path, [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS], columns)
-
-    def over_steps(self, path: PathParts, steps: IntArray, columns: Iterable[Any]) -> None:
-        """Log one row for each step of a merge, on the timeline JOIN."""
-        self._send(path, [rr.TimeColumn(JOIN, sequence=steps)], columns)
-
-    def _send(self, path: PathParts, times: list[rr.TimeColumn], columns: Iterable[Any]) -> None:
+        times = [rr.TimeColumn(clock, timestamp=stamps) for clock in CLOCKS]
         self._stream.send_columns(entity(path), times, columns)
-
-
-MOST_CELLS = 400_000
-"""Limit on logged colours (4 bytes each) of one entity; above it, changes are grouped in time."""
-
-
-def light_up(
-    send: Callable[[PathParts, IntArray, Iterable[Any]], None],
-    path: PathParts,
-    archetype: Any,
-    when: IntArray,
-    colours: Colours | Colour,
-    *,
-    begin: int | None = None,
-    now: Colour | None = None,
-    dim: Colour = UNLIT,
-) -> None:
-    """Log the colours of an entity of n elements over time: `dim` before when (n,), from then on
-    `colours`, one each or one for all.
-
-    send: `over_time` or `over_steps` of a recording; begin: time of the first row, if earlier; now:
-    colour of the elements whose step is the current one. All elements are in one entity with one
-    row for each change, so that an element's index is the same at any time.
-    """
-    times = np.unique(np.concatenate([when, when + 1] if now is not None else [when]))
-    most = max(MOST_CELLS // max(len(when), 1), 2)
-    if len(times) > most:
-        times = times[np.unique(np.linspace(0, len(times) - 1, most).round().astype(np.int64))]
-    if begin is not None and begin < times[0]:
-        times = np.concatenate([[begin], times])
-    lit = (when[None, :] <= times[:, None])[:, :, None]
-    rows = np.where(lit, np.asarray(colours, np.uint8), np.asarray(dim, np.uint8))
-    if now is not None:
-        rows[times[:, None] == when[None, :]] = now
-    columns = archetype.columns(colors=rows.reshape(-1, 3))
-    send(path, times, columns.partition([len(when)] * len(times)))
 
 
 def entity(path: PathParts) -> str:
@@ -213,7 +125,7 @@ def placed(T_parent_child: FloatArray) -> rr.Transform3D:
 
 def strips(lines: Sequence[FloatArray]) -> Any:
     """Polylines, (k, 2) each, as one Arrow array: rerun would convert them one by one."""
-    points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2)), *lines]))
+    points = rr.components.Position2DBatch(np.concatenate(lines))
     stops = pa.array(np.cumsum([0, *map(len, lines)]), pa.int32())
     kind = rr.components.LineStrip2DBatch([]).as_arrow_array().type
     return pa.ListArray.from_arrays(stops, points.as_arrow_array(), type=kind)
@@ -231,13 +143,13 @@ def screen(lines: Iterable[str]) -> rr.TextDocument:
 
 
 def map_view(
-    root: str, name: str, low: FloatArray, high: FloatArray, overrides: Any = None
+    roots: Sequence[str], name: str, low: FloatArray, high: FloatArray, overrides: Any = None
 ) -> rrb.Spatial2DView:
-    """A 2D view of everything below `/root`, which is mirrored by UP. low, high: corners of its
-    bounds [m]."""
+    """A 2D view of everything below `/root` for each root, which is mirrored by UP. low, high:
+    corners of its bounds [m]."""
     return rrb.Spatial2DView(
         origin="/",
-        contents=f"/{root}/**",
+        contents=[f"/{root}/**" for root in roots],
         name=name,
         background=BACKGROUND,
         # The view's y points down, the map's up.

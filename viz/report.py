@@ -28,7 +28,7 @@ from ..merge.result import Component, MergeResult, Standing, shown_bits, site_vi
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
-from .map_summary import minutes
+from .pages import minutes
 from .palette import LIGHT
 from .parts import ranks
 from .report_maps import INK, SiteLayers, blank_figure, described_change, site_map
@@ -108,7 +108,6 @@ def report_page(report: Report) -> str:
         runs=runs,
         time_rows=rows,
         health=_health(report, runs),
-        settings=_settings(report),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),
         items={name: _json(item) for name, item in items.items()},
@@ -379,24 +378,3 @@ def _measured(m: TopoMap) -> list[str]:
         f"{100 * noise.branch_fault_rate:.1f} %",
         str(len(jumps)) if isinstance(jumps, Sequence) else "0",
     ]
-
-
-def _settings(report: Report) -> list[tuple[str, str]]:
-    """Titles and JSON of the settings of the merge, and of the ingest of runs that share some."""
-    out = []
-    if report.result is not None:
-        method = report.result.info.get("method", "unknown")
-        out.append((f"Merge: method {method}", report.result.info.get("settings") or {}))
-    by: dict[str, list[str]] = {}
-    for run, m in sorted(report.maps.items()):
-        settings = json.dumps(m.info.get("settings") or {}, sort_keys=True)
-        by.setdefault(settings, []).append(run)
-    for settings, named in sorted(by.items(), key=lambda entry: (-len(entry[1]), entry[1])):
-        who = "every run" if len(by) == 1 else listed(named, 6)
-        out.append((f"Ingest of {who}", json.loads(settings)))
-    return [(title, _shown(settings)) for title, settings in out]
-
-
-def _shown(settings: object) -> str:
-    lines = json.dumps(settings, indent=1, sort_keys=True, ensure_ascii=False).split("\n")
-    return "\n".join(map(legible, lines))

@@ -33,9 +33,9 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, legible, listed
 from .drawing import TURNED, bounds, strands
-from .history import history, questions
 from .palette import LIGHT
 from .parts import ranks, rows_of
+from .questions import questions
 from .sheet import upright_rad
 from .walls import wall_points, walls_of
 
@@ -248,7 +248,7 @@ class _Site:
         again: Counter[int] = Counter()
         apart: list[tuple[FloatArray, str]] = []
         for run, m in sorted(maps.items()):
-            for asked in questions(m, history(m).visit):
+            for asked in questions(m):
                 if None in asked.rows:
                     continue
                 at = [int(m.observation_vertex[k]) for k in asked.rows if k is not None]

@@ -1,23 +1,17 @@
-"""A merge's verdicts on all pairs of runs as a matrix, and a summary of a merge."""
+"""A merge's verdicts on all pairs of runs as a matrix."""
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
-from ..topology.wording import counted, listed, to_turning_points
-from .map_summary import bulleted, plain, several
+from ..merge.result import MergeResult, PairVerdict, Standing
 
 DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
 """Class of each standing in the verdict matrix."""
-
-MOST_PLACEMENTS = 12
-"""Undecided pairs that are drawn, strongest evidence first: with more, their names have no room."""
 
 
 def runs_in_order(result: MergeResult) -> list[str]:
@@ -40,85 +34,6 @@ def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8
             i, j = row[pair.a], row[pair.b]
             matrix[i, j] = matrix[j, i] = CLASS[pair.standing]
     return matrix
-
-
-LEGEND = """\
-## How to read it
-
-**Map**: every corridor is a ribbon with one strand for each run that drove it; junctions seen by
-several runs are white, others grey. The names are in *Legend*. Drag the *join* time line: runs
-light up in the order in which they were joined. A white line ties the two runs that the step
-rests on; *Story* tells why. **Red** dots: where joined runs contradict each other. Under the map:
-what the lasers of all runs saw, walls **slate**, free space a little brighter than what is not
-known. Short strokes: branches that nobody drove. **Runs**: each run's own map, laid into its
-component. **Undecided**: pairs that the evidence does not decide, those with most of it first, with
-both placements: the first run **blue**, the second **orange**; matched junctions in white,
-contradictions in red.
-
-**Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
-other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
-unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits,
-the reason and what would settle it.
-
-Point at anything for what is known about it, or select it and open the panels at the top right;
-the left one shows and hides runs."""
-
-
-def merge_summary(result: MergeResult) -> str:
-    """A Markdown page: counts, legend, components, warnings."""
-    count = result.standings()
-    fused = result.fused
-    corridors_m, ways_m = fused.lengths_m
-    shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
-    runs = sum(len(c.poses) for c in result.components)
-    out, others = count[Standing.KEPT_OUT], count[Standing.JOINED]
-    kept_out = f", **{out:,}** kept out" if out else ""
-    joined = f"**{others:,}** joined through others, " if others else ""
-    rows = [
-        f"{several(runs, 'run')} of {several(len(result.components), 'site')}",
-        f"{several(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
-        f"{several(fused.corridors, 'corridor')}, {corridors_m:,.0f} m"
-        f"{to_turning_points(fused.turned, ways_m)}",
-        f"pairs of runs: **{count[Standing.MERGED]:,}** merged, {joined}"
-        f"**{count[Standing.AMBIGUOUS]:,}** ambiguous, "
-        f"**{count[Standing.UNRELATED]:,}** unrelated{kept_out}",
-    ]
-    if "method" in result.info:
-        rows.append(f"method: {plain(result.info['method'])}")
-    if result.threshold_bits is not None:
-        rows.append(f"merging needs **{shown_bits(result.threshold_bits)}** bits")
-    parts = ["# Merged map", bulleted(rows), LEGEND, _components(result), _notes(result)]
-    return "\n\n".join(part for part in parts if part) + "\n"
-
-
-LOCKED = "locked"
-"""Stands beside the evidence of pairs on which a person decided."""
-
-
-def _components(result: MergeResult) -> str:
-    size = Counter(result.fused.component[: result.fused.junctions].tolist())
-    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
-    lines = [
-        f"{plain(c.name)}: {counted(size[c.id], 'junction')} from "
-        + (
-            f"{counted(len(c.poses), 'run')} ({listed([plain(run) for run in sorted(c.poses)])})"
-            if len(c.poses) > 1
-            else plain(*c.poses)
-        )
-        for c in order
-    ]
-    return "## Sites\n\n" + bulleted(lines) if lines else "There are no runs to merge."
-
-
-def _notes(result: MergeResult) -> str:
-    warnings = result.info.get("warnings") or ()
-    return "## Warnings\n\n" + bulleted(plain(w) for w in warnings) if warnings else ""
-
-
-def undecided(result: MergeResult) -> list[PairVerdict]:
-    """Pairs that fit somewhere and were not joined, the strongest first."""
-    open_ = (Standing.AMBIGUOUS, Standing.KEPT_OUT)
-    return strongest(p for p in result.verdicts if p.standing in open_ and p.best is not None)
 
 
 def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:

@@ -157,7 +157,7 @@ def test_a_cluster_that_is_none(topobatch, workspace, monkeypatch):
 
 def test_a_wrong_address_of_a_cluster_is_told_also_if_nothing_needs_it(topobatch, merged):
     pytest.importorskip("distributed")
-    for address in ("nobody", "tcp://nobody", "tcp://127.0.0.1:0", "x://h:1", ""):
+    for address in ("nobody", "tcp://nobody", "x://h:1", ""):
         again = topobatch("merge", "--all", "--cluster", address, "-w", merged)
         assert f"--cluster {address}: " in again.error(2)
 

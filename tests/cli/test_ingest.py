@@ -452,14 +452,3 @@ def test_a_process_that_dies_costs_no_other_log(logs, tmp_path):
     jobs[1] = replace(jobs[1], log=Deadly())
     found = {o.run: o.status for o in outcomes_of(jobs, 2, lambda done: None)}
     assert found == {"mcap": "done", "bag": "failed", "other": "done"}
-
-
-def test_an_ingest_that_fails_leaves_no_workspace(topobatch, tmp_path):
-    junk = tmp_path / "junk.mcap"
-    junk.write_bytes(b"junk")
-    new = tmp_path / "a" / "b"
-    assert topobatch("ingest", junk, "-w", new).code == 1
-    assert not (tmp_path / "a").exists()
-    new.mkdir(parents=True)  # one that was there stays
-    assert topobatch("ingest", junk, "-w", new).code == 1
-    assert new.is_dir()

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from topobatch.cli.options import complete_map, complete_run, complete_site
+from topobatch.cli.options import complete_run
 from topobatch.topology.document import read_map, write_map
 from topobatch.topology.files import read_json
 from topobatch.topology.view_file import views_path
@@ -89,10 +89,6 @@ def test_a_discarded_run_leaves_nothing(topobatch, merged, two_buildings, tmp_pa
     assert topobatch("explain", gone, other, "-w", merged).code == 0
     assert topobatch("export", gone, "-f", "csv", "-w", merged).code == 0
     assert topobatch("export", gone, "-f", "g2o", "-w", merged).code == 0
-    for ending in ("log.rrd", "views.rrd"):
-        path = merged / "cache" / "log" / f"{gone}.{ending}"
-        path.parent.mkdir(exist_ok=True)
-        path.touch()
     done = topobatch("discard", gone, "-w", merged)
     assert done.code == 0, done
     never = tmp_path / "never"
@@ -253,10 +249,6 @@ def test_shells_complete_names_of_runs(merged, monkeypatch):
     context = SimpleNamespace(params={"workspace": merged})
     assert complete_run(context, "") == runs
     assert complete_run(context, runs[0]) == [runs[0]]
-    sites = sorted(c["site"] for c in document(merged)["graph"]["components"])
-    assert complete_map(context, "") == ["merged", *dict.fromkeys([*sites, *runs])]
-    assert complete_site(context, sites[0]) == [sites[0]]
-    assert complete_map(context, runs[0]) == [runs[0]]
     monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(merged))
     assert complete_run(SimpleNamespace(params={}), "") == runs
     assert complete_run(SimpleNamespace(params={"workspace": merged / "none"}), "") == []

@@ -1,9 +1,7 @@
-"""`topobatch view --with-log`: the raw log beside the map of its run."""
+"""`topobatch view`: recordings in the viewer, here or in a browser."""
 
 from __future__ import annotations
 
-import json
-import shutil
 import signal
 import socket
 import subprocess
@@ -11,40 +9,7 @@ import sys
 from urllib.parse import urlsplit
 from urllib.request import urlopen
 
-import pytest
 import rerun as rr
-
-
-@pytest.fixture
-def place(topobatch, logs, tmp_path):
-    for kind in ("mcap", "bag"):
-        topobatch("ingest", logs[kind], "--name", kind, "-w", tmp_path / "ws", "-q")
-    return tmp_path / "ws"
-
-
-def test_the_log_is_opened_beside_the_map(topobatch, place) -> None:
-    done = topobatch("view", "mcap", "--with-log", "-w", place)
-    assert done.code == 0, done
-    for name in ("mcap.views.rrd", "mcap.log.rrd"):
-        raw = place / "cache" / "log" / name
-        assert name in done.out
-        assert raw.is_file()
-
-
-def test_what_the_viewer_cannot_read_is_said(topobatch, place, tmp_path) -> None:
-    assert "MCAP only" in topobatch("view", "bag", "--with-log", "-w", place).error(1)
-    assert "one run" in topobatch("view", "--with-log", "-w", place).error(2)
-    record = place / "cache" / "ingest" / "mcap.json"
-    said = json.loads(record.read_bytes())
-    copied = shutil.copy(said["log"], tmp_path / "cut.mcap")
-    with open(copied, "r+b") as file:
-        file.truncate(3000)
-    record.write_text(json.dumps(said | {"log": str(copied)}))
-    assert "mcap recover" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
-    record.write_text(json.dumps(said | {"log": str(tmp_path / "gone.mcap")}))
-    assert "not there any more" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
-    record.unlink()
-    assert "ingest it again" in topobatch("view", "mcap", "--with-log", "-w", place).error(1)
 
 
 def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None:
@@ -57,7 +22,6 @@ def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None
     assert said.out.splitlines()[-1].endswith(hint)
     recording = ws / "explain" / "run1+run2.rrd"
     assert str(recording) in topobatch("view", "run1:run2", "-w", ws).out
-    assert "one run" in topobatch("view", "run1:run2", "--with-log", "-w", ws).error(2)
     # The usual workspace is not named.
     monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(ws))
     assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out

@@ -9,8 +9,6 @@ from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz import palette
-from topobatch.viz.history import history
 from topobatch.viz.map_recording import write_map_recording
 
 from .readback import Readback
@@ -24,24 +22,6 @@ def seen_on(odometry: Odometry) -> Detections:
     times = odometry.time_ns[::100]
     ahead = np.tile([1.0, 0.0], (len(times), 1))
     return Detections(times, ahead, Ragged.from_rows([[0.0, 1.5, -1.5]] * len(times)))
-
-
-def test_the_map_grows_as_it_was_driven(tmp_path: Path, make_map: Make, drive: Drive) -> None:
-    topomap = make_map("run1")
-    odometry = drive(topomap)
-    write_map_recording(tmp_path / "a.rrd", topomap, odometry=odometry)
-    got = Readback(tmp_path / "a.rrd")
-    dim = palette.UNLIT[0] << 24 | palette.UNLIT[1] << 16 | palette.UNLIT[2] << 8 | 255
-    known = history(topomap)
-    for entity, archetype, when in (
-        ("/map/junctions", "Points2D", known.vertex_ns),
-        ("/map/corridors", "LineStrips2D", known.corridor_ns),
-    ):
-        rows = got.rows(entity, f"{archetype}:colors")
-        times = got.times(entity, "message_log_time")
-        assert times[0] == odometry.time_ns[0]
-        for time_ns, row in zip(times.tolist(), rows, strict=True):
-            assert [colour != dim for colour in row] == (when <= time_ns).tolist()
 
 
 def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: Drive) -> None:
@@ -66,7 +46,6 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
         "/map/detection",
         "/map/robot",
         "/map/trail",
-        "/map/last\\ junction",
         "/events",
         "/drift/drift",
         "/drift/plus\\ sigma",

@@ -5,12 +5,11 @@ import numpy as np
 
 from topobatch.merge.result import MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.history import history, questions
-from topobatch.viz.map_summary import map_summary
+from topobatch.viz.pages import map_page, merge_page
+from topobatch.viz.questions import questions
 from topobatch.viz.verdicts import (
     CLASS,
     DIAGONAL,
-    merge_summary,
     runs_in_order,
     verdict_matrix,
 )
@@ -35,20 +34,15 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
     joined = tuple(replace(v, through=("b",)) if v.b == "c" else v for v in result.verdicts)
     result = replace(result, verdicts=joined)
     assert verdict_matrix(result, ["a", "b", "c"])[0, 2] == CLASS[Standing.JOINED]
-    assert "**2** joined through others, **0** ambiguous, **0** unrelated" in merge_summary(result)
+    assert "2 joined through others, 0 ambiguous, 0 unrelated" in merge_page(result)
 
 
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
     topomap = make_map("lab_2*")
-    asked = questions(topomap, history(topomap).visit)
-    told = map_summary(topomap, asked)
+    told = map_page(topomap, questions(topomap))
     assert "# lab\\_2\\*" in told
-    assert "**5** vertices (2 bends, 1 dead end, 2 junctions)" in told
-    assert "**1** branch seen and never driven" in told
-    assert "**1** visit recognised, **1** refused" in told
-    assert "2 \\| 1 have \\*other\\* branches" in told
-    assert "junction 1 (visit 2) not taken for junction 2 (visit 1), -3.0 bits" in told
+    assert "5 junctions, 5 corridors, 38 m; 8 passes" in told
+    assert "1 branch seen and never driven" in told
+    assert "1 visit recognised, 1 refused" in told
     assert "**Red** lines" in told
     assert "2 messages were empty" in told
-    assert '"topic": "/odom"' in told
-    assert '"miss_rate": ' in told

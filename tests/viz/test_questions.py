@@ -1,16 +1,13 @@
 from dataclasses import replace
 
 from topobatch.topology.topomap import Closure
-from topobatch.viz.history import history, questions
+from topobatch.viz.questions import questions, visits
 
 S = 10**9
 
 
-def test_corridors_count_from_their_first_drive(make_map) -> None:
-    known = history(make_map("a"))  # 0, 1, 2, 4, 2, 3, 0, 1 at 10 … 17 s
-    assert (known.vertex_ns // S).tolist() == [10, 11, 12, 15, 13]
-    assert (known.corridor_ns // S).tolist() == [11, 12, 15, 16, 13]
-    assert known.visit.tolist() == [1, 1, 1, 1, 2, 1, 2, 2]
+def test_visits_are_counted_by_junction(make_map) -> None:
+    assert visits(make_map("a")).tolist() == [1, 1, 1, 1, 2, 1, 2, 2]  # 0, 1, 2, 4, 2, 3, 0, 1
 
 
 def test_closures_are_told_by_junctions(make_map) -> None:
@@ -18,7 +15,7 @@ def test_closures_are_told_by_junctions(make_map) -> None:
     phantom = Closure(10 * S, 999 * S, False, 1.0, "no junction")
     revised = Closure(11 * S, 12 * S, False, 1.0, "put off", revised=True)
     topomap = replace(topomap, closures=(*topomap.closures, phantom, revised))
-    told = [q.told for q in questions(topomap, history(topomap).visit)]
+    told = [q.told for q in questions(topomap)]
     assert told == [
         "junction 0: visit 2 recognised as visit 1, +21.5 bits: the square closes",
         "junction 1 (visit 2) not taken for junction 2 (visit 1), -3.0 bits: "

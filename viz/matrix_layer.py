@@ -1,5 +1,4 @@
-"""Pairs of runs as layers of a merge's recording: the matrix of verdicts, placements of undecided
-pairs."""
+"""The matrix of verdicts of a merge's recording."""
 
 from __future__ import annotations
 
@@ -8,31 +7,21 @@ from collections.abc import Mapping
 import numpy as np
 import rerun as rr
 
-from ..merge.result import MergeResult, PairVerdict, Standing, shown_bits
+from ..merge.result import MergeResult, Standing
 from ..topology.arrays import FloatArray
-from ..topology.se2 import apply
-from ..topology.topomap import TopoMap
 from . import palette
-from .map_sheet import LaidOver, write_laid_over, write_words
-from .placements import contradiction_spots
 from .recording import HAIR, Recording
-from .sheet import Cell, outline
-from .verdicts import CLASS, DIAGONAL, LOCKED, verdict_matrix
+from .sheet import outline
+from .verdicts import CLASS, DIAGONAL, verdict_matrix
 
-MATRIX, UNDECIDED = "verdicts", "undecided"
-"""Entity roots of the two views."""
+MATRIX = "verdicts"
+"""Its entity root."""
 
 MOST_NAMES = 16
 """Above this many runs the matrix shows their names on hovering only."""
 
-MOST_NUMBERS = 8
-"""Up to this many runs the evidence is written into the matrix, above only shown by dots."""
-
 MOST_DOTS = 300
 """Above this many runs the matrix has no dots."""
-
-LABEL_RISE = 0.12
-"""Offset of cell labels upwards, since the viewer writes them below their point."""
 
 FULL_DOT_BITS = 100.0
 """Evidence of the largest dot [bits]."""
@@ -97,8 +86,7 @@ def _names_width(runs: list[str]) -> float:
 
 
 def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
-    """Write the evidence as numbers above the diagonal, and dots with the pair's attributes below
-    it."""
+    """Write the evidence as dots with the pair's attributes, below the diagonal."""
     row = {run: i for i, run in enumerate(runs)}
     pairs = [p for p in result.verdicts if p.a in row and p.b in row]
     if not pairs:
@@ -120,30 +108,3 @@ def _evidence(recording: Recording, result: MergeResult, runs: list[str]) -> Non
         advice=[p.advice or "" for p in pairs],
     )
     recording.static((MATRIX, "evidence"), dots, info)
-    if len(runs) <= MOST_NUMBERS:
-        labels = [shown_bits(p.evidence_bits) + f"\n{LOCKED}" * bool(p.locked) for p in pairs]
-        places = ends[:, ::-1] + [0.5, 0.5 - LABEL_RISE]
-        write_words(recording, (MATRIX, "bits"), places, labels, order=palette.Order.TIE)
-
-
-def write_undecided(
-    recording: Recording, pairs: list[PairVerdict], maps: Mapping[str, TopoMap]
-) -> list[Cell]:
-    """Write the best and the next best placement of every given pair side by side, map b over map
-    a.
-
-    Returns the cells, one for each placement.
-    """
-    laid = []
-    for p in pairs:
-        a, b, pair = maps[p.a], maps[p.b], f"{p.a} - {p.b}"
-        for name, alignment in (("best", p.best), ("runner-up", p.runner_up)):
-            if alignment is None:
-                continue
-            bits, T = shown_bits(alignment.evidence_bits), alignment.transform
-            titles = (f"{pair}, {name}: {bits} bits", f"{pair}: {bits}", pair)
-            against = zip(alignment.contradictions, alignment.contradicting, strict=False)
-            spots = contradiction_spots(against, a.xy, apply(T, b.xy))
-            path = ("pairs", p.a, p.b, name)
-            laid.append(LaidOver(path, titles, (a, b), T, alignment.matched[:, 0], spots))
-    return write_laid_over(recording, UNDECIDED, laid)

@@ -1,0 +1,139 @@
+"""What a map or a merge holds in a line, and the summary pages of recordings, in Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from ..merge.result import MergeResult, Standing, pairs_of, shown_bits
+from ..topology.driven_branches import driven_branches
+from ..topology.topomap import TopoMap
+from ..topology.turning_vertices import with_turning_points
+from ..topology.wording import counted, to_turning_points, utc
+from .questions import Question
+
+MOST_LINES = 40
+"""Longer lists are cut; the JSON document has all entries."""
+
+MAP_LEGEND = """\
+Junctions are coloured by their branches: dead ends **red**, bends **grey**, three **blue**, four
+**green**, more **violet**. Small **red** dots: the robot turned round, or its log begins or ends.
+**Amber** arrows: branches never driven. Corridors are brighter the more often they were driven.
+**Green** rings: closures, one for each time that the junction was recognised. **Red** lines (hidden
+at first): two junctions that were not taken for one.
+
+Thin tracks: the odometry as recorded (**grey**) and as corrected (**dark green**). **White**: the
+robot at the cursor, behind it its last minute (**bright green**). **Violet** dots: raw detections,
+a star of branches at the cursor; or junctions that scans show, dull where variants of the detector
+do not agree. Under the map: walls that the laser saw (**slate**), or the grid that the
+map was made from.
+
+Drag the time line below: the robot drives. Point at anything for what is known about it, or select
+it and open the panels at the top right; the left one shows and hides layers.
+**Drift**: how far the recorded odometry is off the map, in metres, with 1 sigma of the map."""
+
+MERGE_LEGEND = """\
+## How to read it
+
+**Map**: every corridor is a ribbon with one strand for each run that drove it, in the colour that
+its name has beside *Verdicts*; junctions seen by several runs are white, others grey. **Red** dots:
+where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
+**slate**, free space a little brighter than what is not known. Short strokes: branches that nobody
+drove. **Runs**: each run's own map, laid into its component.
+
+**Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
+other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
+unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits,
+the reason and what would settle it.
+
+Point at anything for what is known about it, or select it and open the panels at the top right;
+the left one shows and hides runs."""
+
+
+def map_told(topomap: TopoMap) -> str:
+    """Counts of a map in a line."""
+    ways = topomap.turning_points
+    return (
+        f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
+        f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
+        f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
+    )
+
+
+def pairs_told(result: MergeResult) -> str:
+    """Counts of all pairs by verdict, in a line."""
+    runs = sum(len(component.poses) for component in result.components)
+    count = result.standings()
+    others, kept_out = count[Standing.JOINED], count[Standing.KEPT_OUT]
+    return (
+        f"{counted(pairs_of(runs), 'pair')}: {count[Standing.MERGED]:,} merged, "
+        f"{f'{others:,} joined through others, ' if others else ''}"
+        f"{count[Standing.AMBIGUOUS]:,} ambiguous, "
+        f"{count[Standing.UNRELATED]:,} unrelated"
+        f"{f', {kept_out:,} kept out' if kept_out else ''}; "
+        f"{counted(len(result.components), 'site')}"
+    )
+
+
+def map_page(topomap: TopoMap, asked: Sequence[Question]) -> str:
+    """The page about one map: counts, legend, warnings."""
+    unseen = int((~driven_branches(with_turning_points(topomap))).sum())
+    refused = sum(not q.closure.accepted for q in asked)
+    counts = [
+        f"{map_told(topomap)}{_span(topomap)}",
+        f"{counted(unseen, 'branch', 'branches')} seen and never driven",
+        f"{counted(len(asked) - refused, 'visit')} recognised, {refused:,} refused",
+    ]
+    empty = "The map is empty: no junction was found in this run."
+    return _page(topomap.run, counts, MAP_LEGEND if len(topomap) else empty, topomap.info)
+
+
+def merge_page(result: MergeResult) -> str:
+    """The page about a merge: counts, legend, warnings."""
+    fused = result.fused
+    corridors_m, ways_m = fused.lengths_m
+    shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
+    counts = [
+        pairs_told(result),
+        f"{counted(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
+        f"{counted(fused.corridors, 'corridor')}, {corridors_m:,.0f} m"
+        f"{to_turning_points(fused.turned, ways_m)}",
+    ]
+    if result.threshold_bits is not None:
+        counts.append(f"merging needs {shown_bits(result.threshold_bits)} bits")
+    return _page("Merged map", counts, MERGE_LEGEND, result.info)
+
+
+def _page(title: str, counts: Sequence[str], legend: str, info: Mapping[str, Any]) -> str:
+    parts = [f"# {plain(title)}", bulleted(counts), legend]
+    if warnings := info.get("warnings"):
+        parts.append("## Warnings\n\n" + bulleted([plain(w) for w in warnings]))
+    return "\n\n".join(parts) + "\n"
+
+
+def plain(text: object) -> str:
+    """The text on one line, with Markdown's special characters escaped, also for tables."""
+    line = " ".join(str(text).split())
+    return "".join("\\" + c if c in "\\`*_{}[]<>#|~" else c for c in line)
+
+
+def minutes(span_ns: int) -> str:
+    """A duration as text: in seconds below two minutes, else in minutes."""
+    seconds = span_ns / 1e9
+    return f"{seconds:.0f} s" if seconds < 120 else f"{seconds / 60:.0f} min"
+
+
+def bulleted(lines: Sequence[str]) -> str:
+    """A Markdown list, cut after MOST_LINES with a note of how many are left out."""
+    shown = [f"- {line}" for line in lines[:MOST_LINES]]
+    if len(lines) > MOST_LINES:
+        shown.append(f"- … and {len(lines) - MOST_LINES} more, in the JSON document")
+    return "\n".join(shown)
+
+
+def _span(topomap: TopoMap) -> str:
+    times = topomap.observation_time_ns
+    if len(times) == 0:
+        return ""
+    first, last = int(times.min()), int(times.max())
+    return f" in {minutes(last - first)}, from {utc(first)} UTC"
