@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -180,16 +180,8 @@ class Case:
             locked=None if self.lock is None else self.lock.decision,
             lacks=assessment.why,
             lead_needed_bits=assessment.lead_bits if shown else None,
-            extra=_extra(assessment) | self._copy_test(verdict),
+            extra=_extra(assessment),
         )
-
-    def _copy_test(self, verdict: Verdict) -> dict[str, Any]:
-        """The test for a copy, of runs that a person locked apart: of unrelated ones the document
-        states no alignment that could."""
-        tested = self.assessment.answers[0].copy_test if self.assessment.answers else None
-        if verdict is not Verdict.UNRELATED or tested is None:
-            return {}
-        return {"copy_test": asdict(tested)}
 
 
 def doubt(pair: PairVerdict) -> str:
