@@ -79,6 +79,18 @@ class Contradiction:
     of_b: tuple[int, ...]
     bits: float
 
+    def sentence(self, run_a: str, run_b: str) -> str:
+        """What contradicts the match of two runs."""
+        one, two = (" to ".join(map(str, ends)) for ends in (self.of_a, self.of_b))
+        if self.kind == "elsewhere":
+            return (
+                f"corridor {one} of {run_a} and corridor {two} of {run_b} "
+                "leave the same junction by the same branch and lead to different ones"
+            )
+        if len(self.of_a) > 1:
+            one, two, run_a, run_b = two, one, run_b, run_a
+        return f"junction {one} of {run_a} falls inside corridor {two} of {run_b}, unseen there"
+
 
 def one_by_one(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
     """All contradictions of a match, undetected junctions first."""

@@ -15,11 +15,12 @@ from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
 from .advice import advice
 from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
+from .conflicts import one_by_one
 from .prepare import Prepared
 from .rematching import Reunion
 from .verdict import DOUBTS, Answers, Assessment, counted_bits
 from .view_ties import view_ties
-from .wording import contradictions, nothing, summary
+from .wording import nothing, summary
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
@@ -216,15 +217,15 @@ def _extra(assessment: Assessment) -> dict[str, Any]:
 def alignment_of(c: Candidate, a: Prepared, b: Prepared, answers: Answers | None) -> Alignment:
     """A candidate as an alignment. answers: its evidence; None if it was not assessed."""
     order = np.argsort(c.a, kind="stable")
-    against = contradictions(c, a, b)
+    against = one_by_one(c.conflicts, a, b)
     return Alignment(
         transform=c.transform,
         evidence_bits=counted_bits(c) if answers is None else answers.bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
-        contradictions=tuple(text for text, _, _ in against),
-        contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
+        contradictions=tuple(x.sentence(a.run, b.run) for x in against),
+        contradicting=tuple((x.of_a, x.of_b) for x in against),
         copy_test=None if answers is None else answers.copy_test,
         ties=view_ties(a, b, c.views),
     )
