@@ -88,8 +88,10 @@ def as_alignment(c: Candidate) -> Alignment:
 def agrees(found: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
     """Whether an alignment places b as T_a_b does, within the drift of chained transforms.
 
-    b: (n,) junctions of b, x + iy [m].
+    b: (n,) junctions of b, x + iy [m]. One by views alone, without a junction, never does.
     """
+    if not len(found.matched):
+        return False
     middle = b[found.matched[:, 1]].mean()
     here, there = (_laid(T, middle) for T in (found.transform, T_a_b))
     gap, reach = abs(complex(here - there)), abs(complex(middle - b.mean()))
