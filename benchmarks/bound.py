@@ -17,13 +17,13 @@ from functools import partial
 from itertools import combinations
 
 import numpy as np
+from observed import scattered_regions
 from scipy.spatial import cKDTree
 
 from topobatch.merge.robust import DEFAULT_ROBUST
 from topobatch.merge.robust.verdict import needed_bits
 from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.regions import scattered_regions
 from topobatch.topology.se2 import wrap
 
 KINDS = {"rows": 80, "office": 120, "tiles": 90, "maze": 110}

@@ -30,7 +30,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from observed import observed_map
+from observed import observed_map, scattered_regions
 
 from topobatch.cli.merge import GARBAGE
 from topobatch.merge.document import write_merged
@@ -44,7 +44,6 @@ from topobatch.merge.robust.tasks import in_tiles
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.regions import scattered_regions
 
 KINDS = ("maze", "office", "organic", "city")
 SAMPLE = 2000

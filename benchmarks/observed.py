@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.regions import scattered_regions
+from topobatch.simulation.regions import grown
 from topobatch.simulation.world import polyline_at, polyline_length
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
@@ -137,6 +137,21 @@ def _nearest(row, line):
     out = polyline_at(line, np.array([0.7]))[0] - line[0]
     gap = np.abs(wrap(row - np.arctan2(out[1], out[0])))
     return int(gap.argmin()) if gap.min() < 0.6 else -1
+
+
+def scattered_regions(world, runs, size, chance):
+    """Discs of vertices, centred where few regions are yet; the overlap is not controlled."""
+    load = np.zeros(len(world))
+    regions = []
+    for _ in range(runs):
+        options = chance.order(len(world))[:12]
+        centre = int(options[np.argmin(load[options])])
+        away = np.hypot(*(world.xy - world.xy[centre]).T)
+        wanted = round(size * chance.one_uniform(0.8, 1.2))
+        region = grown(world, {centre}, wanted, away, set())
+        load[sorted(region)] += 1
+        regions.append(region)
+    return regions
 
 
 def scattered_maps(world, count, size, seed, seeing=Seeing()):

@@ -61,7 +61,8 @@ class Term:
 class Placement:
     """A placement of b over a with its evidence.
 
-    The terms add up to `alignment.evidence_bits`. searched: whether contradictions were searched,
+    The terms add up to `alignment.evidence_bits`; there are none of runs that components joined, as
+    their evidence is of fused maps. searched: whether contradictions were searched,
     which is not done if the agreement is no better than chance.
     """
 

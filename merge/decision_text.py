@@ -106,8 +106,9 @@ def because(decision: Decision) -> str:
         return f"By the two maps alone {alone}: {own[0].lower()}{own[1:]}"
     if decided := _by_a_person(pair):
         return decided
-    if not decision.placements:
-        return "No significant match: no alignment of the two maps holds."
+    if not decision.placements or not decision.placements[0].terms:
+        nothing = "No significant match: no alignment of the two maps holds"
+        return f"{pair.reason.partition(': ')[2] if decision.placements else nothing}."
     agree = agreement(decision.placements[0])
     if pair.accepted or decision.why:
         but = f", but {decision.why}" if decision.why else ""
@@ -172,7 +173,7 @@ def lies(decision: Decision) -> str:
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: the sums of every placement, and at most `links` of the largest links
     of the first one."""
-    columns = [_groups(p) for p in decision.placements]
+    columns = [_groups(p) for p in decision.placements if p.terms]
     if not columns:
         return []
     first = decision.placements[0]

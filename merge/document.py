@@ -27,8 +27,14 @@ from .result import (
     by_run,
 )
 
-EXTRA = ("against_chance_bits", "same_place_bits", "copy_test")
+EXTRA = ("against_chance_bits", "same_place_bits")
 """Entries added by the robust method."""
+
+ALIKE = (
+    "a", "b", "verdict", "accepted", "evidence_bits", "reason", "margin_bits", "advice", "locked",
+    "threshold_bits", "accepted_by", "lead_needed_bits",
+)  # fmt: skip
+"""What verdicts and their entries hold in the same form."""
 
 
 def pose_to_document(pose: Any) -> dict[str, float]:
@@ -85,7 +91,7 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
         locked=pair.locked,
     )
     if pair.verdict is Verdict.UNRELATED:
-        # In short: most pairs of a fleet are unrelated. Those that a person locked apart may fit.
+        # In short: most pairs of a fleet are unrelated.
         return entry | {name: pair.extra[name] for name in EXTRA if name in pair.extra}
     if pair.best is not None:
         entry |= {**_alignment(pair.best), "evidence_bits": entry["evidence_bits"]}
@@ -240,31 +246,18 @@ def _verdict_from(entry: MergeEntry) -> PairVerdict:
     together = None
     if entry.together is not None:
         together = (tuple(entry.together[0]), tuple(entry.together[1]))
-    named = entry.model_dump(include=set(EXTRA), exclude_none=True)
-    extra = {name: named[name] for name in EXTRA[: None if best is None else -1] if name in named}
     return PairVerdict(
-        a=entry.a,
-        b=entry.b,
-        verdict=entry.verdict,
-        accepted=entry.accepted,
-        evidence_bits=entry.evidence_bits,
-        reason=entry.reason,
+        **{name: getattr(entry, name) for name in ALIKE},
         best=best,
         runner_up=None
         if second is None
         else _alignment_from(second, second.transform, second.matched),
-        margin_bits=entry.margin_bits,
-        advice=entry.advice,
-        locked=entry.locked,
-        threshold_bits=entry.threshold_bits,
-        accepted_by=entry.accepted_by,
         through=tuple(entry.through or ()),
         placed=_sigmas_from(entry.placed),
         together=together,
         transform_sigma=_sigmas_from(entry.transform_sigma),
         lacks=entry.lacks or "",
-        lead_needed_bits=entry.lead_needed_bits,
-        extra=extra,
+        extra=entry.model_dump(include=set(EXTRA), exclude_none=True),
     )
 
 

@@ -348,53 +348,27 @@ class _Reach:
         self.away, self.came = dijkstra(local, return_predecessors=True)
 
     def tour(self, start: int, seen: set[int], wanted: int) -> tuple[list[int], float]:
-        """From `start` by `wanted` places that were not seen: the shortest way straight to one with
-        as many before it, or the round from always the nearest to the next; adds them to `seen`."""
+        """From `start` by `wanted` places that were not seen, always to the nearest: all places on
+        the way, and its length; adds them to `seen`. The shortest way by as many is 2 % shorter
+        (105 drives of 13 merges)."""
         if start not in self.number:
             return [start], 0.0
         fresh = np.array([p not in seen for p in self.places.tolist()])
-        here = self.number[start]
-        options = [self._round(here, fresh.copy(), wanted), self._straight(here, fresh, wanted)]
-        _, length, out = min(options, key=lambda o: (-o[0], o[1], o[2]))
-        seen.update(out)
-        return out, length
-
-    def _way(self, here: int, goal: int) -> list[int]:
-        """The places from one to another, without the first."""
-        way = [goal]
-        while self.came[here, way[-1]] != here:
-            way.append(int(self.came[here, way[-1]]))
-        return way[::-1]
-
-    def _straight(self, here: int, fresh: BoolArray, wanted: int) -> tuple[int, float, list[int]]:
-        """The number of fresh places, the length and the places of the shortest way."""
-        away = self.away[here]
-        count = fresh.astype(np.int64)
-        for k in np.argsort(away, kind="stable").tolist():
-            if k != here and np.isfinite(away[k]):
-                count[k] += count[self.came[here, k]]
-        found = np.where(np.isfinite(away), np.minimum(count, wanted), -1)
-        goal = int(np.lexsort((away, -found))[0])
-        if goal == here:
-            return 0, 0.0, [int(self.places[here])]
-        way = [here, *self._way(here, goal)]
-        return int(found[goal]), float(away[goal]), self.places[way].tolist()
-
-    def _round(self, here: int, fresh: BoolArray, wanted: int) -> tuple[int, float, list[int]]:
-        """The same of a way always to the nearest place that is fresh."""
-        out, length, done = [int(self.places[here])], 0.0, 0
+        here, out, length = self.number[start], [start], 0.0
         for _ in range(wanted):
             away = np.where(fresh, self.away[here], np.inf)
             goal = int(away.argmin())
             if not np.isfinite(away[goal]) or goal == here:
                 break
-            way = self._way(here, goal)
-            out += self.places[way].tolist()
+            way = [goal]
+            while self.came[here, way[-1]] != here:
+                way.append(int(self.came[here, way[-1]]))
+            out += self.places[way[::-1]].tolist()
             length += float(away[goal])
             fresh[way] = False
-            done += 1
             here = goal
-        return done, length, out
+        seen.update(out)
+        return out, length
 
 
 # Into the unknown.

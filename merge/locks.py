@@ -3,7 +3,7 @@ merge."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Literal
 
@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.map_schema import Model, validated
+from ..topology.topomap import TopoMap
 
 LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
 
@@ -62,6 +63,20 @@ def lock_table(locks: Iterable[Lock]) -> dict[tuple[str, str], Lock]:
             raise UsageError(
                 f"runs {lock.a!r} and {lock.b!r} are locked in two ways; remove one of the locks"
             )
+    return table
+
+
+def locks_among(locks: Iterable[Lock], maps: Mapping[str, TopoMap]) -> dict[tuple[str, str], Lock]:
+    """The locks of pairs of these maps, by pair. Raises UsageError where two locks of one pair
+    disagree, or one names a vertex that does not exist."""
+    table = {pair: lock for pair, lock in lock_table(locks).items() if maps.keys() >= {*pair}}
+    for (a, b), lock in table.items():
+        for run, vertex in zip((a, b), lock.at or (), strict=False):
+            if vertex >= len(maps[run]):
+                raise UsageError(
+                    f"the lock of {a!r} and {b!r} names junction {vertex} of {run!r}, which has "
+                    f"{len(maps[run])}: lock by the numbers in its map document"
+                )
     return table
 
 

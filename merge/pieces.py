@@ -142,7 +142,6 @@ def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...
         fused_of=fused_of(fused.members),
         source=fused.source,
         target=fused.target,
-        length=fused.length,
     )
 
 

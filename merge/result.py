@@ -169,29 +169,25 @@ class PairVerdict:
 class Spread:
     """Joint errors of the placements of r runs, sorted by name, in one frame.
 
-    middle: (r, 2) middles of their maps [m]; own: (r, 3, 3) covariance of x, y of the middle and of
-    the rotation of each map [m, rad]; cross: (k, 3, 3) covariance of run i with run j for the pairs
-    i < j that were asked for; key: (k,) i r + j of each, ascending.
+    middle: (r, 2) middles of their maps [m]; error: (r, 3, s) sampled errors of x, y of the middle
+    and of the rotation of each map [m, rad].
     """
 
     runs: tuple[str, ...]
     middle: FloatArray
-    own: FloatArray
-    key: IntArray
-    cross: FloatArray
+    error: FloatArray
 
     def relative(self, pairs: Sequence[tuple[str, str]]) -> FloatArray:
         """(k, 3, 3) covariances of the position of the second map's middle relative to the first
         map, and of the rotation between them, in the axes of the common frame [m, rad]; 0 up to
         rounding, and so 0, for maps of the same places alone, as of one recording under two
-        names. Raises KeyError for pairs without a cross-covariance."""
+        names."""
         i, j = self._rows(pairs)
         x, y = (self.middle[j] - self.middle[i]).T
-        A = _seen_from(x, y)
-        both = A @ self._cross(i, j)
-        whole = A @ self.own[i] @ A.transpose(0, 2, 1) + both + both.transpose(0, 2, 1)
-        whole += self.own[j]
-        significant = np.einsum("kii->ki", whole) > ROUNDING * np.einsum("kii->ki", self.own[j])
+        off = _seen_from(x, y) @ self.error[i] + self.error[j]
+        whole = off @ off.transpose(0, 2, 1) / off.shape[2]
+        own = np.mean(self.error[j] ** 2, axis=2)
+        significant = np.einsum("kii->ki", whole) > ROUNDING * own
         return np.asarray(whole * significant[:, :, None] * significant[:, None, :])
 
     def sigmas(
@@ -216,18 +212,6 @@ class Spread:
         i, j = np.array(ends, np.int64).reshape(-1, 2).T
         return i, j
 
-    def _cross(self, i: IntArray, j: IntArray) -> FloatArray:
-        """(k, 3, 3) covariances of runs i with runs j."""
-        key = np.minimum(i, j) * len(self.runs) + np.maximum(i, j)
-        row = np.searchsorted(self.key, key)
-        known = row < len(self.key)
-        known[known] = self.key[row[known]] == key[known]
-        if not known.all():
-            k = int(np.argmin(known))
-            raise KeyError((self.runs[i[k]], self.runs[j[k]]))
-        cross = self.cross[row]
-        return np.where((i < j)[:, None, None], cross, cross.transpose(0, 2, 1))
-
 
 def _seen_from(x: FloatArray, y: FloatArray) -> FloatArray:
     """(k, 3, 3) A, of which A e_i + e_j is the error of map j seen from map i; x, y: (k,) from the
@@ -239,8 +223,8 @@ def _seen_from(x: FloatArray, y: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Component:
-    """Runs that were merged; `poses[run]` is T_component_run (3,); spread: joint errors, if asked
-    for; site: its name (`sites.site_names`), if it was given one."""
+    """Runs that were merged; `poses[run]` is T_component_run (3,); spread: joint errors, if known;
+    site: its name (`sites.site_names`), if it was given one."""
 
     id: int
     poses: Mapping[str, FloatArray]

@@ -44,14 +44,7 @@ def _chains(graph: csr_array, pairs: IntArray) -> Iterator[tuple[int, int, list[
         graph, "D", directed=False, return_predecessors=True, unweighted=True, indices=sources
     )
     for (i, j), k in zip(pairs.tolist(), at.tolist(), strict=True):
-        yield i, j, _between(before[k], i, j)
-
-
-def _between(before: np.ndarray, start: int, end: int) -> list[int]:
-    """The nodes between two, from the predecessors on shortest paths from the first."""
-    chain = []
-    at = int(before[end])
-    while at != start:
-        chain.append(at)
-        at = int(before[at])
-    return chain[::-1]
+        chain = [int(before[k][j])]
+        while chain[-1] != i:
+            chain.append(int(before[k][chain[-1]]))
+        yield i, j, chain[-2::-1]

@@ -114,18 +114,3 @@ def _apart(world: World, size: int, sweep: FloatArray, banned: set[int]) -> set[
 def _beside(world: World, region: set[int]) -> set[int]:
     """The neighbours of a set of vertices."""
     return {other for v in region for _, other, _ in world.ends(v)} - region
-
-
-def scattered_regions(world: World, runs: int, size: int, chance: Chance) -> list[set[int]]:
-    """Discs of vertices, centred where few regions are yet; the overlap is not controlled."""
-    load = np.zeros(len(world))
-    regions = []
-    for _ in range(runs):
-        options = chance.order(len(world))[:12]
-        centre = int(options[np.argmin(load[options])])
-        away = np.hypot(*(world.xy - world.xy[centre]).T)
-        wanted = round(size * chance.one_uniform(0.8, 1.2))
-        region = grown(world, {centre}, wanted, away, set())
-        load[sorted(region)] += 1
-        regions.append(region)
-    return regions

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
-from ..topology.polyline import densely
+from ..topology.polyline import densely, simplify
 from ..topology.se2 import wrap
 from .world import World, polyline_at
 
@@ -58,7 +58,7 @@ def walls_of(world: World, corridor_m: float) -> Segments:
     part. O(n log n)."""
     half = 0.5 * corridor_m
     parts = free_space(world, corridor_m)
-    sides = [side for path in world.paths for side in _offset(_simplified(path), half)]
+    sides = [side for path in world.paths for side in _offset(simplify(path, BEND_M), half)]
     rings = [np.concatenate([room, room[:1]]) for room in parts[: len(world)]]
     edges = np.concatenate([_steps(line) for line in (*sides, *rings)])
     inside = _HalfPlanes.of(parts)
@@ -77,7 +77,7 @@ def free_space(world: World, corridor_m: float) -> list[FloatArray]:
     half = 0.5 * corridor_m
     parts = [_junction(world, vertex, half) for vertex in range(len(world))]
     for path in world.paths:
-        left, right = _offset(_simplified(path), half)
+        left, right = _offset(simplify(path, BEND_M), half)
         parts += [
             np.array([right[k], right[k + 1], left[k + 1], left[k]]) for k in range(len(left) - 1)
         ]
@@ -125,18 +125,6 @@ def _junction(world: World, vertex: int, half: float) -> FloatArray:
     if _at_right_angles(headings):
         return _square(xy, half, float(headings[0]))
     return _round(xy, half)
-
-
-def _simplified(path: FloatArray) -> FloatArray:
-    """The polyline simplified to within BEND_M (Douglas-Peucker)."""
-    if len(path) < 3:
-        return path
-    along = path[-1] - path[0]
-    off = np.abs((path - path[0]) @ _left_of(along))
-    far = int(off.argmax())
-    if off[far] <= BEND_M:
-        return path[[0, -1]]
-    return np.concatenate([_simplified(path[: far + 1])[:-1], _simplified(path[far:])])
 
 
 def _offset(path: FloatArray, half: float) -> tuple[FloatArray, FloatArray]:

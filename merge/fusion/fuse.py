@@ -5,7 +5,7 @@ Independent of the method: only matched vertices, transforms and ties of accepte
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,7 +17,6 @@ from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
 from ..digests import digested
-from ..discards import Names
 from ..kept import Kept, Kind
 from ..result import Component, FusedMap, PairVerdict, Spread, by_run
 from .data_association import COINCIDENCE, coincident
@@ -33,7 +32,7 @@ from .joint_graph import (
     settle,
 )
 from .places import Place, fused_places
-from .uncertainty import fused_sigmas, spread
+from .uncertainty import fused_sigmas
 from .vertex_partition import Groups, Pool, identify
 
 
@@ -41,7 +40,7 @@ def fuse(
     maps: Sequence[TopoMap],
     verdicts: Sequence[PairVerdict],
     *,
-    requested: Iterable[Names] | None = None,
+    sigmas: bool = False,
     kept: Kept | None = None,
 ) -> tuple[tuple[Component, ...], FusedMap]:
     """Components of runs joined by accepted verdicts, and the fused map of all of them.
@@ -52,8 +51,8 @@ def fuse(
     independent of the input's order. A run without a match is a component of its own, with its map
     unchanged.
 
-    requested: pairs for which, and for accepted ones, every component's `spread` is computed, and
-    with it the sigmas of all vertices; None: neither. kept: store of components fused before, which
+    sigmas: whether every component's `spread`, and the sigmas of vertices and corridors, are
+    computed. kept: store of components fused before, which
     are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
@@ -63,18 +62,9 @@ def fuse(
     inside: list[list[PairVerdict]] = [[] for _ in groups]
     for v in accepted:
         inside[home[v.a]].append(v)
-    wanted: list[list[Names]] = [[] for _ in groups]
-    for a, b in requested or ():
-        if home[a] == home[b]:
-            wanted[home[a]].append((a, b))
     parts = [
-        fused_once(
-            [by_name[run] for run in runs],
-            own,
-            None if requested is None else _keys(runs, own, some),
-            kept,
-        )
-        for runs, own, some in zip(groups, inside, wanted, strict=True)
+        fused_once([by_name[run] for run in runs], own, sigmas=sigmas, kept=kept)
+        for runs, own in zip(groups, inside, strict=True)
     ]
     components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
     return components, _in_a_row([p.fused for p in parts])
@@ -102,26 +92,16 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
     return sorted(sorted(component) for component in partition.subsets())
 
 
-def _keys(
-    runs: Sequence[str], inside: Iterable[PairVerdict], requested: Iterable[Names]
-) -> IntArray:
-    """Keys as in `Spread` of the pairs whose relative covariance is wanted: accepted ones and those
-    requested."""
-    number, count = {run: k for k, run in enumerate(runs)}, len(runs)
-    pairs = {(v.a, v.b) for v in inside}.union(requested)
-    return np.array(sorted(number[a] * count + number[b] for a, b in pairs), np.int64)
-
-
 def fused_once(
-    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], sure: IntArray | None, kept: Kept | None
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept | None
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, cached in `kept`."""
     if kept is None:
-        return fuse_component(maps, inside, sure)
-    digest = component_digest(maps, inside, kept, sure)
+        return fuse_component(maps, inside, sigmas=sigmas)
+    digest = component_digest(maps, inside, kept, sigmas=sigmas)
     (data,) = kept.find(Kind.COMPONENT, [(digest, digest)])
     if data is None:
-        data = to_bytes(fuse_component(maps, inside, sure))
+        data = to_bytes(fuse_component(maps, inside, sigmas=sigmas))
         kept.add(Kind.COMPONENT, (digest, digest), data)
     found: FusedComponent = from_bytes(data, CLASSES)
     return found
@@ -131,13 +111,13 @@ def component_digest(
     maps: Sequence[TopoMap],
     inside: Sequence[PairVerdict],
     kept: Kept,
-    sure: IntArray | None = None,
+    *,
+    sigmas: bool = False,
 ) -> bytes:
     """A digest of everything that a component depends on: its maps and their names, the matches
-    and ties that join them, strongest first, and the covariances requested for; not of evidence."""
+    and ties that join them, strongest first, and whether sigmas are computed; not of evidence."""
     number = {m.run: k for k, m in enumerate(maps)}
-    names = repr([m.run for m in maps]), repr(sure if sure is None else sure.tolist())
-    parts = [*map(str.encode, names), *map(kept.digest, maps)]
+    parts = [repr(([m.run for m in maps], sigmas)).encode(), *map(kept.digest, maps)]
     for v in sorted(inside, key=lambda v: (-v.evidence_bits, v.a, v.b)):
         if v.best is not None:
             parts.append(f"{number[v.a]} {number[v.b]} {len(v.best.matched)};".encode())
@@ -149,10 +129,9 @@ def component_digest(
 
 
 def fuse_component(
-    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], sure: IntArray | None = None
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool = False
 ) -> FusedComponent:
-    """Fuse one component. inside: accepted verdicts between its runs, which connect them; sure:
-    keys of its `spread`, None to compute no sigmas."""
+    """Fuse one component. inside: accepted verdicts between its runs, which connect them."""
     pool = Pool.of(maps)
     groups = identify(pool, inside)
     start = run_poses(list(pool.first), inside)
@@ -167,20 +146,18 @@ def fuse_component(
             branch_of[row] = mapping
     corridors = corridors_of(pool, label, pose, xy, branch_of)
     if len(pool.maps) > 1:
-        corridors = fuse_corridors(corridors)
-        headings = [p.headings for p in places]
-        corridors = split_at_places(corridors, xy, headings)
+        corridors = split_at_places(fuse_corridors(corridors))
     poses = fitted_poses(pool, pose)
     fused = _fused_map(pool, xy, places, corridors)
     own = {run: poses[run] for run in sorted(poses)}
-    if sure is None:
+    if not sigmas:
         return FusedComponent(own, fused)
     if joint.graph is None or joint.solution is None:  # one run: the sigmas of its map
         return FusedComponent(own, replace(fused, position_sigma=pool.maps[0].position_sigma))
-    errors = spread(pool, label, joint.graph, joint.solution, sure)
-    sigmas = fused_sigmas(pool, label, joint.graph, joint.solution, corridors)
-    if sigmas is not None:
-        fused = replace(fused, position_sigma=sigmas[0], length_sigma=sigmas[1])
+    of_places, of_lengths, errors = fused_sigmas(
+        pool, label, joint.graph, joint.solution, corridors
+    )
+    fused = replace(fused, position_sigma=of_places, length_sigma=of_lengths)
     return FusedComponent(own, fused, errors)
 
 

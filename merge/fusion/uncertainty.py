@@ -1,8 +1,8 @@
-"""Covariances of the runs' placements in one component.
+"""Errors of one component's fused map, and of its runs' placements, from samples.
 
 A run that is placed along a chain of maps may be metres off though every link is correct, since
-each map bends. The covariance of the joint pose graph's solution gives the covariance of the rigid
-fit of each run's map.
+each map bends. Samples of the joint pose graph's solution give the errors of places, of corridors
+and of the rigid fit of each run's map.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from scipy.sparse import csr_array
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.corridor_lengths import LEAST_M, straightness
 from ...topology.posegraph.graph import PoseGraph, SharedErrors
-from ...topology.posegraph.marginals import Marginals
 from ...topology.posegraph.samples import SampledMarginals, of_unit_variance, white
 from ...topology.posegraph.solve import Solution
 from ...topology.vertex_errors import VertexErrors
@@ -29,14 +28,10 @@ VAGUE_M = 1.5
 VAGUE_RAD = 0.087
 """Placements with a larger standard deviation than these are reported as vague."""
 
-CHUNK = 32
-"""Runs whose columns are solved at once, which limits memory."""
-
-SAMPLES = 64
-"""Number of samples: a standard deviation estimated from them has an error of 1 / √(2 · 64) = 9
-%."""
-MOST_ROWS = 10_000
-"""Limit on vertices for sampling, about 200 MB."""
+SAMPLES, LEAST_SAMPLES = 256, 16
+"""Number of samples: a standard deviation estimated from 256 has an error of 4 %."""
+MOST_ROWS = 2_500
+"""Number of vertices from which on there are fewer samples: with so many they take 200 MB."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,26 +101,28 @@ def fused_sigmas(
     graph: PoseGraph,
     solution: Solution,
     corridors: Sequence[Corridor],
-) -> tuple[FloatArray, FloatArray] | None:
+) -> tuple[FloatArray, FloatArray, Spread]:
     """Standard deviations of the places' coordinates (p,) [m], after a rigid fit of the component
-    to the truth, and of the corridors' lengths (c,) [m].
+    to the truth, and of the corridors' lengths (c,) [m]; and the errors of the runs' placements.
 
-    label: (n,) the place of each row of the pool. None for components of more than MOST_ROWS rows.
+    label: (n,) the place of each row of the pool; graph, solution: its joint pose graph. One
+    factorisation and a pair of triangular solves per sample.
     """
-    if len(pool) > MOST_ROWS:
-        return None
     marks = Landmarks.of(pool, label, graph, solution)
+    count = max(SAMPLES * MOST_ROWS // max(len(pool), MOST_ROWS), LEAST_SAMPLES)
+    sampled = SampledMarginals.of(marks.graph, marks.solution, count)
     first = np.unique(label, return_index=True)[1]
     xy, whole = marks.solution.pose[marks.node[first], :2], np.zeros(len(first), np.int64)
-    errors = _place_errors(marks, first, SampledMarginals.of(marks.graph, marks.solution, SAMPLES))
-    sigma = errors.as_a_whole(xy, whole).position_sigma()
-    return sigma, _length_sigmas(marks, first, xy, pool, corridors)
+    places = _place_errors(marks, first, sampled)
+    sigma = places.as_a_whole(xy, whole).position_sigma()
+    lengths = _length_sigmas(places, sampled, xy, pool, corridors)
+    return sigma, lengths, _run_errors(pool, marks, sampled.error)
 
 
 def _place_errors(marks: Landmarks, first: IntArray, sampled: SampledMarginals) -> VertexErrors:
     """Sampled errors of places, each with the row (p,) that is the first of it."""
     error = sampled.error[marks.node[first]]
-    (noise,) = white(20053, [(len(first), 2, SAMPLES)])
+    (noise,) = white(20053, [(len(first), 2, error.shape[2])])
     off = np.hypot(marks.seen, marks.shared)[first]
     error[:, :2] += off[:, None, None] * of_unit_variance(noise)
     error[:, 2] = 0.0
@@ -133,7 +130,11 @@ def _place_errors(marks: Landmarks, first: IntArray, sampled: SampledMarginals) 
 
 
 def _length_sigmas(
-    marks: Landmarks, first: IntArray, xy: FloatArray, pool: Pool, corridors: Sequence[Corridor]
+    places: VertexErrors,
+    sampled: SampledMarginals,
+    xy: FloatArray,
+    pool: Pool,
+    corridors: Sequence[Corridor],
 ) -> FloatArray:
     """(c,) standard deviations of the lengths of corridors between places at xy (p, 2) [m].
 
@@ -147,75 +148,35 @@ def _length_sigmas(
     ends = np.array([(c.u, c.v) for c in corridors], np.int64).reshape(-1, 2).T
     columns = [(c.length, c.way, c.sigma) for c in corridors]
     length, way, own = np.array(columns, np.float64).reshape(-1, 3).T
-    sampled = SampledMarginals.of(marks.graph, marks.solution, SAMPLES)
     _, straight = straightness(xy, ends[0], ends[1], length)
     rest = (1 - straight**2) * length
     scale = sampled.shared
     if not len(scale):
-        (drawn,) = white(20054, [(len(pool.maps), SAMPLES)])
+        (drawn,) = white(20054, [(len(pool.maps), sampled.error.shape[2])])
         scale, rest = usual_scale(pool.maps) * of_unit_variance(drawn), length
     number = {m.run: k for k, m in enumerate(pool.maps)}
     drivers = [sorted({number[run] for run, _ in c.members}) for c in corridors]
-    mean = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, SAMPLES)
-    places = _place_errors(marks, first, sampled)
+    mean = np.array([scale[runs].mean(axis=0) for runs in drivers]).reshape(-1, scale.shape[1])
     off = straight[:, None] * places.distance_errors(xy, *ends) + rest[:, None] * mean
     variance = np.minimum(np.mean(off**2, axis=1) + way**2 + LEAST_M**2, own**2)
     return np.asarray(np.sqrt(variance))
 
 
-def spread(
-    pool: Pool, label: IntArray, graph: PoseGraph, solution: Solution, key: IntArray
-) -> Spread:
-    """Covariances of the rigid fits of the truth to the maps of a pool, from its joint pose graph.
-
-    label: (n,) the place of each row; key: as in `Spread`. A rigid fit is linear in small shifts of
-    its points, so that its covariance is G H⁻¹ Gᵀ, with H the normal matrix and three rows of G for
-    each run, plus the errors of places that one map alone saw. Cost: three pairs of triangular
-    solves per run; memory: the blocks asked for, and CHUNK runs' columns.
-    """
-    marks = Landmarks.of(pool, label, graph, solution)
-    marginals = Marginals.of(marks.graph, marks.solution)
-    pattern = marginals.factor.pattern
-    count = len(pool.maps)
-    size = np.maximum(np.bincount(pool.run, minlength=count), 1)
-    xy = solution.pose[:, :2]
-    middle = np.stack([np.bincount(pool.run, xy[:, k], count) / size for k in (0, 1)], axis=-1)
+def _run_errors(pool: Pool, marks: Landmarks, error: FloatArray) -> Spread:
+    """Errors of the rigid fits of the truth to the maps of a pool. error: (…, 3, s) sampled, of the
+    nodes of the joint graph. A rigid fit is linear in small shifts of its points."""
+    n, count = len(pool), len(pool.maps)
+    of_run = csr_array((np.ones(n), (pool.run, np.arange(n))), shape=(count, n))
+    size = np.maximum(np.bincount(pool.run, minlength=count), 1)[:, None]
+    xy = marks.solution.pose[:n, :2]
+    middle = (of_run @ xy) / size
     arm = xy - middle[pool.run]
-    reach = np.bincount(pool.run, (arm**2).sum(axis=1), count)[pool.run]
+    reach = (of_run @ (arm**2).sum(axis=1))[:, None]
+    (noise,) = white(20055, [(n, 2, error.shape[2])])
+    off = error[marks.node, :2] + marks.alone[:, None, None] * of_unit_variance(noise)
+    swing = arm[:, :1] * off[:, 1] - arm[:, 1:] * off[:, 0]
     lone = reach < 1e-6  # the rotation of a single place is that of its pose
-    lever = arm / np.where(lone, 1.0, reach)[:, None]
-    share, zero = 1 / size[pool.run], np.zeros(len(xy))
-    # (row, component of the fit, component of the pose): the derivative.
-    weight = np.array(
-        [
-            [share, zero, zero],
-            [zero, share, zero],
-            [np.where(lone, zero, -lever[:, 1]), np.where(lone, zero, lever[:, 0]), lone * share],
-        ]
-    ).transpose(2, 0, 1)
-    variable = pattern.variable[: len(pool)].copy()
-    variable[:, :2] = pattern.variable[marks.node, :2]
-    column = np.broadcast_to(variable[:, None, :], weight.shape)
-    row = np.broadcast_to((3 * pool.run)[:, None, None] + np.arange(3)[:, None], weight.shape)
-    used = (column >= 0) & (weight != 0)
-    fit = csr_array((weight[used], (row[used], column[used])), shape=(3 * count, pattern.size))
-    first, second = np.divmod(key, count)
-    own, above, below = np.zeros((count, 3, 3)), *np.zeros((2, len(key), 3, 3))
-    for start in range(0, count, CHUNK):
-        some = slice(3 * start, 3 * (start + CHUNK))
-        columns = fit @ marginals.through(fit[some].toarray().T)
-        block = columns.reshape(count, 3, -1, 3).transpose(0, 2, 1, 3)  # (run, run of these)
-        here = np.arange(block.shape[1])
-        own[start + here] = block[start + here, here]
-        for blocks, row, column in ((above, first, second), (below, second, first)):
-            rows = np.flatnonzero((column >= start) & (column < start + CHUNK))
-            blocks[rows] = block[row[rows], column[rows] - start]
-    seen = weight[:, :, :2] * marks.alone[:, None, None]
-    np.add.at(own, pool.run, seen @ seen.transpose(0, 2, 1))
-    names = tuple(m.run for m in pool.maps)
-    return Spread(names, middle, _symmetric(own, own), key, _symmetric(above, below))
-
-
-def _symmetric(one: FloatArray, other: FloatArray) -> FloatArray:
-    """Blocks of a matrix, made exactly symmetric; other: those across its diagonal."""
-    return np.asarray((one + other.transpose(0, 2, 1)) / 2, np.float64)
+    own = (of_run @ error[:n, 2]) / size
+    turn = np.where(lone, own, (of_run @ swing) / np.where(lone, 1.0, reach))
+    moved = [(of_run @ off[:, k]) / size for k in (0, 1)]
+    return Spread(tuple(m.run for m in pool.maps), middle, np.stack([*moved, turn], axis=1))

@@ -2,34 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-import numpy as np
-from scipy.spatial import cKDTree
-
-from ...topology.errors import UsageError
-from ...topology.se2 import apply
-from ...topology.topomap import TopoMap
-from ..locks import Lock, lock_table
+from ..discards import Names
+from ..locks import Lock
 from ..result import Alignment, PairVerdict, Verdict
-
-NEAR_M = 0.75
-"""Vertices this close under a transform count for it if only one pair is given."""
 
 
 def honour(
     verdicts: Sequence[PairVerdict],
-    locks: Sequence[Lock],
+    table: Mapping[Names, Lock],
     forced: Callable[[Lock], Alignment | None],
 ) -> tuple[PairVerdict, ...]:
     """The verdicts with every lock applied.
 
     "same" pairs are accepted with the alignment that `forced` finds for them, "never" pairs are
     not; and no chain of accepted pairs joins two runs that are locked apart: its weakest match is
-    refused. Locks of runs without a verdict are ignored.
+    refused. table: the locks by pair.
     """
-    table = lock_table(locks)
     decided = [_locked(v, table.get((v.a, v.b)), forced) for v in verdicts]
     return _kept_apart(decided, table)
 
@@ -50,7 +41,7 @@ def _locked(
         )
     best = forced(lock)
     if best is None:
-        reason = "locked together, but nothing says how: name a junction of each run in the lock"
+        reason = "locked together, but no match of the two honours the lock"
         return replace(verdict, locked="same", accepted=False, accepted_by=None, reason=reason)
     return replace(
         verdict,
@@ -65,7 +56,7 @@ def _locked(
 
 
 def _kept_apart(
-    verdicts: Sequence[PairVerdict], table: dict[tuple[str, str], Lock]
+    verdicts: Sequence[PairVerdict], table: Mapping[Names, Lock]
 ) -> tuple[PairVerdict, ...]:
     """Verdicts joined strongest first, refusing those that bring together runs that are locked
     apart."""
@@ -88,28 +79,3 @@ def _kept_apart(
         )
         out[v.a, v.b] = replace(v, accepted=False, accepted_by=None, reason=reason)
     return tuple(out[v.a, v.b] for v in verdicts)
-
-
-def aligned_at(a: TopoMap, b: TopoMap, at: tuple[int, int]) -> Alignment | None:
-    """The alignment that puts one junction of b on one of a with branches aligned.
-
-    Of all rotations that align a branch of one with a branch of the other, the one that brings most
-    other vertices together. None if a junction has no branches. Raises UsageError if one does not
-    exist.
-    """
-    for m, vertex in zip((a, b), at, strict=True):
-        if vertex >= len(m):
-            raise UsageError(
-                f"the lock of {a.run!r} and {b.run!r} names junction {vertex} of {m.run!r}, which "
-                f"has {len(m)}: lock by the numbers in its map document"
-            )
-    u, v = at
-    turns = (a.branches[u][:, None] - b.branches[v]).reshape(-1)
-    if len(turns) == 0:
-        return None
-    tree = cKDTree(a.xy)
-    turned = np.column_stack([np.zeros((len(turns), 2)), turns])
-    transforms = np.column_stack([a.xy[u] - apply(turned, b.xy[v]), turns])
-    near = [np.count_nonzero(tree.query(apply(T, b.xy))[0] <= NEAR_M) for T in transforms]
-    best = transforms[int(np.argmax(near))]
-    return Alignment(best, 0.0, np.array([[u, v]]), 0.0)

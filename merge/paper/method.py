@@ -25,12 +25,12 @@ from ...topology.matching.structure import Structure, prepare
 from ...topology.se2 import apply, between
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
-from ..locks import Lock
+from ..locks import Lock, locks_among
 from ..result import Alignment, PairVerdict, Verdict, shown_bits
 from ..wording import told_bits
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
-from .locking import aligned_at, honour
+from .locking import honour
 from .meeting import Meeting, near_vertices
 from .significance import SelfSimilarity, cluster_bits, self_similarity
 
@@ -147,6 +147,7 @@ def decide(
     ordered = sorted(maps, key=lambda m: m.run)
     by_run = {m.run: m for m in ordered}
     _check_meetings(settings, by_run)
+    table = locks_among(locks, by_run)
     prepared = [prepare_map(m, settings) for m in ordered]
     pairs = list(combinations(prepared, 2))
     out = []
@@ -154,7 +155,7 @@ def decide(
         out.append(verdict)
         if on_pair is not None:
             on_pair(len(out), len(pairs))
-    return honour(out, locks, lambda lock: _forced(by_run, lock, settings))
+    return honour(out, table, lambda lock: _forced(by_run, lock, settings))
 
 
 def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:
@@ -165,20 +166,16 @@ def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> Non
 
 
 def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) -> Alignment | None:
-    """The best cluster that satisfies a "same" lock; at given junctions, failing that, these
-    alone."""
-    map_a, map_b = by_run[lock.a], by_run[lock.b]
-    a, b = prepare_map(map_a, settings), prepare_map(map_b, settings)
+    """The best cluster that satisfies a "same" lock; None if there is none."""
+    a, b = (prepare_map(by_run[run], settings) for run in (lock.a, lock.b))
     found = match(a, b, settings)
     h, c = found.hypotheses, found.clusters
     if lock.at is None:
         return alignment(a, b, found, int(np.argmax(found.bits))) if len(c) else None
-    alone = aligned_at(map_a, map_b, lock.at)
     rows = np.flatnonzero((h.vertex_a == lock.at[0]) & (h.vertex_b == lock.at[1]))
     numbers = c.of[h.of[rows]]
-    if np.any(numbers >= 0):
-        return alignment(a, b, found, int(numbers[numbers >= 0].min()))
-    return alone
+    numbers = numbers[numbers >= 0]
+    return alignment(a, b, found, int(numbers.min())) if len(numbers) else None
 
 
 def _judged(

@@ -87,7 +87,7 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
     by_branch += np.where(by_branch < 0, 0, corridor[:-1].repeat(np.diff(vertex))[:, None])
     tail, head = (moved((getattr(m, end) for m in maps), vertex) for end in ("tail", "head"))
     row = moved((m.by_ends.row for m in maps), corridor)
-    points, halves = [m.points for m in maps], [m.halves for m in maps]
+    points = [m.points for m in maps]
     neighbours = [m.neighbours for m in maps]
     whole |= {
         "branch_unit": _wide(maps, "branch_unit", 0.0),
@@ -96,7 +96,6 @@ def _whole(maps: Sequence[Prepared], vertex: IntArray, corridor: IntArray) -> Pr
         "neighbours": replace(
             joined(neighbours), index=moved((own.index for own in neighbours), vertex)
         ),
-        "halves": replace(joined(halves), half=moved((own.half for own in halves), vertex)),
         "tail": tail,
         "head": head,
         "reverse": moved((m.reverse for m in maps), corridor),

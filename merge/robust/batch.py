@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 
@@ -122,19 +121,18 @@ class Batch:
         """Pairs of one component with a candidate that agrees with where other runs place the two:
         the first such candidate. Pairs without one are left out."""
         together = [pair for pair in pairs if components.together(*pair)]
-        out = {}
-        for (i, j), candidates in self.candidates(together).items():
-            beyond = (c for c in candidates if c.bits > MATCH.lead_bits)
-            for c in self._agreeing(beyond, components.relative(i, j), j):
-                out[i, j] = c
-        return out
+        found = {
+            (i, j): self._agreeing(candidates, components.relative(i, j), j)
+            for (i, j), candidates in self.candidates(together).items()
+        }
+        return {pair: c for pair, c in found.items() if c is not None}
 
     def _agreeing(
         self, candidates: Iterable[Candidate], T_i_j: FloatArray, j: int
-    ) -> Iterator[Candidate]:
-        """The first candidate that places run j as T_i_j does, if any."""
+    ) -> Candidate | None:
+        """The first candidate that places run j as T_i_j does; None if there is none."""
         place = self.matcher.places[j]
-        return islice((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), 1)
+        return next((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), None)
 
     def of_other_size(self) -> dict[Pair, Alignment]:
         """The alignments of pairs that are not merged because one map is larger throughout."""
@@ -159,7 +157,7 @@ class Batch:
             best = self.verdicts[i, j].best
             assert best is not None
             chosen = self._agreeing(candidates, best.transform, j)
-            cases += [(prepared[i], prepared[j], c) for c in chosen]
+            cases += [] if chosen is None else [(prepared[i], prepared[j], chosen)]
         if not cases:
             return []
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
-from ...topology.columns import take
 from ...topology.matching.branches import BranchPairs, agreeing, mutual_nearest
 from ...topology.matching.likelihood import BIT, LIKELIHOOD, doubted
 from .prepare import Prepared
@@ -19,61 +16,24 @@ def branch_bits(
     """(k,) log2 likelihood ratio of the branches of vertices va and vb: one junction against any
     two.
 
-    turn: (k,) rotation b → a as unit numbers. One of two close forks may appear as a whole crossing
-    in the other map: it counts as that, at the price of a fault, if that fits better.
+    turn: (k,) rotation b → a as unit numbers. The null model is how common such junctions are in
+    both maps (`Prepared.descriptor`). Each branch without a partner contributes the log of that
+    run's fault rate; an agreeing one contributes more where directions vary more in these maps
+    (`turn_rarity`).
     """
-    of_a, of_b = _Observed.of(a, va), _Observed.of(b, vb)
-    nats = _nats(of_a, of_b, turn)
-    for m, v, crossing_of_a in ((a, va, True), (b, vb, False)):
-        rows = (m.halves.half.take(v) != v).nonzero()[0]
-        if len(rows):
-            whole = _Observed.of_crossings(m, v[rows])
-            pair = (whole, take(of_b, rows)) if crossing_of_a else (take(of_a, rows), whole)
-            better = _nats(*pair, turn[rows]) + np.log(m.fault_rate[v[rows]])
-            nats[rows] = np.maximum(nats[rows], better)
-    return doubted(nats, of_a.descriptor[:, 4] + of_b.descriptor[:, 4]) / BIT
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Observed:
-    """Branches of k junctions: (k, d) unit numbers and rarity, (k, 5) descriptor; see
-    `Prepared`."""
-
-    unit: ComplexArray
-    rarity: FloatArray
-    descriptor: FloatArray
-
-    @classmethod
-    def of(cls, m: Prepared, v: IntArray) -> _Observed:
-        descriptor = m.descriptor.take(v, axis=0)
-        return cls(m.branch_unit.take(v, axis=0), m.turn_rarity.take(v, axis=0), descriptor)
-
-    @classmethod
-    def of_crossings(cls, m: Prepared, v: IntArray) -> _Observed:
-        descriptor = m.descriptor.take(v, axis=0)
-        descriptor[:, 0] = 4
-        whole = m.halves
-        return cls(whole.unit.take(v, axis=0), whole.rarity.take(v, axis=0), descriptor)
-
-
-def _nats(a: _Observed, b: _Observed, turn: ComplexArray) -> FloatArray:
-    """(k,) log likelihood ratio [nats], without the detectors' confidence.
-
-    The null model is how common such junctions are in both maps (`Prepared.descriptor`). Each
-    branch without a partner contributes the log of that run's fault rate; an agreeing one
-    contributes more where directions vary more in these maps (`turn_rarity`).
-    """
-    pairs = mutual_nearest(a.unit, b.unit * turn[:, None])
+    of_a, of_b = a.descriptor.take(va, axis=0), b.descriptor.take(vb, axis=0)
+    pairs = _pairs(a, b, va, vb, turn)
     agree = np.add.reduce(pairs.paired, axis=1)
-    branches, variance, faults = (a.descriptor + b.descriptor).T[:3]
+    branches, variance, faults, _, confidence = (of_a + of_b).T
     lonely = branches - 2 * agree
-    row = np.arange(len(turn))[:, None]
-    free = np.minimum(a.rarity, b.rarity[row, pairs.nearest])
+    rarity = b.turn_rarity.take(vb, axis=0)[np.arange(len(turn))[:, None], pairs.nearest]
+    free = np.minimum(a.turn_rarity.take(va, axis=0), rarity)
     angle = agreeing(pairs, variance, free, LIKELIHOOD.most / 2)
     # One pair of branches is used up by fitting the rotation.
     angle *= np.maximum(agree - 1, 0) / np.maximum(agree, 1)
-    chance = np.minimum(a.descriptor[:, 3], b.descriptor[:, 3]) * BIT
-    return np.asarray(np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most))
+    chance = np.minimum(of_a[:, 3], of_b[:, 3]) * BIT
+    nats = np.minimum(chance + angle + lonely * np.log(faults), LIKELIHOOD.most)
+    return np.asarray(doubted(nats, confidence) / BIT)
 
 
 def lonely_branches(

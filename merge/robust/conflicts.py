@@ -79,6 +79,18 @@ class Contradiction:
     of_b: tuple[int, ...]
     bits: float
 
+    def sentence(self, run_a: str, run_b: str) -> str:
+        """What contradicts the match of two runs."""
+        one, two = (" to ".join(map(str, ends)) for ends in (self.of_a, self.of_b))
+        if self.kind == "elsewhere":
+            return (
+                f"corridor {one} of {run_a} and corridor {two} of {run_b} "
+                "leave the same junction by the same branch and lead to different ones"
+            )
+        if len(self.of_a) > 1:
+            one, two, run_a, run_b = two, one, run_b, run_a
+        return f"junction {one} of {run_a} falls inside corridor {two} of {run_b}, unseen there"
+
 
 def one_by_one(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
     """All contradictions of a match, undetected junctions first."""
@@ -173,11 +185,7 @@ def _elsewhere(
     partner = np.full(len(lanes.lane), -1)
     partner[grown.row] = grown.a
     far_a, far_b = a.head[leave_a], b.head[leave_b]
-    # Corridors to or from the other fork of a crossing belong to the crossing.
-    found = partner[far_b + lanes.shift[lane]], partner[b.halves.half[far_b] + lanes.shift[lane]]
-    astray = (a.halves.half[a.tail[leave_a]] != far_a) & (b.halves.half[b.tail[leave_b]] != far_b)
-    for there in found:
-        astray &= (there != far_a) & (there != a.halves.half[far_a])
+    astray = partner[far_b + lanes.shift[lane]] != far_a
     lane, leave_a, leave_b = lane[astray], leave_a[astray], leave_b[astray]
     far_a, far_b = far_a[astray], far_b[astray]
 
@@ -261,7 +269,6 @@ def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
     lanes, a = grown.lanes, grown.lanes.a.whole
     alone = near.copy()
     alone[grown.row] = False
-    alone[lanes.b.whole.halves.half[lanes.vertex[grown.row]] + lanes.shift[grown.lane]] = False
     lone = alone.nonzero()[0]
     where, lane = grown.place[lone], lanes.lane[lone]
     off_end = MATCH.clear_m + MATCH.drift_per_m * grown.support_m[lone]
@@ -293,7 +300,6 @@ def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
     slot = vertex[beside] + lanes.shift_a[lane[beside]]
     taken = np.zeros(int(lanes.first_a[-1]), np.bool_)
     taken[grown.a + lanes.shift_a[grown.lane]] = True
-    taken[a.halves.half[grown.a] + lanes.shift_a[grown.lane]] = True
     free = ~taken[slot]
     beside, slot = beside[free], slot[free]
     lane, rows, place, vertex = lane[beside], rows[beside], place[beside], vertex[beside]

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from ...topology.errors import UsageError
 from ...topology.topomap import TopoMap
 from ..discards import Names
-from ..locks import Lock, lock_table
+from ..locks import Lock, locks_among
 from ..result import Alignment, PairVerdict, pairs_of
 from .across import Across
 from .alignment import Candidate, match
@@ -51,8 +50,10 @@ def decide(
     """
     matcher = Pairwise(maps, settings, means)
     say, named = matcher.means.say, [m.run for m in maps]
-    locked = _locked_pairs(maps, locks)
-    batch = Batch(matcher, frozenset(locked), frozenset(_pairs_named(maps, discarded)))
+    row = {m.run: k for k, m in enumerate(maps)}
+    among = locks_among(locks, {m.run: m for m in maps})
+    locked = {(row[a], row[b]): lock for (a, b), lock in among.items()}
+    batch = Batch(matcher, frozenset(locked), frozenset(_pairs_named(row, discarded)))
     wanted = wanted_pairs(matcher, {*batch.locked, *batch.discarded})
     say(f"{len(maps)} maps, {len(wanted)} of {pairs_of(len(maps))} pairs to match")
     batch.match(wanted)
@@ -86,28 +87,9 @@ def decide(
     return tuple(_verdicts(batch, components, Others(forced, locked, refused, reunions)))
 
 
-def _pairs_named(maps: Sequence[TopoMap], names: Collection[Names]) -> list[Pair]:
-    """The pairs of these maps, by indices."""
-    row = {m.run: k for k, m in enumerate(maps)}
+def _pairs_named(row: Mapping[str, int], names: Collection[Names]) -> list[Pair]:
+    """The pairs of runs that are among the maps, by indices."""
     return [(row[a], row[b]) for a, b in sorted(names) if a in row and b in row]
-
-
-def _locked_pairs(maps: Sequence[TopoMap], locks: Sequence[Lock]) -> dict[Pair, Lock]:
-    """The locks that concern these maps, by indices."""
-    index = {m.run: i for i, m in enumerate(maps)}
-    out: dict[Pair, Lock] = {}
-    for (a, b), lock in lock_table(locks).items():
-        if a not in index or b not in index:
-            continue
-        pair = (index[a], index[b])
-        for run, vertex in zip(pair, lock.at or (), strict=False):
-            if vertex >= len(maps[run]):
-                raise UsageError(
-                    f"the lock of {a!r} and {b!r} names junction {vertex} of {maps[run].run!r}, "
-                    f"which has {len(maps[run])}: lock by the numbers in its map document"
-                )
-        out[pair] = lock
-    return out
 
 
 def _forced(batch: Batch, locked: dict[Pair, Lock]) -> dict[Pair, Candidate]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,12 @@ from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
 from .advice import advice
 from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
+from .conflicts import one_by_one
 from .prepare import Prepared
 from .rematching import Reunion
 from .verdict import DOUBTS, Answers, Assessment, counted_bits
 from .view_ties import view_ties
-from .wording import contradictions, nothing, summary
+from .wording import nothing, summary
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
@@ -180,16 +181,8 @@ class Case:
             locked=None if self.lock is None else self.lock.decision,
             lacks=assessment.why,
             lead_needed_bits=assessment.lead_bits if shown else None,
-            extra=_extra(assessment) | self._copy_test(verdict),
+            extra=_extra(assessment),
         )
-
-    def _copy_test(self, verdict: Verdict) -> dict[str, Any]:
-        """The test for a copy, of runs that a person locked apart: of unrelated ones the document
-        states no alignment that could."""
-        tested = self.assessment.answers[0].copy_test if self.assessment.answers else None
-        if verdict is not Verdict.UNRELATED or tested is None:
-            return {}
-        return {"copy_test": asdict(tested)}
 
 
 def doubt(pair: PairVerdict) -> str:
@@ -224,15 +217,15 @@ def _extra(assessment: Assessment) -> dict[str, Any]:
 def alignment_of(c: Candidate, a: Prepared, b: Prepared, answers: Answers | None) -> Alignment:
     """A candidate as an alignment. answers: its evidence; None if it was not assessed."""
     order = np.argsort(c.a, kind="stable")
-    against = contradictions(c, a, b)
+    against = one_by_one(c.conflicts, a, b)
     return Alignment(
         transform=c.transform,
         evidence_bits=counted_bits(c) if answers is None else answers.bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
-        contradictions=tuple(text for text, _, _ in against),
-        contradicting=tuple((of_a, of_b) for _, of_a, of_b in against),
+        contradictions=tuple(x.sentence(a.run, b.run) for x in against),
+        contradicting=tuple((x.of_a, x.of_b) for x in against),
         copy_test=None if answers is None else answers.copy_test,
         ties=view_ties(a, b, c.views),
     )

@@ -34,7 +34,6 @@ from .entries import alignment_of
 from .forced import forced_alignment
 from .pairing import Means, Pairwise
 from .prepare import Prepared
-from .rematching import linked_junctions, matches_of_components
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .verdict import counted_bits, in_steps
 from .view_search import pictured
@@ -131,13 +130,19 @@ class _Pair:
         same = (c for c in self.candidates(verdict) if pairs == {*_matched(c)})
         return next(same, None)
 
+    def stated(self, best: Alignment) -> Placement:
+        """An alignment by the evidence of fused maps, of which the merge states the sum alone. Of
+        maps that changed since, some junctions may be gone."""
+        there = (best.matched < [len(m) for m in self.matcher.maps]).all(axis=1)
+        return Placement(replace(best, matched=best.matched[there]), ())
+
     def placements(self, verdict: PairVerdict) -> Iterator[Placement]:
         """The placement that a verdict refers to, or the best one, and the runner-up."""
         best = None if verdict.verdict is Verdict.UNRELATED else verdict.best
         chosen = None if best is None else self.known(verdict, best)
         chosen = chosen or next(self.candidates(verdict), None)
         if chosen is not None:
-            yield self._placement(chosen, _tested(verdict))
+            yield self._placement(chosen, verdict.best)
         if chosen is not None and verdict.runner_up is not None:
             second = self.known(verdict, verdict.runner_up)
             yield from () if second is None else (self._placement(second, verdict.runner_up),)
@@ -165,8 +170,8 @@ def explain(merge: Merge, a: str, b: str) -> Decision:
     unlisted = not listed and a in merge.poses and b in merge.poses
     verdict = merge.verdicts[a, b] if listed else pair.alone()
     verdict = _unlisted(merge, verdict) if unlisted else verdict
-    if verdict.accepted_by == "components" and verdict.together is not None:
-        placements = tuple(_of_components(merge, verdict, verdict.together))
+    if verdict.accepted_by == "components" and verdict.best is not None:
+        placements = (pair.stated(verdict.best),)
     else:
         placements = tuple(pair.placements(verdict))
     return Decision(
@@ -179,15 +184,6 @@ def explain(merge: Merge, a: str, b: str) -> Decision:
         why="" if verdict.accepted else verdict.lacks,
         notes=_lock_notes(merge, verdict) if listed and not discarded(verdict) else (),
     )
-
-
-def _tested(verdict: PairVerdict) -> Alignment | None:
-    """The alignment of a verdict with its test for a copy. Of runs that a person locked apart the
-    document states that alone."""
-    if "copy_test" not in verdict.extra:
-        return verdict.best
-    tested, nothing = CopyTest(**verdict.extra["copy_test"]), np.zeros((0, 2), np.int64)
-    return Alignment(np.zeros(3), verdict.evidence_bits, nothing, 0.0, copy_test=tested)
 
 
 def _unlisted(merge: Merge, alone: PairVerdict) -> PairVerdict:
@@ -223,81 +219,6 @@ def _chain(merge: Merge, verdict: PairVerdict) -> Iterator[tuple[str, str, float
     """The merged pairs by which others join a pair."""
     for a, b in pairwise((verdict.a, *verdict.through, verdict.b) if verdict.through else ()):
         yield a, b, merge.verdicts[min(a, b), max(a, b)].evidence_bits
-
-
-def _tied(merge: Merge, verdict: PairVerdict, best: Alignment) -> Alignment:
-    """The alignment of a pair with its ties by views, which documents do not state."""
-    if verdict.accepted_by == "components" or not all(
-        len(merge.read(run).views) for run in (verdict.a, verdict.b)
-    ):
-        return best
-    pair = _Pair.of(merge, verdict.a, verdict.b)
-    found = pair.known(verdict, best)
-    return best if found is None else alignment_of(found, pair.a, pair.b, None)
-
-
-def _of_components(
-    merge: Merge, verdict: PairVerdict, sides: tuple[tuple[str, ...], tuple[str, ...]]
-) -> Iterator[Placement]:
-    """The placement of a pair that its components joined, with their evidence."""
-    runs = sorted((*sides[0], *sides[1]))
-    row = {run: k for k, run in enumerate(runs)}
-    maps = [merge.read(run) for run in runs]
-    inside = {
-        (row[a], row[b]): _tied(merge, v, v.best)
-        for (a, b), v in merge.verdicts.items()
-        if v.accepted_by in ("pair", "lock", "components")
-        and a in row
-        and b in row
-        and v.best is not None
-    }
-    x, y = (tuple(row[run] for run in side) for side in sides)
-    one, two, candidates = matches_of_components(maps, (x, y), inside, merge.settings, merge.kept)
-    if verdict.best is None or not candidates:
-        return
-    ends, wanted = (row[verdict.a], row[verdict.b]), verdict.best.matched.tolist()
-    linked = (linked_junctions(one, two, c).get(ends, []) for c in candidates)
-    same = (c for c, own in zip(candidates, linked, strict=True) if wanted == [*map(list, own)])
-    best = next(same, candidates[0])
-    a_is_two = verdict.a not in one.names
-    behind = [
-        [members.get(run, ())[:1] for members in side.members]
-        for side, run in zip(
-            (one, two), (verdict.b, verdict.a) if a_is_two else (verdict.a, verdict.b), strict=True
-        )
-    ]
-    terms = _terms(
-        one.prepared, two.prepared, best, verdict.best.evidence_bits, verdict.best.copy_test
-    )
-    # Of maps that changed since, some junctions may be gone.
-    sizes = [len(maps[k]) for k in ends]
-    matched = verdict.best.matched[(verdict.best.matched < sizes).all(axis=1)]
-    shown = replace(verdict.best, matched=matched, corridors=len(best.corridors))
-    yield Placement(
-        shown, tuple(_of_runs(t, behind[0], behind[1], swapped=a_is_two) for t in terms)
-    )
-
-
-Behind = Sequence[tuple[int, ...]]
-"""For each vertex of a merged map the junction of a run behind it, none if the run has none."""
-
-
-def _of_runs(term: Term, behind_a: Behind, behind_b: Behind, *, swapped: bool) -> Term:
-    """A term about two merged maps as one about two of their runs. swapped: the first merged map
-    holds run b."""
-    a, b = _junctions(behind_a, term.a), _junctions(behind_b, term.b)
-    if not swapped:
-        return replace(term, a=a, b=b)
-    size_m, seen = term.size_m, term.seen
-    return replace(
-        term, a=b, b=a, size_m=size_m and size_m[::-1], seen=None if seen is None else seen.swapped
-    )
-
-
-def _junctions(behind: Behind, vertices: Sequence[int]) -> tuple[int, ...]:
-    """The junctions behind all of these vertices; none if one of them has none."""
-    found = [v for vertex in vertices for v in behind[vertex]]
-    return tuple(found) if len(found) == len(vertices) else ()
 
 
 def _terms(

@@ -16,7 +16,6 @@ from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import NO_VIEWS, Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
 from .corridor_points import CorridorPoints, corridor_shapes
-from .halves import Halves, halves
 from .nearest_neighbours import NearestNeighbours
 from .settings import MATCH
 
@@ -88,7 +87,7 @@ class Prepared:
     probability that a pass shows exactly these branches; descriptor: (n, 5) count, variance of one
     heading [rad²], fault_rate, self-information of the branches in this map [bits], ln confidence;
     by_branch: (n, d) first corridor that leaves by each branch, -1 for none; neighbours: the
-    nearest junctions of each; halves: forks that may be halves of one crossing.
+    nearest junctions of each.
 
     Corridors, (k,) each. tail, head: vertices; length: of the chord [m]; angle: of the chord [rad];
     leave: row-local branch at the tail, NO_BRANCH where unknown; sagitta: signed offset of the
@@ -139,7 +138,6 @@ class Prepared:
     alike: float
     alike_pairs: float
     points: CorridorPoints
-    halves: Halves
     nearest_junction: NearestNeighbours
     nearest_point: NearestNeighbours
     views: Views = NO_VIEWS
@@ -220,7 +218,6 @@ def prepare(topomap: TopoMap) -> Prepared:
         alike=alike,
         alike_pairs=alike_pairs,
         points=points,
-        halves=halves(z, unit, turn_rarity, (tail, head), shows_bends=m.shows_bends),
         nearest_junction=nearest_junction,
         nearest_point=NearestNeighbours.of(points.z),
         views=m.views,

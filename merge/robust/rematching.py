@@ -14,16 +14,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ...topology.topomap import TopoMap
 from ...topology.wording import listed
-from ..kept import Kept
 from ..result import Alignment, Verdict, pairs_of
-from .alignment import Candidate, laid_over
+from .alignment import laid_over
 from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .pairing import Pair, Pairwise
-from .settings import RobustSettings
 from .verdict import Assessment, Threshold, assess_all
 from .wording import summary
 
@@ -161,53 +158,30 @@ class Rematcher:
         return _Match(one, two, assessment, links)
 
 
-def matches_of_components(
-    maps: Sequence[TopoMap],
-    sides: tuple[Runs, Runs],
-    accepted: Mapping[Pair, Alignment],
-    settings: RobustSettings,
-    kept: Kept,
-) -> tuple[MergedMap, MergedMap, tuple[Candidate, ...]]:
-    """The merged maps of two components, and how these can be matched. sides: the runs of each,
-    sorted; accepted: the alignments by which each was joined; kept: results of earlier merges."""
-    merged = MergedMaps(maps, kept)
-    one, two = (merged.of(runs, accepted) for runs in sides)
-    return one, two, merged.matched(one, two, settings)
-
-
 def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alignment]:
-    """The alignments of pairs of runs that a match of two fused maps implies, the strongest
-    first."""
-    assert found.best is not None
-    known = {**one.maps, **two.maps}
-    out = {}
-    for (i, j), pairs in linked_junctions(one, two, found.best).items():
-        matched = np.array(pairs, np.int64)
-        transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
-        corridors, tested = len(found.best.corridors), found.answers[0].copy_test
-        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=tested)
-    return out
-
-
-def linked_junctions(
-    one: MergedMap, two: MergedMap, best: Candidate
-) -> dict[Pair, list[tuple[int, int]]]:
-    """The junctions of pairs of runs, sorted, that a match of two fused maps makes one; the pairs
-    with most first.
+    """The alignments of pairs of runs that a match of two fused maps implies, the pairs with most
+    common junctions first.
 
     A pair is linked by the matched places that both its runs saw; pairs with fewer than three are
     left out, unless there are no others: then the best one with at least two counts.
     """
+    best = found.best
+    assert best is not None
+    known = {**one.maps, **two.maps}
+    number = {m.run: k for k, m in known.items()}
     shared: dict[Pair, list[tuple[int, int]]] = defaultdict(list)
-    run_of_one = {m.run: i for i, m in one.maps.items()}
-    run_of_two = {m.run: j for j, m in two.maps.items()}
     for p, q in zip(best.a.tolist(), best.b.tolist(), strict=True):
         for run_i, vertices_i in sorted(one.members[p].items()):
             for run_j, vertices_j in sorted(two.members[q].items()):
-                i, j = run_of_one[run_i], run_of_two[run_j]
-                u, v = vertices_i[0], vertices_j[0]
-                shared[(i, j) if i < j else (j, i)].append((u, v) if i < j else (v, u))
+                ends = (number[run_i], vertices_i[0]), (number[run_j], vertices_j[0])
+                (i, u), (j, v) = sorted(ends)
+                shared[i, j].append((u, v))
     ranked = sorted(shared.items(), key=lambda item: (-len(item[1]), item[0]))
     strong = [item for item in ranked if len(item[1]) >= 3]
-    some = strong or [item for item in ranked[:1] if len(item[1]) >= 2]
-    return {pair: sorted(pairs) for pair, pairs in some}
+    out = {}
+    for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
+        matched = np.array(sorted(pairs), np.int64)
+        transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
+        corridors, tested = len(best.corridors), found.answers[0].copy_test
+        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=tested)
+    return out

@@ -153,9 +153,8 @@ class MatchSettings:
     """Length at either end of a corridor that belongs to the junction [m]; also the spacing of the
     sample points of the rest. Tried: .7 and 1.5, no change."""
     crossing_m: float = 1.7
-    """Largest distance of two forks that may be one crossing in a skeleton [m]: the detector joins
-    those up to 1.0 m apart (one variant for saved grids 1.3 m); of the acute crossings of organic
-    ways that it shows as two, the forks lie 1.1 to 1.55 m apart."""
+    """By so much more may junctions lie apart that a placement of views lays over each other: a
+    crossing at an acute angle shows as two forks 1.1 to 1.55 m apart in a skeleton."""
     ranked_decimals: int = 6
     """Decimals of evidence [bits] by which placements are ranked: copies that are built alike have
     the same evidence up to rounding. Sums of a thousand bits are rounded at the twelfth decimal,

@@ -120,7 +120,7 @@ class Summary:
     def of(cls, data: bytes) -> Summary:
         """What the bytes of a result say."""
         junctions, bits, against_chance = HEAD.unpack_from(data)
-        faint = Faint(junctions, bits, against_chance) if junctions else None
+        faint = Faint(junctions, bits) if junctions else None
         return cls(faint, against_chance, len(data) > HEAD.size)
 
 
@@ -132,10 +132,11 @@ def candidates_of(data: bytes) -> tuple[Candidate, ...]:
 def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
     """What is kept of the candidates of a pair: those beyond chance, or a summary of the best."""
     odd = tuple(c for c in found if c.bits > MATCH.lead_bits)
+    against_chance = beyond_chance_bits(odd or found, settings)
     if odd:
-        return HEAD.pack(0, 0.0, beyond_chance_bits(odd, settings)) + codec.to_bytes(odd)
-    faint = faint_of(found, settings) or Faint(0, 0.0)
-    return HEAD.pack(faint.junctions, faint.bits, faint.against_chance)
+        return HEAD.pack(0, 0.0, against_chance) + codec.to_bytes(odd)
+    faint = faint_of(found) or Faint(0, 0.0)
+    return HEAD.pack(faint.junctions, faint.bits, against_chance)
 
 
 def image_result_of(found: tuple[Candidate, ...]) -> bytes:

@@ -125,20 +125,15 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class Faint:
-    """An alignment no better than chance: its junctions and evidence [bits]; against_chance:
-    `beyond_chance_bits` of all alignments of the pair."""
+    """An alignment no better than chance: its junctions and evidence [bits]."""
 
     junctions: int
     bits: float
-    against_chance: float = 0.0
 
 
-def faint_of(candidates: Sequence[Candidate], settings: RobustSettings) -> Faint | None:
-    """Summary of the best candidate; None if there is none."""
-    if not candidates:
-        return None
-    best = candidates[0]
-    return Faint(len(best), counted_bits(best), beyond_chance_bits(candidates, settings))
+def faint_of(candidates: Sequence[Candidate]) -> Faint | None:
+    """The best candidate in short; None if there is none."""
+    return next((Faint(len(c), counted_bits(c)) for c in candidates), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -335,9 +330,7 @@ def _assess(
     same: results of the test for copies, if any needs it."""
     a, b, candidates, threshold = pair
     if not odd:
-        return Assessment(
-            Verdict.UNRELATED, threshold.need_bits, faint=faint_of(candidates, threshold.settings)
-        )
+        return Assessment(Verdict.UNRELATED, threshold.need_bits, faint=faint_of(candidates))
     asked = max(shares) > 0
     answers = []
     for c, share in zip(odd, shares, strict=True):

@@ -6,8 +6,6 @@ from ...topology.wording import counted
 from ..result import shown_bits, shown_lead
 from ..wording import decimals, told_bits, what_agrees
 from .alignment import Candidate
-from .conflicts import Contradiction, one_by_one
-from .prepare import Prepared
 from .verdict import Faint
 
 
@@ -36,24 +34,3 @@ def nothing(best: Faint | None, need_bits: float) -> str:
         return "no significant match: no alignment holds"
     agree = f"{counted(best.junctions, 'junction')} {'agrees' if best.junctions == 1 else 'agree'}"
     return f"no significant match: {agree}, {told_bits(best.bits, need_bits)}"
-
-
-Ends = tuple[int, ...]
-
-
-def contradictions(best: Candidate, a: Prepared, b: Prepared) -> list[tuple[str, Ends, Ends]]:
-    """For every contradiction of an alignment a sentence, and the vertices of a and of b that it
-    concerns: one, or the two ends of a corridor."""
-    return [(_sentence(c, a.run, b.run), c.of_a, c.of_b) for c in one_by_one(best.conflicts, a, b)]
-
-
-def _sentence(c: Contradiction, run_a: str, run_b: str) -> str:
-    one, two = (" to ".join(map(str, ends)) for ends in (c.of_a, c.of_b))
-    if c.kind == "unseen":
-        inside = len(c.of_a) == 1
-        vertex, run, row, other = (one, run_a, two, run_b) if inside else (two, run_b, one, run_a)
-        return f"junction {vertex} of {run} falls inside corridor {row} of {other}, unseen there"
-    return (
-        f"corridor {one} of {run_a} and corridor {two} of {run_b} "
-        "leave the same junction by the same branch and lead to different ones"
-    )

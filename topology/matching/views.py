@@ -373,11 +373,6 @@ class Compared:
     of_second: NDArray[np.bool_]
     kind: NDArray[np.uint8]
 
-    @property
-    def swapped(self) -> Compared:
-        """The same, the second view taken for the first; the frame stays."""
-        return Compared(self.xy, ~self.of_second, self.kind)
-
 
 def compared(a: ViewIndex, b: ViewIndex, rows: tuple[int, int], transform: FloatArray) -> Compared:
     """One view of a and one of b, `rows`, at a registration (3,)."""

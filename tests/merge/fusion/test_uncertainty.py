@@ -7,7 +7,7 @@ import pytest
 
 from topobatch.merge.fusion.fuse import fuse
 from topobatch.merge.fusion.joint_graph import SOLVER, pass_counts, settle
-from topobatch.merge.fusion.uncertainty import spread
+from topobatch.merge.fusion.uncertainty import fused_sigmas
 from topobatch.merge.fusion.vertex_partition import Pool
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
 from topobatch.topology.posegraph.solve import solve
@@ -45,7 +45,7 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
     label = np.concatenate([np.arange(first, first + 9) for first in firsts.values()])
     start = {name: np.array([6.0 * k, 1.5 * (k % 2), 0.0]) for name, k in firsts.items()}
     joint = settle(pool, label, start)
-    found = spread(pool, label, joint.graph, joint.solution, np.array([0 * 3 + 2]))
+    *_, found = fused_sigmas(pool, label, joint.graph, joint.solution, ())
     true = np.zeros((len(pool), 3))
     true[:, :2] = np.column_stack([6.0 * label, 1.5 * (label % 2)])
     plain = replace(joint.graph, kernel=np.full(len(joint.graph.source), np.inf), pose=true)
@@ -84,7 +84,7 @@ def test_spread_is_the_covariance_of_rigid_fits_of_the_truth(draw):
 
 def test_fused_vertices_say_how_sure_they_are(chain):
     maps, links = chain
-    _, fused = fuse(maps, links, requested=())
+    _, fused = fuse(maps, links, sigmas=True)
     assert fused.position_sigma.shape == (len(fused),)
     # What the middle run ties lies surer than the far ends.
     order = np.argsort(fused.xy[:, 0])
@@ -100,10 +100,10 @@ def test_lengths_are_as_sure_as_all_runs_are_of_their_ends(draw):
     maps = [replace(along(draw, name, 0, 16), noise=exact, length_sigma=stated) for name in "abcd"]
     links = [verdict(maps[0], m, [(k, k) for k in range(17)]) for m in maps[1:]]
     for count in (2, 4):
-        _, fused = fuse(maps[:count], links[: count - 1], requested=())
+        _, fused = fuse(maps[:count], links[: count - 1], sigmas=True)
         sigma = np.sqrt(np.mean(fused.length_sigma**2))
         assert sigma == pytest.approx(np.sqrt(2 / count) * exact.centre_m, rel=0.1)
     # No map is less sure of its lengths for being merged.
     sure = [replace(m, length_sigma=stated / 10) for m in maps[:2]]
-    _, fused = fuse(sure, links[:1], requested=())
+    _, fused = fuse(sure, links[:1], sigmas=True)
     np.testing.assert_allclose(fused.length_sigma, stated[0] / 10 / np.sqrt(2), rtol=1e-6)

@@ -39,14 +39,3 @@ def against(grown):
     """The contradictions of a match in the only lane."""
     (found,) = conflicts(grown, np.ones(1, bool))
     return found
-
-
-ENDS = [(-6, 0), (-6, -5), (6, 0), (6, 5)]
-AROUND = [(0, 1), (0, 2), (1, 2), (3, 4)]
-
-
-def crossing_and_forks(drawn, apart_m=1.2):
-    """The same ways twice: an acute crossing in the middle, or two forks in its place."""
-    whole = drawn("a", [(0, 0), *ENDS], [*AROUND, (0, 3), (0, 4)])
-    x, y = apart_m / 2 * np.cos(np.pi / 9), apart_m / 2 * np.sin(np.pi / 9)
-    return whole, drawn("b", [(-x, -y), *ENDS, (x, y)], [*AROUND, (0, 5), (5, 3), (5, 4)])
