@@ -118,10 +118,17 @@ def export(
             picture = _path(place, output, f"{source.name}.pgm", sources, alone=False)
             texts |= grid_texts(place, source, log, picture.name, screen)
             continue
-        for ending, text in _texts(place, source, form, tolerance, log, screen).items():
-            texts[f"{source.name}{ending}"] = text
+        try:
+            files = _texts(place, source, form, tolerance, log, screen)
+        except DataError as error:
+            if len(sources) == 1:
+                raise
+            screen.warn(f"{error}; left out")
+            continue
+        texts |= {f"{source.name}{ending}": text for ending, text in files.items()}
     if not texts:
-        raise DataError(f"{what}: nobody drove its maps, which are of grids: no trajectories")
+        why = "nobody drove its maps, which are of grids: no trajectories"
+        raise DataError(f"{what}: {why if form == 'tum' else f'no site has what {form} needs'}")
     if output == STDOUT:
         if as_json:
             raise UsageError("--json tells of files; with --output - the map itself is printed")

@@ -211,6 +211,23 @@ def test_maps_of_grids_have_no_trajectories_and_cost_others_none(topobatch, fill
     assert "nobody drove" in topobatch("export", "floor", "-f", "tum", "-w", root).error(1)
 
 
+def test_a_site_that_a_format_cannot_hold_costs_the_others_none(topobatch, filled, tmp_path):
+    """A hall is one place without a corridor."""
+    root, run = tmp_path / "ws", run_of(filled)
+    shutil.copytree(filled.root, root)
+    cells = np.full((100, 150), 254, np.uint8)
+    Image.fromarray(np.pad(cells, 5)).save(tmp_path / "hall.png")
+    yaml = "image: hall.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+    (tmp_path / "hall.yaml").write_text(yaml)
+    assert topobatch("ingest", tmp_path / "hall.yaml", "-q", "-w", root).code == 0
+    assert topobatch("merge", "hall", run, "--output", "two", "-q", "-w", root).code == 0
+    shown = topobatch("export", "two", "-f", "nav2", "-w", root)
+    assert shown.code == 0, shown
+    assert "hall: has no corridor" in shown.err
+    assert len(shown.out.split()) == 1
+    assert "has no corridor" in topobatch("export", "hall", "-f", "nav2", "-w", root).error(1)
+
+
 def test_maps_that_changed_since_the_merge_cost_the_times_only(topobatch, filled) -> None:
     document = read_json(filled.merged_json)
     component = document["graph"]["components"][0]
