@@ -8,7 +8,7 @@ import shutil
 import sqlite3
 import sys
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from itertools import compress
 from pathlib import Path
@@ -93,9 +93,9 @@ class SqliteFile:
         row's page, which takes as long as reading the run.
         """
         try:
-            with _connected(self.path) as base:
+            with _with_room(self.path) as path, _connected(path) as base:
                 channels = _channels(base)
-                if _unused_pages(self.path):
+                if _unused_pages(path):
                     return None
                 counts = dict.fromkeys(channels.values(), 0)
                 for key, count in _counts(base, channels, exact).items():
@@ -133,17 +133,12 @@ class SqliteFile:
         what is missing of it for zeros."""
         page, size = _page_bytes(self.path), self.path.stat().st_size
         if size % page == 0:
-            yield self.path
+            with _with_room(self.path) as path:
+                yield path
             return
         findings.faults[CUT] = 1
-        with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
-            copy = Path(folder) / "copy.db3"
-            try:
-                shutil.copyfile(self.path, copy)
-                os.truncate(copy, size // page * page)
-            except OSError as error:
-                reason = error.strerror
-                raise LogError(f"{self.path}: cannot be copied to be read ({reason})") from error
+        with _copied(self.path, []) as copy:
+            os.truncate(copy, size // page * page)
             yield copy
 
 
@@ -292,6 +287,30 @@ class _Reader:
 
 
 @contextmanager
+def _with_room(path: Path) -> Iterator[Path]:
+    """The database, or a copy of it and its write-ahead log where the library could not write the
+    index that it needs beside them."""
+    log, index = _log_of(path), _index_of(path)
+    if log is None or index.exists() or os.access(path.parent, os.W_OK):
+        yield path
+        return
+    with _copied(path, [log]) as copy:
+        yield copy
+
+
+@contextmanager
+def _copied(path: Path, more: Sequence[Path]) -> Iterator[Path]:
+    """A copy of the database, with others of its files beside it."""
+    with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
+        try:
+            for file in (path, *more):
+                shutil.copyfile(file, Path(folder) / file.name)
+        except OSError as error:
+            raise LogError(f"{path}: cannot be copied to be read ({error.strerror})") from error
+        yield Path(folder) / path.name
+
+
+@contextmanager
 def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection]:
     """A read-only connection that runs no code of the file, with work limited by the file's size.
 
@@ -299,7 +318,7 @@ def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection
     one the library opens both, and makes the index that it needs. salvage: open the database alone,
     even if it is shorter than its header says.
     """
-    log, index = _log_of(path), path.with_name(path.name + "-shm")
+    log, index = _log_of(path), _index_of(path)
     existed, mode = index.exists(), "immutable=1"
     if log is not None and not salvage:
         # An index that is there is the recorder's; what is wrong with it is worked out in memory.
@@ -324,14 +343,19 @@ def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection
                     base.execute("PRAGMA writable_schema = ON")
             yield base
     finally:
-        if not existed:
-            index.unlink(missing_ok=True)
+        if index.exists() and not existed:
+            index.unlink()
 
 
 def _log_of(path: Path) -> Path | None:
     """The write-ahead log beside a database, if there is one that holds any change."""
     log = path.with_name(path.name + "-wal")
     return log if log.is_file() and log.stat().st_size > LOG_HEAD else None
+
+
+def _index_of(path: Path) -> Path:
+    """The index of the write-ahead log beside a database."""
+    return path.with_name(path.name + "-shm")
 
 
 def _unused_pages(path: Path) -> int:
@@ -341,7 +365,7 @@ def _unused_pages(path: Path) -> int:
     (https://www.sqlite.org/fileformat2.html, section 4). What a log held before it was begun anew
     stands behind its frames, under another salt.
     """
-    log, index = _log_of(path), path.with_name(path.name + "-shm")
+    log, index = _log_of(path), _index_of(path)
     if log is None:
         return 0
     used = 0

@@ -152,7 +152,7 @@ def test_log_time_is_used_on_request(logs, tmp_path):
         assert_whole(logs, read_run(path, ReadSettings(time="log")), "log_ns")
 
 
-def test_messages_left_in_a_write_ahead_log_are_read(logs, tmp_path):
+def test_messages_left_in_a_write_ahead_log_are_read(logs, tmp_path, monkeypatch):
     folder = logs.ros2_folder(tmp_path / "run", logs.drive())
     live, copy = folder / "run.db3", tmp_path / "copy"
     base = sqlite3.connect(live)
@@ -171,6 +171,13 @@ def test_messages_left_in_a_write_ahead_log_are_read(logs, tmp_path):
     before = {file.name: file.read_bytes() for file in copy.iterdir()}
     assert_whole(logs, read_run(copy))
     assert {file.name: file.read_bytes() for file in copy.iterdir()} == before
+    with monkeypatch.context() as patch:  # where nothing can be written, a copy is read
+        patch.setattr("topobatch.ingest.logs.sqlite.os.access", lambda *_: False)
+        connect, opened = sqlite3.connect, []
+        patch.setattr(sqlite3, "connect", lambda uri, **o: opened.append(uri) or connect(uri, **o))
+        assert_whole(logs, read_run(copy))
+        assert opened
+        assert not any(str(copy) in uri for uri in opened)
     log = bytearray(before["run.db3-wal"])
     log[len(log) // 2] ^= 4
     (copy / "run.db3-wal").write_bytes(log)
