@@ -91,7 +91,8 @@ def _recording(place: Workspace, what: str) -> Path:
         how = f"{place.call('explain', *found.pair)} makes it"
     else:
         recording, how = found.place.merged_rrd, "merge again"
-        found.place.require_merge()
+        if not recording.is_file():
+            found.place.require_merge()
     if not recording.is_file():
         raise DataError(f"{recording}: is not there; {how}")
     return recording
