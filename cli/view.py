@@ -31,7 +31,7 @@ def view(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="[RUN|A:B]",
+            metavar="RUN|A:B",
             help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
             "topobatch explain found; the merged map without.",
             show_default=False,
