@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from ..merge.robust.settings import RobustSettings
     from ..topology.topomap import TopoMap
 
+TO_MERGE = "topobatch merge --all"
+"""What gives runs a verdict."""
+
 
 @grouped
 def explain(
@@ -97,6 +100,8 @@ def explain(
 
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
     """Explain the decision of the robust method."""
+    from dataclasses import replace
+
     from ..merge.decision import to_document
     from ..merge.decision_text import lines
     from ..viz.decision_recording import write_decision_recording
@@ -105,7 +110,9 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
     if as_json:
         say_lines(json.dumps(to_document(decision)))
     else:
-        for line in lines(decision, rows, width()):
+        # Pictures and recordings, which may be moved, have the call without the workspace.
+        notes = [n.replace(TO_MERGE, place.call("merge", "--all")) for n in decision.notes]
+        for line in lines(replace(decision, notes=tuple(notes)), rows, width()):
             say_lines(line)
     recording = place.explain_rrd(*pair)
     try:
@@ -176,7 +183,7 @@ def _last_merge(place: Workspace) -> MergedDocument | None:
 def _not_merged(place: Workspace, document: MergedDocument | None, pair: tuple[str, str]) -> str:
     """Why the workspace's merge has no verdict on a pair, "" if it has one."""
     if document is None:
-        return f"not merged yet ({place.call('merge', '--all')})"
+        return f"not merged yet ({TO_MERGE})"
     name = place.merged_json.name
     if document.graph.method == "paper":
         return f"{name} is a merge by --method paper (see topobatch explain --method paper)"

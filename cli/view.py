@@ -31,7 +31,7 @@ def view(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="[RUN|A:B]",
+            metavar="RUN|A:B",
             help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
             "topobatch explain found; the merged map without.",
             show_default=False,
@@ -91,7 +91,8 @@ def _recording(place: Workspace, what: str) -> Path:
         how = f"{place.call('explain', *found.pair)} makes it"
     else:
         recording, how = found.place.merged_rrd, "merge again"
-        found.place.require_merge()
+        if not recording.is_file():
+            found.place.require_merge()
     if not recording.is_file():
         raise DataError(f"{recording}: is not there; {how}")
     return recording

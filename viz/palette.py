@@ -60,7 +60,6 @@ TRACK = (52, 108, 96)
 DETECTION = (196, 150, 235)
 DOUBTFUL = (106, 84, 126)
 WALL = (66, 76, 94)
-PAST = (92, 98, 108)
 UNLIT = (31, 35, 42)
 
 # Of verdicts.

@@ -171,7 +171,7 @@ def explain(merge: Merge, a: str, b: str) -> Decision:
     verdict = merge.verdicts[a, b] if listed else pair.alone()
     verdict = _unlisted(merge, verdict) if unlisted else verdict
     if verdict.accepted_by == "components" and verdict.best is not None:
-        placements = (pair.stated(verdict.best),)
+        placements: tuple[Placement, ...] = (pair.stated(verdict.best),)
     else:
         placements = tuple(pair.placements(verdict))
     return Decision(

@@ -34,7 +34,7 @@ def test_runs_are_explained_by_themselves_before_a_merge(topobatch, workspace):
     before = explained(topobatch, workspace, ("maze1", "maze2"))
     assert before["of_merge"] is False
     (note,) = before["notes"]
-    assert note.startswith(f"not merged yet (topobatch merge --all -w {workspace}); {alone}; ")
+    assert note.startswith(f"not merged yet (topobatch merge --all); {alone}; ")
     assert topobatch("merge", "--all", "-w", workspace).code == 0
     after = explained(topobatch, workspace, ("maze1", "maze2"))
     assert after["of_merge"] is True

@@ -114,7 +114,7 @@ def test_files_of_sites_that_are_no_more_go(topobatch, filled, tmp_path, form, g
 def test_the_calls_that_cannot_be(topobatch, filled, tmp_path) -> None:
     run, w = run_of(filled), ("-w", filled.root)
     for call, told in (
-        (["nobody", "-f", "nav2"], "no run or site named nobody"),
+        (["nobody", "-f", "nav2"], "no run, site, merge or pair A:B named nobody"),
         ([run, "-f", "nav2", "--component", "0"], "goes with the merged map"),
         (["merged", "-f", "nav2", "--component", "77"], "there is no component 77"),
         ([run, "-f", "csv", "-o", "-"], "do not go to the standard output"),

@@ -86,13 +86,17 @@ def test_locked_apart_not_even_through_other_runs(fleet):
     assert len(refused) == 2
 
 
-def test_locked_together_by_the_best_alignment_or_at_given_junctions(fleet):
-    result = merge_maps(fleet, PAPER, locks=[Lock("x", "r2", "same", at=(3, 4))])
-    told = next(v for v in result.verdicts if (v.a, v.b) == ("r2", "x"))
-    assert told.accepted
-    assert told.locked == "same"
-    assert [4, 3] in told.best.matched.tolist()
-    assert len(result.components) == 1
+def test_locked_together_by_a_match_with_the_given_junctions(fleet):
+    told = next(v for v in merge_maps(fleet, PAPER).verdicts if v.accepted)
+    u, v = told.best.matched[0].tolist()
+    locks = [Lock(told.b, told.a, "same", at=(v, u)), Lock("x", "r2", "same", at=(3, 4))]
+    by_pair = {(v.a, v.b): v for v in merge_maps(fleet, PAPER, locks=locks).verdicts}
+    locked, infeasible = by_pair[told.a, told.b], by_pair["r2", "x"]
+    assert locked.accepted
+    assert locked.accepted_by == "lock"
+    assert [u, v] in locked.best.matched.tolist()
+    assert not infeasible.accepted
+    assert "no match of the two honours the lock" in infeasible.reason
     with pytest.raises(UsageError, match="names junction 999 of 'x'"):
         merge_maps(fleet, PAPER, locks=[Lock("r2", "x", "same", at=(0, 999))])
 
