@@ -10,7 +10,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from topobatch.cli.merge import MOST_AMBIGUOUS, _summary
+from topobatch.cli.merge import MOST_AMBIGUOUS, _show
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
 from topobatch.simulation import ScenarioSettings
@@ -392,8 +392,9 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
         info={},
         standings=lambda: dict.fromkeys(Standing, 0) | {Standing.AMBIGUOUS: len(bits)},
     )
-    lines = list(_summary(merge, Workspace(Path("topobatch-workspace"))))
-    shown = [text for kind, text in lines if kind != "verbose"]
+    shown = []
+    screen = SimpleNamespace(line=shown.append, folded=shown.append, verbose=False)
+    _show(merge, Workspace(Path("topobatch-workspace")), screen)
     assert shown[0] == "  b ? c1: ambiguous: 9.0 bits, 12.0 needed; too little"
     assert shown[MOST_AMBIGUOUS] == "  to settle b ? c1: drive 1"
     assert shown[-7].startswith("171 pairs: 0 merged, 7 ambiguous")
