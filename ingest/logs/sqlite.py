@@ -6,10 +6,10 @@ from __future__ import annotations
 import os
 import shutil
 import sqlite3
-import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from functools import cached_property
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ from .messages import (
     one_line,
     several,
 )
+from .write_ahead import WriteAhead, log_of, page_bytes, read_write_ahead
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -61,9 +62,6 @@ STEPS_AT_ONCE = 10_000
 
 PATIENCE = 1000
 """Damaged places that are stepped over; a file with more is an attack. Each takes about 1 ms."""
-
-LOG_HEAD, FRAME_HEAD = 32, 24
-"""Bytes in a write-ahead log in front of all frames, and of the page in each."""
 
 TOPICS = 1 << 15
 """Most topics that are read."""
@@ -86,17 +84,24 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
+    @cached_property
+    def _write_ahead(self) -> WriteAhead | None:
+        """The write-ahead log beside the file if it is damaged: the library would leave out what
+        follows, without a word."""
+        found = read_write_ahead(self.path)
+        return found if found is not None and found.damaged else None
+
     def survey(self, exact: bool = False) -> Survey | None:
         """Channels with their counts; None if the tables cannot be read, or not all changes.
 
         exact: count all rows. Else a channel with any message counts as 1: counting reads every
         row's page, which takes as long as reading the run.
         """
+        if self._write_ahead is not None:
+            return None
         try:
             with _with_room(self.path) as path, _connected(path) as base:
                 channels = _channels(base)
-                if _unused_pages(path):
-                    return None
                 counts = dict.fromkeys(channels.values(), 0)
                 for key, count in _counts(base, channels, exact).items():
                     if key in channels:
@@ -113,32 +118,34 @@ class SqliteFile:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         keep_freed_memory()
         passed = Passed(progress)
-        with self._whole_pages(findings) as path:
+        with self._sound(findings) as path:
             for salvage in (False, True):
                 try:
                     with _connected(path, salvage) as base:
-                        reader = _Reader(base, want, findings, passed)
-                        if pages := _unused_pages(path):
-                            about = "of changes cannot be read and are not used"
-                            findings.note(f"write-ahead log: {several(pages, 'page')} {about}")
-                        yield from reader.blocks()
+                        yield from _Reader(base, want, findings, passed).blocks()
                     break
                 except (*_ERRORS, DamageError) as error:
                     findings.note(f"the database is damaged ({one_line(error)})")
         passed.passed(self.path.stat().st_size)
 
     @contextmanager
-    def _whole_pages(self, findings: Findings) -> Iterator[Path]:
-        """The database, or a copy without its last page if that is cut: the library would take
-        what is missing of it for zeros."""
-        page, size = _page_bytes(self.path), self.path.stat().st_size
-        if size % page == 0:
+    def _sound(self, findings: Findings) -> Iterator[Path]:
+        """The database, or a copy without what is known to be damaged.
+
+        What is sound of a damaged write-ahead log is merged, and a page that is cut is left out:
+        the library would take what is missing of it for zeros.
+        """
+        page, size = page_bytes(self.path), self.path.stat().st_size
+        if self._write_ahead is None and size % page == 0:
             with _with_room(self.path) as path:
                 yield path
             return
-        findings.faults[CUT] = 1
+        if size % page:
+            findings.faults[CUT] = 1
         with _copied(self.path, []) as copy:
             os.truncate(copy, size // page * page)
+            if self._write_ahead is not None:
+                self._write_ahead.merge(copy, findings)
             yield copy
 
 
@@ -288,13 +295,17 @@ class _Reader:
 
 @contextmanager
 def _with_room(path: Path) -> Iterator[Path]:
-    """The database, or a copy of it and its write-ahead log where the library could not write the
-    index that it needs beside them."""
-    log, index = _log_of(path), _index_of(path)
-    if log is None or index.exists() or os.access(path.parent, os.W_OK):
+    """The database, or a copy of it and its log of changes where the library would have to write:
+    an index beside a write-ahead log, or what a rollback journal takes back."""
+    log, journal = log_of(path), path.with_name(path.name + "-journal")
+    hot = journal.is_file() and journal.stat().st_size > 0
+    if not hot and (log is None or _index_of(path).exists() or os.access(path.parent, os.W_OK)):
         yield path
         return
-    with _copied(path, [log]) as copy:
+    with _copied(path, [file for file in (log, journal if hot else None) if file]) as copy:
+        if hot:
+            with closing(sqlite3.connect(copy)) as base, suppress(*_ERRORS):
+                base.execute("SELECT 1 FROM sqlite_master").fetchone()
         yield copy
 
 
@@ -318,7 +329,7 @@ def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection
     one the library opens both, and makes the index that it needs. salvage: open the database alone,
     even if it is shorter than its header says.
     """
-    log, index = _log_of(path), _index_of(path)
+    log, index = log_of(path), _index_of(path)
     existed, mode = index.exists(), "immutable=1"
     if log is not None and not salvage:
         # An index that is there is the recorder's; what is wrong with it is worked out in memory.
@@ -347,44 +358,9 @@ def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection
             index.unlink()
 
 
-def _log_of(path: Path) -> Path | None:
-    """The write-ahead log beside a database, if there is one that holds any change."""
-    log = path.with_name(path.name + "-wal")
-    return log if log.is_file() and log.stat().st_size > LOG_HEAD else None
-
-
 def _index_of(path: Path) -> Path:
     """The index of the write-ahead log beside a database."""
     return path.with_name(path.name + "-shm")
-
-
-def _unused_pages(path: Path) -> int:
-    """Pages in the write-ahead log of an open database that the library leaves out, without a word.
-
-    It stops at the first frame whose checksum is wrong; its index holds the number of those before
-    (https://www.sqlite.org/fileformat2.html, section 4). What a log held before it was begun anew
-    stands behind its frames, under another salt.
-    """
-    log, index = _log_of(path), _index_of(path)
-    if log is None:
-        return 0
-    used = 0
-    with suppress(OSError), index.open("rb") as file:
-        used = int.from_bytes(file.read(20)[16:], sys.byteorder)
-    frame = FRAME_HEAD + _page_bytes(path)
-    with log.open("rb") as file:
-        salt = file.read(LOG_HEAD)[16:24]
-        for k in range((log.stat().st_size - LOG_HEAD - 1) // frame, used - 1, -1):
-            file.seek(LOG_HEAD + k * frame + 8)
-            if used == 0 or file.read(8) == salt:
-                return k + 1 - used
-    return 0
-
-
-def _page_bytes(path: Path) -> int:
-    with path.open("rb") as file:
-        page = int.from_bytes(file.read(18)[16:], "big")
-    return page if page >= 512 and page & (page - 1) == 0 else 1 << 16
 
 
 def _check_table(base: sqlite3.Connection, name: str) -> None:
