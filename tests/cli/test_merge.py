@@ -178,7 +178,7 @@ def test_locks_are_kept_shown_and_cleared(topobatch, workspace):
         (["A", "A", "--same"], "'run1'"),
         (["A", "nobody", "--same"], "nobody"),
         (["A", "B", "--same", "--at", "3"], "--at"),
-        (["A", "B", "--never", "--at", "0,0"], "never"),
+        (["A", "B", "--never", "--at", "0,0"], "goes with --same"),
         (["A", "B", "--clear", "--at", "0,0"], "--at"),
         (["--at", "0,0"], "two runs"),
     ],
@@ -404,4 +404,7 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
         "name a site: topobatch site run1 NAME",
         "7 pairs are open; what to record to settle most: topobatch next",
     ]
-    assert ("verbose", "  run1 + run9: helped") in lines
+    assert "  run1 + run9: helped" not in shown
+    screen.verbose = True
+    _show(merge, Workspace(Path("topobatch-workspace")), screen)
+    assert "  run1 + run9: helped" in shown
