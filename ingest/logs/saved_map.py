@@ -195,8 +195,17 @@ def _cells_of(
     image: Image, found: dict[str, list[str]], like: Grid
 ) -> tuple[Grid, tuple[str, ...]]:
     notes: list[str] = []
+    brightest = 1 << 16
+    if image.mode.startswith(("I", "F")):
+        brightest = int(max(np.asarray(part).max() for part in _stripes(image, 1)))
+        bits = max(8, brightest.bit_length())
+        if bits < 16:
+            notes.append(
+                f"its picture of 16 bits holds no value above {brightest}: read as {bits} bits"
+            )
     shades = sum(
-        np.bincount(_shades(part)[..., 0].ravel(), minlength=256) for part in _stripes(image, 1)
+        np.bincount(_shades(part, brightest)[..., 0].ravel(), minlength=256)
+        for part in _stripes(image, 1)
     )
     lossy = image.format == "JPEG"
     free, unknown = _meanings(found, np.asarray(shades), lossy, notes)
@@ -206,7 +215,7 @@ def _cells_of(
         factor += 1
     parts = []
     for part in _stripes(image, factor):
-        pixels = _shades(part)[::-1]  # the first row has the largest y
+        pixels = _shades(part, brightest)[::-1]  # the first row has the largest y
         seen = (pixels[..., 1] == 255) | opaque
         cells = like._replace(
             free=free[pixels[..., 0]] & seen, unknown=unknown[pixels[..., 0]] | ~seen
@@ -231,10 +240,14 @@ def _stripes(image: Image, factor: int) -> Iterator[Image]:
         yield image.crop((0, max(0, low - rows), image.width, low))
 
 
-def _shades(part: Image) -> NDArray[np.uint8]:
-    """(h, w, 2) brightness (0 black to 255 white) and opacity of every pixel."""
-    if part.mode.startswith(("I", "F")):  # 16 bits
-        shades = (np.asarray(part).astype(np.int64) >> 8).clip(0, 255).astype(np.uint8)
+def _shades(part: Image, brightest: int) -> NDArray[np.uint8]:
+    """(h, w, 2) brightness (0 black to 255 white) and opacity of every pixel; brightest: the
+    largest value of a picture of 16 bits."""
+    if part.mode.startswith(("I", "F")):
+        most = (1 << max(8, brightest.bit_length())) - 1
+        values = np.asarray(part).astype(np.int64)
+        values = values >> 8 if most > 1 << 15 else values * 255 // most
+        shades = values.clip(0, 255).astype(np.uint8)
         return np.stack([shades, np.full_like(shades, 255)], axis=-1)
     if part.mode not in ("1", "L", "LA", "P", "PA", "RGB", "RGBA"):
         part = part.convert("RGB")
