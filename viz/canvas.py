@@ -9,11 +9,12 @@ import io
 import re
 import warnings
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import ceil, floor, log10
 from textwrap import wrap
+from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -31,10 +32,16 @@ from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
 from ..topology.wording import legible
+from .drawing import Marker
 from .palette import Order, Theme
 
-Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
+Form = Literal["title", "line", "wide line", "stub", "dot", "big dot", "ring"] | Marker
 Format = Literal["svg", "png"]
+
+MARKERS: Mapping[Marker, str] = MappingProxyType(
+    {"circle": "o", "triangle": "^", "square": "s", "diamond": "D"}
+)
+"""Shapes by the names that matplotlib has for them."""
 
 POINTS_PER_INCH = 72.0
 TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
@@ -158,20 +165,23 @@ class Canvas:
         order: Order = Order.JUNCTION,
         told: str = "",
         ring: bool = False,
+        marker: Marker = "circle",
     ) -> None:
-        """Draw filled dots, or rings, at xy (n, 2) [m]. told: their tooltip in an SVG."""
+        """Draw filled marks, or rings, at xy (n, 2) [m]. told: their tooltip in an SVG."""
         if len(xy) == 0:
             return
-        line = self._markers(xy, colour, size_pt, ring=ring)
+        line = self._markers(xy, colour, size_pt, marker, ring=ring)
         line.set_zorder(order)
         self._add(line, told)
 
-    def _markers(self, xy: FloatArray, colour: str, size_pt: float, *, ring: bool) -> Line2D:
+    def _markers(
+        self, xy: FloatArray, colour: str, size_pt: float, marker: Marker, *, ring: bool
+    ) -> Line2D:
         return Line2D(
             xy[:, 0],
             xy[:, 1],
             linestyle="none",
-            marker="o",
+            marker=MARKERS[marker],
             markersize=size_pt,
             markerfacecolor="none" if ring else colour,
             markeredgecolor=colour if ring else self.theme["paper"],
@@ -291,8 +301,9 @@ class Canvas:
         if key.form in ("line", "wide line", "stub", "title"):
             width = {"line": 2.0, "wide line": 4.0, "stub": 1.5, "title": 0.0}[key.form]
             return Line2D([], [], color=key.colour, linewidth=width)
-        size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form]
-        return self._markers(np.zeros((0, 2)), key.colour, size, ring=key.form == "ring")
+        size = {"big dot": 7.5, "ring": 7.0}.get(key.form, 5.0)
+        marker: Marker = next((m for m in MARKERS if m == key.form), "circle")
+        return self._markers(np.zeros((0, 2)), key.colour, size, marker, ring=key.form == "ring")
 
     def as_bytes(self, form: Format) -> bytes:
         """The finished drawing as a file; deterministic."""

@@ -28,6 +28,7 @@ from .drawing import (
     MOST_NUMBERED,
     SHEET_MARGIN,
     TURNED,
+    TURNED_MARKERS,
     bounds,
     branch_arrows,
     extent,
@@ -163,8 +164,13 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     xy = apply(T, points.xy)
     for k, kind in enumerate(points.kind):
         told = f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
-        canvas.dots(xy[k : k + 1], colour, 4.0, told=told)
-    return [Key("dot", colour, label) for kind, label in TURNED.items() if kind in points.kind]
+        canvas.dots(xy[k : k + 1], colour, 4.0, told=told, marker=TURNED_MARKERS[kind])
+    return _turned_keys(points.kind, canvas.theme)
+
+
+def _turned_keys(kinds: Collection[str], theme: Theme) -> list[Key]:
+    colour = theme["degree 1"]
+    return [Key(TURNED_MARKERS[k], colour, label) for k, label in TURNED.items() if k in kinds]
 
 
 def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str]) -> None:
@@ -306,8 +312,7 @@ def _merged_keys(
         marks.append(Key("big dot", theme["shared"], "junction seen by several runs"))
     if single:
         marks.append(Key("dot", theme["single"], "junction seen by one run"))
-    found = {kind: label for kind, label in TURNED.items() if kind in fused.kind}
-    marks += [Key("dot", theme["degree 1"], label) for label in found.values()]
+    marks += _turned_keys(fused.kind, theme)
     if len(several) < len(parts):
         marks.append(Key("line", theme["single"], "run that is merged with none"))
     runs: list[Key] = []
@@ -352,9 +357,11 @@ def _fused(
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
         canvas.lines(paths, colour, pen_pt * share, told=run)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
-    turned = np.array([fused.kind[i] in TURNED for i in part.vertices.tolist()], bool)
+    kinds = np.array([fused.kind[i] for i in part.vertices.tolist()], object)
+    turned = np.array([kind in TURNED for kind in kinds], bool)
     xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
-    canvas.dots(xy[turned], canvas.theme["degree 1"], 1.0 * pen_pt)
+    for kind, marker in TURNED_MARKERS.items():
+        canvas.dots(xy[kinds == kind], canvas.theme["degree 1"], 1.2 * pen_pt, marker=marker)
     shared, single = shared & ~turned, ~shared & ~turned
     canvas.dots(xy[single], canvas.theme["single"], 1.4 * pen_pt)
     canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=Order.TIE)

@@ -3,8 +3,10 @@ the viewer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal
 
 import numpy as np
 
@@ -13,6 +15,9 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.polyline import way_of
 from ..topology.topomap import Graph
 from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
+
+Marker = Literal["circle", "triangle", "square", "diamond"]
+"""Shapes of filled marks."""
 
 MOST_NUMBERED = 150
 """Up to this many junctions their numbers are always shown; above, only for the one pointed at."""
@@ -26,6 +31,11 @@ TURNED = {
     FRONTIER: "unknown beyond",
 }
 """What is there where the track leads to no junction."""
+
+TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
+    {TURNING_POINT: "triangle", TRACK_END: "square", FRONTIER: "diamond"}
+)
+"""Its mark, a red one."""
 
 MARGIN, SHEET_MARGIN = 0.05, 0.02
 """Margin around a map and around a sheet of maps, as shares of the extent."""

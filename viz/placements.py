@@ -95,15 +95,17 @@ def contradiction_spots(
     against: Iterable[tuple[str, tuple[Sequence[int], Sequence[int]]]],
     of_a: FloatArray,
     of_b: FloatArray,
+    *,
+    apart: bool = False,
 ) -> list[Spot]:
     """Contradictions, each with its text and the junctions of a and of b that it concerns, in the
     frame of the given positions, (n, 2) each: at a junction that the other run did not see, or amid
-    two corridors that cross."""
+    two corridors that cross; of maps that are drawn apart on one of them."""
     spots = []
     for told, (a, b) in against:
         ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
-        alone = [points for points in ends if len(points) == 1]
-        spots.append(Spot(np.concatenate(alone or ends).mean(axis=0), told))
+        shown = [points for points in ends if len(points) == 1] or ends
+        spots.append(Spot(np.concatenate(shown[:1] if apart else shown).mean(axis=0), told))
     return spots
 
 
@@ -237,7 +239,8 @@ def _evidence(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator
                 pens = 1.2 + 1.8 * np.minimum(bits / FULL_BITS, 1.0)
                 yield Mark(("links", side, ink), "line", xy, ink, Order.EVIDENCE, told, pens)
     terms = [t for t in itemised(placement, "unseen") if t.a or t.b]
-    spots = contradiction_spots(((_bits_told(t, digits), (t.a, t.b)) for t in terms), *at)
+    against = ((_bits_told(t, digits), (t.a, t.b)) for t in terms)
+    spots = contradiction_spots(against, *at, apart=picture.tied)
     if spots:
         told, where = [spot.told for spot in spots], [spot.xy for spot in spots]
         yield Mark(("contradictions",), "ring", where, "against", Order.CONTRADICTION, told)

@@ -28,11 +28,10 @@ from ..topology.polyline import simplify
 from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
-from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, legible, listed
-from .drawing import TURNED, bounds, strands
+from .drawing import TURNED, TURNED_MARKERS, bounds, strands
 from .palette import LIGHT
 from .parts import ranks, rows_of
 from .questions import questions
@@ -51,8 +50,6 @@ PICTURE_PX = 700.0
 PEN_PX, PEN_SHARE = 2.4, 0.12
 """Width of a run's line where the map fills its picture; over the median corridor at most, as in
 drawings."""
-
-MARKERS = {TURNING_POINT: "triangle", TRACK_END: "square", FRONTIER: "diamond"}
 
 SCALE_BAR = 0.04
 """Room for the scale bar below a map, over its extent."""
@@ -346,7 +343,7 @@ class _Site:
         robot turned round."""
         f = self.fused
         turned = np.array([f.kind[v] in TURNED for v in self.vertices.tolist()], bool)
-        for kind, marker in MARKERS.items():
+        for kind, marker in TURNED_MARKERS.items():
             rows = [v for v in self.vertices[turned].tolist() if f.kind[v] == kind]
             runs = [listed(sorted(f.members[v]), MOST_RUNS) for v in rows]
             told = [f"Here {TURNED[kind]} ({who})" for who in runs]
