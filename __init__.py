@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from inspect import Signature
 
     from .cli.library import (
-        Workspace,
         changes,
         draw,
         explain,
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
         to_dataframe,
         to_networkx,
     )
+    from .cli.workspace import Workspace
 
 __all__ = [
     "Workspace",

@@ -36,12 +36,14 @@ from scipy.spatial import cKDTree
 
 from topobatch.ingest.logs.saved_map import coarser, read_saved_map
 from topobatch.ingest.mapping import build_map
+from topobatch.ingest.scans.alignment import chained
 from topobatch.ingest.scans.detection import detect
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.merge.merging import merge_maps
 from topobatch.topology.arrays import BoolArray, FloatArray
 from topobatch.topology.document import write_map
 from topobatch.topology.odometry import Odometry
+from topobatch.topology.polyline import way_of
 from topobatch.topology.run import NO_DETECTIONS, Grid, Run
 from topobatch.topology.se2 import apply, compose, fit_rigid, inverse
 from topobatch.topology.topomap import TopoMap
@@ -152,10 +154,10 @@ class Roads:
             if len(line) < 10:
                 continue
             parts.append(line[:-1])
-            driven += float(np.hypot(*np.diff(line, axis=0).T).sum())
+            driven += float(way_of(line)[-1])
             at = target
         line = ndimage.gaussian_filter1d(np.concatenate(parts), 2.0, axis=0, mode="nearest")
-        way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line, axis=0).T))])
+        way = way_of(line)
         along = np.arange(0.0, min(way[-1], way_m), STEP_M)
         return np.stack([np.interp(along, way, line[:, k]) for k in (0, 1)], axis=1)
 
@@ -185,10 +187,8 @@ def odometry(true: Odometry, rng: np.random.Generator) -> Odometry:
     step[:, 2] *= 1 + rng.normal(0, 0.005)
     step[:, 2] += np.radians(rng.normal(0, 0.25)) * way
     step[:, 2] += np.radians(0.8) * np.sqrt(way) * rng.normal(size=len(way))
-    pose = [np.zeros(3)]
-    for one in step:
-        pose.append(compose(pose[-1], one))
-    return Odometry(true.time_ns, np.array(pose), np.zeros(0, np.int64))
+    pose = np.concatenate([np.zeros((1, 3)), chained(np.zeros(3), step)])
+    return Odometry(true.time_ns, pose, np.zeros(0, np.int64))
 
 
 @dataclass(frozen=True, eq=False)

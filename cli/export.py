@@ -200,8 +200,7 @@ def _texts(
     screen: Screen,
 ) -> dict[str, str]:
     """The texts to write by the suffix of their files."""
-    from ..topology.turning_vertices import with_turning_points
-    from ..viz.exports import MAP_FORMATS
+    from ..viz.exports import map_texts
 
     if form == "tum":
         return _trajectories(place, source, log, screen)
@@ -209,8 +208,7 @@ def _texts(
         raise UsageError("--log goes with --format tum or grid")
     if form == "g2o":
         return {".g2o": _pose_graph(source)}
-    whole = with_turning_points(source.topomap)
-    return {ending: text_of(whole, tolerance) for ending, text_of in MAP_FORMATS[form].items()}
+    return map_texts(source.topomap, form, tolerance)
 
 
 def _pose_graph(source: Exported) -> str:

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from .workspace import Workspace
+from .workspace import Workspace  # noqa: F401  offered as the functions are
 
 if TYPE_CHECKING:
     from ..ingest.read_settings import Stamp, Way
@@ -22,21 +22,6 @@ if TYPE_CHECKING:
     from ..merge.merged_schema import MergedDocument
     from ..merge.result import Component, MergeResult
     from ..topology.topomap import TopoMap
-
-__all__ = [
-    "Workspace",
-    "changes",
-    "draw",
-    "explain",
-    "export",
-    "ingest",
-    "merge",
-    "next_drives",
-    "read_map",
-    "site_map",
-    "to_dataframe",
-    "to_networkx",
-]
 
 
 def ingest(
@@ -436,11 +421,11 @@ def export(topomap: TopoMap, form: str) -> dict[str, str]:
         There is no such format, or it needs more than a map.
     """
     from ..topology.errors import UsageError
-    from ..viz.exports import MAP_FORMATS, MAX_ERROR_M
+    from ..viz.exports import MAP_FORMATS, map_texts
 
     if form not in MAP_FORMATS:
         raise UsageError(f"no map is exported as {form!r}: {', '.join(MAP_FORMATS)}")
-    return {ending: text(topomap, MAX_ERROR_M) for ending, text in MAP_FORMATS[form].items()}
+    return map_texts(topomap, form)
 
 
 def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junctions") -> Any:

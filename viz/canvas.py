@@ -35,7 +35,7 @@ from ..topology.wording import legible
 from .drawing import Marker
 from .palette import Order, Theme
 
-Form = Literal["title", "line", "wide line", "stub", "dot", "big dot", "ring"] | Marker
+Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
 Format = Literal["svg", "png"]
 
 MARKERS: Mapping[Marker, str] = MappingProxyType(
@@ -84,11 +84,12 @@ _NUMBERS = ("d", "x", "y", "transform", "width", "height")
 @dataclass(frozen=True, slots=True)
 class Key:
     """One entry of the key: a sample of a mark and its label. A "title" heads the entries that
-    follow."""
+    follow. marker: of a dot."""
 
     form: Form
     colour: str
     label: str
+    marker: Marker = "circle"
 
 
 @dataclass(slots=True)
@@ -301,9 +302,9 @@ class Canvas:
         if key.form in ("line", "wide line", "stub", "title"):
             width = {"line": 2.0, "wide line": 4.0, "stub": 1.5, "title": 0.0}[key.form]
             return Line2D([], [], color=key.colour, linewidth=width)
-        size = {"big dot": 7.5, "ring": 7.0}.get(key.form, 5.0)
-        marker: Marker = next((m for m in MARKERS if m == key.form), "circle")
-        return self._markers(np.zeros((0, 2)), key.colour, size, marker, ring=key.form == "ring")
+        size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form]
+        ring = key.form == "ring"
+        return self._markers(np.zeros((0, 2)), key.colour, size, key.marker, ring=ring)
 
     def as_bytes(self, form: Format) -> bytes:
         """The finished drawing as a file; deterministic."""

@@ -170,7 +170,8 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
 
 def _turned_keys(kinds: Collection[str], theme: Theme) -> list[Key]:
     colour = theme["degree 1"]
-    return [Key(TURNED_MARKERS[k], colour, label) for k, label in TURNED.items() if k in kinds]
+    found = {kind: label for kind, label in TURNED.items() if kind in kinds}
+    return [Key("dot", colour, label, TURNED_MARKERS[kind]) for kind, label in found.items()]
 
 
 def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str]) -> None:

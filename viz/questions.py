@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..topology.arrays import IntArray
+from ..topology.ragged import numbered
 from ..topology.topomap import Closure, TopoMap
 
 
@@ -22,11 +23,8 @@ class Question:
 
 def visits(topomap: TopoMap) -> IntArray:
     """(k,) number of each observation among those of its vertex, from 1 on."""
-    seen = np.zeros(len(topomap), np.int64)
     out = np.zeros(len(topomap.observation_vertex), np.int64)
-    for k, vertex in enumerate(topomap.observation_vertex.tolist()):
-        seen[vertex] += 1
-        out[k] = seen[vertex]
+    out[np.argsort(topomap.observation_vertex, kind="stable")] = numbered(topomap.passes)[1] + 1
     return out
 
 

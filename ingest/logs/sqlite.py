@@ -297,12 +297,14 @@ class _Reader:
 def _with_room(path: Path) -> Iterator[Path]:
     """The database, or a copy of it and its log of changes where the library would have to write:
     an index beside a write-ahead log, or what a rollback journal takes back."""
-    log, journal = log_of(path), path.with_name(path.name + "-journal")
-    hot = journal.is_file() and journal.stat().st_size > 0
-    if not hot and (log is None or _index_of(path).exists() or os.access(path.parent, os.W_OK)):
+    journal = path.with_name(path.name + "-journal")
+    hot = [journal] if journal.is_file() and journal.stat().st_size else []
+    log = log_of(path)
+    logs = [] if log is None else [log]
+    if not hot and (not logs or _index_of(path).exists() or os.access(path.parent, os.W_OK)):
         yield path
         return
-    with _copied(path, [file for file in (log, journal if hot else None) if file]) as copy:
+    with _copied(path, [*logs, *hot]) as copy:
         if hot:
             with closing(sqlite3.connect(copy)) as base, suppress(*_ERRORS):
                 base.execute("SELECT 1 FROM sqlite_master").fetchone()

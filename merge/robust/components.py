@@ -90,11 +90,12 @@ def agrees(found: Alignment, T_a_b: FloatArray, b: ComplexArray) -> bool:
 
     b: (n,) junctions of b, x + iy [m]. Where views alone match, the overlap may lie anywhere in b.
     """
-    b = b if len(b) else np.zeros(1, np.complex128)
-    centre = b.mean()
+    centre = b.mean() if len(b) else np.complex128(0)
+    middle, reach = centre, float(np.abs(b - centre).max(initial=0.0))
     matched = b[found.matched[:, 1]]
-    middle = matched.mean() if len(matched) else centre
-    reach = abs(complex(middle - centre)) if len(matched) else float(np.abs(b - centre).max())
+    if len(matched):
+        middle = matched.mean()
+        reach = abs(complex(middle - centre))
     here, there = (_laid(T, middle) for T in (found.transform, T_a_b))
     gap = abs(complex(here - there))
     turn = abs(float(wrap(found.transform[2] - T_a_b[2])))

@@ -26,6 +26,13 @@ def run_of(place) -> str:
     return place.runs()[0]
 
 
+def saved_map(folder: Path, name: str, cells: np.ndarray) -> Path:
+    Image.fromarray(cells).save(folder / f"{name}.png")
+    yaml = f"image: {name}.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
+    (folder / f"{name}.yaml").write_text(yaml)
+    return folder / f"{name}.yaml"
+
+
 @pytest.mark.parametrize(
     ("form", "endings"),
     [
@@ -196,10 +203,7 @@ def test_maps_of_grids_have_no_trajectories_and_cost_others_none(topobatch, fill
     shutil.copytree(filled.root, root)
     cells = np.zeros((200, 200), np.uint8)
     cells[40:60, 20:180] = cells[120:140, 20:180] = cells[20:180, 90:110] = 254
-    Image.fromarray(cells).save(tmp_path / "floor.png")
-    yaml = "image: floor.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
-    (tmp_path / "floor.yaml").write_text(yaml)
-    assert topobatch("ingest", tmp_path / "floor.yaml", "-q", "-w", root).code == 0
+    assert topobatch("ingest", saved_map(tmp_path, "floor", cells), "-q", "-w", root).code == 0
     assert topobatch("merge", "floor", run, "--output", "two", "-q", "-w", root).code == 0
     shown = topobatch("export", "two", "-f", "tum", "-w", root)
     assert shown.code == 0, shown
@@ -215,11 +219,8 @@ def test_a_site_that_a_format_cannot_hold_costs_the_others_none(topobatch, fille
     """A hall is one place without a corridor."""
     root, run = tmp_path / "ws", run_of(filled)
     shutil.copytree(filled.root, root)
-    cells = np.full((100, 150), 254, np.uint8)
-    Image.fromarray(np.pad(cells, 5)).save(tmp_path / "hall.png")
-    yaml = "image: hall.png\nresolution: 0.1\norigin: [0, 0, 0]\nnegate: 0\n"
-    (tmp_path / "hall.yaml").write_text(yaml)
-    assert topobatch("ingest", tmp_path / "hall.yaml", "-q", "-w", root).code == 0
+    cells = np.pad(np.full((100, 150), 254, np.uint8), 5)
+    assert topobatch("ingest", saved_map(tmp_path, "hall", cells), "-q", "-w", root).code == 0
     assert topobatch("merge", "hall", run, "--output", "two", "-q", "-w", root).code == 0
     shown = topobatch("export", "two", "-f", "nav2", "-w", root)
     assert shown.code == 0, shown

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 from ...topology.topomap import TopoMap
+from ...topology.turning_vertices import with_turning_points
 from .graphml import graphml
 from .lif import lif_json
 from .map_server import map_picture, map_yaml
@@ -27,6 +28,7 @@ __all__ = [
     "RouteGraph",
     "corrected_tum",
     "map_picture",
+    "map_texts",
     "map_yaml",
     "pose_graph_g2o",
     "recorded_tum",
@@ -50,6 +52,14 @@ MAP_FORMATS: Mapping[str, Mapping[str, MapFormat]] = MappingProxyType(
 )
 """Formats that need a map only: for each file's suffix the function that returns its text, given
 the map and the largest distance [m] of a path from its straight pieces."""
+
+
+def map_texts(topomap: TopoMap, form: str, max_error_m: float = MAX_ERROR_M) -> dict[str, str]:
+    """A map, with its turning points, in one of MAP_FORMATS: the text of each file by its
+    suffix."""
+    whole = with_turning_points(topomap)
+    return {ending: text(whole, max_error_m) for ending, text in MAP_FORMATS[form].items()}
+
 
 ENDINGS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {form: tuple(texts) for form, texts in MAP_FORMATS.items()}
