@@ -116,10 +116,10 @@ def _sameness_of(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], copies: CopyModel
 ) -> Iterator[Sameness]:
     matched = np.array([len(c) for _, _, c in cases])
-    differing, faults = _differing(cases, np.cumsum([0, *matched]))
+    differing, usual = _differing(cases, np.cumsum([0, *matched]))
     against = np.array([len(c.conflicts) for _, _, c in cases])
     changed, compared = differing + against, matched + against
-    stated = np.minimum(faults / matched, COPIES.most_changed)
+    stated = np.minimum(usual, COPIES.most_changed)
     seen = np.minimum(stated, (changed + 1) / (compared + 1))
     fault = np.where(stated > COPIES.most_stated, seen, stated)
     change = fault + (1 - fault) * copies.change_rate
@@ -145,7 +145,8 @@ def _differing(
     cases: Sequence[tuple[Prepared, Prepared, Candidate]], ends: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """For each alignment the number of matched junctions that differ in their branches, and the
-    number expected from the detectors' faults and confidences."""
+    share expected from the detectors' faults and confidences: of these junctions, or of both maps'
+    where walls alone are matched."""
     number: dict[int, int] = {}
     rows = np.array([[number.setdefault(id(m), len(number)) for m in (a, b)] for a, b, _ in cases])
     maps = {id(m): m for a, b, _ in cases for m in (a, b)}
@@ -157,7 +158,15 @@ def _differing(
     lonely = lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0
     fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
     fault += 1 - atlas.whole.confidence[va] * atlas.whole.confidence[vb]
-    return np.add.reduceat(lonely, ends[:-1], dtype=np.int64), np.add.reduceat(fault, ends[:-1])
+    anywhere = [_usual_fault(a) + _usual_fault(b) for a, b, _ in cases]
+    matched = np.diff(ends)
+    usual = np.where(matched > 0, _sums(fault, ends) / np.maximum(matched, 1), anywhere)
+    return _sums(lonely, ends).astype(np.int64), usual
+
+
+def _usual_fault(m: Prepared) -> float:
+    """The share of a map's junctions that its detector's faults and their confidences leave open."""
+    return float(np.mean(m.fault_rate + 1 - m.confidence))
 
 
 def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
@@ -282,8 +291,7 @@ def copy_model(
         shape = _Lengths.of(m, m, c.corridors, prior.variation)
         # Half, because every pair of copies is found twice.
         odds = odds + np.array([shape.averaged(share) for share in SHARES]) / 2
-        fault = 2 * float(np.mean(m.fault_rate + 1 - m.confidence))
-        changed += max(same.changed - fault * same.compared, 0.0)
+        changed += max(same.changed - 2 * _usual_fault(m) * same.compared, 0.0)
         places += same.compared
     odds = np.exp(odds - np.logaddexp.reduce(odds))
     return CopyModel(

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from topobatch.merge.robust.alignment import match, self_matches
+from topobatch.merge.robust.conflicts import NO_CONFLICTS
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.repetition import SHARES, copy_model, sameness_of
+from topobatch.merge.robust.support import NO_SUPPORT
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
 
@@ -33,6 +35,21 @@ def test_the_same_place_and_a_copy_of_it_are_told_apart(maze, see):
     same, copied = sameness_of(cases, COPIES)
     assert same.bits > 10
     assert copied.bits < 2
+
+
+def test_an_alignment_of_walls_alone_is_tested_beside_others(maze, see):
+    """It has no junctions to compare: neither it nor its neighbours in the list change by that."""
+    a, b = (prepare(see(maze, list(range(60)), s, f"s{s}")) for s in (1, 2))
+    found = match(a, b, SETTINGS)[0]
+    none = np.zeros(0, np.int64)
+    bare = replace(
+        found, a=none, b=none, turn=np.zeros(0, complex), support=NO_SUPPORT, conflicts=NO_CONFLICTS
+    )
+    cases = [(a, b, c) for c in (bare, found, bare)]
+    first, alone, last = sameness_of(cases, COPIES)
+    assert (first.bits, first.compared, first.changed) == (last.bits, last.compared, 0)
+    assert first.bits == 0
+    assert alone.bits == pytest.approx(next(iter(sameness_of(cases[1:2], COPIES))).bits)
 
 
 def _redrawn(topomap, xy):
