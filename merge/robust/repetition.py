@@ -165,7 +165,7 @@ def _differing(
 
 
 def _usual_fault(m: Prepared) -> float:
-    """The share of a map's junctions that its detector's faults and their confidences leave open."""
+    """The share of a map's junctions that faults of its detector and confidences leave open."""
     return float(np.mean(m.fault_rate + 1 - m.confidence))
 
 
