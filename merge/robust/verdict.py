@@ -312,7 +312,13 @@ def _repetitions(
     """0 to 1 for each alignment: how likely it is a copy."""
     uniform = threshold.few_lengths(a, b) if odd else 0.0
     shares = [
-        max(uniform, threshold.may_be_copy(c), misfits(a, b, c), threshold.looks_repeated(c))
+        max(
+            # Walls show better than lengths of corridors whether a building repeats itself.
+            uniform * c.views.alike,
+            threshold.may_be_copy(c),
+            misfits(a, b, c),
+            threshold.looks_repeated(c),
+        )
         for c in odd
     ]
     if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):

@@ -92,7 +92,12 @@ class ViewEvidence:
         which `MATCH.junction_bits` are one, at least one and at most two. Where maps repeat
         themselves, what repeats is no witness."""
         weight = np.clip(self.bits / MATCH.junction_bits, 1.0, 2.0)
-        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - _alike(*self.null))
+        return float(weight[self.bits > AGREES_BITS].sum()) * (1.0 - self.alike)
+
+    @property
+    def alike(self) -> float:
+        """0 to 1: how far the buildings repeat themselves, by the z of copies; 1 without views."""
+        return _alike(*self.null) if len(self) else 1.0
 
     def most_against(self, away_m: FloatArray) -> FloatArray:
         """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
@@ -106,7 +111,7 @@ class ViewEvidence:
         nearest = away_m.argmin(axis=1)
         part = _means(self.cell, self.z)[self.cell[nearest]]
         agree = np.clip((part - UNSEEN_Z[0]) / (UNSEEN_Z[1] - UNSEEN_Z[0]), 0.0, 1.0)
-        agree *= 1.0 - _alike(*self.null)
+        agree *= 1.0 - self.alike
         most = MATCH.most_bits + agree * (UNSEEN_BITS - MATCH.most_bits)
         return np.where(away_m.min(axis=1) < CELL_M / 2, most, np.inf)
 

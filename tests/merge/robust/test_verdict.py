@@ -23,6 +23,7 @@ from topobatch.merge.robust.verdict import (
     threshold_for,
     uniformity,
 )
+from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE
 from topobatch.simulation import make_world
 from topobatch.simulation.world import straight, world_of_links
 
@@ -77,6 +78,22 @@ def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
         assert answers.repetition == max(asked, uniformity(a, other))
         assert (found.why == MISFITS) == bool(asked)
     assert fits_by_noise(a, b, told.corridors[:0]) == 1.0
+
+
+def test_walls_say_whether_a_building_of_few_lengths_repeats_itself(drawn):
+    """A home has few corridors, which may well be equally long by chance."""
+    cross = [(0.0, 0.0), (6.0, 0.0), (-6.0, 0.0), (0.0, 6.0)], [(0, 1), (0, 2), (0, 3)]
+    a, b = prepare(drawn("a", *cross)), prepare(drawn("b", *cross))
+    assert uniformity(a, b) == 1.0
+    told = match(a, b, SETTINGS)[0]
+    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    four = replace(NO_VIEW_EVIDENCE, first=np.zeros(4, np.int64), bits=np.full(4, 4.0))
+    for level, asked in ((1.4, 0.0), (2.1, 0.4), (3.0, 1.0)):  # of the z of copies
+        seen = replace(told, bits=20.0, views=replace(four, null=np.array([level, 0.5])))
+        (answers,) = assess(a, b, [seen], threshold).answers
+        assert answers.repetition == pytest.approx(asked)
+    (answers,) = assess(a, b, [replace(told, bits=20.0)], threshold).answers
+    assert answers.repetition == 1.0
 
 
 def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
