@@ -1,12 +1,12 @@
 """Runs with a laser, simulated inside floor plans: pairs merged, and floors that look alike.
 
-    python benchmarks/inside.py [--maps FILE ...] [--worlds 2] [--runs 3] [--way 200] [--seed 1]
-        [--only together,…,door] [--keep DIR]
+    python benchmarks/inside.py [--maps FILE ...] [--kinds rooms,home,…] [--worlds 2] [--runs 3]
+        [--way 200] [--seed 1] [--only together,…,door] [--keep DIR]
 
-Plans are saved maps (`map.yaml`, one per building) and drawn floors. In each a robot drives between
-random places; boxes stand anew for every run. Scans (181 beams over half a turn, 30 m, 2 cm of
-noise) are `--every` metres apart; the odometry errs like that made for `fr101`: 1 % of scale,
-.25°/m, .8°/√m.
+Plans are saved maps (`map.yaml`, one per building) and drawn floors: rows of `rooms`, and the kinds
+of `floors.py`. In each a robot drives between random places; boxes stand anew for every run. Scans
+(181 beams over half a turn, 30 m, 2 cm of noise) are `--every` metres apart; the odometry errs like
+that made for `fr101`: 1 % of scale, .25°/m, .8°/√m.
 
   together    runs in one plan: pairs that share 20 m of way and are in one component, within 3 m;
               the rmse of the runs' places after the best rigid fit; pairs across plans
@@ -28,6 +28,7 @@ from itertools import combinations
 from pathlib import Path
 
 import numpy as np
+from floors import CELL_M, drawn
 from grids import rooms
 from scipy import ndimage
 from scipy.sparse import coo_array
@@ -268,8 +269,11 @@ def rmse_m(run: Driven) -> float:
 
 def floors(options: argparse.Namespace) -> list[Floor]:
     """The plans."""
-    drawn = [of_grid(f"floor-{k}", rooms(options.seed + k, 0.1)) for k in range(options.worlds)]
-    return [*drawn, *map(saved, options.maps)]
+    plain = options.worlds if "rooms" in options.kinds else 0
+    found = [of_grid(f"floor-{k}", rooms(options.seed + k, 0.1)) for k in range(plain)]
+    more = drawn(options.kinds, options.worlds, options.seed)
+    found += [Floor(name, free, CELL_M) for name, free in more]
+    return [*found, *map(saved, options.maps)]
 
 
 def alike(kind: str, plan: Floor, rng: np.random.Generator) -> list[Floor]:
@@ -293,7 +297,8 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )
     command.add_argument("--maps", type=Path, nargs="*", default=[])
-    command.add_argument("--worlds", type=int, default=2)
+    command.add_argument("--kinds", type=lambda text: text.split(","), default=["rooms"])
+    command.add_argument("--worlds", type=int, default=2, help="drawn floors of a kind")
     command.add_argument("--runs", type=int, default=3, help="per floor")
     command.add_argument("--way", type=float, default=200.0, help="of each run [m]")
     command.add_argument("--every", type=float, default=1.0, help="metres from scan to scan")
