@@ -37,10 +37,9 @@ from ..topology.polyline import Ways, leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .change import Change, ChangeKind, Witness
-from .component_map import component_map, places_of
-from .document import poses_from_document
+from .component_map import component_map
 from .fusion.joint_graph import JOINT, measured_turn
-from .merged_schema import MergedDocument
+from .result import MergeResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +78,16 @@ class _Doubt:
     """Probability that those who passed it invented it."""
 
 
-def changes(
-    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
-) -> tuple[Change, ...]:
+def changes(result: MergeResult, component: int, maps: Mapping[str, TopoMap]) -> tuple[Change, ...]:
     """Changes between the runs of a component, by decreasing evidence, including those below the
     threshold.
 
     maps: of all its runs, as they were merged (`stale_runs`). O(corridors · runs).
     """
-    ids = [node.id for node in places_of(document, component)]
-    merged = component_map(document, component, "merged", maps)
-    poses = poses_from_document(document)
-    seen = _Seen(merged, dict(sorted(maps.items())), poses)
+    merged = component_map(result, component, "merged", maps)
+    ids: Sequence[int] = merged.info["numbers"]
+    (site,) = (c for c in result.components if c.id == component)
+    seen = _Seen(merged, dict(sorted(maps.items())), site.poses)
     corridors, asked, explained = _corridors(seen)
     junctions, more = _junctions(seen, explained)
     found = [
@@ -108,8 +105,10 @@ class _Seen:
         self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
     ) -> None:
         self.merged, self.maps = merged, maps
-        self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"][: len(merged)]
-        self.edges: list[dict[str, list[int]]] = merged.info["members"]["edges"][
+        self.nodes: list[Mapping[str, tuple[int, ...]]] = merged.info["members"]["nodes"][
+            : len(merged)
+        ]
+        self.edges: list[Mapping[str, tuple[int, ...]]] = merged.info["members"]["edges"][
             : len(merged.source)
         ]
         self.passes = {

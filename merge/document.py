@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -174,12 +174,6 @@ def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
         yield edge | {"members": own}
 
 
-def poses_from_document(document: MergedDocument) -> dict[str, FloatArray]:
-    """(3,) pose of every run in its component."""
-    components = document.graph.components
-    return {run: _pose_from(pose) for c in components for run, pose in c.runs.items()}
-
-
 def _pose_from(pose: Pose) -> FloatArray:
     return np.array([pose.x, pose.y, pose.theta])
 
@@ -188,7 +182,8 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     """The result that a document was written from: numbers as rounded there, unrelated pairs
     without their alignments, placements without their covariance.
 
-    Raises ValueError if the document names a vertex, a branch or a component that it lacks.
+    Raises ValueError if the document names a vertex, a branch or a component that it lacks, or
+    fuses what is of two components.
     """
     graph = document.graph
     components = tuple(
@@ -200,16 +195,30 @@ def result_from_document(document: MergedDocument) -> MergeResult:
         for c in graph.components
     )
     fused = _fused_from(document)
-    known = {c.id for c in components}
-    strange = sorted(set(fused.component.tolist()) - known)
-    if strange:
-        raise ValueError(f"there is no component {strange[0]}")
+    _check_components(components, fused)
     named = graph.model_dump(exclude_unset=True)
     own = ("components", "unlisted")
     info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
     verdicts = tuple(map(_verdict_from, document.merges))
     counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
     return MergeResult(components, fused, verdicts, info, counted)
+
+
+def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
+    """ValueError if what is fused is not of one component alone, or of one that is not there."""
+    home = {run: c.id for c in components for run in c.poses}
+    strange = sorted(set(fused.component.tolist()) - {c.id for c in components})
+    if strange:
+        raise ValueError(f"there is no component {strange[0]}")
+    if np.any(fused.component[fused.source] != fused.component[fused.target]):
+        raise ValueError("a corridor joins two components")
+    of_edges = fused.component[fused.source].tolist()
+    members = [*zip(fused.component.tolist(), fused.members, strict=True)]
+    members += zip(of_edges, map(by_run, fused.edge_members), strict=True)
+    for component, runs in members:
+        for run in runs:
+            if home.get(run) != component:
+                raise ValueError(f"run {run!r} is a member of what is not its component")
 
 
 def _fused_from(document: MergedDocument) -> FusedMap:

@@ -21,9 +21,8 @@ from ..topology.frozen import freeze
 from ..topology.matching.structure import padded_branches
 from ..topology.se2 import fit_rigid, turned, wrap
 from ..topology.topomap import TopoMap
-from .component_map import places_of
 from .fusion.joint_graph import JOINT, measured_turn
-from .merged_schema import MergedDocument
+from .result import MergeResult
 
 WITHIN_SIGMAS = 2.448
 """95 % quantile of the error of a point in the plane, in sigmas of a coordinate (Rayleigh
@@ -91,31 +90,26 @@ class Transferred:
 
 
 def junctions_of_runs(
-    document: MergedDocument, maps: Mapping[str, TopoMap], source: str, target: str
+    result: MergeResult, maps: Mapping[str, TopoMap], source: str, target: str
 ) -> MatchedJunctions:
     """The junctions that a merge identified in two runs, directly or through others.
 
     maps: at least those of the two runs, as they were merged (`stale_runs`).
     """
-    home = document.graph.home
+    fused = result.fused
     pairs = [
-        (node.members[source][0], node.members[target][0])
-        for node in places_of(document, home[source])
-        if home[source] == home[target]
-        if node.members.get(source) and node.members.get(target)
+        (members[source][0], members[target][0])
+        for members, turned in zip(fused.members, fused.is_turned, strict=True)
+        if not turned and members.get(source) and members.get(target)
     ]
     rows = np.array(pairs, np.int64).reshape(-1, 2)
     return _matched(maps[source], maps[target], rows)
 
 
-def junctions_of_merged(
-    document: MergedDocument, source: TopoMap, merged: TopoMap, component: int
-) -> MatchedJunctions:
+def junctions_of_merged(source: TopoMap, merged: TopoMap) -> MatchedJunctions:
     """The junctions of a run in the fused map of its component (`component_map`)."""
-    nodes = places_of(document, component)
-    pairs = [
-        (vertex, k) for k, node in enumerate(nodes) for vertex in node.members.get(source.run, ())
-    ]
+    nodes = merged.info["members"]["nodes"][: len(merged)]
+    pairs = [(vertex, k) for k, own in enumerate(nodes) for vertex in own.get(source.run, ())]
     return _matched(source, merged, np.array(pairs, np.int64).reshape(-1, 2))
 
 
