@@ -91,6 +91,14 @@ class Kept:
         if self.path is not None and len(self._new) >= WRITTEN_TOGETHER:
             self.flush()
 
+    def result(self, kind: Kind, key: Key, made: Callable[[], bytes]) -> bytes:
+        """The result of a key; made and kept where it is not known."""
+        (data,) = self.find(kind, [key])
+        if data is None:
+            data = made()
+            self.add(kind, key, data)
+        return data
+
     def flush(self) -> None:
         """Write what was added; if that fails, it stays in memory."""
         rows = [

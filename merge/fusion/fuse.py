@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
@@ -99,10 +100,8 @@ def fused_once(
     if kept is None:
         return fuse_component(maps, inside, sigmas=sigmas)
     digest = component_digest(maps, inside, kept, sigmas=sigmas)
-    (data,) = kept.find(Kind.COMPONENT, [(digest, digest)])
-    if data is None:
-        data = to_bytes(fuse_component(maps, inside, sigmas=sigmas))
-        kept.add(Kind.COMPONENT, (digest, digest), data)
+    made = partial(fuse_component, maps, inside, sigmas=sigmas)
+    data = kept.result(Kind.COMPONENT, (digest, digest), lambda: to_bytes(made()))
     found: FusedComponent = from_bytes(data, CLASSES)
     return found
 

@@ -7,20 +7,20 @@ independent, while differences between copies appear in most pairs.
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from itertools import product
 
 import numpy as np
 
 from ...topology.arrays import ComplexArray, IntArray
 from ...topology.se2 import compose, inverse
-from ..result import Alignment
+from ..result import Alignment, PairVerdict
 from .components import Components, Pair, Refusal, agrees
 from .prepare import Prepared
 from .repetition import size_difference
 from .settings import MATCH
+from .verdict import OTHER_SIZE
 
 LARGER_TOGETHER = Refusal(
     "all runs that can be compared together show that one is larger throughout: this may be a copy "
@@ -33,44 +33,20 @@ COPY_TOGETHER = Refusal(
 )
 
 
-class _ByRun:
-    """Alignments of pairs, indexed by their runs: few pairs lie across two components, and a large
-    batch has too many to search through for each join."""
-
-    def __init__(self, alignments: Mapping[Pair, Alignment]) -> None:
-        self.alignments = alignments
-        self._pairs: dict[int, list[Pair]] = defaultdict(list)
-        for pair in alignments:
-            for run in pair:
-                self._pairs[run].append(pair)
-
-    def between(self, components: Components, pair: Pair) -> list[Pair]:
-        """The pairs between the two components of a pair, sorted. O(pairs of the smaller one)."""
-        few, many = sorted((components.head[k] for k in pair), key=components.size)
-        return sorted(
-            (x, y)
-            for run in components.members[few]
-            for x, y in self._pairs.get(run, ())
-            if components.head[y if run == x else x] == many
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class Across:
     """The evidence of a batch on copies.
 
-    prepared: the maps; places: their junctions, x + iy; joins: alignments by which pairs would be
-    joined; other: alignments of pairs rejected because one map is larger; tested: alignments of
-    pairs that were tested for being a copy, with the evidence that they are not [bits];
-    same_place_bits: runs that test for some of the other `joins`; locked: pairs joined by a lock;
-    most_sigmas: largest accepted difference in size.
+    prepared: the maps; places: their junctions, x + iy; verdicts: on pairs by their two maps, but
+    for those that a lock names; joins: alignments by which pairs would be joined; same_place_bits:
+    evidence that some of these, not tested for that before, are no copies; locked: pairs joined by
+    a lock; most_sigmas: largest accepted difference in size.
     """
 
     prepared: Sequence[Prepared]
     places: Sequence[ComplexArray]
+    verdicts: Mapping[Pair, PairVerdict]
     joins: Mapping[Pair, Alignment]
-    other: Mapping[Pair, Alignment]
-    tested: Mapping[Pair, tuple[Alignment, float]]
     same_place_bits: Callable[[Sequence[Pair]], Sequence[float]]
     locked: Collection[Pair]
     most_sigmas: float
@@ -84,48 +60,39 @@ class Across:
         """
         if pair in self.locked:
             return None
-        if across := dict(self._across(components, pair, self._other_size)):
-            across |= self._across(components, pair, self._joined)
-            if self._sigmas(components, pair, across) > self.most_sigmas:
+        across = self._across(components, pair)
+        known = {p: self.verdicts[p] for p in across if p in self.verdicts}
+        larger = {p for p, v in known.items() if v.lacks == OTHER_SIZE}
+        if larger:
+            compared = {p: found for p, found in across.items() if p in larger or p in self.joins}
+            if self._sigmas(components, pair, compared) > self.most_sigmas:
                 return LARGER_TOGETHER
-        if any(self._across(components, pair, self._copies)):
-            bits = {p: self.tested[p][1] for p, _ in self._across(components, pair, self._tested)}
-            joined = (p for p, _ in self._across(components, pair, self._joined))
-            untested = [p for p in joined if p not in bits]
-            if sum(bits.values()) + sum(self.same_place_bits(untested)) < -MATCH.lead_bits:
+        of_all = {p: v.extra.get("same_place_bits") for p, v in known.items()}
+        tested = {p: bits for p, bits in of_all.items() if bits is not None}
+        if any(bits < 0 for bits in tested.values()):  # more like a copy than a typical one
+            untested = [p for p in across if p in self.joins and p not in tested]
+            if sum(tested.values()) + sum(self.same_place_bits(untested)) < -MATCH.lead_bits:
                 return COPY_TOGETHER
         return None
 
-    @cached_property
-    def _other_size(self) -> _ByRun:
-        return _ByRun(self.other)
-
-    @cached_property
-    def _joined(self) -> _ByRun:
-        return _ByRun(self.joins)
-
-    @cached_property
-    def _tested(self) -> _ByRun:
-        return _ByRun({pair: found for pair, (found, _) in self.tested.items()})
-
-    @cached_property
-    def _copies(self) -> _ByRun:
-        """Those of pairs that look more like copies than typical copies do."""
-        return _ByRun({pair: found for pair, (found, bits) in self.tested.items() if bits < 0})
-
-    def _across(
-        self, components: Components, pair: Pair, known: _ByRun
-    ) -> Iterator[tuple[Pair, Alignment]]:
-        """Alignments between the two components that place them as the pair does."""
+    def _across(self, components: Components, pair: Pair) -> dict[Pair, Alignment]:
+        """The alignments of pairs between the two components that place them as the pair does,
+        sorted. O(pairs between the two), and of all joins together O(pairs of runs)."""
         i, j = pair
-        one = components.head[i]
-        for x, y in known.between(components, pair):
-            found = known.alignments[x, y]
-            u, v = (x, y) if components.head[x] == one else (y, x)
+        one, two = (components.members[components.head[k]] for k in pair)
+        out = {}
+        for u, v in product(one, two):
+            across = (min(u, v), max(u, v))
+            found = self.joins.get(across)
+            if found is None and across in self.verdicts:
+                found = self.verdicts[across].best
+            if found is None:
+                continue
             T_u_j = compose(components.relative(u, i), self.joins[pair].transform)
             T_u_v = compose(T_u_j, components.relative(j, v))
-            if agrees(found, T_u_v if u == x else inverse(T_u_v), self.places[y]):
-                yield (x, y), found
+            if agrees(found, T_u_v if u < v else inverse(T_u_v), self.places[across[1]]):
+                out[across] = found
+        return dict(sorted(out.items()))
 
     def _sigmas(
         self, components: Components, pair: Pair, across: Mapping[Pair, Alignment]

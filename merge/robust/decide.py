@@ -64,10 +64,9 @@ def decide(
     across = Across(
         matcher.prepared,
         matcher.places,
+        batch.unlocked,
         best,
-        other=batch.of_other_size(),
-        tested=batch.tested_for_copies(),
-        same_place_bits=batch.same_place_bits,
+        batch.same_place_bits,
         locked=forced,
         most_sigmas=settings.size_sigmas,
     )
@@ -99,7 +98,7 @@ def _forced(batch: Batch, locked: dict[Pair, Lock]) -> dict[Pair, Candidate]:
     prepared, settings = batch.matcher.prepared, batch.matcher.settings
     out = {}
     for (i, j), assessment in batch.assessments(same).items():
-        shown = (candidate for candidate, _ in assessment.ranked)
+        shown = (w.candidate for w in assessment.ranked)
         candidates = (*shown, *match(prepared[i], prepared[j], settings))
         found = forced_alignment(prepared[i], prepared[j], candidates, locked[i, j], settings)
         if found is not None:
@@ -114,7 +113,8 @@ def _strongest_first(
 
     A pair locked as the same is joined as the lock says or, if that is infeasible, not at all.
     """
-    best = {pair: v.best for pair, v in batch.joins.items() if v.best is not None}
+    joins = ((pair, v) for pair, v in batch.unlocked.items() if v.accepted)
+    best = {pair: v.best for pair, v in joins if v.best is not None}
     best |= {pair: as_alignment(c) for pair, c in forced.items()}
     bits = {pair: batch.verdicts[pair].evidence_bits for pair in best}
     order = sorted(best, key=lambda p: (p not in forced, -bits[p], p))

@@ -149,7 +149,7 @@ class _Pair:
 
     def _placement(self, c: Candidate, stated: Alignment | None) -> Placement:
         """A candidate with its evidence, as far as the document states it."""
-        own = alignment_of(c, self.a, self.b, None)
+        own = alignment_of(c, self.a, self.b)
         tested = None if stated is None else stated.copy_test
         if stated is not None and tested is not None:
             own = replace(own, evidence_bits=stated.evidence_bits, copy_test=tested)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import combinations
 
@@ -28,7 +28,7 @@ from .mirror import mirrored
 from .pairing import Pair
 from .prepare import Prepared, prepare
 from .settings import RobustSettings
-from .tasks import Summary, candidates_of, image_result_of, result_of
+from .tasks import candidates_of, image_bits_of, image_result_of, result_of
 
 Runs = tuple[int, ...]
 
@@ -115,10 +115,10 @@ class MergedMaps:
         if (one, two) not in self._matched:
 
             def found() -> bytes:
-                every = match(one.prepared, two.prepared, settings, rivals=True)
-                return result_of(every, settings)
+                return result_of(match(one.prepared, two.prepared, settings, rivals=True), settings)
 
-            self._matched[one, two] = candidates_of(self._result(Kind.RIVALS, one, two, found))
+            data = self._kept.result(Kind.RIVALS, (one.digest, two.digest), found)
+            self._matched[one, two] = candidates_of(data)
         return self._matched[one, two]
 
     def image_bits(self, one: MergedMap, two: MergedMap, settings: RobustSettings) -> float:
@@ -129,19 +129,7 @@ class MergedMaps:
             image = prepare(mirrored(two.as_map))
             return image_result_of(match(one.prepared, image, settings))
 
-        faint = Summary.of(self._result(Kind.IMAGE, one, two, found)).faint
-        return -np.inf if faint is None else faint.bits
-
-    def _result(
-        self, kind: Kind, one: MergedMap, two: MergedMap, made: Callable[[], bytes]
-    ) -> bytes:
-        """The result that is kept of two of them; else it is made."""
-        key = one.digest, two.digest
-        (data,) = self._kept.find(kind, [key])
-        if data is None:
-            data = made()
-            self._kept.add(kind, key, data)
-        return data
+        return image_bits_of(self._kept.result(Kind.IMAGE, (one.digest, two.digest), found))
 
 
 def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:

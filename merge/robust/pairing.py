@@ -20,11 +20,12 @@ from .prepare import Prepared, prepare
 from .settings import RobustSettings
 from .tasks import (
     TASKS,
-    Maps,
     MatchTask,
+    ReadMap,
     Summary,
     candidates_of,
     era_of,
+    image_bits_of,
     match_task,
     matched,
     tile_order,
@@ -38,13 +39,13 @@ T = TypeVar("T")
 class Means:
     """How the pairs of a batch are matched, without influence on the results.
 
-    workers: executors, this process if None; maps: where they find the maps, None to send them
-    along; kept: known results, of the era of the settings; on_pair(done, total): progress, first
-    with what is known already; tell: called with one line of text per event.
+    workers: executors that read the maps by `read`; this process where one of the two is None;
+    kept: known results, of the era of the settings; on_pair(done, total): progress, first with what
+    is known already; tell: called with one line of text per event.
     """
 
     workers: Workers | None = None
-    maps: Maps | None = None
+    read: ReadMap | None = None
     kept: Kept = field(default_factory=Kept)
     on_pair: Callable[[int, int], None] | None = None
     tell: Callable[[str], None] | None = None
@@ -89,11 +90,9 @@ class Pairwise:
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """Evidence of the best alignment with the mirror image of each pair's second map [bits]."""
-        found = self._all(Kind.IMAGE, wanted, Summary.of, reported=True)
+        bits = self._all(Kind.IMAGE, wanted, image_bits_of, reported=True)
         self._images.clear()  # .1 MB a map, and hardly asked for again
-        pairs = ((i, j) for i, j in wanted.tolist())
-        bits = (-np.inf if s.faint is None else s.faint.bits for s in found)
-        return dict(zip(pairs, bits, strict=True))
+        return dict(zip(map(tuple, wanted.tolist()), bits, strict=True))
 
     def _all(
         self, kind: Kind, wanted: IntArray, read: Callable[[bytes], T], *, reported: bool = False
@@ -128,7 +127,7 @@ class Pairwise:
     ) -> Iterator[tuple[list[int], list[bytes]]]:
         """New results: positions of pairs, and the result of each."""
         tasks = list(self._tasks(kind, wanted, missing))
-        workers = self.means.workers
+        workers = None if self.means.read is None else self.means.workers
         if workers is None or len(tasks) < 2 or self._work(wanted[missing]) < workers.worth:
             yield from ((at, match_task(task, self._ready)) for at, task in tasks)
             return
@@ -160,7 +159,6 @@ class Pairwise:
         """The missing pairs tile by tile, with their positions."""
         order = missing[tile_order(wanted[missing])]
         size = min(TASKS.tile**2, max(-(-len(order) // TASKS.tile), 1))
-        here = self.means.maps is not None or self.means.workers is None
         for start in range(0, len(order), size):
             places = order[start : start + size]
             maps, rows = np.unique(wanted[places], return_inverse=True)
@@ -169,7 +167,6 @@ class Pairwise:
                 runs=tuple((self.maps[k].run, self.digests[k]) for k in maps.tolist()),
                 pairs=rows.reshape(-1, 2),
                 settings=self.settings,
-                maps=self.means.maps,
-                sent={} if here else {self.digests[k]: self.maps[k] for k in maps.tolist()},
+                read=self.means.read,
             )
             yield places.tolist(), task

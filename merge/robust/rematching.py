@@ -9,7 +9,7 @@ without implied pairs, Shaffer: JASA 81, 1986).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -21,6 +21,7 @@ from .components import Components
 from .merged_maps import MergedMap, MergedMaps, Runs
 from .mirror import fits_as_well
 from .pairing import Pair, Pairwise
+from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
 from .wording import summary
 
@@ -76,7 +77,7 @@ class Rematcher:
     matcher: Pairwise
     components: Components
     undecided: Sequence[Pair]
-    threshold: Callable[[Sequence[int], int], Threshold]
+    threshold: ThresholdOf
     discarded: Collection[Pair] = ()
     unmet: Mapping[Pair, tuple[int, int]] = field(default_factory=dict)
     _merged: MergedMaps = field(init=False)
@@ -182,6 +183,6 @@ def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alig
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
         transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
-        corridors, tested = len(best.corridors), found.answers[0].copy_test
+        corridors, tested = len(best.corridors), found.ranked[0].copy_test
         out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=tested)
     return out

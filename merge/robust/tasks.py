@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import json
 import struct
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, replace
-from typing import Protocol
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 import scipy
@@ -34,12 +33,8 @@ Ready = Callable[[bytes, bool], Prepared]
 """Gives the prepared map of a digest, or its mirror image."""
 
 
-class Maps(Protocol):
-    """A source of the maps of runs, for workers."""
-
-    def read_map(self, run: str) -> TopoMap:
-        """The map of a run."""
-        ...
+ReadMap = Callable[[str], TopoMap]
+"""Reads the map of a run; workers are sent it, and call it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,15 +59,14 @@ class MatchTask:
     """Pairs to be matched.
 
     kind: of the records wanted; runs: name and digest of each map; pairs: (k, 2) rows of them;
-    maps: their source; sent: the maps themselves, by digest, if there is no source.
+    read: gives the maps, if they are not at hand.
     """
 
     kind: Kind
     runs: tuple[tuple[str, bytes], ...]
     pairs: IntArray
     settings: RobustSettings
-    maps: Maps | None = None
-    sent: Mapping[bytes, TopoMap] = field(default_factory=dict)
+    read: ReadMap | None = None
 
 
 def tile_order(pairs: IntArray) -> IntArray:
@@ -99,6 +93,9 @@ def era_of(settings: RobustSettings) -> bytes:
 HEAD = struct.Struct("<Idd")
 """Head of the result of matching two maps: junctions and evidence of the best alignment if none is
 beyond chance, else 0; largest evidence against chance. The candidates follow, if there are any."""
+
+IMAGE = struct.Struct("<d")
+"""The result of matching a map with a mirror image."""
 
 CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, ViewEvidence)}
 
@@ -140,8 +137,13 @@ def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
 
 
 def image_result_of(found: tuple[Candidate, ...]) -> bytes:
-    """What is kept of the candidates of a map and a mirror image: a summary of the best."""
-    return HEAD.pack(len(found[0]) if found else 0, found[0].bits if found else 0.0, 0.0)
+    """What is kept of the candidates of a map and a mirror image: the evidence of the best."""
+    return IMAGE.pack(found[0].bits if found else -np.inf)
+
+
+def image_bits_of(data: bytes) -> float:
+    """The evidence in such a result [bits], -inf without a candidate."""
+    return float(IMAGE.unpack(data)[0])
 
 
 def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
@@ -153,7 +155,7 @@ def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
         if found is None:
             if len(_ready) >= TASKS.at_hand:
                 _ready.clear()
-            topomap = task.sent.get(digest) or _read(task.maps, run_of[digest], digest)
+            topomap = _as_merged(task.read, run_of[digest], digest)
             found = prepare(mirrored(topomap) if image else topomap)
             _ready[digest, image] = found
         return found
@@ -164,8 +166,9 @@ def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
 _ready: dict[tuple[bytes, bool], Prepared] = {}  # in a worker: maps that the last tasks asked for
 
 
-def _read(maps: Maps | None, run: str, digest: bytes) -> TopoMap:
-    found = None if maps is None else maps.read_map(run)
+def _as_merged(read: ReadMap | None, run: str, digest: bytes) -> TopoMap:
+    """The map of a run; DataError if it is not that of the digest."""
+    found = None if read is None else read(run)
     if found is None or digest_of(found) != digest:
         raise DataError(f"the map of run {run!r} changed while it was merged; merge again")
     return found
