@@ -17,6 +17,7 @@ from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, ly
 from .entries import Case
 from .mirror import MIRRORED, fits_as_well
 from .pairing import Means, Pair, Pairwise
+from .prepare import Prepared
 from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
@@ -40,6 +41,15 @@ class Batch:
     found: dict[Pair, Summary] = field(default_factory=dict)
     verdicts: dict[Pair, PairVerdict] = field(default_factory=dict)
 
+    def match_likely(self) -> None:
+        """Match all pairs of a small batch; of a large one those that pass screening, and those
+        that a person named."""
+        named = {*self.locked, *self.discarded}
+        wanted = wanted_pairs(self.matcher, named)
+        runs = len(self.matcher.maps)
+        self.say(f"{runs} maps, {len(wanted)} of {pairs_of(runs)} pairs to match")
+        self.match(wanted)
+
     def match(self, wanted: IntArray) -> None:
         """Match (k, 2) pairs and assess them."""
         results = self.matcher.pairs(wanted)
@@ -47,13 +57,16 @@ class Batch:
         found |= {pair: Summary() for pair in self.discarded if pair in found}
         self.found.update(found)
         for some in in_parts(list(found)):
-            for (i, j), assessment in self.assessments(some).items():
-                self.verdicts[i, j] = self.case((i, j), assessment).verdict()
+            for pair, assessment in self.assessments(some).items():
+                self.verdicts[pair] = Case(*self.prepared(pair), assessment).verdict()
 
-    def case(self, pair: Pair, assessment: Assessment) -> Case:
-        """A pair by its two maps alone."""
-        a, b = (self.matcher.prepared[k] for k in pair)
-        return Case(a, b, assessment)
+    def prepared(self, pair: Pair) -> tuple[Prepared, Prepared]:
+        """The two maps of a pair."""
+        return self.matcher.prepared[pair[0]], self.matcher.prepared[pair[1]]
+
+    def say(self, text: str) -> None:
+        """Report an event."""
+        self.matcher.means.say(text)
 
     @cached_property
     def threshold(self) -> ThresholdOf:
@@ -89,10 +102,9 @@ class Batch:
 
     def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
         """The assessment of each pair by these candidates."""
-        prepared = self.matcher.prepared
         cases = [
-            (prepared[i], prepared[j], c, self.threshold((i, j)))
-            for (i, j), c in candidates.items()
+            (*self.prepared(pair), found, self.threshold(pair))
+            for pair, found in candidates.items()
         ]
         return dict(zip(candidates, assess_all(cases), strict=True))
 
@@ -120,12 +132,12 @@ class Batch:
 
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
         """Evidence that the alignments of some merged pairs are not copies [bits]."""
-        prepared, cases = self.matcher.prepared, []
-        for (i, j), candidates in self.candidates(p for p in pairs if p not in self.locked).items():
-            best = self.verdicts[i, j].best
+        cases = []
+        for pair, found in self.candidates(p for p in pairs if p not in self.locked).items():
+            best = self.verdicts[pair].best
             assert best is not None
-            chosen = self._agreeing(candidates, best.transform, j)
-            cases += [] if chosen is None else [(prepared[i], prepared[j], chosen)]
+            chosen = self._agreeing(found, best.transform, pair[1])
+            cases += [] if chosen is None else [(*self.prepared(pair), chosen)]
         if not cases:
             return []
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies
