@@ -330,8 +330,8 @@ def _with_views(
         elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
         said = judged(here, elsewhere, selves, same)
         against = c.conflicts.at_most(
-            said.most_against(np.abs(b.z[c.conflicts.extra_b, None] - two.place[said.second])),
-            said.most_against(np.abs(a.z[c.conflicts.extra_a, None] - one.place[said.first])),
+            said.most_against(np.abs(b.z[c.conflicts.in_a.vertex, None] - two.place[said.second])),
+            said.most_against(np.abs(a.z[c.conflicts.in_b.vertex, None] - one.place[said.first])),
         )
         bits = c.bits + said.total + c.conflicts.bits - against.bits
         out.append(replace(c, bits=bits, conflicts=against, views=said))

@@ -21,7 +21,7 @@ from .. import codec
 from ..digests import digest_of, digested, program_digest
 from ..kept import Kind
 from .alignment import Candidate, match_all, self_matches
-from .conflicts import Conflicts
+from .conflicts import Conflicts, Unseen
 from .mirror import mirrored
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
@@ -97,7 +97,7 @@ beyond chance, else 0; largest evidence against chance. The candidates follow, i
 IMAGE = struct.Struct("<d")
 """The result of matching a map with a mirror image."""
 
-CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, ViewEvidence)}
+CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, Unseen, ViewEvidence)}
 
 
 @dataclass(frozen=True, slots=True)
