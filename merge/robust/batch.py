@@ -16,12 +16,11 @@ from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .entries import Case
 from .mirror import MIRRORED, fits_as_well
-from .pairing import Means, Pair, Pairwise
+from .pairing import Means, Pair, Pairwise, Summary, in_tiles
 from .prepare import Prepared
 from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
-from .tasks import Summary, in_tiles
 from .thresholds import ThresholdOf, thresholds
 from .verdict import Assessment, assess_all
 

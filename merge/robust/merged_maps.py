@@ -25,10 +25,9 @@ from ..result import (
 )
 from .alignment import Candidate, match
 from .mirror import mirrored
-from .pairing import Pair
+from .pairing import Pair, candidates_of, image_bits_of, image_result_of, result_of
 from .prepare import Prepared, prepare
 from .settings import RobustSettings
-from .tasks import candidates_of, image_bits_of, image_result_of, result_of
 
 Runs = tuple[int, ...]
 

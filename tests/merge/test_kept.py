@@ -16,7 +16,7 @@ from topobatch.merge.document import write_merged
 from topobatch.merge.kept import Kept, Kind
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust import DEFAULT_ROBUST, Means
-from topobatch.merge.robust.tasks import era_of
+from topobatch.merge.robust.pairing import era_of
 from topobatch.merge.workers import Workers
 
 
