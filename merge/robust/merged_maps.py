@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import combinations
 
@@ -11,16 +12,17 @@ import numpy as np
 from ...topology.columns import joined, take
 from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import NO_VIEWS, Views
+from ..component_map import component_map
 from ..fusion.fuse import component_digest, fuse
 from ..kept import Kept, Kind
 from ..result import (
     Alignment,
     Component,
     FusedMap,
+    MergeResult,
     PairVerdict,
     Verdict,
     fused_confidence,
-    graph_part,
     site_views,
 )
 from .alignment import Candidate, match
@@ -141,21 +143,16 @@ def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
 
 def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
     """A fused map as the map of one run that saw everything, with the noise of the worst run."""
-    observations = np.array([len(seen) for seen in fused.observations])
-    times = np.arange(int(observations.sum()), dtype=np.int64)
     maps = {m.run: m for m in own}
     fields = RunNoise.__dataclass_fields__
     noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
-    return TopoMap(
-        run="+".join(m.run for m in own),
-        frame="component",
-        observation_vertex=np.repeat(np.arange(len(observations)), observations),
-        observation_time_ns=times,
+    whole = component_map(MergeResult((component,), fused, ()), component.id, "+".join(maps))
+    return replace(
+        whole,
         noise=noise,
         shows_bends=any(m.shows_bends for m in own),
         confidence=fused_confidence(fused.members, maps),
         views=_thinned(site_views(fused, component, maps)),
-        **graph_part(fused, np.ones(len(fused), np.bool_)),
     )
 
 
