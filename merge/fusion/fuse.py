@@ -17,8 +17,7 @@ from ...topology.columns import joined
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
-from ..digests import digested
-from ..kept import Kept, Kind
+from ..kept import Kept, Kind, digested
 from ..result import Component, FusedMap, PairVerdict, Spread, by_run
 from .data_association import COINCIDENCE, coincident
 from .edge_splitting import split_at_places

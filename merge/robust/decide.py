@@ -9,10 +9,9 @@ from ...topology.topomap import TopoMap
 from ..discards import Names
 from ..locks import Lock, locks_among
 from ..result import Alignment, PairVerdict
-from .across import Across
 from .alignment import Candidate, match
 from .batch import Batch, in_parts
-from .components import Components, Refusal, as_alignment, join_all
+from .components import Across, Components, Refusal, as_alignment, join_all
 from .entries import Case
 from .forced import forced_alignment
 from .pairing import Means, Pair, Pairwise

@@ -21,8 +21,7 @@ from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
 from .. import codec
-from ..digests import digest_of, digested, program_digest
-from ..kept import Kept, Kind
+from ..kept import Kept, Kind, digest_of, digested, program_digest
 from ..workers import Workers
 from .alignment import Candidate, match_all, self_matches
 from .conflicts import Conflicts, Unseen

@@ -5,9 +5,8 @@ from dataclasses import replace
 import pytest
 
 from topobatch.merge.result import PairVerdict, Verdict
-from topobatch.merge.robust.across import LARGER_TOGETHER, Across
 from topobatch.merge.robust.alignment import match
-from topobatch.merge.robust.components import Components, as_alignment
+from topobatch.merge.robust.components import LARGER_TOGETHER, Across, Components, as_alignment
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.verdict import OTHER_SIZE
 

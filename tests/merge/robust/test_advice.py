@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from topobatch.merge.robust.advice import advice
 from topobatch.merge.robust.alignment import match
+from topobatch.merge.robust.entries import advice
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.verdict import assess, threshold_for
 
