@@ -450,13 +450,13 @@ class Workspace:
 
     def discards(self) -> frozenset[tuple[str, str]]:
         """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
-        from ..merge.discards import discards_from_document
+        from ..merge.locks import discards_from_document
 
         return _decided(self.discards_json, discards_from_document, frozenset())
 
     def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Keep these pairs; none leave no document."""
-        from ..merge.discards import discards_to_document
+        from ..merge.locks import discards_to_document
         from ..topology.files import write_json
 
         kept = frozenset(pairs)

@@ -16,7 +16,7 @@ from ..topology.arrays import FloatArray
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
-from .discards import REASON, discarded
+from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
 from .wording import AGREES_BITS, decimals, what_agrees
 
@@ -124,7 +124,7 @@ def _by_a_person(pair: PairVerdict) -> str:
         return "Locked apart by a person."
     if discarded(pair):
         undo = "topobatch discard A:B --undo lets it count"
-        return f"{REASON[0].upper()}{REASON[1:]}: what is shown does not count ({undo})."
+        return f"{DISCARDED[0].upper()}{DISCARDED[1:]}: what is shown does not count ({undo})."
     return ""
 
 

@@ -12,11 +12,10 @@ from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from . import robust
-from .discards import REASON, Names
 from .fusion.fuse import fuse
 from .fusion.turning_ends import with_turning_ends
 from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
-from .locks import Lock
+from .locks import DISCARDED, Lock, Names
 from .paper import method as paper
 from .paper.method import DEFAULT_PAPER, PaperSettings
 from .result import Component, MergeResult, PairVerdict, Unlisted, Verdict, pairs_of
@@ -126,7 +125,7 @@ def _taken_back(verdict: PairVerdict) -> PairVerdict:
         return verdict
     need = verdict.threshold_bits
     return PairVerdict(
-        verdict.a, verdict.b, Verdict.UNRELATED, False, 0.0, REASON, threshold_bits=need
+        verdict.a, verdict.b, Verdict.UNRELATED, False, 0.0, DISCARDED, threshold_bits=need
     )
 
 

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import BoolArray, IntArray
 from ..topology.columns import joined, take
 from ..topology.connected import connected
 from ..topology.topomap import Closure, TopoMap
@@ -44,17 +43,13 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     small = [m for m in small if m is not main]
     names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
     text = _describe(len(parts), names, small)
-    info = _with_warning(topomap, text)
+    info = {k: v for k, v in topomap.info.items() if k != "pieces"}
+    info["warnings"] = [*info.get("warnings", ()), text]
     return tuple(replace(m, run=name, info=info) for m, name in zip(kept, names, strict=True))
 
 
 def _passes(topomap: TopoMap) -> int:
     return len(topomap.observation_vertex)
-
-
-def _with_warning(topomap: TopoMap, text: str) -> dict[str, Any]:
-    info = {k: v for k, v in topomap.info.items() if k != "pieces"}
-    return info | {"warnings": [*info.get("warnings", ()), text]}
 
 
 def _describe(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
@@ -120,24 +115,19 @@ def _seen_from(topomap: TopoMap, chosen: BoolArray) -> Views:
     return take(views, chosen[nearest])
 
 
-def _views_together(parts: Sequence[tuple[Views, FloatArray]]) -> Views:
-    """The views of some parts, each moved by the pose of its part, by time."""
-    every = joined([views.moved(pose) for views, pose in parts])
-    return take(every, np.argsort(every.time_ns, kind="stable"))
-
-
 def _as_piece(
     topomap: TopoMap, result: MergeResult, component: Component, parts: Mapping[str, TopoMap]
 ) -> TopoMap:
     """A component of the merged parts as the map of their run."""
     piece = component_map(result, component.id, topomap.frame, parts)
+    views = joined([parts[run].views.moved(pose) for run, pose in component.poses.items()])
     return replace(
         piece,
         noise=topomap.noise,
         fitted_noise=topomap.fitted_noise,
         shows_bends=topomap.shows_bends,
         closures=_closures_of(topomap, piece.observation_time_ns),
-        views=_views_together([(parts[run].views, pose) for run, pose in component.poses.items()]),
+        views=take(views, np.argsort(views.time_ns, kind="stable")),
     )
 
 

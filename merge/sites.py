@@ -169,16 +169,12 @@ def _unions(
     out = []
     now = set(names)
     for runs, name in zip(components, names, strict=True):
-        sites = {history.before[run] for run in runs if _had_others(run, history)}
+        # A run that was alone, at a site called like it, is no site that became part of one.
+        sites = {history.before[run] for run in runs if history.before.get(run, run) != run}
         gone = sorted(sites - now)
         if len(sites) > 1 and gone:
             out.append(f"{listed(sorted(sites))} are one site now: {name}")
     return out
-
-
-def _had_others(run: str, history: SiteHistory) -> bool:
-    """Whether the last merge had a run at a site with a name of its own."""
-    return history.before.get(run, run) != run
 
 
 def _splits(

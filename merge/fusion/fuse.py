@@ -52,8 +52,7 @@ def fuse(
     unchanged.
 
     sigmas: whether every component's `spread`, and the sigmas of vertices and corridors, are
-    computed. kept: store of components fused before, which
-    are not fused again.
+    computed. kept: store of components fused before, which are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -62,6 +61,7 @@ def fuse(
     inside: list[list[PairVerdict]] = [[] for _ in groups]
     for v in accepted:
         inside[home[v.a]].append(v)
+    kept = kept or Kept()
     parts = [
         fused_once([by_name[run] for run in runs], own, sigmas=sigmas, kept=kept)
         for runs, own in zip(groups, inside, strict=True)
@@ -93,11 +93,9 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
 
 
 def fused_once(
-    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept | None
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, cached in `kept`."""
-    if kept is None:
-        return fuse_component(maps, inside, sigmas=sigmas)
     digest = component_digest(maps, inside, kept, sigmas=sigmas)
     made = partial(fuse_component, maps, inside, sigmas=sigmas)
     data = kept.result(Kind.COMPONENT, (digest, digest), lambda: to_bytes(made()))

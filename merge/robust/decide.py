@@ -6,8 +6,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from ...topology.topomap import TopoMap
-from ..discards import Names
-from ..locks import Lock, locks_among
+from ..locks import Lock, Names, locks_among
 from ..result import Alignment, PairVerdict
 from .alignment import Candidate, match
 from .batch import Batch, in_parts

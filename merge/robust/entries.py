@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,8 +13,7 @@ from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from ...topology.wording import counted
-from ..discards import REASON
-from ..locks import Lock
+from ..locks import DISCARDED, Lock
 from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
 from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
@@ -67,7 +65,7 @@ class Case:
         """The evidence of the two maps alone, as a clause."""
         assessment = self.assessment
         if assessment.discarded:
-            return REASON
+            return DISCARDED
         if assessment.best is None:
             return nothing(assessment.faint, assessment.need_bits)
         return summary(assessment.best, assessment.bits, assessment.need_bits, assessment.margin)
@@ -259,8 +257,15 @@ def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
             f"record {a.run} or {b.run} again, further along the edge of what both have seen: "
             "every corridor they share has been driven by both"
         )
-    blind = _partners_of(assessment.runner_up)
-    o = max(options, key=lambda o: (_refutes(o, blind, a), o.length, -o.other_vertex))
+    second = assessment.runner_up
+    blind = {} if second is None else dict(zip(second.b.tolist(), second.a.tolist(), strict=True))
+
+    def refutes(o: _Option) -> bool:
+        """Whether the runner-up matches the junction with another one."""
+        ours, theirs = (o.vertex, o.other_vertex) if o.known is a else (o.other_vertex, o.vertex)
+        return bool(blind.get(theirs, ours) != ours)
+
+    o = max(options, key=lambda o: (refutes(o), o.length, -o.other_vertex))
     return (
         f"record with {o.other.run}'s robot the corridor that {o.known.run} drove from its "
         f"junction {o.vertex} to {o.end} ({o.length:.1f} m): it leaves junction {o.other_vertex} "
@@ -278,21 +283,6 @@ class _Option(NamedTuple):
     length: float
     other: Prepared
     other_vertex: int
-
-
-def _partners_of(candidate: Candidate | None) -> dict[int, int]:
-    """The vertex of a by its partner in b."""
-    if candidate is None:
-        return {}
-    return dict(zip(candidate.b.tolist(), candidate.a.tolist(), strict=True))
-
-
-def _refutes(option: _Option, blind: Mapping[int, int], a: Prepared) -> bool:
-    """Whether the runner-up matches the junction with another one, so that the corridor can refute
-    it."""
-    o = option
-    ours, theirs = (o.vertex, o.other_vertex) if o.known is a else (o.other_vertex, o.vertex)
-    return blind.get(theirs, ours) != ours
 
 
 def _driven_by_one(

@@ -21,9 +21,8 @@ from ...topology.se2 import between, turned
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Term
-from ..discards import discarded
 from ..kept import Kept
-from ..locks import Lock, lock_table
+from ..locks import Lock, discarded, lock_table
 from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of
 from ..through import joined_through
 from ..wording import told_bits
