@@ -147,7 +147,7 @@ def world(
         given, there = places([alone, real], chance, count)
         seen = as_seen(there, maps[other], true[other], truth.worlds[name].xy)
         tallies["beyond"].add(given, seen, matched)
-        matched = junctions_of_merged(maps[one], fused)
+        matched = junctions_of_merged(result, maps[one], fused)
         tallies["merged"].add(*places([ways[one], fused_ways], chance, count), matched)
 
 

@@ -186,7 +186,7 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
         fused = component_map(result, home[source], MERGED)
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: {error}") from error
-    return junctions_of_merged(maps[source], fused), ""
+    return junctions_of_merged(result, maps[source], fused), ""
 
 
 def _verdict(result: MergeResult, a: str, b: str) -> str:

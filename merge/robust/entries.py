@@ -22,7 +22,7 @@ from .prepare import Prepared
 from .rematching import Reunion
 from .verdict import DOUBTS, Assessment, Weighed, counted_bits
 from .view_ties import view_ties
-from .wording import nothing, summary
+from .wording import evidence, summary
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
@@ -48,27 +48,22 @@ class Case:
     def verdict(self) -> PairVerdict:
         """The verdict on the pair. Locks come first, then the consistency of the component, then
         the pair's own evidence, then that of other runs."""
-        lock, evidence = self.lock, self._evidence()
+        lock, found = self.lock, self._evidence()
         if lock is not None and lock.decision == "never":
-            reason = f"locked apart by a person; {MAPS_ALONE} {evidence}"
+            reason = f"locked apart by a person; {MAPS_ALONE} {found}"
             return self._not_joined(Verdict.UNRELATED, reason)
         if lock is not None and self.forced is None and self.reunion is None:
             return self._dishonoured(lock)
         if self.refused is not None:
-            reason = f"{evidence}; but {self.refused.reason}"
+            reason = f"{found}; but {self.refused.reason}"
             if lock is not None:
-                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {evidence}"
+                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {found}"
             return self._not_joined(Verdict.AMBIGUOUS, reason)
         return self._by_evidence()
 
     def _evidence(self) -> str:
         """The evidence of the two maps alone, as a clause."""
-        assessment = self.assessment
-        if assessment.discarded:
-            return DISCARDED
-        if assessment.best is None:
-            return nothing(assessment.faint, assessment.need_bits)
-        return summary(assessment.best, assessment.bits, assessment.need_bits, assessment.margin)
+        return DISCARDED if self.assessment.discarded else evidence(self.assessment)
 
     def _dishonoured(self, lock: Lock) -> PairVerdict:
         """The verdict where a lock as the same is infeasible: no alignment satisfies it."""
@@ -115,8 +110,8 @@ class Case:
         if self.corroborated is not None:
             reason = "joined with the help of other runs, which place the two in the same way: {}"
             return self._accepted(self.corroborated, by="runs", reason=reason)
-        evidence = self._evidence()
-        return self._not_joined(own.verdict, f"{evidence}; {own.why}" if own.why else evidence)
+        found = self._evidence()
+        return self._not_joined(own.verdict, f"{found}; {own.why}" if own.why else found)
 
     def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary

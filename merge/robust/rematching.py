@@ -41,7 +41,7 @@ from .pairing import Pair, Pairwise, candidates_of, image_bits_of, image_result_
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
-from .wording import summary
+from .wording import evidence
 
 Runs = tuple[int, ...]
 
@@ -207,11 +207,9 @@ class _Match:
     def reunions(self) -> Iterator[tuple[Pair, Reunion]]:
         """What it says of pairs of runs."""
         known, best = {**self.one.maps, **self.two.maps}, self.assessment
-        assert best.best is not None
         for pair, alignment in self.links.items():
             others = sorted(m.run for k, m in known.items() if k not in pair)
-            evidence = summary(best.best, best.bits, best.need_bits, best.margin)
-            reason = f"together with {listed(others, 4)}: {evidence}"
+            reason = f"together with {listed(others, 4)}: {evidence(best)}"
             yield pair, Reunion(alignment, reason, best, (self.one.names, self.two.names))
 
 

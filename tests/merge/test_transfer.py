@@ -68,7 +68,7 @@ def test_merged_runs_say_what_they_have_in_common(maze_pair) -> None:
     found = transfer(middle, both)
     assert np.hypot(*(found.xy - b.xy[truth[:, 1]]).T).max() < 0.3
     fused = component_map(result, 0, "merged")
-    own = junctions_of_merged(a, fused)
+    own = junctions_of_merged(result, a, fused)
     assert len(own) == len(a)
     there = transfer(a.xy, own)
     of = {tuple(x): y for x, y in zip(own.source, own.target, strict=True)}
