@@ -29,7 +29,7 @@ def decide(
     """Verdicts on pairs of runs, sorted by (a, b); `maps` are sorted by run.
 
     All pairs of a small batch; of a large one those that were matched: the others were screened out
-    (`index`) and are unrelated unless other runs join them.
+    (`screening`) and are unrelated unless other runs join them.
 
     1. Every map is prepared, and matched with itself: how much does the building repeat itself?
     2. Every pair that passes screening is matched: candidate alignments with evidence against
