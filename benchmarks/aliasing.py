@@ -21,13 +21,12 @@ from observed import Seeing, scattered_maps
 from topobatch.merge.fusion.fuse import components_of
 from topobatch.merge.robust import (
     DEFAULT_ROBUST,
-    assessment,
     conflicts,
     decide,
     match,
-    pairing,
     prepare,
     repetition,
+    thresholds,
     verdict,
 )
 from topobatch.merge.robust.alignment import best_of
@@ -150,7 +149,7 @@ def leave_out(rule):
     elif rule == "small copies":
         _replace(verdict.Threshold, "may_be_copy", lambda self, best: 0.0)
     elif rule == "learned copies":
-        for module in (assessment, pairing):
+        for module in (thresholds,):
             _replace(module, "copy_model", lambda _, settings: repetition.default_copies(settings))
     elif rule == "uniform":
         _replace(verdict, "uniformity", lambda a, b: 0.0)

@@ -21,8 +21,6 @@ import numpy as np
 
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.changes import changes
-from topobatch.merge.document import merged_to_document
-from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation import (
     DRIFTS,
@@ -48,20 +46,20 @@ def world(kind: str, seed: int, faults: str, closed_share: float) -> np.ndarray:
     a = simulate_run(made, None, first, name="a", seed=seed)
     b = simulate_run(made, None, second, name="b", seed=seed + 100, start_ns=EPOCH_NS + DAY_NS)
     maps = {s.run.name: build_map(s.run) for s in (a, b)}
-    document = MergedDocument.model_validate(merged_to_document(merge_maps(list(maps.values()))))
-    if len(document.graph.components) > 1:
+    result = merge_maps(list(maps.values()))
+    if len(result.components) > 1:
         return np.array([1, 1, 0, 0, 0, 0, 0])
     truth = Truth({made.name: made}, {"a": a.truth, "b": b.truth})
     true = {run: true_vertex_of_nodes(truth, m) for run, m in maps.items()}
     of_node = [
-        {int(true[run][v]) for run, ids in node.members.items() for v in ids} - {-1}
-        for node in document.nodes
+        {int(true[run][v]) for run, ids in members.items() for v in ids} - {-1}
+        for members in result.fused.members
     ]
     ends = [{u, v} for u, v in zip(made.source.tolist(), made.target.tolist(), strict=True)]
     closed = set(b.truth.closed_edges) & set(a.truth.drive_edge.tolist())
     met = {e for e in closed if ends[e] <= b.truth.detected}
     told, unsure, false = set(), set(), 0
-    for change in changes(document, 0, maps):
+    for change in changes(result, 0, maps):
         places = set().union(*(of_node[j] for j in change.junctions))
         hit = {e for e in closed if ends[e] == places} if change.thing == "corridor" else set()
         if change.sure:

@@ -34,8 +34,6 @@ import readers
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.reading import find_logs, read_run
 from topobatch.merge.component_map import component_map, component_pose_graph
-from topobatch.merge.document import merged_to_document
-from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
 from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes
@@ -211,14 +209,14 @@ def components(
     maps: dict[str, TopoMap], folder: Path, tally: Tally
 ) -> Iterator[tuple[TopoMap, list[str]]]:
     """The components of a merge, as maps; their exports are read back."""
-    document = MergedDocument.model_validate(merged_to_document(merge_maps(list(maps.values()))))
-    for component in document.graph.components:
-        topomap = component_map(document, component.id, f"merged-{component.id}", maps)
+    result = merge_maps(list(maps.values()))
+    for component in result.components:
+        topomap = component_map(result, component.id, f"merged-{component.id}", maps)
         tally.add(read_back(topomap, folder))
-        graph = pose_graph_g2o(component_pose_graph(document, component.id, maps))
+        graph = pose_graph_g2o(component_pose_graph(result, component.id, maps))
         readers.read_g2o(graph, folder)
         tally.files += 1
-        yield topomap, sorted(component.runs)
+        yield topomap, sorted(component.poses)
 
 
 def real(logs: Path, folder: Path) -> Tally:

@@ -39,8 +39,8 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
 from topobatch.merge.robust.alignment import match_all
+from topobatch.merge.robust.pairing import in_tiles
 from topobatch.merge.robust.screening import pairs_to_match
-from topobatch.merge.robust.tasks import in_tiles
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance

@@ -17,7 +17,7 @@ from paper import cpu_ms, pair_of_maps, right
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import PairCount, assess, threshold_for
+from topobatch.merge.robust.verdict import assess, threshold_for
 
 SIZES = (50, 126, 300, 800)
 CELL_M = 0.5
@@ -54,7 +54,7 @@ def verdict(a, b, threshold):
 def rows(pairs, overlap):
     """Per size: ms of preparation, of a related pair, of an unrelated one, of Hough voting; how
     many pairs each got right; how many unrelated pairs were merged."""
-    threshold = threshold_for(PairCount(1, 1), default_copies(DEFAULT_ROBUST), DEFAULT_ROBUST)
+    threshold = threshold_for(1, 1, default_copies(DEFAULT_ROBUST), DEFAULT_ROBUST)
     for size in SIZES:
         maps = [pair_of_maps(size, overlap, seed, Noise()) for seed in range(pairs)]
         ready = [(prepare(a), prepare(b)) for a, b, _, _ in maps]

@@ -27,8 +27,6 @@ import numpy as np
 
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.component_map import component_map
-from topobatch.merge.document import merged_to_document
-from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.transfer import (
     WITHIN_SIGMAS,
@@ -127,8 +125,8 @@ def world(
         name: map_from_document(map_to_document(build_map(run)))
         for name, run in scenario.runs.items()
     }
-    document = MergedDocument.model_validate(merged_to_document(merge_maps(list(maps.values()))))
-    if len(document.graph.components) > 1:
+    result = merge_maps(list(maps.values()))
+    if len(result.components) > 1:
         for tally in tallies.values():
             tally.apart += 2
         return
@@ -136,20 +134,20 @@ def world(
     true = {run: true_vertex_of_nodes(truth, m) for run, m in maps.items()}
     ways = {run: corridors(m, true[run], truth, name) for run, m in maps.items()}
     a, b = sorted(maps)
-    fused = component_map(document, 0, "merged", maps)
+    fused = component_map(result, 0, "merged", maps)
     members = fused.info["members"]["nodes"]
     of_fused = [{int(true[r][v]) for r in m for v in m[r]} - {-1} for m in members]
     fused_true = np.array([min(s) if len(s) == 1 else -1 for s in of_fused])
     fused_ways = corridors(fused, fused_true, truth, name)
     real = dict(enumerate(truth.worlds[name].paths))
     for one, other in ((a, b), (b, a)):
-        matched = junctions_of_runs(document, maps, one, other)
+        matched = junctions_of_runs(result, maps, one, other)
         tallies["other"].add(*places([ways[one], ways[other]], chance, count), matched)
         alone = {c: path for c, path in ways[one].items() if c not in ways[other]}
         given, there = places([alone, real], chance, count)
         seen = as_seen(there, maps[other], true[other], truth.worlds[name].xy)
         tallies["beyond"].add(given, seen, matched)
-        matched = junctions_of_merged(document, maps[one], fused, 0)
+        matched = junctions_of_merged(result, maps[one], fused)
         tallies["merged"].add(*places([ways[one], fused_ways], chance, count), matched)
 
 

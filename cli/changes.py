@@ -55,27 +55,24 @@ def changes(
     from ..merge.changes import changes as changes_of
 
     place = Workspace(workspace, merge)
-    document = place.read_merged()
-    entries = {c.id: c for c in document.graph.components}
-    names = {c.id: c.site or f"component {c.id}" for c in document.graph.components}
-    component = place.component(document.graph, component, site)
+    result = place.read_result()
+    names = {c.id: c.name for c in result.components}
+    component = place.component(result, component, site)
     found: list[Change] = []
-    several = 0
-    for number, entry in entries.items():
-        if len(entry.runs) < 2 or component not in (None, number):
-            continue
-        several += 1
-        maps = place.maps_as_merged(document, number, sorted(entry.runs))
+    several = [c for c in result.components if len(c.poses) > 1 and component in (None, c.id)]
+    for one in several:
+        maps = place.maps_as_merged(result, one.id, sorted(one.poses))
         try:
-            found += changes_of(document, number, maps)
+            found += changes_of(result, one.id, maps)
         except ValueError as error:
-            raise DocumentError(f"{place.merged_json}: component {number}: {error}") from error
+            raise DocumentError(f"{place.merged_json}: component {one.id}: {error}") from error
     shown = [c for c in found if everything or c.sure]
     shown.sort(
         key=lambda c: (names[c.component], 0 if c.between is None else c.between[1].first_ns)
     )
     if as_json:
-        told = [change_to_document(c) | {"site": entries[c.component].site} for c in shown]
+        sites = {c.id: c.site or None for c in result.components}
+        told = [change_to_document(c) | {"site": sites[c.component]} for c in shown]
         say_lines(json.dumps(told))
         return
     for change in shown:

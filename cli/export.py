@@ -27,7 +27,7 @@ from .workspace import MERGED, Named, Workspace
 
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
-    from ..merge.merged_schema import MergedDocument
+    from ..merge.result import Component, MergeResult
     from ..topology.odometry import Odometry
     from ..topology.run import Run
     from ..topology.topomap import TopoMap
@@ -160,35 +160,35 @@ def _sources(
             raise UsageError(f"{option} goes with the merged map; {found.run!r} is a run")
         topomap = place.read_map(found.run)
         return [Exported(found.run, topomap, {found.run: topomap})]
-    document = place.read_merged()
-    one = place.component(document.graph, component, site or found.site)
-    chosen = [c for c in document.graph.components if one in (None, c.id)]
+    result = place.read_result()
+    one = place.component(result, component, site or found.site)
+    chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
     names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
-    return [_component(place, document, c, name, screen) for c, name in names.items()]
+    return [_component(place, result, c, names[c.id], screen) for c in chosen]
 
 
 def _component(
-    place: Workspace, document: MergedDocument, component: int, name: str, screen: Screen
+    place: Workspace, result: MergeResult, component: Component, name: str, screen: Screen
 ) -> Exported:
     from ..merge.component_map import component_map, stale_runs
 
-    maps, errors = place.read_maps(document.graph.runs_of(component))
+    maps, errors = place.read_maps(sorted(component.poses))
     for error in errors.values():
         screen.warn(f"{error}; exported without it")
-    stale = stale_runs(document, component, maps)
+    stale = stale_runs(result, component.id, maps)
     if stale:
         told = ", ".join(f"{run} {why}" for run, why in list(stale.items())[:3])
         screen.warn(
-            f"component {component}: times are left out: not all maps are those that were merged "
-            f"({told}); merge again"
+            f"component {component.id}: times are left out: not all maps are those that were "
+            f"merged ({told}); merge again"
         )
     try:
-        topomap = component_map(document, component, name, maps)
+        topomap = component_map(result, component.id, name, maps)
     except ValueError as error:
-        raise DocumentError(f"{place.merged_json}: component {component}: {error}") from error
+        raise DocumentError(f"{place.merged_json}: component {component.id}: {error}") from error
     kept = {run: m for run, m in maps.items() if run not in stale}
-    return Exported(name, topomap, kept, document, component)
+    return Exported(name, topomap, kept, result, component)
 
 
 def _texts(
@@ -216,16 +216,15 @@ def _pose_graph(source: Exported) -> str:
     from ..topology.map_pose_graph import map_pose_graph
     from ..viz.exports import pose_graph_g2o
 
-    if source.document is None:
+    if source.result is None or source.component is None:
         return pose_graph_g2o(map_pose_graph(source.topomap))
-    runs = source.document.graph.runs_of(source.component)
-    gone = [run for run in runs if run not in source.maps]
+    gone = sorted(source.component.poses.keys() - source.maps.keys())
     if gone:
         raise DataError(
             f"{source.name}: the joint pose graph needs the maps that were merged; "
             f"{listed(gone, 3)} {'is' if len(gone) == 1 else 'are'} not among them: merge again"
         )
-    return pose_graph_g2o(component_pose_graph(source.document, source.component, source.maps))
+    return pose_graph_g2o(component_pose_graph(source.result, source.component.id, source.maps))
 
 
 def _trajectories(
@@ -233,16 +232,15 @@ def _trajectories(
 ) -> dict[str, str]:
     """The odometry of every run, as recorded and corrected, from its log; maps of grids have
     none."""
-    from ..merge.document import poses_from_document
     from ..viz.exports import corrected_tum, recorded_tum
 
     if log is not None and len(source.maps) != 1:
         raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
-    poses = {} if source.document is None else poses_from_document(source.document)
+    poses = {} if source.component is None else source.component.poses
     out = {}
     for run, topomap in sorted(source.maps.items()):
         if len(topomap.observation_time_ns) == 0:
-            if source.document is not None:
+            if source.component is not None:
                 screen.warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
         odometry = _odometry(place, topomap, log)
@@ -251,7 +249,7 @@ def _trajectories(
             raise DataError(
                 f"run {run}: no junction pass of its map lies within the odometry of its log"
             )
-        stem = "" if source.document is None else f".{run}"
+        stem = "" if source.component is None else f".{run}"
         out[f"{stem}.recorded.tum"] = recorded_tum(odometry)
         out[f"{stem}.corrected.tum"] = corrected
     return out

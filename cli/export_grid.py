@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from ..ingest.read_settings import ReadSettings
     from ..ingest.remote.path import LogPath
     from ..ingest.run_scans import LaidScans
-    from ..merge.merged_schema import MergedDocument
+    from ..merge.result import Component, MergeResult
     from ..topology.arrays import FloatArray
     from ..topology.run import Grid
     from ..topology.topomap import TopoMap
@@ -34,13 +34,13 @@ PICTURE = ".pgm"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exported:
-    """A map to export: a run's, or a component's with its document."""
+    """A map to export: a run's, or a component's with its merge."""
 
     name: str
     topomap: TopoMap
     maps: dict[str, TopoMap]
-    document: MergedDocument | None = None
-    component: int = 0
+    result: MergeResult | None = None
+    component: Component | None = None
 
 
 def grid_texts(
@@ -223,11 +223,9 @@ def _placements(source: Exported) -> dict[str, Placed]:
     2) of its map."""
     import numpy as np
 
-    from ..merge.document import result_from_document
     from ..merge.result import placed_at
 
-    if source.document is None:
+    result, component = source.result, source.component
+    if result is None or component is None:
         return {run: lambda xy: np.zeros((len(xy), 3)) for run in source.maps}
-    result = result_from_document(source.document)
-    (component,) = (c for c in result.components if c.id == source.component)
     return {run: partial(placed_at, result.fused, component, m) for run, m in source.maps.items()}

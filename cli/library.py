@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from ..merge.change import Change
     from ..merge.drive import Drive
     from ..merge.locks import Lock
-    from ..merge.merged_schema import MergedDocument
     from ..merge.result import Component, MergeResult
     from ..topology.topomap import TopoMap
 
@@ -275,7 +274,7 @@ def site_map(result: MergeResult, maps: Iterable[TopoMap], run: str) -> TopoMap:
 
     component = _component_of(result, run)
     own = {m.run: m for m in maps if m.run in component.poses}
-    return component_map(_document(result), component.id, component.name, own)
+    return component_map(result, component.id, component.name, own)
 
 
 def explain(result: MergeResult, maps: Iterable[TopoMap], a: str, b: str) -> str:
@@ -324,9 +323,9 @@ def changes(result: MergeResult, maps: Iterable[TopoMap]) -> tuple[Change, ...]:
     """
     from ..merge.changes import changes as changes_of
 
-    by_run, document = {m.run: m for m in maps}, _document(result)
+    by_run = {m.run: m for m in maps}
     several = [c for c in result.components if len(c.poses) > 1]
-    found = [changes_of(document, c.id, {run: by_run[run] for run in c.poses}) for c in several]
+    found = [changes_of(result, c.id, {run: by_run[run] for run in c.poses}) for c in several]
     return tuple(change for some in found for change in some if change.sure)
 
 
@@ -470,14 +469,6 @@ def _component_of(result: MergeResult, run: str) -> Component:
             return component
     merged = sorted(run for c in result.components for run in c.poses)
     raise UsageError(f"no run {run!r} was merged; there are {listed(merged, 12)}")
-
-
-def _document(result: MergeResult) -> MergedDocument:
-    from ..merge.document import merged_to_document
-    from ..merge.merged_schema import MergedDocument
-    from ..topology.map_schema import validated
-
-    return validated(MergedDocument, merged_to_document(result), "the merge")
 
 
 def _on_one_thread() -> AbstractContextManager[object]:

@@ -138,7 +138,7 @@ def matching(
 
         means = Means(
             workers=workers(pairs),
-            maps=replace(place, root=place.root.resolve()),
+            read=replace(place, root=place.root.resolve()).read_map,
             kept=kept,
             on_pair=on_pair,
             tell=tell,

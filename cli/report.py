@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -88,7 +89,7 @@ def report(
                 [str(lock) for lock in place.locks()],
                 _versions(),
                 drives(result, MOST_DRIVES) if result else (),
-                _changes(place, maps) if same else (),
+                _changes(result, maps) if result and same else (),
                 decisions=decisions,
                 where=place.where,
                 as_merged=same,
@@ -105,17 +106,13 @@ def report(
         raise typer.Exit(1)
 
 
-def _changes(place: Workspace, maps: Mapping[str, TopoMap]) -> list[Change]:
+def _changes(result: MergeResult, maps: Mapping[str, TopoMap]) -> list[Change]:
     """What changed between the runs of every site."""
     from ..merge.changes import changes
 
-    document = place.read_merged()
-    return [
-        change
-        for entry in document.graph.components
-        if len(entry.runs) > 1
-        for change in changes(document, entry.id, {run: maps[run] for run in entry.runs})
-    ]
+    several = (c for c in result.components if len(c.poses) > 1)
+    found = (changes(result, c.id, {run: maps[run] for run in c.poses}) for c in several)
+    return list(chain.from_iterable(found))
 
 
 def _decisions(

@@ -29,7 +29,7 @@ from .output import Screen, checked_output, say_text
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:
-    from ..merge.merged_schema import MergedDocument
+    from ..merge.result import MergeResult
     from ..merge.transfer import MatchedJunctions, Transferred
 
 MOST_LINES = 20
@@ -168,30 +168,30 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
 
     if source == target:
         raise UsageError(f"the places are in {source} already")
-    document = place.read_merged()
-    home = document.graph.home
+    result = place.read_result()
+    home = {run: c.id for c in result.components for run in c.poses}
     named = [source] if target in (MERGED, place.merge) else [source, target]
     for run in named:
         if run not in home:
             place.chosen_runs([run], False)
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if len({home[run] for run in named}) > 1:
-        return None, f"{source} and {target} are not merged: {_verdict(document, source, target)}"
-    maps = place.maps_as_merged(document, home[source], named)
+        return None, f"{source} and {target} are not merged: {_verdict(result, source, target)}"
+    maps = place.maps_as_merged(result, home[source], named)
     if len(named) == 2:
-        return junctions_of_runs(document, maps, source, target), ""
+        return junctions_of_runs(result, maps, source, target), ""
     from ..merge.component_map import component_map
 
     try:
-        fused = component_map(document, home[source], MERGED)
+        fused = component_map(result, home[source], MERGED)
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: {error}") from error
-    return junctions_of_merged(document, maps[source], fused, home[source]), ""
+    return junctions_of_merged(result, maps[source], fused), ""
 
 
-def _verdict(document: MergedDocument, a: str, b: str) -> str:
-    entry = document.entry(a, b)
-    return "nothing is said of them" if entry is None else f"{entry.verdict}, {entry.reason}"
+def _verdict(result: MergeResult, a: str, b: str) -> str:
+    found = (v for v in result.verdicts if {v.a, v.b} == {a, b})
+    return next((f"{v.verdict}, {v.reason}" for v in found), "nothing is said of them")
 
 
 MOST_BYTES = 16 << 20

@@ -53,7 +53,7 @@ def told_changed(runs: Sequence[str]) -> str:
 
 def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
     """A digest of everything that a merge depends on; documents: the runs' `contents`."""
-    from ..merge.digests import program_digest  # which loads large arrays
+    from ..merge.kept import program_digest  # which loads large arrays
 
     decisions = (place.locks_json, place.discards_json, place.sites_json)
     every = [

@@ -19,7 +19,7 @@ from ..topology.wording import listed
 if TYPE_CHECKING:
     from ..ingest.remote.path import LogPath
     from ..merge.locks import Lock
-    from ..merge.merged_schema import MergedDocument, MergedGraph
+    from ..merge.merged_schema import MergedDocument
     from ..merge.result import MergeResult
     from ..topology.topomap import TopoMap
 
@@ -381,20 +381,20 @@ class Workspace:
         raise DataError(f"{self.merged_json}: is not there yet; make it with `{how}`")
 
     def component(
-        self, graph: MergedGraph, number: int | None = None, site: str | None = None
+        self, result: MergeResult, number: int | None = None, site: str | None = None
     ) -> int | None:
         """The component of a number, or of a site's name; None if neither is given. UsageError if
         there is none, or both are given."""
         if number is not None and site is not None:
             raise UsageError("name a site or a --component, not both")
-        if number is not None and number not in {c.id for c in graph.components}:
-            there = listed([str(c.id) for c in graph.components]) or "none"
+        if number is not None and number not in {c.id for c in result.components}:
+            there = listed([str(c.id) for c in result.components]) or "none"
             raise UsageError(
                 f"{self.merged_json}: there is no component {number}; there are: {there}"
             )
         if site is None:
             return number
-        ids = {c.site: c.id for c in graph.components if c.site is not None}
+        ids = {c.site: c.id for c in result.components if c.site}
         if site not in ids:
             raise self.no_site(site, list(ids))
         return ids[site]
@@ -410,13 +410,13 @@ class Workspace:
         )
 
     def maps_as_merged(
-        self, document: MergedDocument, component: int, runs: Sequence[str]
+        self, result: MergeResult, component: int, runs: Sequence[str]
     ) -> dict[str, TopoMap]:
         """The maps of runs of a component; DataError where one is not that which was merged."""
         from ..merge.component_map import stale_runs
 
         maps = {run: self.read_map(run) for run in runs}
-        stale = stale_runs(document, component, maps)
+        stale = stale_runs(result, component, maps)
         told = [f"{run} {stale[run]}" for run in runs if run in stale]
         if told:
             raise DataError(
@@ -450,13 +450,13 @@ class Workspace:
 
     def discards(self) -> frozenset[tuple[str, str]]:
         """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
-        from ..merge.discards import discards_from_document
+        from ..merge.locks import discards_from_document
 
         return _decided(self.discards_json, discards_from_document, frozenset())
 
     def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
         """Keep these pairs; none leave no document."""
-        from ..merge.discards import discards_to_document
+        from ..merge.locks import discards_to_document
         from ..topology.files import write_json
 
         kept = frozenset(pairs)

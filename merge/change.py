@@ -74,7 +74,8 @@ class Change:
         x, y = self.xy
         what = f"junction {self.junctions[0]}"
         if self.length is not None:
-            what = f"corridor of {self.length:.1f} m between junctions {_both(self.junctions)}"
+            ends = " and ".join(map(str, self.junctions))
+            what = f"corridor of {self.length:.1f} m between junctions {ends}"
         return (
             f"{'' if self.sure else 'perhaps '}{verb}: {what} of {site}, at ({x:.1f}, {y:.1f}) m",
             self._when(),
@@ -100,10 +101,6 @@ class Change:
 
 
 _MINUTE = "%Y-%m-%d %H:%M"
-
-
-def _both(junctions: tuple[int, ...]) -> str:
-    return " and ".join(map(str, junctions))
 
 
 def _who(witnesses: tuple[Witness, ...]) -> str:

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -37,10 +37,9 @@ from ..topology.polyline import Ways, leaving_rad, way_of
 from ..topology.se2 import wrap
 from ..topology.topomap import TopoMap
 from .change import Change, ChangeKind, Witness
-from .component_map import component_map, places_of
-from .document import poses_from_document
+from .component_map import component_map
 from .fusion.joint_graph import JOINT, measured_turn
-from .merged_schema import MergedDocument
+from .result import MergeResult
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,39 +63,31 @@ class ChangeSettings:
 CHANGES = ChangeSettings()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Doubt:
-    """A thing that some runs passed and others did not find, before its evidence is computed."""
-
-    thing: str
-    junctions: tuple[int, ...]
-    xy: FloatArray
-    length: float | None
-    there: tuple[Witness, ...]
-    missing: tuple[tuple[Witness, float], ...]
-    """Runs that did not find it, with the probability that each of them missed it."""
-    invented: float = 0.0
-    """Probability that those who passed it invented it."""
+Missing = tuple[Witness, float]
+"""A run that did not find a thing, with the probability that it missed it."""
 
 
-def changes(
-    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
-) -> tuple[Change, ...]:
+def changes(result: MergeResult, component: int, maps: Mapping[str, TopoMap]) -> tuple[Change, ...]:
     """Changes between the runs of a component, by decreasing evidence, including those below the
     threshold.
 
     maps: of all its runs, as they were merged (`stale_runs`). O(corridors · runs).
     """
-    ids = [node.id for node in places_of(document, component)]
-    merged = component_map(document, component, "merged", maps)
-    poses = poses_from_document(document)
-    seen = _Seen(merged, dict(sorted(maps.items())), poses)
+    merged = component_map(result, component, "merged", maps)
+    ids: Sequence[int] = merged.info["numbers"]
+    (site,) = (c for c in result.components if c.id == component)
+    seen = _Seen(merged, dict(sorted(maps.items())), site.poses)
     corridors, asked, explained = _corridors(seen)
     junctions, more = _junctions(seen, explained)
     found = [
-        _weighed(doubt, component, ids, _needed(count))
-        for doubts, count in ((corridors, asked), (junctions, more))
-        for doubt in doubts
+        replace(
+            change,
+            component=component,
+            junctions=tuple(ids[k] for k in change.junctions),
+            needed=_needed(tests),
+        )
+        for doubtful, tests in ((corridors, asked), (junctions, more))
+        for change in doubtful
     ]
     return tuple(sorted(found, key=lambda c: (-c.bits, c.thing, c.junctions)))
 
@@ -108,8 +99,10 @@ class _Seen:
         self, merged: TopoMap, maps: Mapping[str, TopoMap], poses: Mapping[str, FloatArray]
     ) -> None:
         self.merged, self.maps = merged, maps
-        self.nodes: list[dict[str, list[int]]] = merged.info["members"]["nodes"][: len(merged)]
-        self.edges: list[dict[str, list[int]]] = merged.info["members"]["edges"][
+        self.nodes: list[Mapping[str, tuple[int, ...]]] = merged.info["members"]["nodes"][
+            : len(merged)
+        ]
+        self.edges: list[Mapping[str, tuple[int, ...]]] = merged.info["members"]["edges"][
             : len(merged.source)
         ]
         self.passes = {
@@ -238,7 +231,7 @@ def _fault_rate(rate: float) -> float:
     return min(max(rate, CHANGES.least_fault_rate), 0.5)
 
 
-def _corridors(seen: _Seen) -> tuple[list[_Doubt], int, set[tuple[int, str]]]:
+def _corridors(seen: _Seen) -> tuple[list[Change], int, set[tuple[int, str]]]:
     """Corridors with runs that passed an end without seeing the branch, or that drove through an
     end along all its other corridors; the number of tests; the vertices that were driven through,
     each with the run."""
@@ -264,17 +257,17 @@ def _corridors(seen: _Seen) -> tuple[list[_Doubt], int, set[tuple[int, str]]]:
             explained |= {(node, run) for node in through}
             missing.append(_missed(seen, run, {ends[k] for k in passed}, through))
         if missing:
-            there = tuple(_drove(seen, run, ids) for run, ids in sorted(members.items()))
-            middle = _middle(m.paths[e])
+            there = [_drove(seen, run, ids) for run, ids in sorted(members.items())]
+            length = float(rounded(float(m.length[e]), METRES))
             out.append(
-                _Doubt("corridor", (*ends,), middle, float(m.length[e]), there, tuple(missing))
+                _change("corridor", ends, _middle(m.paths[e]), there, missing, length=length)
             )
     return out, asked, explained
 
 
 def _missed(
     seen: _Seen, run: str, passed: Collection[int], through: Mapping[int, Sequence[int]]
-) -> tuple[Witness, float]:
+) -> Missing:
     """The passes of a run by the ends of a corridor that it did not find, and the probability that
     it missed the branch at all ends that it passed, and the junction at all that it drove through
     (by the given own corridors)."""
@@ -293,7 +286,7 @@ def _missed(
     return witness, float(np.prod(chance))
 
 
-def _junctions(seen: _Seen, explained: Set[tuple[int, str]]) -> tuple[list[_Doubt], int]:
+def _junctions(seen: _Seen, explained: Set[tuple[int, str]]) -> tuple[list[Change], int]:
     """Junctions that runs drove through without detecting them, and the number of tests: one for
     each run that passed a junction known to several, or drove through one undetected, and one for
     each corridor that several drove, in which a junction may have been invented. explained: by a
@@ -318,10 +311,7 @@ def _junctions(seen: _Seen, explained: Set[tuple[int, str]]) -> tuple[list[_Doub
                 invented *= rate**w.passes
             if seen.sides(node) > 2:
                 invented = 0.0  # a run that turned off there proves it
-            doubt = _Doubt(
-                "junction", (node,), m.xy[node], None, tuple(there), tuple(missing), invented
-            )
-            out.append(doubt)
+            out.append(_change("junction", (node,), m.xy[node], there, missing, invented=invented))
     return out, asked
 
 
@@ -364,29 +354,37 @@ def _needed(tests: int) -> float:
     return max(several, -float(np.log2(CHANGES.least_fault_rate)))
 
 
-def _weighed(doubt: _Doubt, component: int, ids: Sequence[int], needed: float) -> Change:
-    """The change: GONE if all who did not find the thing passed after the last who did, NEW if
-    before the first, else DIFFERS; with the evidence of all of them."""
-    first = min(w.first_ns for w in doubt.there)
-    last = max(w.last_ns for w in doubt.there)
-    after = [(w, p) for w, p in doubt.missing if w.first_ns > last]
-    before = [(w, p) for w, p in doubt.missing if w.last_ns < first]
-    kind, missing = ChangeKind.DIFFERS, list(doubt.missing)
-    if len(after) == len(missing):
+def _change(
+    thing: str,
+    vertices: Sequence[int],
+    xy: FloatArray,
+    there: Sequence[Witness],
+    missing: Sequence[Missing],
+    *,
+    invented: float = 0.0,
+    length: float | None = None,
+) -> Change:
+    """The change, by vertices of the component: GONE if all who did not find the thing passed after
+    the last who did, NEW if before the first, else DIFFERS; with the evidence of all of them.
+
+    invented: probability that those who passed it invented it.
+    """
+    kind, runs = ChangeKind.DIFFERS, [w for w, _ in missing]
+    if min(w.first_ns for w in runs) > max(w.last_ns for w in there):
         kind = ChangeKind.GONE
-    elif len(before) == len(missing):
+    elif max(w.last_ns for w in runs) < min(w.first_ns for w in there):
         kind = ChangeKind.NEW
-    chance = float(np.prod([p for _, p in missing])) + doubt.invented
-    x, y = rounded(doubt.xy, METRES)
+    chance = float(np.prod([p for _, p in missing])) + invented
+    x, y = rounded(xy, METRES)
     return Change(
-        thing=doubt.thing,
+        thing=thing,
         kind=kind,
-        component=component,
-        junctions=tuple(ids[k] for k in doubt.junctions),
+        component=0,
+        junctions=tuple(vertices),
         xy=(x, y),
-        length=None if doubt.length is None else float(rounded(doubt.length, METRES)),
-        there=tuple(sorted(doubt.there, key=lambda w: (w.first_ns, w.run))),
-        missing=tuple(sorted((w for w, _ in missing), key=lambda w: (w.first_ns, w.run))),
+        length=length,
+        there=tuple(sorted(there, key=lambda w: (w.first_ns, w.run))),
+        missing=tuple(sorted(runs, key=lambda w: (w.first_ns, w.run))),
         bits=max(0.0, -float(np.log2(min(chance, 1.0)))),
-        needed=needed,
+        needed=0.0,
     )

@@ -1,29 +1,34 @@
-"""One component of a merged document as a map, for all that takes a map."""
+"""One component of a merge as a map, for all that takes a map."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from ..topology.arrays import IntArray
-from ..topology.document import edge_fields, vertex_fields
 from ..topology.map_pose_graph import map_pose_graph
 from ..topology.posegraph.graph import PoseGraph
 from ..topology.topomap import ALL_SURE, RunNoise, TopoMap
 from ..topology.track import by_begin
-from ..topology.turning_points import KINDS
 from ..topology.turning_vertices import with_turning_points, without_turning_points
-from .document import poses_from_document
 from .fusion.joint_graph import settle, usual_scale
 from .fusion.vertex_partition import Pool
-from .merged_schema import MergedDocument, MergedNode
-from .result import fused_confidence, fused_of
+from .result import (
+    Component,
+    FusedMap,
+    MergeResult,
+    by_run,
+    fused_confidence,
+    fused_of,
+    graph_part,
+    of_sites,
+)
 
 
 def component_map(
-    document: MergedDocument,
+    result: MergeResult,
     component: int,
     name: str,
     maps: Mapping[str, TopoMap] | None = None,
@@ -32,91 +37,71 @@ def component_map(
 
     maps: the maps of its runs, by name; with all of them, unchanged since the merge, the result has
     the times of its traversals. `info["members"]` holds for every vertex and edge the vertices and
-    edges of the runs that it was fused from, `info["numbers"]` the vertices' ids in the document.
-    Observations are those of all runs, by time. Raises ValueError if the component does not exist
-    or is inconsistent.
+    edges of the runs that it was fused from, `info["numbers"]` the vertices' numbers in the merge.
+    Observations are those of all runs, by time. Raises ValueError if the component does not exist.
     """
-    chosen = [node for node in document.nodes if node.component == component]
-    number = {node.id: k for k, node in enumerate(chosen)}
-    if not chosen and component not in {c.id for c in document.graph.components}:
-        raise ValueError(f"there is no component {component}")
-    edges = [e for e in document.edges if e.source in number]
-    runs = document.graph.runs_of(component)
-    named = {run for n in chosen for run in n.members} | {run for e in edges for run in e.members}
-    strange = named - set(runs)
-    if strange:
-        raise ValueError(f"run {min(strange)!r} is a member of what is not its component")
-    if any(e.target not in number for e in edges):
-        raise ValueError("a corridor joins two components")
-    seen = sorted((o.time_ns, number[node.id]) for node in chosen for o in node.observations)
-    corridors = edge_fields(edges)
-    for end in ("source", "target"):
-        corridors[end] = np.array([number[node] for node in corridors[end].tolist()], np.int64)
+    site, fused = _alone(result, component)
+    seen = sorted((ns, v) for v, own in enumerate(fused.observations) for _, ns in own)
+    time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
     times, sure, noise = None, ALL_SURE, RunNoise()
-    if maps is not None and not stale_runs(document, component, maps):
-        whole = {run: with_turning_points(maps[run]) for run in sorted(runs)}
-        members = [node.members for node in chosen]
-        times = member_times(
-            whole,
-            [[(run, k) for run, ids in sorted(e.members.items()) for k in ids] for e in edges],
-            fused_of=fused_of(members),
-            source=corridors["source"],
-            target=corridors["target"],
-        )
-        sure = fused_confidence(members, whole)
+    if maps is not None and not stale_runs(result, component, maps):
+        whole = {run: with_turning_points(maps[run]) for run in sorted(site.poses)}
+        times = _member_times(whole, fused)
+        sure = fused_confidence(fused.members, whole)
         # Robots of one kind share systematic errors: their scales do not average out.
-        noise = replace(noise, scale=usual_scale([maps[run] for run in runs]))
-    fused = TopoMap(
+        noise = replace(noise, scale=usual_scale([maps[run] for run in site.poses]))
+    sigma = fused.position_sigma
+    whole_map = TopoMap(
         run=name,
         frame=name,
-        **vertex_fields(chosen),
-        **corridors,
-        observation_vertex=np.array([v for _, v in seen], np.int64),
-        observation_time_ns=np.array([t for t, _ in seen], np.int64),
+        **graph_part(fused, np.ones(len(fused), np.bool_)),
+        position_sigma=None if sigma is None or not np.isfinite(sigma).all() else sigma,
+        observation_vertex=vertex,
+        observation_time_ns=time_ns,
         traversal_ns=times,
         confidence=sure,
         noise=noise,
         info={
-            "numbers": tuple(node.id for node in chosen),
+            "numbers": tuple(np.flatnonzero(result.fused.component == component).tolist()),
             "members": {
-                "nodes": [node.members for node in chosen],
-                "edges": [e.members for e in edges],
+                "nodes": list(fused.members),
+                "edges": [by_run(members) for members in fused.edge_members],
             },
         },
     )
-    return without_turning_points(fused)
+    return without_turning_points(whole_map)
 
 
-def places_of(document: MergedDocument, component: int) -> list[MergedNode]:
-    """The fused vertices of a component, without turning points of runs."""
-    own = (node for node in document.nodes if node.component == component)
-    return [node for node in own if node.kind not in KINDS]
+def _alone(result: MergeResult, component: int) -> tuple[Component, FusedMap]:
+    """A component and its part of the fused map; ValueError if it does not exist."""
+    part = of_sites(result, [component])
+    if not part.components:
+        raise ValueError(f"there is no component {component}")
+    return part.components[0], part.fused
 
 
-def stale_runs(
-    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
-) -> dict[str, str]:
+def stale_runs(result: MergeResult, component: int, maps: Mapping[str, TopoMap]) -> dict[str, str]:
     """Runs of a component whose maps are not those that were merged, and why: "is not there", "has
     changed since" (a fused vertex or corridor is not in it, or its passes are others)."""
-    nodes = places_of(document, component)
-    own = {node.id for node in nodes}
-    edges = [e for e in document.edges if e.source in own]
-    turned = [n for n in document.nodes if n.component == component and n.kind in KINDS]
+    site, fused = _alone(result, component)
+    junctions = [
+        seen for seen, turned in zip(fused.observations, fused.is_turned, strict=True) if not turned
+    ]
     out = {}
-    for run in document.graph.runs_of(component):
+    for run in sorted(site.poses):
         if run not in maps:
             out[run] = "is not there"
             continue
         topomap = maps[run]
-        late = len(topomap.turning_points)
-        vertices, corridors = len(topomap) + late, len(topomap.source) + late
-        times = sorted(o.time_ns for node in nodes for o in node.observations if o.run == run)
+        n, late = len(topomap), len(topomap.turning_points)
+        times = sorted(ns for seen in junctions for whose, ns in seen if whose == run)
+        vertices = sorted(v for members in fused.members for v in members.get(run, ()))
+        corridors = (k for members in fused.edge_members for whose, k in members if whose == run)
         same = (
             times == sorted(topomap.observation_time_ns.tolist())
-            and sorted(v for node in nodes for v in node.members.get(run, ()))
-            == list(range(len(topomap)))
-            and all(k < corridors for e in edges for k in e.members.get(run, ()))
-            and all(v < vertices for node in turned for v in node.members.get(run, ()))
+            and vertices[:n] == list(range(n))
+            and all(v < n + late for v in vertices)
+            and all(k < len(topomap.source) + late for k in corridors)
         )
         if not same:
             out[run] = "has changed since"
@@ -124,7 +109,7 @@ def stale_runs(
 
 
 def component_pose_graph(
-    document: MergedDocument, component: int, maps: Mapping[str, TopoMap]
+    result: MergeResult, component: int, maps: Mapping[str, TopoMap]
 ) -> PoseGraph:
     """The joint pose graph of a component, solved.
 
@@ -132,11 +117,12 @@ def component_pose_graph(
     runs, as they were merged. Identities are plain edges; kernels, grid headings and odometry
     scales, which the solution used, are left out of the graph.
     """
-    pool = Pool.of([maps[run] for run in document.graph.runs_of(component)])
-    where = zip(pool.run, pool.vertex.tolist(), strict=True)
-    fused = fused_of([node.members for node in places_of(document, component)])
-    label = np.array([fused[pool.maps[r].run, v] for r, v in where], np.int64)
-    joint = settle(pool, label, poses_from_document(document))
+    site, fused = _alone(result, component)
+    pool = Pool.of([maps[run] for run in site.poses])
+    place_of = fused_of(fused.members)
+    rows = zip(pool.run.tolist(), pool.vertex.tolist(), strict=True)
+    label = np.array([place_of[pool.maps[r].run, v] for r, v in rows], np.int64)
+    joint = settle(pool, label, site.poses)
     if joint.graph is None:
         return map_pose_graph(pool.maps[0])
     graph = joint.graph
@@ -149,31 +135,25 @@ def component_pose_graph(
     )
 
 
-def member_times(
-    maps: Mapping[str, TopoMap],
-    edge_members: Sequence[Sequence[tuple[str, int]]],
-    *,
-    fused_of: Mapping[tuple[str, int], int],
-    source: IntArray,
-    target: IntArray,
-) -> tuple[IntArray, ...] | None:
+def _member_times(maps: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:
     """`TopoMap.traversal_ns` of a fused map; None if some run's map does not have it.
 
-    edge_members: for each fused edge the (run, edge) it was fused from; fused_of[run, vertex]: the
-    fused vertex; source, target: (m,) of the fused edges. A corridor that a run drove past a
-    junction undetected, a member of both its parts, gives no times. O(members).
+    A corridor that a run drove past a junction undetected, a member of both its parts, gives no
+    times. O(members).
     """
     if any(m.traversal_ns is None for m in maps.values()):
         return None
+    place_of = fused_of(fused.members)
+    ends_of = zip(fused.source.tolist(), fused.target.tolist(), strict=True)
     out = []
-    for members, *fused in zip(edge_members, source.tolist(), target.tolist(), strict=True):
+    for members, (source, target) in zip(fused.edge_members, ends_of, strict=True):
         rows = [np.zeros((0, 2), np.int64)]
         for run, k in members:
             topomap = maps[run]
             assert topomap.traversal_ns is not None
-            ends = [fused_of[run, int(v[k])] for v in (topomap.source, topomap.target)]
-            if {*ends} == {*fused}:
-                turned = ends[0] == fused[1]
+            ends = [place_of[run, int(v[k])] for v in (topomap.source, topomap.target)]
+            if {*ends} == {source, target}:
+                turned = ends[0] == target
                 rows.append(topomap.traversal_ns[k][:, :: -1 if turned else 1])
         out.append(by_begin(np.concatenate(rows)))
     return tuple(out)

@@ -5,9 +5,10 @@ Degrees and decimals for people; documents hold radians.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from textwrap import shorten, wrap
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from ..topology.arrays import FloatArray
 from ..topology.wording import counted
 from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
-from .discards import REASON, discarded
+from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
 from .wording import AGREES_BITS, decimals, what_agrees
 
@@ -56,8 +57,8 @@ def headline(decision: Decision) -> str:
     """The verdict and its numbers, in one line."""
     pair = decision.pair
     names = f"{short(pair.a)} and {short(pair.b)}"
-    bits = f"{decision_bits(decision)} bits of evidence"
-    need = f"{threshold(decision)} needed"
+    bits, need = _shown(decision, pair.evidence_bits), _threshold(decision)
+    numbers = f"{bits} bits of evidence, {need} needed"
     if pair.accepted:
         others = sorted({*(run for side in pair.together or () for run in side)} - {pair.a, pair.b})
         by = {
@@ -67,14 +68,12 @@ def headline(decision: Decision) -> str:
             "lock": "merged, locked as the same",
             None: "merged",
         }[pair.accepted_by]
-        return f"{names}: {by}: {bits}, {need}"
+        return f"{names}: {by}: {numbers}"
     if pair.through:
-        links = [
-            f"{short(a)} + {short(b)} {shown_bits(bits)} bits" for a, b, bits in decision.chain
-        ]
+        links = [f"{short(a)} + {short(b)} {shown_bits(own)} bits" for a, b, own in decision.chain]
         return f"{names}: one place through {listed(pair.through)}: {', '.join(links)}"
     by = "locked apart" if pair.locked == "never" else pair.standing
-    return f"{names}: {by}: {bits}, {need}"
+    return f"{names}: {by}: {numbers}"
 
 
 def listed(runs: Sequence[str], most: int = 3) -> str:
@@ -82,14 +81,13 @@ def listed(runs: Sequence[str], most: int = 3) -> str:
     return names_listed(list(map(short, runs)), most)
 
 
-def decision_bits(decision: Decision) -> str:
-    """The evidence, with the decimals of this decision."""
-    return shown_bits(decision.pair.evidence_bits, digits_of(decision))
+def _shown(decision: Decision, bits: float) -> str:
+    """Evidence with the decimals of this decision."""
+    return shown_bits(bits, digits_of(decision))
 
 
-def threshold(decision: Decision) -> str:
-    """The threshold, with the decimals of this decision."""
-    return shown_bits(decision.requirement.threshold_bits, digits_of(decision))
+def _threshold(decision: Decision) -> str:
+    return _shown(decision, decision.requirement.threshold_bits)
 
 
 def digits_of(decision: Decision) -> int:
@@ -101,7 +99,8 @@ def because(decision: Decision) -> str:
     """The reason in one sentence; of a pair that others join, what its own maps say."""
     pair = decision.pair
     if pair.through:
-        alone = f"{pair.verdict}, {decision_bits(decision)} bits, {threshold(decision)} needed"
+        bits = _shown(decision, pair.evidence_bits)
+        alone = f"{pair.verdict}, {bits} bits, {_threshold(decision)} needed"
         own = because(replace(decision, pair=replace(pair, through=())))
         return f"By the two maps alone {alone}: {own[0].lower()}{own[1:]}"
     if decided := _by_a_person(pair):
@@ -125,7 +124,7 @@ def _by_a_person(pair: PairVerdict) -> str:
         return "Locked apart by a person."
     if discarded(pair):
         undo = "topobatch discard A:B --undo lets it count"
-        return f"{REASON[0].upper()}{REASON[1:]}: what is shown does not count ({undo})."
+        return f"{DISCARDED[0].upper()}{DISCARDED[1:]}: what is shown does not count ({undo})."
     return ""
 
 
@@ -143,12 +142,7 @@ def _contradicted(placement: Placement) -> str:
     return "nothing contradicts" if placement.searched else "contradictions were not looked for"
 
 
-def pose(placement: Placement) -> str:
-    """Position of b in a's frame."""
-    return describe_pose(placement.alignment.transform)
-
-
-def describe_pose(transform: FloatArray) -> str:
+def _pose(transform: FloatArray) -> str:
     """A transform in metres and degrees."""
     x, y, theta = transform.tolist()
     return f"({x:.2f}, {y:.2f}) m, turned by {np.degrees(theta):.1f}°"
@@ -162,65 +156,28 @@ def lies(decision: Decision) -> str:
         sure = ""
         if pair.placed is not None:
             sure = f", to {pair.placed[0]:.1f} m and {np.degrees(pair.placed[1]):.1f}° (1 sigma)"
-        where = describe_pose(decision.by_others)
-        return f"{short(pair.b)} lies at {where}, {frame}{sure}"
+        return f"{short(pair.b)} lies at {_pose(decision.by_others)}, {frame}{sure}"
     if not decision.placements:
         return ""
     text = "lies" if pair.accepted else "would lie"
-    return f"{short(pair.b)} {text} at {pose(decision.placements[0])}, {frame}"
+    where = _pose(decision.placements[0].alignment.transform)
+    return f"{short(pair.b)} {text} at {where}, {frame}"
 
 
 def rows(decision: Decision, links: int) -> list[Row]:
     """The table of evidence: the sums of every placement, and at most `links` of the largest links
     of the first one."""
-    columns = [_groups(p) for p in decision.placements if p.terms]
-    if not columns:
-        return []
-    first = decision.placements[0]
+    shown = [p for p in decision.placements if p.terms]
     out = []
-    for kind in [kind for kind in _GROUPS if any(kind in column for column in columns)]:
-        bits = tuple(column.get(kind) for column in columns)
-        out.append(Row(_group_text(kind, decision.placements), bits))
-        if kind in ("corridor", "unseen") and bits[0] is not None:
-            out += _parts(itemised(first, kind), links)
+    for group in GROUPS:
+        terms = [p.of(*group.kinds) for p in shown]
+        if not any(terms) and not (group.always and shown):
+            continue
+        bits = tuple(sum(t.bits for t in own) if own or group.always else None for own in terms)
+        out.append(Row(group.text(decision.placements), bits))
+        if group.itemised and bits[0] is not None:
+            out += _parts(itemised(shown[0], group.kinds), links)
     return out
-
-
-_GROUPS: dict[TermKind, tuple[TermKind, ...]] = {
-    "corridor": LINKS,
-    "branches": ("branches",),
-    "views": ("views",),
-    "unseen": AGAINST,
-    "hypotheses": ("hypotheses",),
-    "few": ("few",),
-    "copies": ("copies",),
-}
-"""Kinds of terms that are summed in one row, in the order of rows."""
-
-
-def _groups(placement: Placement) -> dict[TermKind, float]:
-    """The sum of every group of terms; contradictions are listed even if there are none."""
-    there = {t.kind for t in placement.terms}
-    always = ("corridor", "branches", "unseen", "hypotheses")
-    return {
-        kind: sum(t.bits for t in placement.of(*kinds))
-        for kind, kinds in _GROUPS.items()
-        if kind in always or kind in there
-    }
-
-
-def _group_text(kind: TermKind, placements: Sequence[Placement]) -> str:
-    first = placements[0]
-    count = len(first.of("branches"))
-    return {
-        "corridor": f"{counted(len(first.of(*LINKS)), 'link')} between matched junctions",
-        "branches": f"branches of {counted(count, 'junction')}",
-        "views": _views_text(placements),
-        "unseen": _against_text(placements),
-        "hypotheses": next((t.text for t in first.of("hypotheses")), ""),
-        "few": next((t.text for p in placements for t in p.of("few")), ""),
-        "copies": next((t.text for t in first.of("copies")), "is it a copy?"),
-    }[kind]
 
 
 def _views_text(placements: Sequence[Placement]) -> str:
@@ -239,9 +196,45 @@ def _against_text(placements: Sequence[Placement]) -> str:
     return f"{text}; next: {counted(others[0], 'contradiction')}" if any(others) else text
 
 
-def itemised(placement: Placement, group: TermKind) -> list[Term]:
-    """The terms of a group, evidence against the placement and the largest first."""
-    return sorted(placement.of(*_GROUPS[group]), key=lambda t: t.bits >= 0)
+def _first_text(placements: Sequence[Placement], *kinds: TermKind) -> str:
+    """The words of the first such term of any placement, "" without one."""
+    return next((t.text for p in placements for t in p.of(*kinds)), "")
+
+
+class Group(NamedTuple):
+    """Kinds of terms that are summed in one row, and its text. always: the row is there without any
+    term as well; itemised: its terms have rows of their own."""
+
+    kinds: tuple[TermKind, ...]
+    text: Callable[[Sequence[Placement]], str]
+    always: bool = False
+    itemised: bool = False
+
+
+GROUPS = (
+    Group(
+        LINKS,
+        lambda of: f"{counted(len(of[0].of(*LINKS)), 'link')} between matched junctions",
+        always=True,
+        itemised=True,
+    ),
+    Group(
+        ("branches",),
+        lambda of: f"branches of {counted(len(of[0].of('branches')), 'junction')}",
+        always=True,
+    ),
+    Group(("views",), _views_text),
+    Group(AGAINST, _against_text, always=True, itemised=True),
+    Group(("hypotheses",), lambda of: _first_text(of[:1], "hypotheses"), always=True),
+    Group(("few",), lambda of: _first_text(of, "few")),
+    Group(("copies",), lambda of: _first_text(of[:1], "copies") or "is it a copy?"),
+)
+"""The rows of sums, in their order."""
+
+
+def itemised(placement: Placement, kinds: Sequence[TermKind]) -> list[Term]:
+    """The terms of some kinds, evidence against the placement and the largest first."""
+    return sorted(placement.of(*kinds), key=lambda t: t.bits >= 0)
 
 
 def _parts(terms: Sequence[Term], most: int) -> list[Row]:
@@ -307,13 +300,14 @@ def lines(decision: Decision, links: int | None = None, width: int = WIDTH) -> l
     pair = decision.pair
     out = _folded(headline(decision), width)
     told = [because(decision), lies(decision)]
+    poses = [p.alignment.transform for p in decision.placements]
     for line in reversed(told) if pair.through else told:
         out += _folded(line, width, "  ")
     if pair.through and decision.placements:
-        own = f"their own best placement, at {pose(decision.placements[0])}, does not count:"
+        own = f"their own best placement, at {_pose(poses[0])}, does not count:"
         out += _folded(own, width, "  ")
     elif len(decision.placements) > 1:
-        second = f"the {other_name(decision)} lays it at {pose(decision.placements[1])}"
+        second = f"the {other_name(decision)} lays it at {_pose(poses[1])}"
         out += _folded(second, width, "  ")
     out += _table(decision, MOST_LINKS if links is None else links, width)
     if decision.placements:
@@ -341,7 +335,7 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     """The table of evidence, its sum and the requirements."""
     digits, count = digits_of(decision), len(decision.placements)
     if not count:
-        return [_row([threshold(decision)], f"bits needed: {needs(decision)}", width)]
+        return [_row([_threshold(decision)], f"bits needed: {needs(decision)}", width)]
     names = (short(decision.pair.a, 10), short(decision.pair.b, 10))
     head = ["this", "next"][:count] if count > 1 else ["bits"]
     out = ["", _row(head, "for (+) and against it (-)", width, names)]
@@ -356,7 +350,7 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
     out.append(_row(sums, sum_label(decision), width))
     blank = [""] * (count - 1)
     need = wrap(f"needed: {needs(decision)}", width - 8 * count - 2, subsequent_indent="  ")
-    out.append(_row([threshold(decision), *blank], need[0], width))
+    out.append(_row([_threshold(decision), *blank], need[0], width))
     return [*out, *(_row([""] * count, line, width) for line in need[1:])]
 
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edge_fields, edges_to_document, vertex_fields
 from ..topology.files import read_json, write_json
 from ..topology.map_schema import validated
-from .merged_schema import MERGED_SCHEMA, MergedDocument, MergeEntry, Placed, Pose, RunnerUp
+from .merged_schema import MERGED_SCHEMA, MergedDocument, MergeEntry, Pose
 from .result import (
     Alignment,
     Component,
@@ -30,12 +30,6 @@ from .result import (
 EXTRA = ("against_chance_bits", "same_place_bits")
 """Entries added by the robust method."""
 
-ALIKE = (
-    "a", "b", "verdict", "accepted", "evidence_bits", "reason", "margin_bits", "advice", "locked",
-    "threshold_bits", "accepted_by", "lead_needed_bits",
-)  # fmt: skip
-"""What verdicts and their entries hold in the same form."""
-
 
 def pose_to_document(pose: Any) -> dict[str, float]:
     """{"x", "y", "theta"} of a (3,) pose."""
@@ -43,22 +37,8 @@ def pose_to_document(pose: Any) -> dict[str, float]:
     return {"x": x, "y": y, "theta": rounded(pose[2], TURN)}
 
 
-def _alignment(alignment: Alignment) -> dict[str, Any]:
-    return {
-        "transform": pose_to_document(alignment.transform),
-        "evidence_bits": rounded(alignment.evidence_bits, BITS),
-        "matched": alignment.matched.tolist(),
-        "corridors": alignment.corridors,
-        "rmse_m": rounded(alignment.rmse_m, METRES),
-        "contradictions": list(alignment.contradictions),
-        **_contradicting(alignment),
-        **_known(copy_test=alignment.copy_test and asdict(alignment.copy_test)),
-    }
-
-
-def _contradicting(alignment: Alignment) -> dict[str, Any]:
-    found = [{"a": list(a), "b": list(b)} for a, b in alignment.contradicting]
-    return {"contradicting": found} if found else {}
+def _pose_from(pose: Pose) -> FloatArray:
+    return np.array([pose.x, pose.y, pose.theta])
 
 
 def sigmas_to_document(placed: tuple[float, float] | None) -> dict[str, float] | None:
@@ -71,42 +51,81 @@ def bits_to_document(bits: float | None) -> float | None:
     return None if bits is None else float(rounded(bits, BITS))
 
 
+class Form(NamedTuple):
+    """How a field of a verdict or an alignment is written (left out if None), and how it is read
+    from the validated entry."""
+
+    written: Callable[[Any], Any] = lambda value: value
+    read: Callable[[Any], Any] = lambda value: value
+
+
+AS_IT_IS, OF_BITS = Form(), Form(bits_to_document)
+OF_SIGMAS = Form(sigmas_to_document, lambda placed: placed and (placed.sigma_m, placed.sigma_rad))
+OF_TEXT = Form(lambda text: text or None, lambda text: text or "")
+
+ALIGNMENT = {
+    "transform": Form(pose_to_document, _pose_from),
+    "evidence_bits": OF_BITS,
+    "matched": Form(lambda pairs: pairs.tolist(), lambda pairs: np.array(pairs or [], np.int64)),
+    "corridors": AS_IT_IS,
+    "rmse_m": Form(lambda metres: rounded(metres, METRES)),
+    "contradictions": Form(list, tuple),
+    "contradicting": Form(
+        lambda found: [{"a": list(a), "b": list(b)} for a, b in found] or None,
+        lambda found: tuple((tuple(c.a), tuple(c.b)) for c in found),
+    ),
+    "copy_test": Form(
+        lambda tested: tested and asdict(tested),
+        lambda tested: tested and CopyTest(**tested.model_dump()),
+    ),
+}
+"""Fields of alignments."""
+
+EVERY_PAIR = {
+    **dict.fromkeys(("a", "b"), AS_IT_IS),
+    "verdict": Form(str),
+    "accepted": AS_IT_IS,
+    "evidence_bits": OF_BITS,
+    "reason": AS_IT_IS,
+    "threshold_bits": OF_BITS,
+    "accepted_by": AS_IT_IS,
+    "together": Form(
+        lambda sides: sides and [list(runs) for runs in sides],
+        lambda sides: sides and tuple(tuple(runs) for runs in sides),
+    ),
+    "through": Form(lambda runs: list(runs) or None, lambda runs: tuple(runs or ())),
+    "placed": OF_SIGMAS,
+    "transform_sigma": OF_SIGMAS,
+    "locked": AS_IT_IS,
+}
+RELATED_PAIR = {
+    "margin_bits": OF_BITS,
+    "advice": AS_IT_IS,
+    "lacks": OF_TEXT,
+    "lead_needed_bits": AS_IT_IS,
+}
+"""Fields of verdicts, and those that unrelated pairs do not have: most pairs of a fleet are."""
+
+
+def _written(value: object, forms: Mapping[str, Form]) -> dict[str, Any]:
+    parts = ((name, form.written(getattr(value, name))) for name, form in forms.items())
+    return {name: part for name, part in parts if part is not None}
+
+
+def _read(entry: object, forms: Mapping[str, Form]) -> dict[str, Any]:
+    return {name: form.read(getattr(entry, name)) for name, form in forms.items()}
+
+
 def entry_of(pair: PairVerdict) -> dict[str, Any]:
     """A verdict as in the document; see `MergeEntry`."""
-    entry: dict[str, Any] = {
-        "a": pair.a,
-        "b": pair.b,
-        "verdict": str(pair.verdict),
-        "accepted": pair.accepted,
-        "evidence_bits": rounded(pair.evidence_bits, BITS),
-        "reason": pair.reason,
-    }
-    entry |= _known(
-        threshold_bits=bits_to_document(pair.threshold_bits),
-        accepted_by=pair.accepted_by,
-        together=pair.together and [list(runs) for runs in pair.together],
-        through=list(pair.through) or None,
-        placed=sigmas_to_document(pair.placed),
-        transform_sigma=sigmas_to_document(pair.transform_sigma),
-        locked=pair.locked,
-    )
+    entry = _written(pair, EVERY_PAIR)
     if pair.verdict is Verdict.UNRELATED:
-        # In short: most pairs of a fleet are unrelated.
         return entry | {name: pair.extra[name] for name in EXTRA if name in pair.extra}
     if pair.best is not None:
-        entry |= {**_alignment(pair.best), "evidence_bits": entry["evidence_bits"]}
-    entry |= _known(
-        runner_up=pair.runner_up and _alignment(pair.runner_up),
-        margin_bits=bits_to_document(pair.margin_bits),
-        advice=pair.advice,
-        lacks=pair.lacks or None,
-        lead_needed_bits=pair.lead_needed_bits,
-    )
-    return entry | dict(pair.extra)
-
-
-def _known(**values: Any) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value is not None}
+        entry |= {**_written(pair.best, ALIGNMENT), "evidence_bits": entry["evidence_bits"]}
+    if pair.runner_up is not None:
+        entry["runner_up"] = _written(pair.runner_up, ALIGNMENT)
+    return entry | _written(pair, RELATED_PAIR) | dict(pair.extra)
 
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
@@ -174,21 +193,12 @@ def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
         yield edge | {"members": own}
 
 
-def poses_from_document(document: MergedDocument) -> dict[str, FloatArray]:
-    """(3,) pose of every run in its component."""
-    components = document.graph.components
-    return {run: _pose_from(pose) for c in components for run, pose in c.runs.items()}
-
-
-def _pose_from(pose: Pose) -> FloatArray:
-    return np.array([pose.x, pose.y, pose.theta])
-
-
 def result_from_document(document: MergedDocument) -> MergeResult:
     """The result that a document was written from: numbers as rounded there, unrelated pairs
     without their alignments, placements without their covariance.
 
-    Raises ValueError if the document names a vertex, a branch or a component that it lacks.
+    Raises ValueError if the document names a vertex, a branch or a component that it lacks, or
+    fuses what is of two components.
     """
     graph = document.graph
     components = tuple(
@@ -200,16 +210,30 @@ def result_from_document(document: MergedDocument) -> MergeResult:
         for c in graph.components
     )
     fused = _fused_from(document)
-    known = {c.id for c in components}
-    strange = sorted(set(fused.component.tolist()) - known)
-    if strange:
-        raise ValueError(f"there is no component {strange[0]}")
+    _check_components(components, fused)
     named = graph.model_dump(exclude_unset=True)
     own = ("components", "unlisted")
     info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
     verdicts = tuple(map(_verdict_from, document.merges))
     counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
     return MergeResult(components, fused, verdicts, info, counted)
+
+
+def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
+    """ValueError if what is fused is not of one component alone, or of one that is not there."""
+    home = {run: c.id for c in components for run in c.poses}
+    strange = sorted(set(fused.component.tolist()) - {c.id for c in components})
+    if strange:
+        raise ValueError(f"there is no component {strange[0]}")
+    if np.any(fused.component[fused.source] != fused.component[fused.target]):
+        raise ValueError("a corridor joins two components")
+    of_edges = fused.component[fused.source].tolist()
+    members = [*zip(fused.component.tolist(), fused.members, strict=True)]
+    members += zip(of_edges, map(by_run, fused.edge_members), strict=True)
+    for component, runs in members:
+        for run in runs:
+            if home.get(run) != component:
+                raise ValueError(f"run {run!r} is a member of what is not its component")
 
 
 def _fused_from(document: MergedDocument) -> FusedMap:
@@ -239,45 +263,15 @@ def _fused_from(document: MergedDocument) -> FusedMap:
 def _verdict_from(entry: MergeEntry) -> PairVerdict:
     """The verdict that an entry was written from: rounded, and without the alignments of unrelated
     pairs."""
-    best = None
-    if entry.transform is not None:
-        best = _alignment_from(entry, entry.transform, entry.matched or [])
-    second = entry.runner_up
-    together = None
-    if entry.together is not None:
-        together = (tuple(entry.together[0]), tuple(entry.together[1]))
-    return PairVerdict(
-        **{name: getattr(entry, name) for name in ALIKE},
-        best=best,
-        runner_up=None
-        if second is None
-        else _alignment_from(second, second.transform, second.matched),
-        through=tuple(entry.through or ()),
-        placed=_sigmas_from(entry.placed),
-        together=together,
-        transform_sigma=_sigmas_from(entry.transform_sigma),
-        lacks=entry.lacks or "",
-        extra=entry.model_dump(include=set(EXTRA), exclude_none=True),
+    best, second = (
+        None if one is None or one.transform is None else Alignment(**_read(one, ALIGNMENT))
+        for one in (entry, entry.runner_up)
     )
-
-
-def _sigmas_from(placed: Placed | None) -> tuple[float, float] | None:
-    return None if placed is None else (placed.sigma_m, placed.sigma_rad)
-
-
-def _alignment_from(
-    entry: MergeEntry | RunnerUp, transform: Pose, matched: list[tuple[int, int]]
-) -> Alignment:
-    tested = entry.copy_test
-    return Alignment(
-        transform=_pose_from(transform),
-        evidence_bits=entry.evidence_bits,
-        matched=np.array(matched, np.int64),
-        rmse_m=entry.rmse_m,
-        corridors=entry.corridors,
-        contradictions=tuple(entry.contradictions),
-        contradicting=tuple((tuple(c.a), tuple(c.b)) for c in entry.contradicting),
-        copy_test=None if tested is None else CopyTest(**tested.model_dump()),
+    return PairVerdict(
+        **_read(entry, EVERY_PAIR | RELATED_PAIR),
+        best=best,
+        runner_up=second,
+        extra=entry.model_dump(include=set(EXTRA), exclude_none=True),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import groupby
 from typing import Any
@@ -83,14 +84,11 @@ class Drive:
             float(np.hypot(*(self.path[-1] - self.path[-2]))),
         )
         passed = f" past about {rest / usual_m:.0f} junctions" if usual_m else ""
+        degrees = round(math.degrees(self.heading_rad)) % 360
         return (
-            f"{text}; there by the branch never driven (to {_degrees(self.heading_rad)}° in the "
-            f"map), and on as corridors lead,{passed} ({rest:.0f} m)"
+            f"{text}; there by the branch never driven (to {degrees}° in the map), and on as "
+            f"corridors lead,{passed} ({rest:.0f} m)"
         )
-
-
-def _degrees(rad: float) -> int:
-    return round(rad * 57.29577951308232) % 360
 
 
 def drive_to_document(drive: Drive) -> dict[str, Any]:

@@ -14,10 +14,12 @@ is there twice. What is expected to bring hardly any evidence is not proposed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
+from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -214,16 +216,20 @@ def _joining_drive(
         for here, there in _identified(pair, site, other, members):
             if here not in partner.values() and there not in partner:
                 partner[there] = here
-    both = _Laid(site, other, partner, T_site_other)
+    both = _Ground(site, other, partner, T_site_other)
     per_junction = _per_junction(alike)
     need = _needed_junctions(result, per_junction)
-    walk = both.walk(need)
-    if walk is None:
+    places, length_m = both.walk(sorted(partner.values()), need)
+    if len(places) < 2:
         return None
-    reached = min(need, int(both.in_other[list({*walk.places})].sum()))
-    bits = _right(best) * per_junction * reached
-    named = tuple(sorted((p.a, p.b) for p in pairs))
-    return both.drive(walk, bits, named)
+    reached = min(need, int(both.in_other[list({*places})].sum()))
+    return both.drive(
+        places,
+        length_m=length_m,
+        onto=other.name,
+        pairs=tuple(sorted((p.a, p.b) for p in pairs)),
+        bits=_right(best) * per_junction * reached,
+    )
 
 
 def _placement(pair: PairVerdict, site: _Site, home: dict[str, Component]) -> FloatArray:
@@ -254,93 +260,86 @@ def _identified(
             yield site.row[one], other.row[two]
 
 
-@dataclass(frozen=True, slots=True)
-class _Walk:
-    """Places in order, and its length [m]."""
-
-    places: tuple[int, ...]
-    length_m: float
-
-
-class _Laid:
-    """Two sites, one laid over the other. Places are numbered: those of the first site, then those
-    of the other that are not identified with one of it."""
+class _Ground:
+    """A site, or two of them, one laid over the other. Places are numbered: those of the first
+    site, then those of the other that are not identified with one of it (`partner`, of rows of the
+    other). ways: for two places the corridor (length, path)."""
 
     def __init__(
-        self, site: _Site, other: _Site, partner: dict[int, int], T_site_other: FloatArray
+        self,
+        site: _Site,
+        other: _Site | None = None,
+        partner: Mapping[int, int] = MappingProxyType({}),
+        T_site_other: FloatArray | None = None,
     ) -> None:
-        self.site, self.other, self.T = site, other, T_site_other
         n = len(site.ids)
-        rest = [k for k in range(len(other.ids)) if k not in partner]
-        self.place = {**partner, **{k: n + i for i, k in enumerate(rest)}}
-        self.rest = rest
-        self.xy = np.concatenate([site.xy, apply(T_site_other, other.xy[rest]).reshape(-1, 2)])
-        self.shared = sorted(partner.values())
-        self.in_other: BoolArray = np.zeros(len(self.xy), bool)
-        self.in_other[[*self.place.values()]] = True
-        self.in_site: BoolArray = np.arange(len(self.xy)) < n
+        self.site = site
         self.ways = dict(site.ways)
-        for (u, v), (length, path) in other.ways.items():
-            known = (self.place[u], self.place[v])
-            if known not in self.ways and known[0] != known[1]:
-                self.ways[known] = (length, apply(T_site_other, path))
+        xy, names = [site.xy], [(site.name, k) for k in site.ids.tolist()]
+        self.in_site: BoolArray = np.ones(n, bool)
+        self.in_other: BoolArray = np.zeros(n, bool)
+        if other is not None and T_site_other is not None:
+            rest = [k for k in range(len(other.ids)) if k not in partner]
+            place = {**partner, **{k: n + i for i, k in enumerate(rest)}}
+            xy.append(apply(T_site_other, other.xy[rest]).reshape(-1, 2))
+            names += [(other.name, k) for k in other.ids[rest].tolist()]
+            self.in_site = np.arange(len(names)) < n
+            self.in_other = np.zeros(len(names), bool)
+            self.in_other[[*place.values()]] = True
+            for (u, v), (length, path) in other.ways.items():
+                ends = (place[u], place[v])
+                if ends not in self.ways and ends[0] != ends[1]:
+                    self.ways[ends] = (length, apply(T_site_other, path))
+        self.xy: FloatArray = np.concatenate(xy)
+        at = rounded(self.xy, METRES)
+        self.stops = [Stop(*name, (x, y)) for name, (x, y) in zip(names, at, strict=True)]
 
-    def walk(self, need: int) -> _Walk | None:
-        """The shortest walk found by `need` places of either; where a site has fewer, by all."""
-        if not self.shared:
-            return None
-        reach = _Reach(self, self.in_site), _Reach(self, self.in_other)
-        step = max(1, len(self.shared) // DRIVES.most_pivots)
-        found = [self._from(pivot, need, *reach) for pivot in self.shared[::step]]
-        walks = [w for w in found if len(w.places) > 1]
-        return min(walks, key=lambda w: (-self._known(w, need), w.length_m, w.places), default=None)
+    def walk(self, shared: Sequence[int], need: int) -> tuple[tuple[int, ...], float]:
+        """The shortest walk found by `need` places of either site, where one has fewer by all, and
+        its length [m]: by more of what is needed first. shared: the places of both, from which
+        walks lead into either; none without any."""
+        if not shared:
+            return (), 0.0
+        in_site, in_other = (
+            _Reach(self, inside, shared) for inside in (self.in_site, self.in_other)
+        )
 
-    def _known(self, walk: _Walk, need: int) -> int:
-        own = list({*walk.places})
-        return sum(min(int(mask[own].sum()), need) for mask in (self.in_site, self.in_other))
+        def tried(pivot: int) -> tuple[int, float, tuple[int, ...]]:
+            """First the other site, then the first one for what is still wanting."""
+            seen = {pivot}
+            there, two = in_other.tour(pivot, seen, need - 1)
+            have = int(self.in_site[list(seen)].sum())
+            here, one = in_site.tour(pivot, seen, max(0, need - have))
+            places = (*reversed(here), *there[1:])
+            own = list({*places})
+            known = (min(int(mask[own].sum()), need) for mask in (self.in_site, self.in_other))
+            return -sum(known) if len(places) > 1 else 0, one + two, places
 
-    def _from(self, pivot: int, need: int, in_site: _Reach, in_other: _Reach) -> _Walk:
-        """A tour from a common place into either site: first the other one, then the first for what
-        is still wanting."""
-        seen = {pivot}
-        there, two = in_other.tour(pivot, seen, need - 1)
-        have = int(self.in_site[list(seen)].sum())
-        here, one = in_site.tour(pivot, seen, max(0, need - have))
-        return _Walk((*reversed(here), *there[1:]), one + two)
+        _, length_m, places = min(map(tried, shared[:: max(1, len(shared) // DRIVES.most_pivots)]))
+        return places, length_m
 
-    def drive(self, walk: _Walk, bits: float, pairs: tuple[tuple[str, str], ...]) -> Drive:
-        """The walk as a drive, which starts in the first site."""
-        steps = list(pairwise(walk.places))
-        known = sum(self.ways[s][0] for s in steps if s in self.site.ways)
+    def drive(self, places: Sequence[int], **about: Any) -> Drive:
+        """A walk as a drive, which starts in the first site."""
+        steps = list(pairwise(places))
         return Drive(
             component=self.site.component,
             site=self.site.name,
-            onto=self.other.name,
-            stops=tuple(self._stop(k) for k in walk.places),
-            path=np.concatenate([self.ways[step][1] for step in steps]),
-            known_m=known,
-            length_m=walk.length_m,
-            pairs=pairs,
-            bits=bits,
+            stops=tuple(self.stops[k] for k in places),
+            path=np.concatenate([np.zeros((0, 2)), *(self.ways[step][1] for step in steps)]),
+            known_m=sum(self.ways[s][0] for s in steps if s in self.site.ways),
+            **about,
         )
-
-    def _stop(self, k: int) -> Stop:
-        x, y = rounded(self.xy[k], METRES)
-        if self.in_site[k]:
-            return Stop(self.site.name, int(self.site.ids[k]), (x, y))
-        own = self.rest[k - len(self.site.ids)]
-        return Stop(self.other.name, int(self.other.ids[own]), (x, y))
 
 
 class _Reach:
-    """Shortest ways within one of two sites, around the common places."""
+    """Shortest ways within one of two sites, around some places."""
 
-    def __init__(self, laid: _Laid, inside: BoolArray) -> None:
-        n = len(laid.xy)
-        rows = [(u, v, w) for (u, v), (w, _) in laid.ways.items() if inside[u] and inside[v]]
+    def __init__(self, ground: _Ground, inside: BoolArray, around: Sequence[int]) -> None:
+        n = len(ground.xy)
+        rows = [(u, v, w) for (u, v), (w, _) in ground.ways.items() if inside[u] and inside[v]]
         u, v, length = np.array(rows, np.float64).reshape(-1, 3).T
         graph = coo_array((length, (u.astype(np.int64), v.astype(np.int64))), shape=(n, n)).tocsr()
-        near = dijkstra(graph, indices=laid.shared, min_only=True)
+        near = dijkstra(graph, indices=around, min_only=True)
         self.places = np.argsort(near, kind="stable")[: DRIVES.most_local]
         self.places = np.sort(self.places[np.isfinite(near[self.places]) & inside[self.places]])
         local = graph[self.places][:, self.places]
@@ -428,22 +427,20 @@ def _unobstructed(
 def _exploring_drive(site: _Site, place: int, heading: float, need: int, bits: float) -> Drive:
     """By `need` known junctions to the branch, and `beyond` times as many corridors beyond it, of
     which the first is shown."""
-    alone = _Laid(site, site, {k: k for k in range(len(site.ids))}, np.zeros(3))
-    alone.shared = [place]
-    places, known_m = _Reach(alone, alone.in_site).tour(place, {place}, need - 1)
-    places.reverse()
-    steps = list(pairwise(places))
+    ground = _Ground(site)
+    places, known_m = _Reach(ground, ground.in_site, [place]).tour(place, {place}, need - 1)
     end = site.xy[place] + site.usual_m * np.array([np.cos(heading), np.sin(heading)])
     x, y = rounded(end, METRES)
-    return Drive(
-        component=site.component,
-        site=site.name,
-        onto=None,
-        stops=(*(alone._stop(k) for k in places), Stop(site.name, None, (x, y))),
-        path=np.concatenate([*(site.ways[s][1] for s in steps), np.array([site.xy[place], end])]),
-        known_m=known_m,
+    known = ground.drive(
+        places[::-1],
         length_m=known_m + DRIVES.beyond * need * site.usual_m,
+        onto=None,
         pairs=(),
         bits=bits,
         heading_rad=heading,
+    )
+    return replace(
+        known,
+        stops=(*known.stops, Stop(site.name, None, (x, y))),
+        path=np.concatenate([known.path, [site.xy[place], end]]),
     )

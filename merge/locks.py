@@ -1,5 +1,8 @@
-"""Locks: the user's decisions on pairs of runs, which overrule the evidence on every later
-merge."""
+"""What a person decided on pairs of runs, for every later merge.
+
+A lock overrules the evidence; "never" keeps two runs apart whatever else is known. A discarded
+match is treated as not found: others may still join the two (§4.1).
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.map_schema import Model, validated
 from ..topology.topomap import TopoMap
+from .result import PairVerdict
 
 LOCKS_SCHEMA: Literal["topobatch.locks/1"] = "topobatch.locks/1"
 
@@ -113,3 +117,46 @@ def locks_from_document(doc: Any, name: str = "locks document") -> tuple[Lock, .
     except UsageError as error:
         raise DocumentError(f"{name}: {error}") from error
     return tuple(table[pair] for pair in sorted(table))
+
+
+DISCARDS_SCHEMA: Literal["topobatch.discards/1"] = "topobatch.discards/1"
+
+DISCARDED = "the match was discarded by a person"
+
+Names = tuple[str, str]
+
+
+class DiscardEntry(Model):
+    """One match in the document."""
+
+    a: str
+    b: str
+
+    @model_validator(mode="after")
+    def _ordered(self) -> DiscardEntry:
+        if not self.a < self.b:
+            raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
+        return self
+
+
+class DiscardsDocument(Model):
+    """`discards.json`."""
+
+    schema_name: Literal["topobatch.discards/1"] = Field(alias="schema")
+    discarded: list[DiscardEntry]
+
+
+def discards_to_document(pairs: Iterable[Names]) -> dict[str, Any]:
+    """The document of some pairs, sorted; inverse of `discards_from_document`."""
+    entries = [{"a": a, "b": b} for a, b in sorted(set(pairs))]
+    return {"schema": DISCARDS_SCHEMA, "discarded": entries}
+
+
+def discards_from_document(doc: Any, name: str = "discards document") -> frozenset[Names]:
+    """The pairs of runs, by name; DocumentError if the document follows no such schema."""
+    return frozenset((e.a, e.b) for e in validated(DiscardsDocument, doc, name).discarded)
+
+
+def discarded(verdict: PairVerdict) -> bool:
+    """Whether a person discarded the match of a pair."""
+    return DISCARDED in verdict.reason

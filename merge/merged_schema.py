@@ -111,10 +111,6 @@ class MergedGraph(Attributes):
         """The component of every run."""
         return {run: c.id for c in self.components for run in c.runs}
 
-    def runs_of(self, component: int) -> list[str]:
-        """The runs of a component, sorted; none if it is not there."""
-        return sorted(run for c in self.components if c.id == component for run in c.runs)
-
     maps: dict[str, str] | None = Field(
         None,
         description="By run, the BLAKE2b digest (128 bits, hexadecimal) of the file of its map, as "

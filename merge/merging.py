@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
@@ -12,11 +12,10 @@ from ..topology.errors import DataError
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from . import robust
-from .discards import REASON, Names
 from .fusion.fuse import fuse
 from .fusion.turning_ends import with_turning_ends
 from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
-from .locks import Lock
+from .locks import DISCARDED, Lock, Names
 from .paper import method as paper
 from .paper.method import DEFAULT_PAPER, PaperSettings
 from .result import Component, MergeResult, PairVerdict, Unlisted, Verdict, pairs_of
@@ -126,7 +125,7 @@ def _taken_back(verdict: PairVerdict) -> PairVerdict:
         return verdict
     need = verdict.threshold_bits
     return PairVerdict(
-        verdict.a, verdict.b, Verdict.UNRELATED, False, 0.0, REASON, threshold_bits=need
+        verdict.a, verdict.b, Verdict.UNRELATED, False, 0.0, DISCARDED, threshold_bits=need
     )
 
 
@@ -168,45 +167,34 @@ def _with_placements(
     those that only others join, through which runs."""
     home = {run: c for c in components for run in c.poses}
     chains = joined_through(verdicts)
-    sigmas = _relative_sigmas(verdicts, chains, home)
-    out = []
+    of: dict[int, list[Names]] = {}
     for v in verdicts:
-        placed = sigmas.get((v.a, v.b))
-        if v.accepted:
-            out.append(v if placed is None else replace(v, transform_sigma=placed))
-            continue
-        if (v.a, v.b) not in chains or home[v.a] is not home[v.b]:
-            out.append(v)
-            continue
-        through = chains[v.a, v.b]
-        description = f"joined through {listed(through, 3)}"
-        if placed is not None:
-            vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
-            description = (
-                f"{description}, placed to {told_placement(*placed)} (1 sigma)"
-                f"{', too vaguely to count on it' if vague else ''}"
-            )
-        reason = f"{description}{ALONE}{v.reason}"
-        out.append(replace(v, reason=reason, through=through, placed=placed))
-    return tuple(out)
+        if v.accepted or (v.a, v.b) in chains:
+            of.setdefault(home[v.a].id, []).append((v.a, v.b))
+    sigmas: dict[Names, tuple[float, float]] = {}
+    for c in components:
+        pairs = of.get(c.id, [])
+        if pairs and c.spread is not None:
+            sigmas.update(zip(pairs, c.spread.sigmas(pairs), strict=True))
+    return tuple(_placed(v, chains.get((v.a, v.b)), sigmas.get((v.a, v.b))) for v in verdicts)
 
 
-def _relative_sigmas(
-    verdicts: Sequence[PairVerdict], chains: Collection[Names], home: Mapping[str, Component]
-) -> dict[Names, tuple[float, float]]:
-    """The uncertainty (`PairVerdict.placed`) of the relative poses of pairs that are accepted, or
-    joined through others."""
-    pairs: dict[int, list[Names]] = {}
-    for v in verdicts:
-        one, names = home[v.a], (v.a, v.b)
-        if one is home[v.b] and one.spread is not None and (v.accepted or names in chains):
-            pairs.setdefault(one.id, []).append(names)
-    out: dict[Names, tuple[float, float]] = {}
-    for own in pairs.values():
-        spread = home[own[0][0]].spread
-        assert spread is not None
-        out.update(zip(own, spread.sigmas(own), strict=True))
-    return out
+def _placed(
+    v: PairVerdict, through: tuple[str, ...] | None, placed: tuple[float, float] | None
+) -> PairVerdict:
+    """A verdict with the chain of runs that joins the two, and how surely they are placed."""
+    if v.accepted:
+        return v if placed is None else replace(v, transform_sigma=placed)
+    if through is None:
+        return v
+    description = f"joined through {listed(through, 3)}"
+    if placed is not None:
+        vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
+        description = (
+            f"{description}, placed to {told_placement(*placed)} (1 sigma)"
+            f"{', too vaguely to count on it' if vague else ''}"
+        )
+    return replace(v, reason=f"{description}{ALONE}{v.reason}", through=through, placed=placed)
 
 
 def _info(

@@ -4,21 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
-from ..topology.arrays import BoolArray, FloatArray, IntArray
+from ..topology.arrays import BoolArray, IntArray
 from ..topology.columns import joined, take
 from ..topology.connected import connected
 from ..topology.topomap import Closure, TopoMap
-from ..topology.turning_points import NO_TURNING_POINTS
-from ..topology.turning_vertices import with_turning_points, without_turning_points
 from ..topology.views import NO_VIEWS, Views
 from ..topology.wording import counted
-from .component_map import member_times
+from .component_map import component_map
 from .merging import merge_maps
-from .result import FusedMap, PairVerdict, Verdict, fused_confidence, fused_of, graph_part
+from .result import Component, MergeResult, PairVerdict, Verdict, graph_part
 from .robust import DEFAULT_ROBUST
 
 
@@ -40,32 +37,19 @@ def joined_pieces(topomap: TopoMap) -> tuple[TopoMap, ...]:
     questions = [c for v in result.verdicts for c in _closures(v, able)]
     whole = replace(topomap, closures=(*topomap.closures, *questions))
     # Components come in the order of their first parts, which are named by time.
-    whole_parts = {name: with_turning_points(part) for name, part in able.items()}
-    times = _times(whole_parts, result.fused)
-    sure = fused_confidence(result.fused.members, whole_parts)
-    found = [
-        replace(
-            _cut_out(whole, result.fused, c.id, times, sure),
-            views=_views_together([(able[name].views, pose) for name, pose in c.poses.items()]),
-        )
-        for c in result.components
-    ]
+    found = [_as_piece(whole, result, c, able) for c in result.components]
     main = max(found or small, key=_passes)
     kept = [main, *(m for m in found if m is not main)]
     small = [m for m in small if m is not main]
     names = [topomap.run, *(f"{topomap.run}#{k}" for k in range(2, len(kept) + 1))]
     text = _describe(len(parts), names, small)
-    info = _with_warning(topomap, text)
+    info = {k: v for k, v in topomap.info.items() if k != "pieces"}
+    info["warnings"] = [*info.get("warnings", ()), text]
     return tuple(replace(m, run=name, info=info) for m, name in zip(kept, names, strict=True))
 
 
 def _passes(topomap: TopoMap) -> int:
     return len(topomap.observation_vertex)
-
-
-def _with_warning(topomap: TopoMap, text: str) -> dict[str, Any]:
-    info = {k: v for k, v in topomap.info.items() if k != "pieces"}
-    return info | {"warnings": [*info.get("warnings", ()), text]}
 
 
 def _describe(pieces: int, names: Sequence[str], small: Sequence[TopoMap]) -> str:
@@ -99,23 +83,26 @@ def _parts(topomap: TopoMap) -> list[TopoMap]:
     return [_part(topomap, label == k, f"{i:0{width}d}") for i, k in enumerate(order.tolist())]
 
 
-def _seen(topomap: TopoMap, vertex: IntArray, time_ns: IntArray) -> dict[str, Any]:
-    """The passes by the vertices of a part, and its closures."""
+def _closures_of(topomap: TopoMap, time_ns: IntArray) -> tuple[Closure, ...]:
+    """The closures of a map that are about passes at some of these times."""
     times = set(time_ns.tolist())
-    return {
-        "observation_vertex": vertex,
-        "observation_time_ns": time_ns,
-        "closures": tuple(c for c in topomap.closures if times & {c.time_a_ns, c.time_b_ns}),
-    }
+    return tuple(c for c in topomap.closures if times & {c.time_a_ns, c.time_b_ns})
 
 
 def _part(topomap: TopoMap, chosen: BoolArray, name: str) -> TopoMap:
     """The chosen vertices of a map, which are connected among themselves only."""
     seen = chosen[topomap.observation_vertex]
-    vertex = (np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]]
-    passes = _seen(topomap, vertex, topomap.observation_time_ns[seen])
-    views = _seen_from(topomap, seen)
-    return replace(topomap, run=name, info={}, views=views, **graph_part(topomap, chosen), **passes)
+    time_ns = topomap.observation_time_ns[seen]
+    return replace(
+        topomap,
+        run=name,
+        **graph_part(topomap, chosen),
+        observation_vertex=(np.cumsum(chosen) - 1)[topomap.observation_vertex[seen]],
+        observation_time_ns=time_ns,
+        closures=_closures_of(topomap, time_ns),
+        views=_seen_from(topomap, seen),
+        info={},
+    )
 
 
 def _seen_from(topomap: TopoMap, chosen: BoolArray) -> Views:
@@ -128,54 +115,20 @@ def _seen_from(topomap: TopoMap, chosen: BoolArray) -> Views:
     return take(views, chosen[nearest])
 
 
-def _views_together(parts: Sequence[tuple[Views, FloatArray]]) -> Views:
-    """The views of some parts, each moved by the pose of its part, by time."""
-    every = joined([views.moved(pose) for views, pose in parts])
-    return take(every, np.argsort(every.time_ns, kind="stable"))
-
-
-def _times(parts: Mapping[str, TopoMap], fused: FusedMap) -> tuple[IntArray, ...] | None:
-    """Traversal times of the corridors of the merged parts."""
-    return member_times(
-        parts,
-        fused.edge_members,
-        fused_of=fused_of(fused.members),
-        source=fused.source,
-        target=fused.target,
-    )
-
-
-def _cut_out(
-    topomap: TopoMap,
-    fused: FusedMap,
-    component: int,
-    times: tuple[IntArray, ...] | None,
-    confidence: FloatArray,
+def _as_piece(
+    topomap: TopoMap, result: MergeResult, component: Component, parts: Mapping[str, TopoMap]
 ) -> TopoMap:
-    """One component of the merged parts as the map of a run. confidence: of every fused vertex."""
-    chosen = fused.component == component
-    seen = sorted(
-        (time_ns, vertex)
-        for vertex, row in enumerate(np.flatnonzero(chosen).tolist())
-        for _, time_ns in fused.observations[row]
+    """A component of the merged parts as the map of their run."""
+    piece = component_map(result, component.id, topomap.frame, parts)
+    views = joined([parts[run].views.moved(pose) for run, pose in component.poses.items()])
+    return replace(
+        piece,
+        noise=topomap.noise,
+        fitted_noise=topomap.fitted_noise,
+        shows_bends=topomap.shows_bends,
+        closures=_closures_of(topomap, piece.observation_time_ns),
+        views=take(views, np.argsort(views.time_ns, kind="stable")),
     )
-    time_ns, vertex = np.array(seen, np.int64).reshape(-1, 2).T
-    passes = _seen(topomap, vertex, time_ns)
-    # The sigmas of the parts do not hold for the whole: those of the merge do.
-    sigma = None if fused.position_sigma is None else fused.position_sigma[chosen]
-    known = sigma is not None and bool(np.isfinite(sigma).all())
-    edges = np.flatnonzero(chosen[fused.source]).tolist()
-    cut = replace(
-        topomap,
-        **graph_part(fused, chosen),
-        **passes,
-        position_sigma=sigma if known else None,
-        branch_sigma=None,
-        traversal_ns=None if times is None else tuple(times[e] for e in edges),
-        confidence=confidence[chosen],
-        turning_points=NO_TURNING_POINTS,
-    )
-    return without_turning_points(cut)
 
 
 def _closures(verdict: PairVerdict, parts: Mapping[str, TopoMap]) -> Iterator[Closure]:

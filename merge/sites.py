@@ -84,7 +84,7 @@ def _kept_names(
     for k, runs in enumerate(components):
         for site in filter(None, map(history.site_of, runs)):
             votes.setdefault(site, Counter())[k] += 1
-    oldest = [_age(_oldest(runs, origins), origins) for runs in components]
+    oldest = [_oldest(runs, origins) for runs in components]
     claims: dict[int, list[tuple[bool, int, str]]] = {}
     for site, count in votes.items():
         k = min(count, key=lambda k: (-count[k], oldest[k]))
@@ -92,13 +92,10 @@ def _kept_names(
     return [min(claims[k])[2] if k in claims else None for k in range(len(components))]
 
 
-def _age(run: str, origins: Mapping[str, Origin]) -> tuple[bool, int, str]:
-    first_ns = origins[run].first_ns
-    return first_ns is None, first_ns or 0, run
-
-
-def _oldest(runs: Iterable[str], origins: Mapping[str, Origin]) -> str:
-    return min(runs, key=lambda run: _age(run, origins))
+def _oldest(runs: Iterable[str], origins: Mapping[str, Origin]) -> tuple[bool, int, str]:
+    """The oldest run: whether it has no time, its time, its name."""
+    times = ((origins[run].first_ns, run) for run in runs)
+    return min((first_ns is None, first_ns or 0, run) for first_ns, run in times)
 
 
 def _new_name(
@@ -111,7 +108,7 @@ def _new_name(
     from there; else the beginning of its runs' names, if no other run's name begins so; else that
     folder, if no other of the groups of several runs is from there; else "site-" and its oldest
     run."""
-    oldest = _oldest(runs, origins)
+    *_, oldest = _oldest(runs, origins)
     if len(runs) == 1:
         options = [_as_site_name(oldest)]
     else:
@@ -169,16 +166,12 @@ def _unions(
     out = []
     now = set(names)
     for runs, name in zip(components, names, strict=True):
-        sites = {history.before[run] for run in runs if _had_others(run, history)}
+        # A run that was alone, at a site called like it, is no site that became part of one.
+        sites = {history.before[run] for run in runs if history.before.get(run, run) != run}
         gone = sorted(sites - now)
         if len(sites) > 1 and gone:
             out.append(f"{listed(sorted(sites))} are one site now: {name}")
     return out
-
-
-def _had_others(run: str, history: SiteHistory) -> bool:
-    """Whether the last merge had a run at a site with a name of its own."""
-    return history.before.get(run, run) != run
 
 
 def _splits(

@@ -10,7 +10,7 @@ from the others.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,11 +19,10 @@ from scipy.spatial import cKDTree
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.frozen import freeze
 from ..topology.matching.structure import padded_branches
-from ..topology.se2 import fit_rigid, turned, wrap
+from ..topology.se2 import turned, wrap
 from ..topology.topomap import TopoMap
-from .component_map import places_of
 from .fusion.joint_graph import JOINT, measured_turn
-from .merged_schema import MergedDocument
+from .result import MergeResult
 
 WITHIN_SIGMAS = 2.448
 """95 % quantile of the error of a point in the plane, in sigmas of a coordinate (Rayleigh
@@ -91,46 +90,42 @@ class Transferred:
 
 
 def junctions_of_runs(
-    document: MergedDocument, maps: Mapping[str, TopoMap], source: str, target: str
+    result: MergeResult, maps: Mapping[str, TopoMap], source: str, target: str
 ) -> MatchedJunctions:
     """The junctions that a merge identified in two runs, directly or through others.
 
     maps: at least those of the two runs, as they were merged (`stale_runs`).
     """
-    home = document.graph.home
+    fused = result.fused
     pairs = [
-        (node.members[source][0], node.members[target][0])
-        for node in places_of(document, home[source])
-        if home[source] == home[target]
-        if node.members.get(source) and node.members.get(target)
+        (members[source][0], members[target][0])
+        for members, turned in zip(fused.members, fused.is_turned, strict=True)
+        if not turned and members.get(source) and members.get(target)
     ]
-    rows = np.array(pairs, np.int64).reshape(-1, 2)
-    return _matched(maps[source], maps[target], rows)
+    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
+    turn = float(poses[source][2] - poses[target][2])
+    return _matched(maps[source], maps[target], pairs, turn)
 
 
-def junctions_of_merged(
-    document: MergedDocument, source: TopoMap, merged: TopoMap, component: int
-) -> MatchedJunctions:
+def junctions_of_merged(result: MergeResult, source: TopoMap, merged: TopoMap) -> MatchedJunctions:
     """The junctions of a run in the fused map of its component (`component_map`)."""
-    nodes = places_of(document, component)
-    pairs = [
-        (vertex, k) for k, node in enumerate(nodes) for vertex in node.members.get(source.run, ())
-    ]
-    return _matched(source, merged, np.array(pairs, np.int64).reshape(-1, 2))
+    nodes = merged.info["members"]["nodes"][: len(merged)]
+    pairs = [(vertex, k) for k, own in enumerate(nodes) for vertex in own.get(source.run, ())]
+    poses = {run: pose for c in result.components for run, pose in c.poses.items()}
+    return _matched(source, merged, pairs, float(poses[source.run][2]))
 
 
-def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
-    """pairs: (k, 2) vertices of a and of b. Sigmas have the lower bounds of the joint pose
-    graph."""
-    u, v = pairs.T
+def _matched(
+    a: TopoMap, b: TopoMap, pairs: Sequence[tuple[int, int]], turn_rad: float
+) -> MatchedJunctions:
+    """pairs: vertices of a and of b; turn_rad: about the rotation from a's frame to b's. Sigmas
+    have the lower bounds of the joint pose graph."""
+    u, v = np.array(pairs, np.int64).reshape(-1, 2).T
     share = np.stack([1 / np.maximum(m.passes[rows], 1) for m, rows in ((a, u), (b, v))])
     noise = a.measured, b.measured
     both = np.array([n.centre_m**2 for n in noise]) @ share
     heading_b, heading_a = padded_branches(b)[v], padded_branches(a)[u]
-    start = fit_rigid(b.xy[v], a.xy[u])[2] if len(pairs) > 1 else 0.0
-    if len(pairs) == 1:
-        start = _likeliest_turn(heading_b[0], heading_a[0])
-    expected = np.full(len(pairs), start)
+    expected = np.full(len(pairs), float(wrap(turn_rad)))
     turn, count = measured_turn(heading_b, heading_a, expected, JOINT.branch_gate_rad)
     spread = np.array([n.branch_rad**2 for n in noise]) @ share / np.maximum(count, 1)
     turning = sum(n.heading_rad_per_sqrt_m**2 for n in noise)
@@ -146,17 +141,6 @@ def _matched(a: TopoMap, b: TopoMap, pairs: IntArray) -> MatchedJunctions:
         bending=bending,
         turning=turning,
     )
-
-
-def _likeliest_turn(heading_b: FloatArray, heading_a: FloatArray) -> float:
-    """Rotation [rad] that aligns a branch of one junction with one of the other and minimises the
-    sum of angles from every branch to its nearest counterpart; 0 without branches."""
-    b, a = heading_b[~np.isnan(heading_b)], heading_a[~np.isnan(heading_a)]
-    if not len(b) or not len(a):
-        return 0.0
-    turns = wrap(b[:, None] - a).ravel()
-    off = np.abs(wrap(b[:, None] - a[None, :] - turns[:, None, None])).min(axis=2).sum(axis=1)
-    return float(turns[off.argmin()])
 
 
 TOGETHER = 4096

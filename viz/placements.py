@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from ..merge.decision import Decision, Placement, Term
+from ..merge.decision import AGAINST, LINKS, Decision, Placement, Term
 from ..merge.decision_text import digits_of, itemised, listed, other_name
 from ..merge.result import shown_bits
 from ..topology.arrays import FloatArray
@@ -226,7 +226,7 @@ def _evidence(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator
         for k, side in sides[: 1 + picture.tied] if len(pairs) <= MOST_NUMBERED else ():
             told = [str(v) for v in pairs[:, k].tolist()]
             yield Mark(("numbers", side), "number", [*ends[k]], f"run {k}", Order.WORDS, told)
-    links = itemised(placement, "corridor")
+    links = itemised(placement, LINKS)
     for k, side in sides[: 1 + picture.tied]:
         for ink in ("agrees", "against"):
             shown = [
@@ -238,7 +238,7 @@ def _evidence(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator
                 bits = np.abs([t.bits for t in shown])
                 pens = 1.2 + 1.8 * np.minimum(bits / FULL_BITS, 1.0)
                 yield Mark(("links", side, ink), "line", xy, ink, Order.EVIDENCE, told, pens)
-    terms = [t for t in itemised(placement, "unseen") if t.a or t.b]
+    terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
     against = ((_bits_told(t, digits), (t.a, t.b)) for t in terms)
     spots = contradiction_spots(against, *at, apart=picture.tied)
     if spots:

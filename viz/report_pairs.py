@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
-from ..merge.decision import Decision, Placement
+from ..merge.decision import LINKS, Decision, Placement
 from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
@@ -230,7 +230,7 @@ def _placed(
         "spots": [[list(a), list(b)] for a, b in alignment.contradicting],
     }
     if placement is not None and decision is not None:
-        links = itemised(placement, "corridor")
+        links = itemised(placement, LINKS)
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out
 

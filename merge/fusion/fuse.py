@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
@@ -16,8 +17,7 @@ from ...topology.columns import joined
 from ...topology.ragged import Ragged
 from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
-from ..digests import digested
-from ..kept import Kept, Kind
+from ..kept import Kept, Kind, digested
 from ..result import Component, FusedMap, PairVerdict, Spread, by_run
 from .data_association import COINCIDENCE, coincident
 from .edge_splitting import split_at_places
@@ -52,8 +52,7 @@ def fuse(
     unchanged.
 
     sigmas: whether every component's `spread`, and the sigmas of vertices and corridors, are
-    computed. kept: store of components fused before, which
-    are not fused again.
+    computed. kept: store of components fused before, which are not fused again.
     """
     by_name = {m.run: m for m in sorted(maps, key=lambda m: m.run)}
     accepted = [v for v in verdicts if v.accepted and v.a in by_name and v.b in by_name]
@@ -62,6 +61,7 @@ def fuse(
     inside: list[list[PairVerdict]] = [[] for _ in groups]
     for v in accepted:
         inside[home[v.a]].append(v)
+    kept = kept or Kept()
     parts = [
         fused_once([by_name[run] for run in runs], own, sigmas=sigmas, kept=kept)
         for runs, own in zip(groups, inside, strict=True)
@@ -93,16 +93,12 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
 
 
 def fused_once(
-    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept | None
+    maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept
 ) -> FusedComponent:
     """`fuse_component` of maps sorted by run, cached in `kept`."""
-    if kept is None:
-        return fuse_component(maps, inside, sigmas=sigmas)
     digest = component_digest(maps, inside, kept, sigmas=sigmas)
-    (data,) = kept.find(Kind.COMPONENT, [(digest, digest)])
-    if data is None:
-        data = to_bytes(fuse_component(maps, inside, sigmas=sigmas))
-        kept.add(Kind.COMPONENT, (digest, digest), data)
+    made = partial(fuse_component, maps, inside, sigmas=sigmas)
+    data = kept.result(Kind.COMPONENT, (digest, digest), lambda: to_bytes(made()))
     found: FusedComponent = from_bytes(data, CLASSES)
     return found
 

@@ -58,13 +58,14 @@ def fused_places(pool: Pool, label: IntArray, pose: FloatArray) -> list[Place]:
     order = np.argsort(label, kind="stable")
     rows = parted(order, np.bincount(label).tolist())
     visits, driven = pass_counts(pool), _driven(pool)
+    degree = [d for m in pool.maps for d in m.degree.tolist()]
     out = []
     for members in (r.tolist() for r in rows):
         clusters = _clusters(pool, members, pose, visits)
         kept = _believed(clusters, members, visits, driven)
         means = np.array([_mean(c) for c in kept])
         order = np.argsort(means, kind="stable")
-        branch_of = {r: np.full(_degree(pool, r), NO_BRANCH, np.int64) for r in members}
+        branch_of = {r: np.full(degree[r], NO_BRANCH, np.int64) for r in members}
         for position, k in enumerate(order.tolist()):
             for s in kept[k]:
                 branch_of[s.row][s.branch] = position
@@ -143,10 +144,6 @@ def _assigned(headings: FloatArray, centres: FloatArray, gate_rad: float) -> lis
             out[i] = j
             used.add(j)
     return out
-
-
-def _degree(pool: Pool, row: int) -> int:
-    return int(pool.maps[int(pool.run[row])].degree[int(pool.vertex[row])])
 
 
 def _kind(pool: Pool, rows: list[int], visits: IntArray) -> str:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
-from ..discards import Names
-from ..locks import Lock
+from ..locks import Lock, Names
 from ..result import Alignment, PairVerdict, Verdict
 
 

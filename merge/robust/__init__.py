@@ -3,10 +3,9 @@
 from .alignment import Candidate, match
 from .batch import match_shard
 from .decide import decide
-from .pairing import Means
+from .pairing import Means, era_of
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, RobustSettings
-from .tasks import era_of
 
 __all__ = [
     "DEFAULT_ROBUST",

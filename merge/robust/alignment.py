@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import compress, pairwise
+from typing import TypeVar
 
 import numpy as np
 
@@ -30,6 +31,8 @@ from .view_evidence import (
     worth_judging,
 )
 from .view_search import Picture, pictured, placements
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,16 +126,23 @@ def match_all(
     pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, rivals: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
     """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
-    some: list[tuple[Hypothesised, Links]] = []
-    count = 0
-    for a, b in pairs:
-        links = candidate_links(a, b)
-        some.append((_hypotheses(a, b, links, settings), links))
-        count += len(links)
-        if count >= MATCH.most_pairs:
-            yield from _match_some(some, settings, rivals=rivals)
-            some, count = [], 0
-    yield from _match_some(some, settings, rivals=rivals)
+    linked = ((a, b, candidate_links(a, b)) for a, b in pairs)
+    sown = (((a, b, seeds(a, b, k, settings.hypotheses), len(k)), k) for a, b, k in linked)
+    for some in _batches(sown, lambda case: len(case[1]), MATCH.most_pairs):
+        yield from _match_some(some, settings, rivals=rivals)
+
+
+def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterator[list[T]]:
+    """The items in lists, each as soon as it reaches a size, and the rest."""
+    some: list[T] = []
+    total = 0
+    for item in items:
+        some.append(item)
+        total += size(item)
+        if total >= most:
+            yield some
+            some, total = [], 0
+    yield some
 
 
 def _match_some(
@@ -144,10 +154,6 @@ def _match_some(
     others = best_of_all(asked, settings)
     for ((a, b, *_), _), own, more in zip(some, found, wanted, strict=True):
         yield _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
-
-
-def _hypotheses(a: Prepared, b: Prepared, links: Links, settings: RobustSettings) -> Hypothesised:
-    return a, b, seeds(a, b, links, settings.hypotheses), len(links)
 
 
 def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypothesised:
@@ -174,15 +180,8 @@ def best_of_all(
     cases: Iterable[Hypothesised], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
     """`best_of` for many pairs of maps, in batches that fit the processor's cache."""
-    some: list[Hypothesised] = []
-    rows = 0
-    for case in cases:
-        some.append(case)
-        rows += len(case[1]) * len(case[2])
-        if rows >= MATCH.at_once:
-            yield from _best_of_some(some, settings)
-            some, rows = [], 0
-    yield from _best_of_some(some, settings)
+    for some in _batches(cases, lambda case: len(case[1]) * len(case[2]), MATCH.at_once):
+        yield from _best_of_some(some, settings)
 
 
 def _best_of_some(
@@ -330,8 +329,8 @@ def _with_views(
         elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
         said = judged(here, elsewhere, selves, same)
         against = c.conflicts.at_most(
-            said.most_against(np.abs(b.z[c.conflicts.extra_b, None] - two.place[said.second])),
-            said.most_against(np.abs(a.z[c.conflicts.extra_a, None] - one.place[said.first])),
+            said.most_against(np.abs(b.z[c.conflicts.in_a.vertex, None] - two.place[said.second])),
+            said.most_against(np.abs(a.z[c.conflicts.in_b.vertex, None] - one.place[said.first])),
         )
         bits = c.bits + said.total + c.conflicts.bits - against.bits
         out.append(replace(c, bits=bits, conflicts=against, views=said))

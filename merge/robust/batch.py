@@ -11,18 +11,18 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
-from ..result import Alignment, PairVerdict, Verdict, pairs_of
+from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
-from .assessment import ThresholdOf, thresholds
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .entries import Case
-from .mirror import doubt_mirrored
-from .pairing import Means, Pair, Pairwise
+from .mirror import MIRRORED, fits_as_well
+from .pairing import Means, Pair, Pairwise, Summary, in_tiles
+from .prepare import Prepared
 from .repetition import sameness_of
 from .screening import pairs_to_match
 from .settings import MATCH, RobustSettings
-from .tasks import Summary, in_tiles
-from .verdict import OTHER_SIZE, Assessment, PairCount, Threshold, assess_all, needed_bits
+from .thresholds import ThresholdOf, thresholds
+from .verdict import Assessment, assess_all
 
 
 @dataclass(eq=False)
@@ -39,7 +39,15 @@ class Batch:
     discarded: Collection[Pair] = ()
     found: dict[Pair, Summary] = field(default_factory=dict)
     verdicts: dict[Pair, PairVerdict] = field(default_factory=dict)
-    _count: dict[int, PairCount] = field(default_factory=dict)
+
+    def match_likely(self) -> None:
+        """Match all pairs of a small batch; of a large one those that pass screening, and those
+        that a person named."""
+        named = {*self.locked, *self.discarded}
+        wanted = wanted_pairs(self.matcher, named)
+        runs = len(self.matcher.maps)
+        self.say(f"{runs} maps, {len(wanted)} of {pairs_of(runs)} pairs to match")
+        self.match(wanted)
 
     def match(self, wanted: IntArray) -> None:
         """Match (k, 2) pairs and assess them."""
@@ -48,39 +56,23 @@ class Batch:
         found |= {pair: Summary() for pair in self.discarded if pair in found}
         self.found.update(found)
         for some in in_parts(list(found)):
-            for (i, j), assessment in self.assessments(some).items():
-                self.verdicts[i, j] = self.case((i, j), assessment).verdict()
+            for pair, assessment in self.assessments(some).items():
+                self.verdicts[pair] = Case(*self.prepared(pair), assessment).verdict()
 
-    def case(self, pair: Pair, assessment: Assessment) -> Case:
-        """A pair by its two maps alone."""
-        a, b = (self.matcher.prepared[k] for k in pair)
-        return Case(a, b, assessment)
+    def prepared(self, pair: Pair) -> tuple[Prepared, Prepared]:
+        """The two maps of a pair."""
+        return self.matcher.prepared[pair[0]], self.matcher.prepared[pair[1]]
 
-    def threshold(self, some: Sequence[int], pairs: int | None = None) -> Threshold:
-        """The threshold for two maps or two components if `pairs` pairs share the rate of false
-        merges; by default all pairs of the batch, including those screened out."""
-        pairs = pairs_of(len(self.matcher.maps)) if pairs is None else pairs
-        if pairs not in self._count:
-            need = needed_bits(pairs, self.matcher.settings)
-            beyond = int(np.count_nonzero(self._against_chance >= need))
-            self._count[pairs] = PairCount(pairs, beyond)
-        return self._threshold_of(some, self._count[pairs])
+    def say(self, text: str) -> None:
+        """Report an event."""
+        self.matcher.means.say(text)
 
     @cached_property
-    def _threshold_of(self) -> ThresholdOf:
-        """Given the pairs that were matched first."""
-        beyond = {pair: short.against_chance for pair, short in self.found.items()}
-        return thresholds(
-            self.matcher.prepared,
-            self.matcher.settings,
-            {pair: bits for pair, bits in beyond.items() if bits > MATCH.lead_bits},
-            self.matcher.with_themselves(),
-        )
-
-    @cached_property
-    def _against_chance(self) -> FloatArray:
-        """Evidence against chance of the pairs that were matched first [bits]."""
-        return np.array([found.against_chance for found in self.found.values()])
+    def threshold(self) -> ThresholdOf:
+        """The thresholds, given the pairs that were matched first."""
+        against_chance = {pair: short.against_chance for pair, short in self.found.items()}
+        prepared, settings = self.matcher.prepared, self.matcher.settings
+        return thresholds(prepared, settings, against_chance, self.matcher.with_themselves())
 
     def assessments(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
         """Assessments of pairs by their two maps alone. Those that would be merged must lead every
@@ -91,7 +83,11 @@ class Batch:
             faint = self.found[pair].faint or assessment.faint
             out[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
         out |= self.beside_rivals(_merged(out))
-        return doubt_mirrored(out, self.matcher.image_bits(_rows(_merged(out))))
+        for pair, bits in self.matcher.image_bits(_rows(_merged(out))).items():
+            best = out[pair].best
+            if best is not None and fits_as_well(bits, best):
+                out[pair] = replace(out[pair], verdict=Verdict.AMBIGUOUS, why=MIRRORED)
+        return out
 
     def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """The candidates of those of the pairs that have any beyond chance."""
@@ -105,17 +101,16 @@ class Batch:
 
     def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
         """The assessment of each pair by these candidates."""
-        prepared = self.matcher.prepared
         cases = [
-            (prepared[i], prepared[j], c, self.threshold((i, j)))
-            for (i, j), c in candidates.items()
+            (*self.prepared(pair), found, self.threshold(pair))
+            for pair, found in candidates.items()
         ]
         return dict(zip(candidates, assess_all(cases), strict=True))
 
     @property
-    def joins(self) -> dict[Pair, PairVerdict]:
-        """The verdicts on pairs that are merged by themselves; a lock decides on others."""
-        return {p: v for p, v in self.verdicts.items() if v.accepted and p not in self.locked}
+    def unlocked(self) -> dict[Pair, PairVerdict]:
+        """The verdicts on pairs that no lock names."""
+        return {pair: v for pair, v in self.verdicts.items() if pair not in self.locked}
 
     def corroborated(self, pairs: Iterable[Pair], components: Components) -> dict[Pair, Candidate]:
         """Pairs of one component with a candidate that agrees with where other runs place the two:
@@ -134,30 +129,14 @@ class Batch:
         place = self.matcher.places[j]
         return next((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), None)
 
-    def of_other_size(self) -> dict[Pair, Alignment]:
-        """The alignments of pairs that are not merged because one map is larger throughout."""
-        return {
-            pair: v.best
-            for pair, v in self.verdicts.items()
-            if v.best is not None and v.lacks == OTHER_SIZE and pair not in self.locked
-        }
-
-    def tested_for_copies(self) -> dict[Pair, tuple[Alignment, float]]:
-        """The alignments of pairs that were tested for being a copy, with the result [bits]."""
-        return {
-            pair: (v.best, v.extra["same_place_bits"])
-            for pair, v in self.verdicts.items()
-            if v.best is not None and "same_place_bits" in v.extra and pair not in self.locked
-        }
-
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
         """Evidence that the alignments of some merged pairs are not copies [bits]."""
-        prepared, cases = self.matcher.prepared, []
-        for (i, j), candidates in self.candidates(p for p in pairs if p not in self.locked).items():
-            best = self.verdicts[i, j].best
+        cases = []
+        for pair, found in self.candidates(p for p in pairs if p not in self.locked).items():
+            best = self.verdicts[pair].best
             assert best is not None
-            chosen = self._agreeing(candidates, best.transform, j)
-            cases += [] if chosen is None else [(prepared[i], prepared[j], chosen)]
+            chosen = self._agreeing(found, best.transform, pair[1])
+            cases += [] if chosen is None else [(*self.prepared(pair), chosen)]
         if not cases:
             return []
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies

@@ -3,6 +3,7 @@ without detecting them, and corridors that lead elsewhere."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -22,48 +23,54 @@ BESIDE_M = float(np.hypot(MATCH.clear_m / 2, MATCH.gate_m))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Unseen:
+    """Vertices of one map (k,) inside directed corridors of the other (edge), undetected there, and
+    the weight of each, positive [bits]."""
+
+    vertex: IntArray
+    edge: IntArray
+    bits: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.vertex)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Conflicts:
     """Contradictions.
 
-    extra_b: vertices of b inside corridors of a (extra_b_in: directed rows), undetected there;
-    extra_b_bits: the weight of each, positive; extra_a, extra_a_in, extra_a_bits: the reverse;
-    elsewhere: (k, 2) directed corridors of a and b that leave matched junctions by the same branch
-    and lead to different ones; elsewhere_bits: the weight of one.
+    in_a: vertices of b inside corridors of a; in_b: the reverse; elsewhere: (k, 2) directed
+    corridors of a and b that leave matched junctions by the same branch and lead to different ones;
+    elsewhere_bits: the weight of one.
     """
 
-    extra_b: IntArray
-    extra_b_in: IntArray
-    extra_b_bits: FloatArray
-    extra_a: IntArray
-    extra_a_in: IntArray
-    extra_a_bits: FloatArray
+    in_a: Unseen
+    in_b: Unseen
     elsewhere: IntArray
     elsewhere_bits: float
 
     @property
     def bits(self) -> float:
         """Their total weight, positive."""
-        unseen = float(self.extra_b_bits.sum()) + float(self.extra_a_bits.sum())
+        unseen = float(self.in_a.bits.sum()) + float(self.in_b.bits.sum())
         return unseen + self.elsewhere_bits * len(self.elsewhere)
 
     @property
     def junctions(self) -> float:
         """As how many junctions they weigh: each as its bits, of which `MATCH.junction_bits` are
         one, at most one."""
-        extra = np.concatenate([self.extra_b_bits, self.extra_a_bits]) / MATCH.junction_bits
+        unseen = np.concatenate([self.in_a.bits, self.in_b.bits]) / MATCH.junction_bits
         elsewhere = min(self.elsewhere_bits / MATCH.junction_bits, 1.0)
-        return float(np.minimum(extra, 1.0).sum()) + elsewhere * len(self.elsewhere)
+        return float(np.minimum(unseen, 1.0).sum()) + elsewhere * len(self.elsewhere)
 
     def __len__(self) -> int:
-        return len(self.extra_b) + len(self.extra_a) + len(self.elsewhere)
+        return len(self.in_a) + len(self.in_b) + len(self.elsewhere)
 
-    def at_most(self, most_b: FloatArray, most_a: FloatArray) -> Conflicts:
-        """The same, undetected junctions of either map with bounded weights [bits]."""
-        return replace(
-            self,
-            extra_b_bits=np.minimum(self.extra_b_bits, most_b),
-            extra_a_bits=np.minimum(self.extra_a_bits, most_a),
-        )
+    def at_most(self, in_a: FloatArray, in_b: FloatArray) -> Conflicts:
+        """The same, undetected junctions with bounded weights [bits]."""
+        bounded = ((self.in_a, in_a), (self.in_b, in_b))
+        unseen = [replace(x, bits=np.minimum(x.bits, most)) for x, most in bounded]
+        return replace(self, in_a=unseen[0], in_b=unseen[1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,15 +101,13 @@ class Contradiction:
 
 def one_by_one(found: Conflicts, a: Prepared, b: Prepared) -> list[Contradiction]:
     """All contradictions of a match, undetected junctions first."""
-    extra_b = zip(
-        found.extra_b.tolist(), found.extra_b_in.tolist(), found.extra_b_bits, strict=True
-    )
-    extra_a = zip(
-        found.extra_a.tolist(), found.extra_a_in.tolist(), found.extra_a_bits, strict=True
-    )
+
+    def rows(x: Unseen) -> Iterator[tuple[int, int, float]]:
+        return zip(x.vertex.tolist(), x.edge.tolist(), x.bits.tolist(), strict=True)
+
     return [
-        *(Contradiction("unseen", _ends(a, row), (v,), float(bits)) for v, row, bits in extra_b),
-        *(Contradiction("unseen", (v,), _ends(b, row), float(bits)) for v, row, bits in extra_a),
+        *(Contradiction("unseen", _ends(a, e), (v,), bits) for v, e, bits in rows(found.in_a)),
+        *(Contradiction("unseen", (v,), _ends(b, e), bits) for v, e, bits in rows(found.in_b)),
         *(
             Contradiction("elsewhere", _ends(a, row_a), _ends(b, row_b), found.elsewhere_bits)
             for row_a, row_b in found.elsewhere.tolist()
@@ -114,25 +119,32 @@ def _ends(m: Prepared, row: int) -> tuple[int, int]:
     return int(m.tail[row]), int(m.head[row])
 
 
-_NONE, _FREE = np.zeros(0, np.int64), np.zeros(0)
-_NO_PAIRS = np.zeros((0, 2), np.int64)
-NO_CONFLICTS = Conflicts(_NONE, _NONE, _FREE, _NONE, _NONE, _FREE, _NO_PAIRS, 0.0)
+_NONE = Unseen(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0))
+NO_CONFLICTS = Conflicts(_NONE, _NONE, np.zeros((0, 2), np.int64), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Unseen:
-    """Vertices of one map in directed corridors (edges) of the other, numbered as in the atlases,
-    with their lanes and weights [bits]; sorted by lane."""
+class _Found:
+    """Vertices inside corridors of all lanes, numbered as in the atlases, as `Unseen`; sorted by
+    lane."""
 
     lane: IntArray
     vertex: IntArray
     edge: IntArray
     bits: FloatArray
 
-    @property
-    def weighty(self) -> _Unseen:
-        """Those with a weight above 0."""
-        return take(self, self.bits.nonzero()[0])
+    def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> Callable[[int], Unseen]:
+        """Gives those of a lane with a weight above 0, as its maps number them; first_vertex,
+        first_edge: (l,) first rows of its two maps."""
+        own = take(self, self.bits.nonzero()[0])
+        first = cuts(own.lane, len(first_vertex))
+        vertex, edge = own.vertex - first_vertex[own.lane], own.edge - first_edge[own.lane]
+
+        def of(lane: int) -> Unseen:
+            rows = slice(first[lane], first[lane + 1])
+            return Unseen(vertex[rows], edge[rows], own.bits[rows])
+
+        return of
 
 
 def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
@@ -145,32 +157,19 @@ def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
     near = (grown.support_m < MATCH.near_m) & searched[lanes.lane]
     extra_b, extra_a = _extra_b(grown, near), _extra_a(grown, near)
     lane, leave_a, leave_b = _elsewhere(grown, searched, extra_b, extra_a)
-    extra_b, extra_a = extra_b.weighty, extra_a.weighty
     corridor_a, corridor_b = lanes.a.corridor[lanes.of_a], lanes.b.corridor[lanes.of_b]
-    vertex_a, vertex_b = lanes.a.vertex[lanes.of_a], lanes.b.vertex[lanes.of_b]
-    own_b, in_a = extra_b.vertex - vertex_b[extra_b.lane], extra_b.edge - corridor_a[extra_b.lane]
-    own_a, in_b = extra_a.vertex - vertex_a[extra_a.lane], extra_a.edge - corridor_b[extra_a.lane]
+    in_a = extra_b.by_lane(lanes.b.vertex[lanes.of_b], corridor_a)
+    in_b = extra_a.by_lane(lanes.a.vertex[lanes.of_a], corridor_b)
     rows = np.column_stack([leave_a - corridor_a[lane], leave_b - corridor_b[lane]])
-    weight = _elsewhere_bits(grown).tolist()
-    firsts = [cuts(found, len(lanes)) for found in (extra_b.lane, extra_a.lane, lane)]
+    weight, first = _elsewhere_bits(grown).tolist(), cuts(lane, len(lanes))
     out = [NO_CONFLICTS] * len(lanes)
     for k in searched.nonzero()[0].tolist():
-        of_b, of_a, far = (slice(first[k], first[k + 1]) for first in firsts)
-        out[k] = Conflicts(
-            extra_b=own_b[of_b],
-            extra_b_in=in_a[of_b],
-            extra_b_bits=extra_b.bits[of_b],
-            extra_a=own_a[of_a],
-            extra_a_in=in_b[of_a],
-            extra_a_bits=extra_a.bits[of_a],
-            elsewhere=rows[far],
-            elsewhere_bits=weight[k],
-        )
+        out[k] = Conflicts(in_a(k), in_b(k), rows[first[k] : first[k + 1]], weight[k])
     return out
 
 
 def _elsewhere(
-    grown: Grown, searched: BoolArray, extra_b: _Unseen, extra_a: _Unseen
+    grown: Grown, searched: BoolArray, extra_b: _Found, extra_a: _Found
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Corridors that leave matched junctions by one branch and lead to different ones, not
     explained by a junction inside them: lane, directed rows of both maps."""
@@ -264,7 +263,7 @@ def _never_shown(
     return np.asarray(bend & ~blind[0].shows_bends[blind[1]])
 
 
-def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
+def _extra_b(grown: Grown, near: BoolArray) -> _Found:
     """Unmatched vertices of b well inside corridors of a."""
     lanes, a = grown.lanes, grown.lanes.a.whole
     alone = near.copy()
@@ -282,10 +281,10 @@ def _extra_b(grown: Grown, near: BoolArray) -> _Unseen:
     inside = (across < MATCH.gate_m) & (lanes.nearest(where, lane, farthest)[0] > off_end)
     vertex, edge, lane = lanes.vertex[lone[inside]], a.points.edge[point[inside]], lane[inside]
     bits = _weight((lanes.a, lanes.of_a[lane]), edge, (lanes.b, lanes.of_b[lane]), vertex)
-    return _Unseen(lane, vertex, edge, bits)
+    return _Found(lane, vertex, edge, bits)
 
 
-def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
+def _extra_a(grown: Grown, near: BoolArray) -> _Found:
     """Unmatched vertices of a beside points of b's corridors."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     lane, rows = lanes.rows_of(lanes.b.point)
@@ -308,4 +307,4 @@ def _extra_a(grown: Grown, near: BoolArray) -> _Unseen:
     first = np.unique(slot[hit], return_index=True)[1]
     lane, extra, edge = lane[hit][first], vertex[hit][first], b.points.edge[rows[hit][first]]
     bits = _weight((lanes.b, lanes.of_b[lane]), edge, (lanes.a, lanes.of_a[lane]), extra)
-    return _Unseen(lane, extra, edge, bits)
+    return _Found(lane, extra, edge, bits)

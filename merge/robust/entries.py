@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...topology.arrays import IntArray
 from ...topology.digits import BITS, rounded
+from ...topology.matching.likelihood import LIKELIHOOD
+from ...topology.passes import NO_BRANCH
+from ...topology.se2 import wrap
 from ...topology.wording import counted
-from ..discards import REASON
-from ..locks import Lock
+from ..locks import DISCARDED, Lock
 from ..result import AcceptedBy, Alignment, PairVerdict, Verdict
-from .advice import advice
 from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
 from .conflicts import one_by_one
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import DOUBTS, Answers, Assessment, counted_bits
+from .verdict import DOUBTS, Assessment, Weighed, counted_bits
 from .view_ties import view_ties
-from .wording import nothing, summary
+from .wording import evidence, summary
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
@@ -46,27 +48,22 @@ class Case:
     def verdict(self) -> PairVerdict:
         """The verdict on the pair. Locks come first, then the consistency of the component, then
         the pair's own evidence, then that of other runs."""
-        lock, evidence = self.lock, self._evidence()
+        lock, found = self.lock, self._evidence()
         if lock is not None and lock.decision == "never":
-            reason = f"locked apart by a person; {MAPS_ALONE} {evidence}"
+            reason = f"locked apart by a person; {MAPS_ALONE} {found}"
             return self._not_joined(Verdict.UNRELATED, reason)
         if lock is not None and self.forced is None and self.reunion is None:
             return self._dishonoured(lock)
         if self.refused is not None:
-            reason = f"{evidence}; but {self.refused.reason}"
+            reason = f"{found}; but {self.refused.reason}"
             if lock is not None:
-                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {evidence}"
+                reason = f"locked as the same, but {self.refused.reason}; {MAPS_ALONE} {found}"
             return self._not_joined(Verdict.AMBIGUOUS, reason)
         return self._by_evidence()
 
     def _evidence(self) -> str:
         """The evidence of the two maps alone, as a clause."""
-        assessment = self.assessment
-        if assessment.discarded:
-            return REASON
-        if assessment.best is None:
-            return nothing(assessment.faint, assessment.need_bits)
-        return summary(assessment.best, assessment.bits, assessment.need_bits, assessment.margin)
+        return DISCARDED if self.assessment.discarded else evidence(self.assessment)
 
     def _dishonoured(self, lock: Lock) -> PairVerdict:
         """The verdict where a lock as the same is infeasible: no alignment satisfies it."""
@@ -100,88 +97,101 @@ class Case:
         if own.verdict is Verdict.MERGED and best is not None:
             return self._accepted(best, by="pair")
         if self.reunion is not None:
-            found = (self.reunion.alignment, None, self.reunion.assessment.margin)
-            return self._joined(self.reunion.reason, found, by="components")
+            both = self.reunion.assessment
+            return self._pair(
+                both,
+                verdict=Verdict.MERGED,
+                reason=self.reunion.reason,
+                best=self.reunion.alignment,
+                margin_bits=both.margin,
+                accepted_by="components",
+                together=self.reunion.sides,
+            )
         if self.corroborated is not None:
             reason = "joined with the help of other runs, which place the two in the same way: {}"
             return self._accepted(self.corroborated, by="runs", reason=reason)
-        evidence = self._evidence()
-        return self._not_joined(own.verdict, f"{evidence}; {own.why}" if own.why else evidence)
+        found = self._evidence()
+        return self._not_joined(own.verdict, f"{found}; {own.why}" if own.why else found)
 
     def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
         replaces the braces in the reason."""
         best = self._alignment(chosen)
-        others = (c for c, _ in self.assessment.ranked if not same_placement(c, chosen, self.b))
+        ranked = (w.candidate for w in self.assessment.ranked)
+        others = (c for c in ranked if not same_placement(c, chosen, self.b))
         second = next(map(self._alignment, others), None)
         bits = best.evidence_bits
         margin = None if second is None else bits - second.evidence_bits
-        text = reason.format(summary(chosen, bits, self.assessment.need_bits, margin))
-        return self._joined(text, (best, second, margin), by=by)
+        return self._pair(
+            self.assessment,
+            verdict=Verdict.MERGED,
+            reason=reason.format(summary(chosen, bits, self.assessment.need_bits, margin)),
+            best=best,
+            runner_up=second,
+            margin_bits=margin,
+            accepted_by=by,
+        )
 
     def _alignment(self, c: Candidate) -> Alignment:
         """A candidate with the evidence that the assessment gives it, if it has it."""
-        known = zip(self.assessment.ranked, self.assessment.answers, strict=True)
-        answers = next((found for (other, _), found in known if same_matches(other, c)), None)
-        return alignment_of(c, self.a, self.b, answers)
-
-    def _joined(
-        self,
-        reason: str,
-        found: tuple[Alignment, Alignment | None, float | None],
-        *,
-        by: AcceptedBy,
-    ) -> PairVerdict:
-        """found: the alignment that joins the two, the next best one, the margin [bits]."""
-        best, runner_up, margin = found
-        reunion = self.reunion if by == "components" else None
-        assessment = self.assessment if reunion is None else reunion.assessment
-        return PairVerdict(
-            a=self.a.run,
-            b=self.b.run,
-            verdict=Verdict.MERGED,
-            accepted=True,
-            evidence_bits=best.evidence_bits,
-            threshold_bits=assessment.need_bits,
-            reason=reason,
-            best=best,
-            runner_up=runner_up,
-            margin_bits=margin,
-            accepted_by=by,
-            together=None if reunion is None else reunion.sides,
-            locked=None if self.lock is None else self.lock.decision,
-            lead_needed_bits=assessment.lead_bits,
-            extra=_extra(assessment),
-        )
+        known = (w for w in self.assessment.ranked if same_matches(w.candidate, c))
+        return alignment_of(c, self.a, self.b, next(known, None))
 
     def _not_joined(
         self, verdict: Verdict, reason: str, settling: str | None = None
     ) -> PairVerdict:
         """settling: what would settle an ambiguous pair, if that is not another recording."""
         assessment = self.assessment
-        shown = [self._alignment(c) for c, _ in assessment.ranked[:2]]
+        shown = (assessment.best, assessment.runner_up)
+        best, second = (None if c is None else self._alignment(c) for c in shown)
         if self.refused is not None:
             settling = self.refused.advice
         if verdict is not Verdict.AMBIGUOUS:
             settling = None
         elif settling is None:
             settling = advice(self.a, self.b, assessment)
-        return PairVerdict(
-            a=self.a.run,
-            b=self.b.run,
+        return self._pair(
+            assessment,
             verdict=verdict,
-            accepted=False,
-            evidence_bits=assessment.bits,
-            threshold_bits=assessment.need_bits,
             reason=reason,
-            best=shown[0] if shown else None,
-            runner_up=shown[1] if len(shown) > 1 else None,
+            best=best,
+            runner_up=second,
             margin_bits=assessment.margin,
             advice=settling,
-            locked=None if self.lock is None else self.lock.decision,
             lacks=assessment.why,
-            lead_needed_bits=assessment.lead_bits if shown else None,
-            extra=_extra(assessment),
+        )
+
+    def _pair(
+        self,
+        by: Assessment,
+        *,
+        verdict: Verdict,
+        reason: str,
+        best: Alignment | None,
+        accepted_by: AcceptedBy | None = None,
+        **more: Any,
+    ) -> PairVerdict:
+        """The verdict, by the assessment of the two maps or of two components."""
+        joined = accepted_by is not None and best is not None
+        extra: dict[str, Any] = {}
+        if by.against_chance > 0:
+            extra["against_chance_bits"] = by.against_chance
+        if by.same_bits is not None:
+            extra["same_place_bits"] = rounded(by.same_bits, BITS)
+        return PairVerdict(
+            self.a.run,
+            self.b.run,
+            verdict,
+            accepted=joined,
+            evidence_bits=best.evidence_bits if joined and best is not None else by.bits,
+            reason=reason,
+            best=best,
+            threshold_bits=by.need_bits,
+            accepted_by=accepted_by,
+            locked=None if self.lock is None else self.lock.decision,
+            lead_needed_bits=None if best is None else by.lead_bits,
+            extra=extra,
+            **more,
         )
 
 
@@ -204,28 +214,87 @@ def doubt(pair: PairVerdict) -> str:
     return "; ".join(found)
 
 
-def _extra(assessment: Assessment) -> dict[str, Any]:
-    """What a document says of an assessment beside its evidence."""
-    out: dict[str, Any] = {}
-    if assessment.against_chance > 0:
-        out["against_chance_bits"] = assessment.against_chance
-    if assessment.same_bits is not None:
-        out["same_place_bits"] = rounded(assessment.same_bits, BITS)
-    return out
-
-
-def alignment_of(c: Candidate, a: Prepared, b: Prepared, answers: Answers | None) -> Alignment:
-    """A candidate as an alignment. answers: its evidence; None if it was not assessed."""
+def alignment_of(
+    c: Candidate, a: Prepared, b: Prepared, weighed: Weighed | None = None
+) -> Alignment:
+    """A candidate as an alignment. weighed: its evidence, if it was assessed."""
     order = np.argsort(c.a, kind="stable")
     against = one_by_one(c.conflicts, a, b)
     return Alignment(
         transform=c.transform,
-        evidence_bits=counted_bits(c) if answers is None else answers.bits,
+        evidence_bits=counted_bits(c) if weighed is None else weighed.bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),
         contradictions=tuple(x.sentence(a.run, b.run) for x in against),
         contradicting=tuple((x.of_a, x.of_b) for x in against),
-        copy_test=None if answers is None else answers.copy_test,
+        copy_test=None if weighed is None else weighed.copy_test,
         ties=view_ties(a, b, c.views),
     )
+
+
+def advice(a: Prepared, b: Prepared, assessment: Assessment) -> str | None:
+    """A sentence that names a corridor to drive: one that leaves a matched junction by a branch
+    seen by both runs and driven by only one.
+
+    Corridors at junctions that the runner-up matches differently are preferred, because they can
+    refute it. None without a placement.
+    """
+    best = assessment.best
+    if best is None:
+        return None
+    options = [
+        *_driven_by_one(a, b, best.a, best.b, best.transform[2]),
+        *_driven_by_one(b, a, best.b, best.a, -best.transform[2]),
+    ]
+    if not options:
+        return (
+            f"record {a.run} or {b.run} again, further along the edge of what both have seen: "
+            "every corridor they share has been driven by both"
+        )
+    second = assessment.runner_up
+    blind = {} if second is None else dict(zip(second.b.tolist(), second.a.tolist(), strict=True))
+
+    def refutes(o: _Option) -> bool:
+        """Whether the runner-up matches the junction with another one."""
+        ours, theirs = (o.vertex, o.other_vertex) if o.known is a else (o.other_vertex, o.vertex)
+        return bool(blind.get(theirs, ours) != ours)
+
+    o = max(options, key=lambda o: (refutes(o), o.length, -o.other_vertex))
+    return (
+        f"record with {o.other.run}'s robot the corridor that {o.known.run} drove from its "
+        f"junction {o.vertex} to {o.end} ({o.length:.1f} m): it leaves junction {o.other_vertex} "
+        f"of {o.other.run}, where that run turned another way"
+    )
+
+
+class _Option(NamedTuple):
+    """A corridor that the run `known` drove from `vertex` to `end`, length in [m], and that the run
+    `other` saw leave its `other_vertex`, matched with `vertex`, and did not drive."""
+
+    known: Prepared
+    vertex: int
+    end: int
+    length: float
+    other: Prepared
+    other_vertex: int
+
+
+def _driven_by_one(
+    known: Prepared, other: Prepared, vk: IntArray, vo: IntArray, turn: float
+) -> list[_Option]:
+    """Corridors of `known` at matched junctions by branches that `other` saw and did not drive."""
+    partner = np.full(len(known), -1)
+    partner[vk] = vo
+    row = ((partner[known.tail] >= 0) & (known.leave != NO_BRANCH)).nonzero()[0]
+    tail = known.tail[row]
+    vertex, theirs = partner[tail], other.heading[partner[tail]]
+    gap = np.abs(wrap(theirs - (known.heading[tail, known.leave[row]] - turn)[:, None]))
+    gap[np.isnan(theirs)] = np.pi  # as far off as can be
+    branch = gap.argmin(axis=1)
+    open_ = (gap.min(axis=1) < LIKELIHOOD.branch_gate_rad) & (other.by_branch[vertex, branch] < 0)
+    columns = (tail, known.head[row], known.length[row], vertex)
+    return [
+        _Option(known, u, end, length, other, v)
+        for u, end, length, v in zip(*(c[open_].tolist() for c in columns), strict=True)
+    ]

@@ -21,9 +21,8 @@ from ...topology.se2 import between, turned
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..decision import Decision, Placement, Requirement, Term
-from ..discards import discarded
 from ..kept import Kept
-from ..locks import Lock, lock_table
+from ..locks import Lock, discarded, lock_table
 from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of
 from ..through import joined_through
 from ..wording import told_bits
@@ -81,22 +80,6 @@ class _Pair:
     merge: Merge
     matcher: Pairwise
 
-    @classmethod
-    def of(cls, merge: Merge, a: str, b: str) -> _Pair:
-        """Two runs of a merge."""
-        maps = merge.read(a), merge.read(b)
-        return cls(merge, Pairwise(maps, merge.settings, Means(kept=merge.kept)))
-
-    @property
-    def a(self) -> Prepared:
-        """The map of the first run."""
-        return self.matcher.prepared[0]
-
-    @property
-    def b(self) -> Prepared:
-        """The map of the second run."""
-        return self.matcher.prepared[1]
-
     def alone(self) -> PairVerdict:
         """The verdict on the two maps by themselves, as one of all pairs of the merge."""
         settings, pairs = self.merge.settings, in_steps(pairs_of(self.merge.runs))
@@ -107,7 +90,8 @@ class _Pair:
     def plain(self) -> tuple[Candidate, ...]:
         """The candidates of the two maps."""
         (beyond,) = self.matcher.candidates(BOTH)
-        return beyond or match(self.a, self.b, self.merge.settings)
+        a, b = self.matcher.prepared
+        return beyond or match(a, b, self.merge.settings)
 
     def candidates(self, verdict: PairVerdict) -> Iterator[Candidate]:
         """All of them, first those that the verdict is about: a pair is merged by itself only
@@ -121,7 +105,8 @@ class _Pair:
             yield from self.plain
         lock = lock_table(self.merge.locks).get((verdict.a, verdict.b))
         if lock is not None and lock.decision == "same":
-            forced = forced_alignment(self.a, self.b, self.plain, lock, self.merge.settings)
+            a, b = self.matcher.prepared
+            forced = forced_alignment(a, b, self.plain, lock, self.merge.settings)
             yield from () if forced is None else (forced,)
 
     def known(self, verdict: PairVerdict, alignment: Alignment) -> Candidate | None:
@@ -130,14 +115,14 @@ class _Pair:
         same = (c for c in self.candidates(verdict) if pairs == {*_matched(c)})
         return next(same, None)
 
-    def stated(self, best: Alignment) -> Placement:
-        """An alignment by the evidence of fused maps, of which the merge states the sum alone. Of
-        maps that changed since, some junctions may be gone."""
-        there = (best.matched < [len(m) for m in self.matcher.maps]).all(axis=1)
-        return Placement(replace(best, matched=best.matched[there]), ())
-
     def placements(self, verdict: PairVerdict) -> Iterator[Placement]:
         """The placement that a verdict refers to, or the best one, and the runner-up."""
+        if verdict.accepted_by == "components" and verdict.best is not None:
+            # Of fused maps; of maps that changed since, some junctions may be gone.
+            matched, sizes = verdict.best.matched, [len(m) for m in self.matcher.maps]
+            there = matched[(matched < sizes).all(axis=1)]
+            yield Placement(replace(verdict.best, matched=there), ())
+            return
         best = None if verdict.verdict is Verdict.UNRELATED else verdict.best
         chosen = None if best is None else self.known(verdict, best)
         chosen = chosen or next(self.candidates(verdict), None)
@@ -149,12 +134,12 @@ class _Pair:
 
     def _placement(self, c: Candidate, stated: Alignment | None) -> Placement:
         """A candidate with its evidence, as far as the document states it."""
-        own = alignment_of(c, self.a, self.b, None)
+        a, b = self.matcher.prepared
+        own = alignment_of(c, a, b)
         tested = None if stated is None else stated.copy_test
         if stated is not None and tested is not None:
             own = replace(own, evidence_bits=stated.evidence_bits, copy_test=tested)
-        terms = _terms(self.a, self.b, c, own.evidence_bits, tested)
-        return Placement(own, terms, c.searched)
+        return Placement(own, _terms(a, b, c, own.evidence_bits, tested), c.searched)
 
 
 def _matched(c: Candidate) -> Iterator[tuple[int, int]]:
@@ -165,22 +150,23 @@ def _matched(c: Candidate) -> Iterator[tuple[int, int]]:
 def explain(merge: Merge, a: str, b: str) -> Decision:
     """Why two runs a < b were merged or not, or would be by their two maps alone. Raises what
     `Merge.read` does."""
-    pair = _Pair.of(merge, a, b)
+    maps = merge.read(a), merge.read(b)
+    pair = _Pair(merge, Pairwise(maps, merge.settings, Means(kept=merge.kept)))
     listed = (a, b) in merge.verdicts
     unlisted = not listed and a in merge.poses and b in merge.poses
     verdict = merge.verdicts[a, b] if listed else pair.alone()
     verdict = _unlisted(merge, verdict) if unlisted else verdict
-    if verdict.accepted_by == "components" and verdict.best is not None:
-        placements: tuple[Placement, ...] = (pair.stated(verdict.best),)
-    else:
-        placements = tuple(pair.placements(verdict))
+    chain = (a, *verdict.through, b) if verdict.through else ()
+    others = bool(chain) and {a, b} <= merge.poses.keys()
     return Decision(
         pair=verdict,
         of_merge=unlisted or listed,
         requirement=_requirement(merge, verdict),
-        placements=placements,
-        by_others=_by_others(merge, verdict),
-        chain=tuple(_chain(merge, verdict)),
+        placements=tuple(pair.placements(verdict)),
+        by_others=between(merge.poses[a], merge.poses[b]) if others else None,
+        chain=tuple(
+            (x, y, merge.verdicts[min(x, y), max(x, y)].evidence_bits) for x, y in pairwise(chain)
+        ),
         why="" if verdict.accepted else verdict.lacks,
         notes=_lock_notes(merge, verdict) if listed and not discarded(verdict) else (),
     )
@@ -206,19 +192,6 @@ def _unlisted(merge: Merge, alone: PairVerdict) -> PairVerdict:
         lacks=alone.lacks,
         extra=alone.extra,
     )
-
-
-def _by_others(merge: Merge, verdict: PairVerdict) -> FloatArray | None:
-    """T_a_b of two runs that only others join."""
-    if not verdict.through or not {verdict.a, verdict.b} <= merge.poses.keys():
-        return None
-    return between(merge.poses[verdict.a], merge.poses[verdict.b])
-
-
-def _chain(merge: Merge, verdict: PairVerdict) -> Iterator[tuple[str, str, float]]:
-    """The merged pairs by which others join a pair."""
-    for a, b in pairwise((verdict.a, *verdict.through, verdict.b) if verdict.through else ()):
-        yield a, b, merge.verdicts[min(a, b), max(a, b)].evidence_bits
 
 
 def _terms(

@@ -8,7 +8,6 @@ rows and tunnels, one map of each mirrored, two were merged without this.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -18,14 +17,10 @@ from ...topology.ragged import Ragged
 from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ...topology.views import NO_VIEWS
-from ..result import Verdict
 from .alignment import Candidate
 from .settings import MATCH
-from .verdict import Assessment
 
-Pair = tuple[int, int]
-
-WHY = "its mirror image fits nearly as well: this may be a copy built the other way round"
+MIRRORED = "its mirror image fits nearly as well: this may be a copy built the other way round"
 
 
 def mirrored(m: TopoMap) -> TopoMap:
@@ -50,22 +45,6 @@ def mirrored(m: TopoMap) -> TopoMap:
         paths=tuple(path * flip for path in m.paths),
         views=NO_VIEWS,
     )
-
-
-def doubt_mirrored(
-    assessments: Mapping[Pair, Assessment], image_bits: Mapping[Pair, float]
-) -> dict[Pair, Assessment]:
-    """The assessments, with "merged" changed to "ambiguous" where the mirror image of the second
-    map fits the first nearly as well as the map itself, or better.
-
-    image_bits: evidence of the best alignment with the mirror image, for pairs that are merged.
-    """
-    out = dict(assessments)
-    for pair, bits in image_bits.items():
-        best = assessments[pair].best
-        if best is not None and fits_as_well(bits, best):
-            out[pair] = replace(assessments[pair], verdict=Verdict.AMBIGUOUS, why=WHY)
-    return out
 
 
 def fits_as_well(image_bits: float, best: Candidate) -> bool:

@@ -1,50 +1,209 @@
 """The pairwise stage: results of earlier merges are looked up, other pairs are matched, here or by
-workers (`tasks`)."""
+workers.
+
+A task is pairs of maps matched by one worker, as a pure function. It names maps by run and content
+digest; the worker reads them. Results come back as bytes, whoever made them, so that one process,
+many, and a cache give the same numbers.
+"""
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
+import scipy
 
 from ...topology.arrays import IntArray
 from ...topology.errors import DataError
 from ...topology.topomap import TopoMap
-from ..kept import Kept, Kind
+from .. import codec
+from ..kept import Kept, Kind, digest_of, digested, program_digest
 from ..workers import Workers
-from .alignment import Candidate
+from .alignment import Candidate, match_all, self_matches
+from .conflicts import Conflicts, Unseen
 from .mirror import mirrored
 from .prepare import Prepared, prepare
-from .settings import RobustSettings
-from .tasks import (
-    TASKS,
-    Maps,
-    MatchTask,
-    Summary,
-    candidates_of,
-    era_of,
-    match_task,
-    matched,
-    tile_order,
-)
+from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
+from .support import Support
+from .verdict import Faint, beyond_chance_bits, faint_of
+from .view_evidence import ViewEvidence
 
 Pair = tuple[int, int]
 T = TypeVar("T")
+
+Ready = Callable[[bytes, bool], Prepared]
+"""Gives the prepared map of a digest, or its mirror image."""
+
+
+ReadMap = Callable[[str], TopoMap]
+"""Reads the map of a run; workers are sent it, and call it."""
+
+
+@dataclass(frozen=True, slots=True)
+class TaskSettings:
+    """How pairs are divided among workers, without influence on the results."""
+
+    tile: int = 16
+    """Maps per side of the tiles in which pairs are taken; a task is at most one tile: a map that
+    is read serves a row of it, and the overhead of a task is small beside a second of work. Even
+    few pairs are divided into as many tasks, for the sake of several workers."""
+    of_views: int = 50
+    """Pairs of maps without views that take as long as one with views: some .1 s of CPU time."""
+    at_hand: int = 256
+    """Maps that a worker caches, and that the index searches at once: some 100 kB each."""
+
+
+TASKS = TaskSettings()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MatchTask:
+    """Pairs to be matched.
+
+    kind: of the records wanted; runs: name and digest of each map; pairs: (k, 2) rows of them;
+    read: gives the maps, if they are not at hand.
+    """
+
+    kind: Kind
+    runs: tuple[tuple[str, bytes], ...]
+    pairs: IntArray
+    settings: RobustSettings
+    read: ReadMap | None = None
+
+
+def tile_order(pairs: IntArray) -> IntArray:
+    """The order in which (k, 2) pairs are taken, tile by tile."""
+    tile = pairs // TASKS.tile
+    return np.lexsort((tile[:, 1], tile[:, 0]))
+
+
+def in_tiles(pairs: IntArray) -> IntArray:
+    """The pairs in that order."""
+    return pairs[tile_order(pairs)]
+
+
+def era_of(settings: RobustSettings) -> bytes:
+    """Digest that changes whenever results may: of the program, the libraries and the settings of
+    matching."""
+    values = asdict(replace(settings, false_merge_rate=DEFAULT_ROBUST.false_merge_rate))
+    program = program_digest("topology", "merge").hex()
+    parts = [program, np.__version__, scipy.__version__, values]
+    text = json.dumps(parts, sort_keys=True)
+    return digested(text.encode())
+
+
+HEAD = struct.Struct("<Idd")
+"""Head of the result of matching two maps: junctions and evidence of the best alignment if none is
+beyond chance, else 0; largest evidence against chance. The candidates follow, if there are any."""
+
+IMAGE = struct.Struct("<d")
+"""The result of matching a map with a mirror image."""
+
+CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, Unseen, ViewEvidence)}
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """The result of matching two maps, in short.
+
+    faint: the best alignment if none is beyond chance; against_chance: largest evidence against
+    chance of any alignment with enough junctions to be merged [bits]; full: whether there are
+    candidates.
+    """
+
+    faint: Faint | None = None
+    against_chance: float = 0.0
+    full: bool = False
+
+    @classmethod
+    def of(cls, data: bytes) -> Summary:
+        """What the bytes of a result say."""
+        junctions, bits, against_chance = HEAD.unpack_from(data)
+        faint = Faint(junctions, bits) if junctions else None
+        return cls(faint, against_chance, len(data) > HEAD.size)
+
+
+def candidates_of(data: bytes) -> tuple[Candidate, ...]:
+    """The candidates in the bytes of a result."""
+    return codec.from_bytes(data[HEAD.size :], CLASSES) if len(data) > HEAD.size else ()
+
+
+def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
+    """What is kept of the candidates of a pair: those beyond chance, or a summary of the best."""
+    odd = tuple(c for c in found if c.bits > MATCH.lead_bits)
+    against_chance = beyond_chance_bits(odd or found, settings)
+    if odd:
+        return HEAD.pack(0, 0.0, against_chance) + codec.to_bytes(odd)
+    faint = faint_of(found) or Faint(0, 0.0)
+    return HEAD.pack(faint.junctions, faint.bits, against_chance)
+
+
+def image_result_of(found: tuple[Candidate, ...]) -> bytes:
+    """What is kept of the candidates of a map and a mirror image: the evidence of the best."""
+    return IMAGE.pack(found[0].bits if found else -np.inf)
+
+
+def image_bits_of(data: bytes) -> float:
+    """The evidence in such a result [bits], -inf without a candidate."""
+    return float(IMAGE.unpack(data)[0])
+
+
+def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
+    """Do a task in a worker process: the worker's era, and the result of each pair."""
+    run_of = {digest: run for run, digest in task.runs}
+
+    def ready(digest: bytes, image: bool) -> Prepared:
+        found = _ready.get((digest, image))
+        if found is None:
+            if len(_ready) >= TASKS.at_hand:
+                _ready.clear()
+            topomap = _as_merged(task.read, run_of[digest], digest)
+            found = prepare(mirrored(topomap) if image else topomap)
+            _ready[digest, image] = found
+        return found
+
+    return era_of(task.settings), match_task(task, ready)
+
+
+_ready: dict[tuple[bytes, bool], Prepared] = {}  # in a worker: maps that the last tasks asked for
+
+
+def _as_merged(read: ReadMap | None, run: str, digest: bytes) -> TopoMap:
+    """The map of a run; DataError if it is not that of the digest."""
+    found = None if read is None else read(run)
+    if found is None or digest_of(found) != digest:
+        raise DataError(f"the map of run {run!r} changed while it was merged; merge again")
+    return found
+
+
+def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
+    """Do a task: the result of each pair."""
+    digests = [digest for _, digest in task.runs]
+    pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
+    if task.kind is Kind.ITSELF:
+        own = self_matches((ready(digest, False) for digest, _ in pairs), task.settings)
+        return [HEAD.pack(0, 0.0, 0.0) + codec.to_bytes(found) for found in own]
+    image = task.kind is Kind.IMAGE
+    both = ((ready(a, False), ready(b, image)) for a, b in pairs)
+    every = match_all(both, task.settings, rivals=task.kind is Kind.RIVALS)
+    return [image_result_of(f) if image else result_of(f, task.settings) for f in every]
 
 
 @dataclass(frozen=True, slots=True)
 class Means:
     """How the pairs of a batch are matched, without influence on the results.
 
-    workers: executors, this process if None; maps: where they find the maps, None to send them
-    along; kept: known results, of the era of the settings; on_pair(done, total): progress, first
-    with what is known already; tell: called with one line of text per event.
+    workers: executors that read the maps by `read`; this process where one of the two is None;
+    kept: known results, of the era of the settings; on_pair(done, total): progress, first with what
+    is known already; tell: called with one line of text per event.
     """
 
     workers: Workers | None = None
-    maps: Maps | None = None
+    read: ReadMap | None = None
     kept: Kept = field(default_factory=Kept)
     on_pair: Callable[[int, int], None] | None = None
     tell: Callable[[str], None] | None = None
@@ -89,11 +248,9 @@ class Pairwise:
 
     def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
         """Evidence of the best alignment with the mirror image of each pair's second map [bits]."""
-        found = self._all(Kind.IMAGE, wanted, Summary.of, reported=True)
+        bits = self._all(Kind.IMAGE, wanted, image_bits_of, reported=True)
         self._images.clear()  # .1 MB a map, and hardly asked for again
-        pairs = ((i, j) for i, j in wanted.tolist())
-        bits = (-np.inf if s.faint is None else s.faint.bits for s in found)
-        return dict(zip(pairs, bits, strict=True))
+        return dict(zip(map(tuple, wanted.tolist()), bits, strict=True))
 
     def _all(
         self, kind: Kind, wanted: IntArray, read: Callable[[bytes], T], *, reported: bool = False
@@ -128,7 +285,7 @@ class Pairwise:
     ) -> Iterator[tuple[list[int], list[bytes]]]:
         """New results: positions of pairs, and the result of each."""
         tasks = list(self._tasks(kind, wanted, missing))
-        workers = self.means.workers
+        workers = None if self.means.read is None else self.means.workers
         if workers is None or len(tasks) < 2 or self._work(wanted[missing]) < workers.worth:
             yield from ((at, match_task(task, self._ready)) for at, task in tasks)
             return
@@ -160,7 +317,6 @@ class Pairwise:
         """The missing pairs tile by tile, with their positions."""
         order = missing[tile_order(wanted[missing])]
         size = min(TASKS.tile**2, max(-(-len(order) // TASKS.tile), 1))
-        here = self.means.maps is not None or self.means.workers is None
         for start in range(0, len(order), size):
             places = order[start : start + size]
             maps, rows = np.unique(wanted[places], return_inverse=True)
@@ -169,7 +325,6 @@ class Pairwise:
                 runs=tuple((self.maps[k].run, self.digests[k]) for k in maps.tolist()),
                 pairs=rows.reshape(-1, 2),
                 settings=self.settings,
-                maps=self.means.maps,
-                sent={} if here else {self.digests[k]: self.maps[k] for k in maps.tolist()},
+                read=self.means.read,
             )
             yield places.tolist(), task

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.digits import METRES
@@ -12,15 +13,59 @@ from ...topology.matching.branches import unit_headings
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
 from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
+from ...topology.ragged import numbered
 from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import NO_VIEWS, Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
-from .corridor_points import CorridorPoints, corridor_shapes
-from .nearest_neighbours import NearestNeighbours
 from .settings import MATCH
 
 LEAST_M = 10.0**-METRES
 """Lower bound of 1 sigma of a length: the precision of documents."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NearestNeighbours:
+    """A search structure for points z (n,), x + iy: a matrix for exhaustive search and a tree."""
+
+    z: ComplexArray
+    centre: complex
+    across: FloatArray
+    half: FloatArray
+    tree: cKDTree | None
+
+    @classmethod
+    def of(cls, z: ComplexArray) -> NearestNeighbours:
+        """Build the structure. O(n log n)."""
+        centre = complex(z.mean()) if len(z) else 0j
+        points = _points(z - centre)
+        half = (points * points).sum(axis=1) / 2
+        tree = cKDTree(points) if len(z) else None
+        return cls(z, centre, np.ascontiguousarray(points.T), half, tree)
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+    def nearest(self, where: ComplexArray, within_m: float) -> tuple[FloatArray, IntArray]:
+        """(k,) each: distances of `where` (k,) to the nearest points, and their indices.
+
+        For queries without a point within `within_m` the distance is only known to be larger, and
+        the index may be out of range.
+        """
+        if self.tree is None:
+            return np.full(len(where), np.inf), np.zeros(len(where), np.int64)
+        moved = where - self.centre
+        if len(where) * len(self.z) > MATCH.most_pairs:
+            gap, index = self.tree.query(_points(moved), distance_upper_bound=within_m)
+            return np.asarray(gap), np.asarray(index)
+        # Nearest is where |w - z|² = |w|² - 2 (w · z - |z|² / 2) is least.
+        score = _points(moved) @ self.across
+        score -= self.half
+        index = score.argmax(axis=1)
+        return np.abs(where - self.z[index]), index
+
+
+def _points(z: ComplexArray) -> FloatArray:
+    return np.ascontiguousarray(z).view(np.float64).reshape(-1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -73,6 +118,28 @@ class CorridorsByEnds:
             return np.zeros(len(key), np.int64), np.zeros(len(key), np.bool_)
         at = np.minimum(self.key.searchsorted(key), len(self.key) - 1)
         return self.row[at], self.key[at] == key
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorridorPoints:
+    """r points along corridors, about `MATCH.clear_m` apart and as far from their ends.
+
+    z: (r,) x + iy [m]; direction: (r,) tangents as unit numbers; edge: (r,) row of the directed
+    corridor, from source to target of its edge; tail, head: (r,) vertices that it leads from and
+    to; share: (r,) projection on the chord, 0 at the tail … 1 at the head; end_m: (r,) distance
+    from the nearer end [m].
+    """
+
+    z: ComplexArray
+    direction: ComplexArray
+    edge: IntArray
+    tail: IntArray
+    head: IntArray
+    share: FloatArray
+    end_m: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.z)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +236,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     length, angle = np.abs(chord), np.angle(chord)
     traversals = np.tile(np.maximum(m.traversals[rows], 1), 2)
     variance = _length_variance(m.noise, length, traversals, observations[tail], observations[head])
-    sagitta, points = corridor_shapes(m, rows, z)
+    sagitta, points = _corridor_shapes(m, rows, z)
     offset = branch_offsets(heading, count, tail, leave, angle)
     near_masks = sector_masks(offset)
     mask = near_masks[0]
@@ -222,6 +289,58 @@ def prepare(topomap: TopoMap) -> Prepared:
         nearest_point=NearestNeighbours.of(points.z),
         views=m.views,
     )
+
+
+def _corridor_shapes(
+    m: TopoMap, rows: IntArray, z: ComplexArray
+) -> tuple[FloatArray, CorridorPoints]:
+    """Sagitta [m] of every directed corridor, and points along the corridors.
+
+    rows: (c,) edges of the map in use; z: (n,) vertices, x + iy [m]. The 2 c directed corridors are
+    these edges from source to target, then from target to source. All polylines are concatenated
+    and resampled by one interpolation over the arc length.
+    """
+    if len(rows) == 0:
+        none, rows_, numbers = np.zeros(0, np.complex128), np.zeros(0, np.int64), np.zeros(0)
+        return numbers, CorridorPoints(none, none, rows_, rows_, rows_, numbers, numbers)
+    tail, head = m.source[rows], m.target[rows]
+    paths = [m.paths[r] for r in rows.tolist()]
+    size = np.array([len(path) for path in paths])
+    flat = np.concatenate(paths)
+    line = flat[:, 0] + 1j * flat[:, 1]
+    first = np.concatenate([[0], np.cumsum(size)[:-1]])
+    step = np.abs(np.diff(line, prepend=line[:1]))
+    step[first] = 0.0
+    arc = np.cumsum(step)
+    start, end = arc[first], arc[first + size - 1]
+    # A strictly increasing abscissa for np.interp: consecutive polylines are 1e-6 apart.
+    at = arc + np.repeat(np.arange(len(rows)), size) * 1e-6
+    shift = np.arange(len(rows)) * 1e-6
+
+    def point(s: FloatArray) -> ComplexArray:
+        return np.asarray(np.interp(s, at, line.real) + 1j * np.interp(s, at, line.imag))
+
+    chord = z[head] - z[tail]
+    unit = chord / np.abs(chord)
+    middle = point((start + end) / 2 + shift)
+    bow = ((middle - (z[tail] + z[head]) / 2) * unit.conj()).imag
+    inner = np.maximum(end - start - 2 * MATCH.clear_m, 0.0)
+    pieces = np.ceil(inner / MATCH.clear_m).astype(np.int64)
+    owner, nth = numbered(pieces)
+    s = (start + shift)[owner] + MATCH.clear_m + (nth + 0.5) / pieces[owner] * inner[owner]
+    tangent = point(s + MATCH.clear_m / 2) - point(s - MATCH.clear_m / 2)
+    tangent = tangent / np.maximum(np.abs(tangent), 1e-9)
+    at_tail, at_head, where = z[tail[owner]], z[head[owner]], point(s)
+    points = CorridorPoints(
+        z=where,
+        direction=tangent,
+        edge=owner,
+        tail=tail[owner],
+        head=head[owner],
+        share=np.clip(((where - at_tail) / chord[owner]).real, 0.0, 1.0),
+        end_m=np.minimum(np.abs(where - at_tail), np.abs(where - at_head)),
+    )
+    return np.concatenate([bow, -bow]), points
 
 
 def _by_branch(shape: tuple[int, ...], tail: IntArray, leave: IntArray) -> IntArray:

@@ -9,20 +9,172 @@ without implied pairs, Shaffer: JASA 81, 1986).
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
 
 import numpy as np
 
+from ...topology.columns import joined, take
+from ...topology.topomap import RunNoise, TopoMap
+from ...topology.views import NO_VIEWS, Views
 from ...topology.wording import listed
-from ..result import Alignment, Verdict, pairs_of
-from .alignment import laid_over
+from ..component_map import component_map
+from ..fusion.fuse import component_digest, fuse
+from ..kept import Kept, Kind
+from ..result import (
+    Alignment,
+    Component,
+    FusedMap,
+    MergeResult,
+    PairVerdict,
+    Verdict,
+    fused_confidence,
+    pairs_of,
+    site_views,
+)
+from .alignment import Candidate, laid_over, match
 from .components import Components
-from .merged_maps import MergedMap, MergedMaps, Runs
-from .mirror import fits_as_well
-from .pairing import Pair, Pairwise
+from .mirror import fits_as_well, mirrored
+from .pairing import Pair, Pairwise, candidates_of, image_bits_of, image_result_of, result_of
+from .prepare import Prepared, prepare
+from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
-from .wording import summary
+from .wording import evidence
+
+Runs = tuple[int, ...]
+
+
+class MergedMap:
+    """The merged map of some runs, made on first access. inside: the verdicts that join them."""
+
+    def __init__(
+        self, runs: Runs, own: Sequence[TopoMap], inside: Sequence[PairVerdict], kept: Kept
+    ) -> None:
+        self.runs = runs
+        self.maps = dict(zip(runs, own, strict=True))
+        self._inside = inside
+        self._kept = kept
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The names of its runs."""
+        return tuple(m.run for m in self.maps.values())
+
+    @cached_property
+    def digest(self) -> bytes:
+        """Digest of all that it follows from."""
+        return component_digest(list(self.maps.values()), self._inside, self._kept)
+
+    @cached_property
+    def _fused(self) -> tuple[Component, FusedMap]:
+        """The runs as one component, and their fused map."""
+        (component,), fused = fuse(list(self.maps.values()), self._inside, kept=self._kept)
+        return component, fused
+
+    @cached_property
+    def members(self) -> Sequence[Mapping[str, tuple[int, ...]]]:
+        """For each vertex, the vertices of the runs behind it."""
+        if len(self.runs) > 1:
+            return self._fused[1].members
+        (alone,) = self.maps.values()
+        return tuple({alone.run: (v,)} for v in range(len(alone)))
+
+    @cached_property
+    def as_map(self) -> TopoMap:
+        """As the map of one run that saw everything."""
+        own = list(self.maps.values())
+        return own[0] if len(own) == 1 else _as_map(*self._fused, own)
+
+    @cached_property
+    def prepared(self) -> Prepared:
+        """Prepared for matching."""
+        return prepare(self.as_map)
+
+
+class MergedMaps:
+    """The merged maps of groups of runs of a batch, and what matching them finds."""
+
+    def __init__(self, matcher: Pairwise) -> None:
+        self._matcher = matcher
+        self._kept = matcher.means.kept
+        self._made: dict[Runs, MergedMap] = {}
+
+    def of(self, runs: Runs, accepted: Mapping[Pair, Alignment]) -> MergedMap:
+        """The merged map of some runs, sorted, by the accepted alignments between them, which stay
+        the same as long as the runs do."""
+        if runs not in self._made:
+            maps, inside = self._matcher.maps, []
+            for i, j in _inside(runs, accepted):
+                best = accepted[i, j]
+                bits, names = float(len(best.matched)), (maps[i].run, maps[j].run)
+                inside.append(PairVerdict(*names, Verdict.MERGED, True, bits, "", best=best))
+            made = MergedMap(runs, [maps[i] for i in runs], inside, self._kept)
+            if len(runs) == 1:
+                made.prepared = self._matcher.prepared[runs[0]]
+            self._made[runs] = made
+        return self._made[runs]
+
+    def candidates(self, one: MergedMap, two: MergedMap) -> tuple[Candidate, ...]:
+        """The candidates of two of them that are beyond chance."""
+        settings = self._matcher.settings
+
+        def found() -> bytes:
+            return result_of(match(one.prepared, two.prepared, settings, rivals=True), settings)
+
+        return candidates_of(self._kept.result(Kind.RIVALS, (one.digest, two.digest), found))
+
+    def image_bits(self, one: MergedMap, two: MergedMap) -> float:
+        """Evidence of the best alignment of the first with the mirror image of the second
+        [bits]."""
+
+        def found() -> bytes:
+            image = prepare(mirrored(two.as_map))
+            return image_result_of(match(one.prepared, image, self._matcher.settings))
+
+        return image_bits_of(self._kept.result(Kind.IMAGE, (one.digest, two.digest), found))
+
+
+def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
+    """The accepted pairs of some sorted runs, in order, by the shorter of two searches."""
+    if len(runs) ** 2 < len(accepted):
+        return (pair for pair in combinations(runs, 2) if pair in accepted)
+    those = set(runs)
+    return (pair for pair in sorted(accepted) if those.issuperset(pair))
+
+
+def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
+    """A fused map as the map of one run that saw everything, with the noise of the worst run."""
+    maps = {m.run: m for m in own}
+    fields = RunNoise.__dataclass_fields__
+    noise = RunNoise(**{name: max(getattr(m.noise, name) for m in own) for name in fields})
+    whole = component_map(MergeResult((component,), fused, ()), component.id, "+".join(maps))
+    return replace(
+        whole,
+        noise=noise,
+        shows_bends=any(m.shows_bends for m in own),
+        confidence=fused_confidence(fused.members, maps),
+        views=_thinned(site_views(fused, component, maps)),
+    )
+
+
+VIEWS_APART_M = 2.0
+"""Views of a merged map are as far apart at least: those of a run are 3 m apart, so that what one
+run has left out another may fill in, and no place counts for each of its runs."""
+
+
+def _thinned(views: Sequence[Views]) -> Views:
+    """Views of several runs as those of one: each is `VIEWS_APART_M` from all before it that are
+    kept."""
+    if not views:
+        return NO_VIEWS
+    every = joined(views)
+    xy = every.pose[:, :2]
+    kept = np.zeros(len(xy), np.bool_)
+    for k, at in enumerate(xy):
+        kept[k] = not np.any(np.hypot(*(xy[:k][kept[:k]] - at).T) < VIEWS_APART_M)
+    return take(every, kept)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,11 +207,9 @@ class _Match:
     def reunions(self) -> Iterator[tuple[Pair, Reunion]]:
         """What it says of pairs of runs."""
         known, best = {**self.one.maps, **self.two.maps}, self.assessment
-        assert best.best is not None
         for pair, alignment in self.links.items():
             others = sorted(m.run for k, m in known.items() if k not in pair)
-            evidence = summary(best.best, best.bits, best.need_bits, best.margin)
-            reason = f"together with {listed(others, 4)}: {evidence}"
+            reason = f"together with {listed(others, 4)}: {evidence(best)}"
             yield pair, Reunion(alignment, reason, best, (self.one.names, self.two.names))
 
 
@@ -76,15 +226,14 @@ class Rematcher:
     matcher: Pairwise
     components: Components
     undecided: Sequence[Pair]
-    threshold: Callable[[Sequence[int], int], Threshold]
+    threshold: ThresholdOf
     discarded: Collection[Pair] = ()
     unmet: Mapping[Pair, tuple[int, int]] = field(default_factory=dict)
     _merged: MergedMaps = field(init=False)
     _known: dict[tuple[Sides, Threshold], _Match | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        kept = self.matcher.means.kept
-        self._merged = MergedMaps(self.matcher.maps, kept, self.matcher.prepared)
+        self._merged = MergedMaps(self.matcher)
 
     def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
         """The pairs joined by their components; joined: the alignments of the pairs joined
@@ -135,8 +284,7 @@ class Rematcher:
         cases = []
         for (x, y), threshold in fresh:
             one, two = self._merged.of(x, accepted), self._merged.of(y, accepted)
-            candidates = self._merged.matched(one, two, self.matcher.settings)
-            cases.append((one, two, candidates, threshold))
+            cases.append((one, two, self._merged.candidates(one, two), threshold))
         assessed = assess_all([(one.prepared, two.prepared, c, t) for one, two, c, t in cases])
         for key, (one, two, *_), assessment in zip(fresh, cases, assessed, strict=True):
             self._known[key] = self._match(one, two, assessment)
@@ -148,7 +296,7 @@ class Rematcher:
         if assessment.verdict is not Verdict.MERGED or assessment.best is None:
             return None
         links = _links(one, two, assessment)
-        image_bits = self._merged.image_bits(one, two, self.matcher.settings) if links else np.inf
+        image_bits = self._merged.image_bits(one, two) if links else np.inf
         if fits_as_well(image_bits, assessment.best):
             return None
         for (i, j), at in self.unmet.items():
@@ -182,6 +330,6 @@ def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alig
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
         transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
-        corridors, tested = len(best.corridors), found.answers[0].copy_test
+        corridors, tested = len(best.corridors), found.ranked[0].copy_test
         out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=tested)
     return out

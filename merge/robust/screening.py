@@ -18,9 +18,9 @@ from ...topology.se2 import wrap
 from ..result import pairs_of
 from .branch_patterns import LENGTH_SCALE
 from .links import link_components, windows
+from .pairing import TASKS
 from .prepare import Prepared, length_bits
 from .settings import MATCH, RobustSettings
-from .tasks import TASKS
 from .verdict import needed_bits
 
 

@@ -33,15 +33,6 @@ SHARE_DIGITS = 4
 
 
 @dataclass(frozen=True, slots=True)
-class PairCount:
-    """Pairs of runs in a batch: all, and those with an alignment that chance does not explain. Only
-    the latter can be merged wrongly because they are copies."""
-
-    all: int
-    beyond: int
-
-
-@dataclass(frozen=True, slots=True)
 class Threshold:
     """The evidence that a pair must reach.
 
@@ -81,24 +72,26 @@ class Threshold:
         return 0.0 if by_junctions else c.views.repeated
 
 
-@dataclass(frozen=True, slots=True)
-class Answers:
-    """The evidence of a placement for the two questions (chance? a copy?), and their combination,
-    in bits.
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """A placement better than chance with its evidence for the two questions (chance? a copy?), in
+    bits.
 
-    need: the threshold against chance. against_chance: evidence for minus evidence against;
-    carried: the same with the agreement bounded by the number of junctions (`counted_bits`).
-    repetition: 0 to 1, how likely it is a copy by its size and the building; same_place: evidence
-    that it is the place itself and not a copy, None if not tested; need_same: the threshold of
-    that.
+    need: the threshold against chance. repetition: 0 to 1, how likely it is a copy by its size and
+    the building; same_place: evidence that it is the place itself and not a copy, None if not
+    tested; need_same: the threshold of that.
     """
 
+    candidate: Candidate
     need: float
-    against_chance: float
-    carried: float
     repetition: float = 0.0
     same_place: float | None = None
     need_same: float = 0.0
+
+    @property
+    def carried(self) -> float:
+        """The answer to the first question: `counted_bits`."""
+        return counted_bits(self.candidate)
 
     @property
     def bits(self) -> float:
@@ -140,17 +133,15 @@ def faint_of(candidates: Sequence[Candidate]) -> Faint | None:
 class Assessment:
     """The assessment of two maps by themselves, without locks and other runs.
 
-    need_bits: the threshold. ranked: placements better than chance, best first, each with its
-    evidence; answers: of which the evidence of each consists; lead_bits: required lead of the best
-    one. why: what was missing for merging, "" if merged; faint: the best alignment if none is
-    better than chance; against_chance: `beyond_chance_bits`; discarded: whether the match was
-    discarded by the user.
+    need_bits: the threshold. ranked: placements better than chance, best first; lead_bits: required
+    lead of the best one. why: what was missing for merging, "" if merged; faint: the best alignment
+    if none is better than chance; against_chance: `beyond_chance_bits`; discarded: whether the
+    match was discarded by the user.
     """
 
     verdict: Verdict
     need_bits: float
-    ranked: tuple[tuple[Candidate, float], ...] = ()
-    answers: tuple[Answers, ...] = ()
+    ranked: tuple[Weighed, ...] = ()
     why: str = ""
     faint: Faint | None = None
     against_chance: float = 0.0
@@ -160,45 +151,47 @@ class Assessment:
     @property
     def best(self) -> Candidate | None:
         """The placement that the verdict refers to, if any is beyond chance."""
-        return self.ranked[0][0] if self.ranked else None
+        return self.ranked[0].candidate if self.ranked else None
 
     @property
     def bits(self) -> float:
         """The evidence for the best placement; 0 if no placement was found at all."""
         if self.ranked:
-            return self.ranked[0][1]
+            return self.ranked[0].bits
         return 0.0 if self.faint is None else self.faint.bits
 
     @property
     def same_bits(self) -> float | None:
         """Evidence that the best placement is not a copy, None if not tested."""
-        return self.answers[0].same_place if self.answers else None
+        return self.ranked[0].same_place if self.ranked else None
 
     @property
     def runner_up(self) -> Candidate | None:
         """The next best placement, if there is one beyond chance."""
-        return self.ranked[1][0] if len(self.ranked) > 1 else None
+        return self.ranked[1].candidate if len(self.ranked) > 1 else None
 
     @property
     def margin(self) -> float | None:
         """The lead over the runner-up [bits], if there is one."""
         if len(self.ranked) < 2:
             return None
-        return max(self.ranked[0][1] - self.ranked[1][1], 0.0)  # less is rounding
+        return max(self.ranked[0].bits - self.ranked[1].bits, 0.0)  # less is rounding
 
 
 def threshold_for(
-    count: PairCount,
+    pairs: int,
+    beyond: int,
     copies: CopyModel,
     settings: RobustSettings,
     *,
     copied: float = 0.0,
     unrepeated_bits: float = 0.0,
 ) -> Threshold:
-    """The threshold in a batch: every pair has an equal share of the false-merge rate, for either
-    question."""
-    against_copies = max(needed_bits(count.beyond, settings) - settings.copy_margin_bits, 0.0)
-    need = needed_bits(count.all, settings)
+    """The threshold in a batch of so many pairs, `beyond` of them with an alignment that chance
+    does not explain: only these can be merged wrongly because they are copies. Every pair has an
+    equal share of the false-merge rate, for either question."""
+    against_copies = max(needed_bits(beyond, settings) - settings.copy_margin_bits, 0.0)
+    need = needed_bits(pairs, settings)
     return Threshold(need, against_copies, copied, copies, settings, unrepeated_bits)
 
 
@@ -338,31 +331,29 @@ def _assess(
     if not odd:
         return Assessment(Verdict.UNRELATED, threshold.need_bits, faint=faint_of(candidates))
     asked = max(shares) > 0
-    answers = []
+    ranked = []
     for c, share in zip(odd, shares, strict=True):
         same_bits = _no_copy(next(same).bits, c.views.copies) if asked else None
         need_same = share * threshold.need_copy_bits
-        carried = counted_bits(c)
-        answers.append(Answers(threshold.need_bits, c.bits, carried, share, same_bits, need_same))
-    ranking = sorted(range(len(odd)), key=lambda i: -round(answers[i].bits, MATCH.ranked_decimals))
-    ranked = tuple((odd[i], answers[i].bits) for i in ranking)
-    margin = None if len(odd) < 2 else ranked[0][1] - ranked[1][1]
-    best, told = odd[ranking[0]], answers[ranking[0]]
-    why = _missing(best, told, margin, threshold)
+        ranked.append(Weighed(c, threshold.need_bits, share, same_bits, need_same))
+    ranked.sort(key=lambda w: -round(w.bits, MATCH.ranked_decimals))
+    first, *others = ranked
+    best = first.candidate
+    margin = first.bits - others[0].bits if others else None
+    why = _missing(first, margin, threshold)
     if why == MAYBE_COPY and misfits(a, b, best):
         why = MISFITS
-    contested = not why and _contested(ranked, threshold)
+    contested = not why and _contested(ranked)
     # If something else is missing, the explanation states the lead required over the runner-up.
-    no_worse = contested or any(_contests(c, best, threshold.need_bits) for c, _ in ranked[1:2])
+    no_worse = contested or any(_contests(other, first) for other in others[:1])
     why = NO_WORSE if contested else why
-    if told.carried >= threshold.need_bits:
+    if first.carried >= threshold.need_bits:
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,
-        ranked=ranked,
-        answers=tuple(answers[i] for i in ranking),
+        ranked=tuple(ranked),
         why=why,
         against_chance=beyond_chance_bits(candidates, threshold.settings),
         lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
@@ -387,11 +378,12 @@ def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> lis
     return enough or [c for c in odd if c.bits > threshold.need_bits or counted_bits(c) > alone]
 
 
-def _missing(best: Candidate, answers: Answers, margin: float | None, threshold: Threshold) -> str:
+def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:
     """What an alignment lacks for being merged, as a clause; "" if nothing."""
-    if answers.from_copies < min(answers.carried, threshold.need_bits):
+    best = first.candidate
+    if first.from_copies < min(first.carried, threshold.need_bits):
         return MAYBE_COPY
-    if answers.carried < threshold.need_bits:
+    if first.carried < threshold.need_bits:
         return "chance offers as much too often"
     if best.rival:
         return MAYBE_COPY
@@ -407,7 +399,7 @@ def _missing(best: Candidate, answers: Answers, margin: float | None, threshold:
     return ""
 
 
-def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) -> bool:
+def _contested(ranked: Sequence[Weighed]) -> bool:
     """Whether another placement contests the first of ranked ones and is less than `contested_bits`
     behind.
 
@@ -416,15 +408,15 @@ def _contested(ranked: Sequence[tuple[Candidate, float]], threshold: Threshold) 
     without it, rotated by half a turn (4.4 bits ahead); correct pairs of offices lead by more
     (11.8), and of the alias and standard suites it costs none.
     """
-    (best, most), *others = ranked
+    first, *others = ranked
     return any(
-        most - bits < MATCH.contested_bits and _contests(other, best, threshold.need_bits)
-        for other, bits in others
+        first.bits - other.bits < MATCH.contested_bits and _contests(other, first)
+        for other in others
     )
 
 
-def _contests(other: Candidate, best: Candidate, need_bits: float) -> bool:
+def _contests(other: Weighed, first: Weighed) -> bool:
     """Whether another placement is not explained by chance either, and has no more evidence against
     it."""
-    beyond = counted_bits(other) >= need_bits
-    return beyond and other.contradicting_bits <= best.contradicting_bits
+    against, least = (w.candidate.contradicting_bits for w in (other, first))
+    return other.carried >= other.need and against <= least

@@ -6,7 +6,7 @@ from ...topology.wording import counted
 from ..result import shown_bits, shown_lead
 from ..wording import decimals, told_bits, what_agrees
 from .alignment import Candidate
-from .verdict import Faint
+from .verdict import Assessment
 
 
 def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
@@ -28,9 +28,13 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     return f"{text}; next best alignment {bits_apart} bits behind"
 
 
-def nothing(best: Faint | None, need_bits: float) -> str:
-    """Why two maps without an alignment beyond chance are unrelated."""
-    if best is None:
+def evidence(found: Assessment) -> str:
+    """What the evidence of two maps comes to; where nothing is beyond chance, why they are
+    unrelated."""
+    if found.best is not None:
+        return summary(found.best, found.bits, found.need_bits, found.margin)
+    if found.faint is None:
         return "no significant match: no alignment holds"
-    agree = f"{counted(best.junctions, 'junction')} {'agrees' if best.junctions == 1 else 'agree'}"
-    return f"no significant match: {agree}, {told_bits(best.bits, need_bits)}"
+    junctions = found.faint.junctions
+    agree = f"{counted(junctions, 'junction')} {'agrees' if junctions == 1 else 'agree'}"
+    return f"no significant match: {agree}, {told_bits(found.faint.bits, found.need_bits)}"

@@ -140,7 +140,7 @@ def test_a_cluster_by_the_command_and_one_that_loses_a_worker(dask, topobatch, w
 
     place = Workspace(workspace)
     maps = [place.read_map(run) for run in place.runs()]
-    means = Means(Workers(partial(cluster, address)), maps=place, on_pair=lose_one)
+    means = Means(Workers(partial(cluster, address)), read=place.read_map, on_pair=lose_one)
     write(workspace / "merged.json", place, merge_maps(maps, means=means))
     assert same(workspace, fleet)
     ((done, of),) = lost

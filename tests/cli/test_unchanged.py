@@ -6,7 +6,7 @@ import shutil
 import pytest
 
 from topobatch.cli import unchanged
-from topobatch.merge.discards import discards_to_document
+from topobatch.merge.locks import discards_to_document
 
 NOTHING_NEW = "nothing is new"
 

@@ -11,7 +11,7 @@ import pytest
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.change import ChangeKind, change_to_document
 from topobatch.merge.changes import changes
-from topobatch.merge.document import merged_to_document
+from topobatch.merge.document import merged_to_document, result_from_document
 from topobatch.merge.locks import Lock
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
@@ -52,8 +52,8 @@ def observed(
         ),
     ]
     maps = {s.run.name: map_from_document(map_to_document(build_map(s.run))) for s in runs}
-    document = MergedDocument.model_validate(merged_to_document(merge_maps(list(maps.values()))))
-    assert len(document.graph.components) == 1
+    result = merge_maps(list(maps.values()))
+    assert len(result.components) == 1
     was, then = runs if later else runs[::-1]
     closed_edges = set(then.truth.closed_edges) & set(was.truth.drive_edge.tolist())
     lengths = sorted(
@@ -61,7 +61,7 @@ def observed(
         for e in closed_edges
         if {int(world.source[e]), int(world.target[e])} <= then.truth.detected
     )
-    return document, maps, lengths
+    return result, maps, lengths
 
 
 def two_days(*drawn):
@@ -75,10 +75,14 @@ def two_days(*drawn):
     return merged_to_document(merge_maps(list(maps.values()), locks=locks)), maps
 
 
+def read(document):
+    return result_from_document(MergedDocument.model_validate(document))
+
+
 @pytest.mark.parametrize(("later", "kind"), [(True, ChangeKind.GONE), (False, ChangeKind.NEW)])
 def test_closed_corridors_are_told_with_their_witnesses(later, kind) -> None:
-    document, maps, lengths = observed(2, closed=0.1, later=later)
-    found = changes(document, 0, maps)
+    result, maps, lengths = observed(2, closed=0.1, later=later)
+    found = changes(result, 0, maps)
     sure = [c for c in found if c.sure]
     assert len(lengths) >= 3
     assert np.allclose(sorted(c.length for c in sure), lengths, rtol=0.1)
@@ -92,17 +96,17 @@ def test_closed_corridors_are_told_with_their_witnesses(later, kind) -> None:
 
 
 def test_nothing_changed_where_nothing_did() -> None:
-    document, maps, lengths = observed(1, closed=0.0)
+    result, maps, lengths = observed(1, closed=0.0)
     assert lengths == []
-    assert not any(c.sure for c in changes(document, 0, maps))
+    assert not any(c.sure for c in changes(result, 0, maps))
 
 
 def test_a_junction_that_became_a_dead_end_tells_of_what_it_lost() -> None:
     """It lost two corridors of three, so that the merge takes it for another place; but the third
     leads there from a junction that both runs know."""
-    document, maps, _ = observed(0, closed=0.1, kind="maze", junctions=40, faults="none")
-    lost = [c for c in changes(document, 0, maps) if c.sure]
-    members = {node.id: node.members for node in document.nodes}
+    result, maps, _ = observed(0, closed=0.1, kind="maze", junctions=40, faults="none")
+    lost = [c for c in changes(result, 0, maps) if c.sure]
+    members = result.fused.members
     torn = [c for c in lost if {"monday"} in [set(members[j]) for j in c.junctions]]
     assert len(torn) == 2
     for change in torn:
@@ -121,7 +125,7 @@ def test_a_corridor_gone_with_the_junction_at_its_end_is_one_change(draw) -> Non
     later = [pair for pair in STREETS if end not in pair] + [((0, 0), (2, 0))]
     left = {name: xy for name, xy in CORNERS.items() if name != end}
     merged, maps = two_days(draw("monday", CORNERS, STREETS), draw("tuesday", left, later))
-    (change,) = changes(MergedDocument.model_validate(merged), 0, maps)
+    (change,) = changes(read(merged), 0, maps)
     ends = {tuple(merged["nodes"][j]["members"]["monday"]) for j in change.junctions}
     assert ends == {(list(CORNERS).index(name),) for name in gone}
     assert (change.thing, change.kind, change.sure) == ("corridor", ChangeKind.GONE, True)
@@ -142,10 +146,10 @@ def test_a_junction_beside_another_is_not_gone(draw, apart) -> None:
     later += [((0, 1), (2, 1)), ((1, 0), (1, 2))]
     left = {name: xy for name, xy in CORNERS.items() if name != middle}
     merged, maps = two_days(draw("monday", CORNERS, STREETS), draw("tuesday", left, later))
-    (gone,) = changes(MergedDocument.model_validate(merged), 0, maps)
+    (gone,) = changes(read(merged), 0, maps)
     assert (gone.thing, gone.kind) == ("junction", ChangeKind.GONE)
     one = merged["nodes"][gone.junctions[0]]
     twin = one | {"id": len(merged["nodes"]), "x": one["x"] + apart, "observations": []}
     merged["nodes"].append(twin | {"members": {"tuesday": [0]}})
-    found = changes(MergedDocument.model_validate(merged), 0, maps)
+    found = changes(read(merged), 0, maps)
     assert [c.junctions for c in found] == ([gone.junctions] if apart > 2 else [])

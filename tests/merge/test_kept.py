@@ -16,7 +16,7 @@ from topobatch.merge.document import write_merged
 from topobatch.merge.kept import Kept, Kind
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust import DEFAULT_ROBUST, Means
-from topobatch.merge.robust.tasks import era_of
+from topobatch.merge.robust.pairing import era_of
 from topobatch.merge.workers import Workers
 
 
@@ -103,16 +103,10 @@ def test_damage_costs_time_only(fleet, tmp_path, harm):
     assert merged_with(tmp_path, fleet)[1] == []
 
 
-@pytest.mark.parametrize("sent", [True, False])
-def test_workers_give_the_same_bytes(fleet, tmp_path, sent):
+def test_workers_give_the_same_bytes(fleet, tmp_path):
     by_run = {m.run: m for m in fleet}
-
-    class Maps:
-        def read_map(self, run):
-            return by_run[run]
-
     with ThreadPoolExecutor(2) as pool:
         kept = Counted(tmp_path / "kept.sqlite")
-        means = Means(Workers(lambda: nullcontext(pool)), maps=None if sent else Maps(), kept=kept)
+        means = Means(Workers(lambda: nullcontext(pool)), by_run.__getitem__, kept)
         assert text(fleet, means) == text(fleet)
     assert kept.fresh.count(Kind.PAIR) == 10

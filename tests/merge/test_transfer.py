@@ -7,8 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.merge.component_map import component_map
-from topobatch.merge.document import merged_to_document
-from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.transfer import (
     MatchedJunctions,
@@ -58,9 +56,9 @@ def test_a_bent_map_is_carried_along_its_bend() -> None:
 def test_merged_runs_say_what_they_have_in_common(maze_pair) -> None:
     a, b, truth = maze_pair(3)
     maps = {m.run: m for m in (a, b)}
-    document = MergedDocument.model_validate(merged_to_document(merge_maps([a, b])))
-    assert len(document.graph.components) == 1
-    both = junctions_of_runs(document, maps, "a", "b")
+    result = merge_maps([a, b])
+    assert len(result.components) == 1
+    both = junctions_of_runs(result, maps, "a", "b")
     known = {tuple(a.xy[u]): b.xy[v] for u, v in truth.tolist()}
     assert len(both) >= len(truth) / 2
     assert all(
@@ -69,8 +67,8 @@ def test_merged_runs_say_what_they_have_in_common(maze_pair) -> None:
     middle = a.xy[truth[:, 0]]
     found = transfer(middle, both)
     assert np.hypot(*(found.xy - b.xy[truth[:, 1]]).T).max() < 0.3
-    fused = component_map(document, 0, "merged")
-    own = junctions_of_merged(document, a, fused, 0)
+    fused = component_map(result, 0, "merged")
+    own = junctions_of_merged(result, a, fused)
     assert len(own) == len(a)
     there = transfer(a.xy, own)
     of = {tuple(x): y for x, y in zip(own.source, own.target, strict=True)}

@@ -11,8 +11,7 @@ import networkx as nx
 import numpy as np
 import pytest
 
-from topobatch.merge.discards import DiscardsDocument
-from topobatch.merge.locks import LocksDocument
+from topobatch.merge.locks import DiscardsDocument, LocksDocument
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.topology.document import map_from_document, map_to_document, read_map, write_map
 from topobatch.topology.errors import DocumentError

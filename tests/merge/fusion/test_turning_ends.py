@@ -101,9 +101,9 @@ def test_the_document_has_them_last_and_gives_them_back(two):
     maps, result = two
     doc = MergedDocument.model_validate(merged_to_document(result))
     assert [node.kind for node in doc.nodes][3:] == ["turning_point"] * 2
-    again = result_from_document(doc).fused
-    assert (again.turned, again.members) == (2, result.fused.members)
-    assert stale_runs(doc, 0, maps) == {}
-    whole = component_map(doc, 0, "both")
+    again = result_from_document(doc)
+    assert (again.fused.turned, again.fused.members) == (2, result.fused.members)
+    assert stale_runs(again, 0, maps) == {}
+    whole = component_map(again, 0, "both")
     assert (len(whole), len(whole.source), len(whole.turning_points)) == (3, 2, 2)
     assert len(map_to_document(whole)["nodes"]) == len(whole.info["members"]["nodes"])

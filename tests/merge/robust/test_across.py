@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import pytest
 
-from topobatch.merge.robust.across import LARGER_TOGETHER, Across
+from topobatch.merge.result import PairVerdict, Verdict
 from topobatch.merge.robust.alignment import match
-from topobatch.merge.robust.components import Components, as_alignment
+from topobatch.merge.robust.components import LARGER_TOGETHER, Across, Components, as_alignment
 from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.verdict import OTHER_SIZE
 
 from .plans import EDGES, POINTS, SETTINGS
 
@@ -25,7 +26,7 @@ def sizes(drawn):
     }
     joins = {pair: as_alignment(c) for pair, c in found.items()}
     places = [m.z for m in prepared]
-    return Across(prepared, places, joins, {}, {}, _nothing, (), SETTINGS.size_sigmas), found
+    return Across(prepared, places, {}, joins, _nothing, (), SETTINGS.size_sigmas), found
 
 
 def _nothing(pairs):
@@ -43,7 +44,10 @@ def test_more_runs_tell_more_than_two(sizes):
     together = own._sigmas(components, (0, 2), across)
     assert alone < own.most_sigmas < together < 2 * alone
     assert own._sigmas(components, (1, 3), across) == pytest.approx(together)
-    known = replace(own, other={(0, 3): across[0, 3]})
+    larger = PairVerdict(
+        "a", "d", Verdict.AMBIGUOUS, False, 20.0, "", best=across[0, 3], lacks=OTHER_SIZE
+    )
+    known = replace(own, verdicts={(0, 3): larger})
     assert known.refusal(components, (0, 2)) is LARGER_TOGETHER
     assert own.refusal(components, (0, 2)) is None  # no pair says so by itself
     assert replace(known, locked=[(0, 2)]).refusal(components, (0, 2)) is None

@@ -2,17 +2,17 @@
 
 import numpy as np
 
-from topobatch.merge.robust.advice import advice
 from topobatch.merge.robust.alignment import match
+from topobatch.merge.robust.entries import advice
 from topobatch.merge.robust.prepare import prepare
-from topobatch.merge.robust.verdict import PairCount, assess, threshold_for
+from topobatch.merge.robust.verdict import assess, threshold_for
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
 
 
 def advised(a, b):
     found = match(a, b, SETTINGS)
-    return advice(a, b, assess(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS)))
+    return advice(a, b, assess(a, b, found, threshold_for(1, 1, COPIES, SETTINGS)))
 
 
 def test_the_corridor_that_one_run_left_out_is_named(drawn):

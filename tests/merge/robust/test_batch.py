@@ -21,8 +21,8 @@ def test_what_would_be_merged_is_held_against_every_rival(drawn):
     batch = Batch(matcher)
     (found,) = matcher.candidates(np.array([pair]))
     view = assess(*matcher.prepared, found, batch.threshold(pair))
-    assert [(len(c), c.rival) for c, _ in view.ranked] == 2 * [(n, False)]
+    assert [(len(w.candidate), w.candidate.rival) for w in view.ranked] == 2 * [(n, False)]
     beside = batch.beside_rivals([pair])
     assert list(beside) == [pair]
-    assert [c.rival for c, _ in beside[pair].ranked].count(True) == 1
+    assert [w.candidate.rival for w in beside[pair].ranked].count(True) == 1
     assert beside[pair].verdict is Verdict.AMBIGUOUS

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.merge.robust.conflicts import NO_CONFLICTS
+from topobatch.merge.robust.conflicts import NO_CONFLICTS, Unseen
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.settings import MATCH
 
@@ -28,7 +28,7 @@ def test_corridors_that_lead_elsewhere_contradict_once(drawn):
     assert 7 not in grown.a
     told = against(grown)
     ends = [{int(a.tail[r]), int(a.head[r])} for r in told.elsewhere[:, 0]]
-    passed = [{int(c.tail[r]), int(c.head[r])} for r in told.extra_a_in]
+    passed = [{int(c.tail[r]), int(c.head[r])} for r in told.in_b.edge]
     assert ends + passed == [{6, 7}]
     assert told.bits > 1
     assert len(against(laid(a, a)).elsewhere) == 0
@@ -37,8 +37,7 @@ def test_corridors_that_lead_elsewhere_contradict_once(drawn):
 def test_a_contradiction_weighs_as_one_junction_at_most():
     told = replace(
         NO_CONFLICTS,
-        extra_a=np.arange(2),
-        extra_a_bits=np.array([0.2, 4.0]) * MATCH.junction_bits,
+        in_b=Unseen(np.arange(2), np.arange(2), np.array([0.2, 4.0]) * MATCH.junction_bits),
         elsewhere=np.zeros((2, 2), np.int64),
         elsewhere_bits=0.5 * MATCH.junction_bits,
     )

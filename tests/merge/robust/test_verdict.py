@@ -15,7 +15,6 @@ from topobatch.merge.robust.verdict import (
     MAYBE_COPY,
     MISFITS,
     NO_WORSE,
-    PairCount,
     _missing,
     assess,
     counted_bits,
@@ -40,18 +39,19 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
         conflicts=replace(told.conflicts, elsewhere=np.zeros((2, 2), np.int64), elsewhere_bits=3.0),
     )
     assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
-    counts = (PairCount(n, n) for n in (1, 10**6))
-    alone, among_many = (threshold_for(c, COPIES, SETTINGS, copied=len(told)) for c in counts)
+    alone, among_many = (
+        threshold_for(n, n, COPIES, SETTINGS, copied=len(told)) for n in (1, 10**6)
+    )
     assert assess(a, b, [told], alone).verdict is Verdict.MERGED
     view = assess(a, b, [told], among_many)
     assert view.verdict is Verdict.AMBIGUOUS
-    (answers,) = view.answers
+    (answers,) = view.ranked
     assert answers.carried == MATCH.junction_bits * len(told)
     assert view.bits == answers.from_copies < answers.carried
     assert "another copy" in view.why
     unasked = replace(answers, same_place=None)
     assert unasked.bits == answers.carried
-    assert _missing(told, unasked, None, among_many) == "chance offers as much too often"
+    assert _missing(unasked, None, among_many) == "chance offers as much too often"
 
 
 def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
@@ -60,7 +60,7 @@ def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
     told = match(a, b, SETTINGS)[0]
     i, j = told.corridors.T
     sigma = np.sqrt(a.variance[i] + b.variance[j])
-    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    threshold = threshold_for(1, 1, COPIES, SETTINGS)
     few = np.arange(len(j)) % 3 == 0
     cases = ((0.0 * few, 0.0), (1.0 * few, 0.0), (2.9 * few, 1.0), (0.0 * few + 2.9, 0.0))
     for off, asked in cases:  # the last is a map that is bent more than it states
@@ -74,7 +74,7 @@ def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
             assert fits == pytest.approx(chi2.sf((off**2).sum(), len(j)))
         assert misfits(a, other, told) == asked
         found = assess(a, other, [told], threshold)
-        (answers,) = found.answers
+        (answers,) = found.ranked
         assert answers.repetition == max(asked, uniformity(a, other))
         assert (found.why == MISFITS) == bool(asked)
     assert fits_by_noise(a, b, told.corridors[:0]) == 1.0
@@ -104,10 +104,10 @@ def test_floors_of_one_plan_that_differ_a_little_are_not_merged(see):
     other = world_of_links("floor", "maze", xy, [straight(xy, u, v) for u, v in ends])
     maps = [see(w, list(range(len(w))), k, f"r{k}") for k, w in enumerate((plan, plan, other))]
     a, again, moved = (prepare(m) for m in maps)
-    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    threshold = threshold_for(1, 1, COPIES, SETTINGS)
     views = [assess(a, m, match(a, m, SETTINGS), threshold) for m in (again, moved)]
     assert [view.verdict for view in views] == [Verdict.MERGED, Verdict.AMBIGUOUS]
-    assert views[1].answers[0].carried > views[1].need_bits  # beyond chance, and yet
+    assert views[1].ranked[0].carried > views[1].need_bits  # beyond chance, and yet
     assert views[1].why == MAYBE_COPY
 
 
@@ -127,7 +127,7 @@ def test_two_placements_that_fit_alike_are_ambiguous(wings):
     found = match(a, b, SETTINGS)
     assert len(found) >= 2
     assert not same_placement(found[0], found[1], b)
-    view = assess(a, b, found, threshold_for(PairCount(1, 1), COPIES, SETTINGS))
+    view = assess(a, b, found, threshold_for(1, 1, COPIES, SETTINGS))
     assert view.verdict == "ambiguous"
     assert view.runner_up is not None
     assert view.margin < MATCH.lead_bits
@@ -137,7 +137,7 @@ def test_a_placement_with_no_more_against_it_keeps_the_best_from_being_merged(wi
     a, b = wings
     best, other = match(a, b, SETTINGS)[:2]
     lax = replace(SETTINGS, copy_margin_bits=12.0)  # what copies differ in is not asked for
-    threshold = threshold_for(PairCount(1, 1), COPIES, lax)
+    threshold = threshold_for(1, 1, COPIES, lax)
     best, other = replace(best, bits=30.0), replace(other, bits=threshold.need_bits + 0.1)
     refused = assess(a, b, [best, other], threshold)
     assert (refused.verdict, refused.why) == (Verdict.AMBIGUOUS, NO_WORSE)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.merge.fusion.fuse import fuse_component
-from topobatch.merge.kept import Kept
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
-from topobatch.merge.robust.merged_maps import MergedMaps
+from topobatch.merge.robust import DEFAULT_ROBUST
+from topobatch.merge.robust.pairing import Pairwise
 from topobatch.merge.robust.prepare import prepare
+from topobatch.merge.robust.rematching import MergedMaps
 from topobatch.merge.robust.view_evidence import judged, laid, repeats
 from topobatch.merge.robust.view_search import pictured
 from topobatch.merge.robust.view_ties import view_ties
@@ -61,12 +62,12 @@ def test_a_merged_map_has_the_views_of_its_runs() -> None:
     a, b, views = seen_by_both()
     ties = view_ties(prepare(a), prepare(b), views)
     best = Alignment(inverse(T_B_WORLD), 20.0, np.array([[0, 0], [1, 1]]), 0.1, ties=ties)
-    merged = MergedMaps([a, b], Kept()).of((0, 1), {(0, 1): best}).as_map
+    merged = MergedMaps(Pairwise([a, b], DEFAULT_ROBUST)).of((0, 1), {(0, 1): best}).as_map
     # Both runs saw the same ten places: those of the first serve.
     assert len(merged.views) == len(a.views)
     assert np.abs(merged.views.pose - a.views.pose).max() < 0.8  # their ends differ by 1 m
     apart = replace(a, views=NO_VIEWS)
-    of_b = MergedMaps([apart, b], Kept()).of((0, 1), {(0, 1): best}).as_map.views
+    of_b = MergedMaps(Pairwise([apart, b], DEFAULT_ROBUST)).of((0, 1), {(0, 1): best}).as_map.views
     assert np.abs(of_b.pose[:, :2] - a.views.pose[:, :2]).max() < 0.8  # their ends differ by 1 m
     assert np.array_equal(of_b.cells, b.views.cells)
 

@@ -3,26 +3,20 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from typing import Protocol
 
 import numpy as np
 
 from ...topology.connected import connected
 from ..result import pairs_of
-from .alignment import Candidate, self_matches
+from .alignment import Candidate
 from .pairing import Pair
 from .prepare import Prepared
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
-from .verdict import (
-    PairCount,
-    Threshold,
-    counted_bits,
-    needed_bits,
-    threshold_for,
-    uniformity,
-)
+from .verdict import Threshold, counted_bits, needed_bits, threshold_for, uniformity
 
 ANY = -1
 """Stands for the connected component of a map of which the others are too few."""
@@ -45,30 +39,40 @@ BEFORE = (0.5, 3.0)
 nothing of their kind. With 1.5 in place of 3 two offices of one design are merged, 10.0 of 9.97
 bits."""
 
-ThresholdOf = Callable[[Sequence[int], PairCount], Threshold]
-"""Gives the threshold for some maps (a pair, or the runs of two components) in a batch with a given
-count of pairs."""
+
+class ThresholdOf(Protocol):
+    """Gives the threshold of some maps of a batch."""
+
+    def __call__(self, some: Sequence[int], pairs: int | None = None) -> Threshold:
+        """some: two maps, or the runs of two components; pairs: that share the rate of false
+        merges, by default all of the batch, including those screened out."""
+        ...
 
 
 def thresholds(
     prepared: Sequence[Prepared],
     settings: RobustSettings,
-    linked: Mapping[Pair, float] | None = None,
-    with_themselves: Sequence[tuple[Candidate, ...]] | None = None,
+    against_chance: Mapping[Pair, float],
+    own: Sequence[tuple[Candidate, ...]],
 ) -> ThresholdOf:
     """The thresholds in a batch of maps.
 
     How a building repeats itself is estimated from the maps of buildings like it: a folder may mix
-    offices, all of whose maps repeat themselves, with mazes, none of which do. linked: pairs with a
-    placement better than chance, and its evidence [bits]; maps that chains of these connect are of
-    like buildings, unless they are too few to tell. None: all maps are. with_themselves: matches of
-    each map with other parts of itself, if known.
+    offices, all of whose maps repeat themselves, with mazes, none of which do. Maps that chains of
+    placements better than chance connect are of like buildings, unless they are too few to tell.
+    against_chance: evidence of the best placement of every pair that was matched [bits]; own:
+    matches of each map with other parts of itself.
     """
-    own = with_themselves or list(self_matches(prepared, settings))
+    linked = {pair: bits for pair, bits in against_chance.items() if bits > MATCH.lead_bits}
+    evidence = np.array(list(against_chance.values()))
     like = _like_buildings(len(own), linked, settings)
     beyond = [list(filter(_beyond_chance, found)) for found in own]
     copied = _copied(beyond, like, settings)
-    unrepeated = _unrepeated_bits(prepared, beyond, linked or {}, settings)
+    unrepeated = _unrepeated_bits(prepared, beyond, linked, settings)
+
+    @cache
+    def pairs_beyond(need: float) -> int:
+        return int(np.count_nonzero(evidence >= need))
 
     @cache
     def copies(of: frozenset[int]) -> CopyModel:
@@ -77,25 +81,23 @@ def thresholds(
         return copy_model(list(samples), settings)
 
     @cache  # few differ: no map has less copied than most of those of like buildings
-    def reached(of: frozenset[int], count: PairCount, most: float, unlike: float) -> Threshold:
-        return threshold_for(count, copies(of), settings, copied=most, unrepeated_bits=unlike)
+    def reached(of: frozenset[int], pairs: int, most: float, unlike: float) -> Threshold:
+        odd = pairs_beyond(needed_bits(pairs, settings))
+        return threshold_for(pairs, odd, copies(of), settings, copied=most, unrepeated_bits=unlike)
 
-    def threshold(some: Sequence[int], count: PairCount) -> Threshold:
+    def threshold(some: Sequence[int], pairs: int | None = None) -> Threshold:
+        count = pairs_of(len(prepared)) if pairs is None else pairs
         most, unlike = max(copied[k] for k in some), min(unrepeated[k] for k in some)
         return reached(frozenset(like[k] for k in some), count, most, unlike)
 
     return threshold
 
 
-def _like_buildings(
-    maps: int, linked: Iterable[Pair] | None, settings: RobustSettings
-) -> list[int]:
+def _like_buildings(maps: int, linked: Iterable[Pair], settings: RobustSettings) -> list[int]:
     """For each of so many maps the number of its connected component in the graph of `linked`
     pairs; `ANY` if the component has too few maps for the `copied_share` quantile, beyond which not
     a single one would lie: 37 of 390 pairs of symmetric buildings are merged wrongly without that,
     26 with it (`benchmarks/adversaries.py --only turned`)."""
-    if linked is None:
-        return [ANY] * maps
     one, other = np.array([*linked], np.int64).reshape(-1, 2).T
     number = connected(one, other, maps)
     few = np.bincount(number) * (1 - settings.copied_share) < 1
