@@ -71,7 +71,7 @@ def lines_of(
     line_label, lines = labelled(skeleton & ~fork)
     cells = np.argwhere(skeleton)
     line, number = (label[cells[:, 0], cells[:, 1]] for label in (line_label, fork_label))
-    _check(np.count_nonzero(line), lines)
+    _check(int(np.count_nonzero(line)), lines)
     order, length, ends = _traced(cells, line, number, lines)
     rows, columns = cells[number > 0].T
     number = number[number > 0]

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import count
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.odometry import Odometry
 from ...topology.se2 import compose, inverse
@@ -23,8 +25,7 @@ from .skeleton import SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
 
 
-@dataclass(frozen=True, slots=True)
-class Variant:
+class Variant(NamedTuple):
     """One variant of the settings of a window."""
 
     grid: GridSettings
@@ -174,91 +175,60 @@ def _due(
 
 def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     """One window under all variants of the settings; its axes are added to the tally."""
-    variants = WINDOWS.variants
-    cell = WINDOWS.grid.cell_m
-    half = round(WINDOWS.half_m / cell)
+    cell_m = WINDOWS.grid.cell_m
+    half = round(WINDOWS.half_m / cell_m)
+    side = 2 * half + 1
     # A view shows more than a window, but is made of the same.
     around = _gathered(held, middle, WINDOWS.way_m, SIDE)
-    others = {variant.way_m for variant in variants} - {WINDOWS.way_m}
-    shown = {way_m: _gathered(held, middle, way_m, half) for way_m in others}
-    shown[WINDOWS.way_m] = around.inner(SIDE - half)
-    masks = _masks(shown, variants)
-    corner, side = shown[WINDOWS.way_m].corner, 2 * half + 1
-    path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell)
-    at = np.floor(path / cell).astype(np.int64) - corner
-    at = at[((at >= 0) & (at < side)).all(axis=1)]
-    views = _views(masks, variants, at, cell)
-    span = _near(held, middle, 1.5 * WINDOWS.every_m)
-    middles = (corner + 0.5) * cell
+    corner = around.corner + SIDE - half
+    path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell_m)
+    driven = np.floor(path / cell_m).astype(np.int64) - corner
+    driven = driven[((driven >= 0) & (driven < side)).all(axis=1)]
+    border = np.pad(np.zeros((side - 2, side - 2), bool), 1, constant_values=True)
+
+    # Most variants differ in few settings, and share the rest.
+    @cache
+    def distance(grid: GridSettings, way_m: float) -> FloatArray:
+        """(s, s) from the nearest wall [m]; the border is not a wall."""
+        usual = way_m == WINDOWS.way_m
+        seen = around.inner(SIDE - half) if usual else _gathered(held, middle, way_m, half)
+        free = np.pad(free_space(seen, grid), 1, mode="edge")
+        away = np.asarray(ndimage.distance_transform_edt(free), np.float64)
+        return away[1:-1, 1:-1] * cell_m
+
+    @cache
+    def lines(grid: GridSettings, way_m: float, least_m: float) -> Lines:
+        """The skeleton of the free space with a clearance that the robot drove through."""
+        clearance_m = distance(grid, way_m)
+        labels, count = labelled(clearance_m > least_m)
+        mine = np.zeros(count + 1, bool)
+        mine[labels[driven[:, 1], driven[:, 0]]] = True
+        mine[0] = False
+        return lines_of(thin(mine[labels]), clearance_m, cell_m, border)
+
+    nearest = _Nearest.of(held, middle)
+    origin = (corner + 0.5) * cell_m
     forks: list[tuple[int, float, Crossing]] = []
-    for k, (variant, view) in enumerate(zip(variants, views, strict=True)):
-        graph = traced(view.lines, variant.skeleton)
+    for k, (grid, skeleton, way_m) in enumerate(WINDOWS.variants):
+        graph = traced(lines(grid, way_m, skeleton.clearance_m), skeleton)
         nodes = [
             number
             for number, node in enumerate(graph.nodes)
             if len(node.ends) >= 3
-            and _passed(node.xy + middles, span, WINDOWS.near_m + node.clearance_m) is not None
+            and nearest.way(node.xy + origin, WINDOWS.near_m + node.clearance_m) is not None
         ]
-        places, _ = crossings(graph, nodes, view.clearance_m, cell, variant.skeleton, tally=tally)
+        places, _ = crossings(graph, nodes, distance(grid, way_m), cell_m, skeleton, tally=tally)
         for place in places.values():
-            xy = place.xy + middles
-            found = _passed(xy, span, WINDOWS.near_m)
-            if found is not None:
-                fork = crossing(graph, place, cell, variant.skeleton)
-                turn = bends(graph, fork, cell, variant.skeleton)
-                forks.append((k, found, replace(fork, xy=xy, bends=turn)))
+            xy = place.xy + origin
+            way = nearest.way(xy, WINDOWS.near_m)
+            if way is not None:
+                fork = crossing(graph, place, cell_m, skeleton)
+                turn = bends(graph, fork, cell_m, skeleton)
+                forks.append((k, way, replace(fork, xy=xy, bends=turn)))
     # One cell less than a window has, which has a middle one.
     cells = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
-    corner_xy = np.asarray((around.corner + SIDE) * cell, np.float64)
+    corner_xy = np.asarray((around.corner + SIDE) * cell_m, np.float64)
     return Seen(number, middle, tuple(forks), corner_xy, cells)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """Free space that the robot drove through: clearance_m: (s + 1, s) distance from walls, the
-    last row empty; lines of its skeleton."""
-
-    clearance_m: FloatArray
-    lines: Lines
-
-
-def _views(
-    masks: Sequence[BoolArray], variants: Sequence[Variant], at: IntArray, cell_m: float
-) -> list[_View]:
-    """For each variant, its free space (s, s) around cells `at` (c, 2) of the track; shared by
-    those that differ only in pruning."""
-    side = len(masks[0])
-    kinds = [(id(m), v.skeleton.clearance_m) for m, v in zip(masks, variants, strict=True)]
-    distinct = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
-    distances = {number: _distances(m, cell_m) for number, m in {id(m): m for m in masks}.items()}
-    clearance = np.zeros((len(distinct), side + 1, side))
-    open_ = np.zeros(clearance.shape, bool)
-    for (mask, least_m), k in distinct.items():
-        clearance[k, :side] = distances[mask]
-        open_[k, :side] = _driven_through(distances[mask] > least_m, at)
-    stacked = thin(open_.reshape(-1, side)).reshape(open_.shape)
-    border = np.zeros((side + 1, side), bool)
-    border[[0, side - 1]] = True
-    border[:side, [0, side - 1]] = True
-    views = [
-        _View(c, lines_of(s, c, cell_m, border)) for s, c in zip(stacked, clearance, strict=True)
-    ]
-    return [views[distinct[kind]] for kind in kinds]
-
-
-def _distances(mask: BoolArray, cell_m: float) -> FloatArray:
-    """(s, s) distance from the nearest wall [m]; the border is not a wall."""
-    away = ndimage.distance_transform_edt(np.pad(mask, 1, mode="edge"))
-    return np.asarray(away, np.float64)[1:-1, 1:-1] * cell_m
-
-
-def _driven_through(open_: BoolArray, at: IntArray) -> BoolArray:
-    """The components that contain cells `at` (c, 2), x and y."""
-    labels, count = labelled(open_)
-    mine = np.zeros(count + 1, bool)
-    mine[labels[at[:, 1], at[:, 0]]] = True
-    mine[0] = False
-    return np.asarray(mine[labels])
 
 
 def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
@@ -270,38 +240,27 @@ def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
     return gather(held.seen, rows, path, (held.at(middle), half), WINDOWS.grid)
 
 
-def _masks(seen: Mapping[float, Window], variants: tuple[Variant, ...]) -> list[BoolArray]:
-    """Free space for every variant, the same array for those that differ in the skeleton only;
-    seen: by the way that a variant is made of."""
-    made: dict[tuple[GridSettings, float], BoolArray] = {}
-    for variant in variants:
-        key = variant.grid, variant.way_m
-        if key not in made:
-            made[key] = free_space(seen[variant.way_m], variant.grid)
-    return [made[v.grid, v.way_m] for v in variants]
-
-
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
     """(w, 2) points of the track, closer than `step`."""
     begin, end = max(begin, float(held.way[0])), min(end, float(held.way[-1]))
     return held.at(np.linspace(begin, end, max(2, int((end - begin) / (0.7 * step)) + 2)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Span:
-    way: FloatArray
+class _Nearest(NamedTuple):
+    """The track about the middle of a window: distances driven (w,) [m], and points (w, 2) [m]."""
+
+    driven: FloatArray
     xy: FloatArray
 
+    @classmethod
+    def of(cls, held: _Rolling, middle: float) -> _Nearest:
+        reach = 1.5 * WINDOWS.every_m
+        begin, end = max(middle - reach, held.way[0]), min(middle + reach, held.way[-1])
+        driven = np.linspace(begin, end, 64)
+        return cls(driven, held.at(driven))
 
-def _near(held: _Rolling, middle: float, reach: float) -> _Span:
-    begin, end = max(middle - reach, held.way[0]), min(middle + reach, held.way[-1])
-    way = np.linspace(begin, end, 64)
-    return _Span(way, held.at(way))
-
-
-def _passed(xy: FloatArray, span: _Span, near_m: float) -> float | None:
-    """Distance driven when the robot was nearest to a place; None if it did not pass within the
-    span."""
-    distance = np.hypot(*(span.xy - xy).T)
-    best = int(np.argmin(distance))
-    return float(span.way[best]) if distance[best] <= near_m else None
+    def way(self, xy: FloatArray, near_m: float) -> float | None:
+        """Distance driven when the robot was nearest to a place; None if it did not pass it."""
+        distance = np.hypot(*(self.xy - xy).T)
+        best = int(np.argmin(distance))
+        return float(self.driven[best]) if distance[best] <= near_m else None
