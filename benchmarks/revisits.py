@@ -18,7 +18,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 from numpy.typing import NDArray
 
-from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, match_steps
+from topobatch.ingest.scans.alignment import ALIGNMENT, Steps, match_steps
 from topobatch.ingest.scans.association import Gate, Swept, pair_terms
 from topobatch.ingest.scans.keyframes import Keyframes, join
 from topobatch.ingest.scans.matching import matched, posed
@@ -68,7 +68,7 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
     scans = Swept.of(frames.xy, frames.start, frames.increment)
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)
-    found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), _PLAIN)
+    found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), 0.0)
     off = between(between(start[again[1]], start[again[0]]), found.motion)
     like = (found.fit > LIKE_FIT) & (np.hypot(off[:, 0], off[:, 1]) < LIKE_M)
     like &= np.abs(off[:, 2]) < LIKE_RAD
@@ -99,9 +99,6 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
         for p in poses
     ]
     return Revisits(paths[0], paths[1], len(again[0]), *fits)
-
-
-_PLAIN = AlignmentSettings(lost_fit=0.0)
 
 
 def _loose(motion: FloatArray) -> Steps:
@@ -145,9 +142,9 @@ def _solved(
 ) -> FloatArray:
     """One round of Gauss-Newton over all poses, the first of which stays."""
     first, second = pairs
-    n, settings = len(pose), AlignmentSettings()
+    n = len(pose)
     terms = pair_terms(scans, first, second, between(pose[second], pose[first]), gate)
-    scale = settings.joint_worth * terms.weight.sum() / terms.moments[:, 3, 3].sum()
+    scale = ALIGNMENT.joint_worth * terms.weight.sum() / terms.moments[:, 3, 3].sum()
     off = between(pose[:-1], pose[1:]) - steps.motion
     off[:, 2] = wrap(off[:, 2])
     distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)

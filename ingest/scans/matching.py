@@ -11,13 +11,13 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.odometry import Odometry
-from ...topology.se2 import between, wrap
+from ...topology.se2 import between, compose, inverse, wrap
 from ...topology.track import piece_of
-from .alignment import ALIGNMENT, Aligned, Steps, align, match_steps
+from .alignment import ALIGNMENT, Steps, align, match_steps
 from .association import Swept
 from .keyframes import Keyframes, Posed, in_order, join, keyframes
 from .scan import ScanBatch
-from .scatter import STRETCH
+from .scatter import STRETCH, Aligned
 from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
 
 
@@ -54,6 +54,11 @@ class Matched:
     loose_m: FloatArray
     spans: SpanErrors
     errors: StepErrors
+
+    @property
+    def body(self) -> FloatArray:
+        """(k, 3) pose of the robot in the corrected frame."""
+        return compose(self.pose, inverse(self.keyframes.mount))
 
 
 def posed(odometry: Odometry, batches: Iterable[ScanBatch]) -> Iterator[Posed]:
@@ -128,7 +133,7 @@ def _solve(
     loose_m = np.concatenate([known.loose_m, np.zeros(new)])
     fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
     pairs = fresh, before[fresh]
-    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), ALIGNMENT)
+    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)))
     sure = found.fit > least_fit
     errors = errors.learned(held, pairs, (found.motion, sure, sure & (found.loose_m < LOOSE_M)))
     fit[fresh], searched[fresh], loose_m[fresh] = found.fit, found.searched, found.loose_m
@@ -142,7 +147,6 @@ def _solve(
         raw,
         fixed=final,
         earlier=earlier,
-        settings=ALIGNMENT,
         stretch=STRETCH * _lasers(held),
     )
     return _Solved(aligned.pose, fit, searched, loose_m, aligned), errors

@@ -50,33 +50,32 @@ NO_SCORES = Scores(_NONE, _NONE, _NONE, np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scatter:
-    """curvature: banded (lower form, 3 n columns); gradients by walls and odometry."""
+class Aligned:
+    """Poses (n, 3), and their uncertainty: curvature: banded (lower form, 3 n columns); gradients
+    by walls and odometry."""
 
+    pose: FloatArray
     curvature: FloatArray
     walls: Scores
     odometry: Scores
 
-    def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> tuple[FloatArray, ...]:
+    def headings(self, first: IntArray, last: IntArray) -> tuple[FloatArray, ...]:
         """Errors of the rotations from poses `first` (q,) to `last`, from the scatter of the
         groups: walls, absorbed and odometry of `SpanErrors`."""
         q = np.arange(len(first))
-        onto = np.zeros((3 * len(pose), len(q)))
+        onto = np.zeros((3 * len(self.pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
         moved = self._solved(onto)
-        walls, odometry = (_pulls(pose, scores, moved) for scores in (self.walls, self.odometry))
-        return (
-            np.sum(walls**2, axis=0),
-            np.full(len(first), _absorbed(self.walls)),
-            np.sum(odometry**2, axis=0),
-        )
+        walls, odometry = (_pulls(self.pose, by, moved) for by in (self.walls, self.odometry))
+        absorbed = np.full(len(first), _absorbed(self.walls))
+        return np.sum(walls**2, axis=0), absorbed, np.sum(odometry**2, axis=0)
 
-    def ways(self, pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    def ways(self, first: IntArray, last: IntArray) -> FloatArray:
         """(q,) variance [m²] of the distance ahead from poses `first` (q,) to `last`, by the
         curvature alone: along bare walls there are no gradients."""
-        by_last, by_first = motion_by_ends(pose, last, first)
+        by_last, by_first = motion_by_ends(self.pose, last, first)
         k, q = np.arange(3), np.arange(len(first))[:, None]
-        onto = np.zeros((3 * len(pose), len(first)))
+        onto = np.zeros((3 * len(self.pose), len(first)))
         onto[3 * last[:, None] + k, q] = by_last[:, 0]
         onto[3 * first[:, None] + k, q] += by_first[:, 0]
         moved = self._solved(onto).reshape(onto.shape)

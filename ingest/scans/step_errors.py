@@ -8,8 +8,8 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse, wrap
-from .alignment import Aligned
 from .keyframes import KEYFRAMES, Keyframes
+from .scatter import Aligned
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
 """Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s] of each
@@ -186,7 +186,7 @@ class SpanErrors:
 def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
     """The errors of spans among the given rows of a window, in which keyframes of so many lasers
     come in turns."""
-    pose, scatter = aligned.pose, aligned.scatter
+    pose = aligned.pose
     short, long = lasers * SHORT, lasers * LONG
     first, last = _spans(rows, short, short)
     begin, end = _spans(rows, min(long, max(rows.stop - rows.start - 1, short)), short)
@@ -194,10 +194,10 @@ def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
     return SpanErrors(
         step[last] - step[first],
-        SURER_ALONG * scatter.ways(pose, first, last),
+        SURER_ALONG * aligned.ways(first, last),
         step[end] - step[begin],
         turn[end] - turn[begin],
-        *scatter.headings(pose, begin, end),
+        *aligned.headings(begin, end),
     )
 
 

@@ -15,7 +15,6 @@ from scipy import ndimage
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.odometry import Odometry
-from ...topology.se2 import compose, inverse
 from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
 from .crossing import BendTally, Crossing, bends, crossing, crossings
@@ -143,7 +142,7 @@ def _pieces(part: Matched) -> Iterator[Matched]:
 
 def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
     """The keyframes held, with more appended; driven: the distance before the first of all."""
-    body = compose(run.pose, inverse(run.keyframes.mount))
+    body = run.body
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
