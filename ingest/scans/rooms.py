@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from ...topology.arrays import BoolArray, FloatArray, IntArray
 from .crossing import Crossing, crossing
 from .open_space import distances, nearest_cells
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
@@ -49,27 +49,23 @@ class Door(NamedTuple):
     half_m: float
 
 
-def doors(graph: SkeletonGraph, clearance_m: Float32Array, cell_m: float) -> list[Door]:
-    """The doors on the edges of a graph, in their order. clearance_m: (h, w), as it was traced
-    with. O(cells of the skeleton)."""
-    out = []
-    for number, edge in enumerate(graph.edges):
-        ends = [graph.nodes[node].clearance_m if node >= 0 else 0.0 for node in edge.nodes]
-        out += [
-            Door(number, at, half_m) for at, half_m in _narrowest(edge, ends, clearance_m, cell_m)
-        ]
-    return out
+def doors(graph: SkeletonGraph) -> list[Door]:
+    """The doors on the edges of a graph, in their order. O(cells of the skeleton)."""
+    return [
+        Door(number, at, half_m)
+        for number, edge in enumerate(graph.edges)
+        for at, half_m in _narrowest(graph, edge)
+    ]
 
 
-def _narrowest(
-    edge: Edge, ends_m: list[float], clearance_m: Float32Array, cell_m: float
-) -> Iterator[tuple[int, float]]:
-    """Index and clearance of the doors along an edge; ends_m: clearance of the nodes at its ends,
-    0 for none."""
+def _narrowest(graph: SkeletonGraph, edge: Edge) -> Iterator[tuple[int, float]]:
+    """Index and clearance of the doors along an edge."""
+    ends_m = [graph.nodes[node].clearance_m if node >= 0 else 0.0 for node in edge.nodes]
+    cell_m = graph.cell_m
     cells = edge.cells
     if not len(cells):
         return
-    r = np.concatenate([ends_m[:1], clearance_m[tuple(cells.T)], ends_m[1:]])
+    r = np.concatenate([ends_m[:1], graph.clearance_m[tuple(cells.T)], ends_m[1:]])
     way = np.concatenate([[0.0, cell_m], np.hypot(*np.diff(cells, axis=0).T) * cell_m, [cell_m]])
     way = np.cumsum(way)
     for k in range(1, len(r) - 1):
@@ -113,18 +109,12 @@ class Regions:
         return int(found[np.argmax(found > 0)]) if len(found) else 0
 
 
-def regions(
-    graph: SkeletonGraph,
-    found: Sequence[Door],
-    clearance_m: Float32Array,
-    cell_m: float,
-    robot_m: float,
-) -> Regions:
+def regions(graph: SkeletonGraph, found: Sequence[Door], robot_m: float) -> Regions:
     """The regions that doors part, of where a robot of radius `robot_m` can be: walls have gaps.
 
-    clearance_m: (h, w) distance of walls. Free cells as near to a region as that count in its area.
-    O(h w).
+    Free cells as near to a region as that count in its area. O(h w).
     """
+    clearance_m, cell_m = graph.clearance_m, graph.cell_m
     open_ = clearance_m > robot_m
     for door in found:
         _cut(open_, _cell(graph, door), door.half_m / cell_m + 1.0)
@@ -208,7 +198,6 @@ class Rooms(NamedTuple):
 
 def with_rooms(
     graph: SkeletonGraph,
-    clearance_m: Float32Array,
     opening: BoolArray,
     drivable: Drivable,
     settings: SkeletonSettings,
@@ -216,11 +205,10 @@ def with_rooms(
     """The graph cut at its doors; in rooms, ways from the middle to the doors, and to where the
     unknown begins, replace it.
 
-    clearance_m: (h, w), as it was traced with; opening: (h, w) cells where the unknown begins.
+    opening: (h, w) cells where the unknown begins.
     """
-    cell_m = drivable.cell_m
-    found = doors(graph, clearance_m, cell_m)
-    between = regions(graph, found, clearance_m, cell_m, settings.clearance_m)
+    cell_m, found = graph.cell_m, doors(graph)
+    between = regions(graph, found, settings.clearance_m)
     rooms = np.flatnonzero(between.is_room).tolist()
     inside = [between.of_node(graph, k) for k in range(len(graph.nodes))]
     kept = [k for k, region in enumerate(inside) if not between.is_room[region]]
@@ -245,7 +233,7 @@ def with_rooms(
                     edges.append(Edge((room[region], stop), way, _length_m(way, cell_m)))
     nodes = [graph.nodes[k] for k in kept]
     nodes += [Node(between.centre[r], float(between.clearance_m[r]), ()) for r in rooms]
-    nodes += door_nodes(graph, found, cell_m)
+    nodes += door_nodes(graph, found)
     ends_of: list[list[int]] = [[] for _ in nodes]
     for k, edge in enumerate(edges):
         for node in edge.nodes:
@@ -253,7 +241,7 @@ def with_rooms(
                 ends_of[node].append(k)
     cut = replace(graph, edges=tuple(edges))
     crossed = tuple(
-        crossing(cut, Node(node.xy, node.clearance_m, tuple(ways)), cell_m, settings)
+        crossing(cut, Node(node.xy, node.clearance_m, tuple(ways)), settings)
         for node, ways in zip(nodes, ends_of, strict=True)
     )
     behind = [
@@ -264,11 +252,11 @@ def with_rooms(
     return Rooms(replace(cut, nodes=crossed), crossed, kept, area, found, behind, lost)
 
 
-def door_nodes(graph: SkeletonGraph, found: Sequence[Door], cell_m: float) -> list[Node]:
+def door_nodes(graph: SkeletonGraph, found: Sequence[Door]) -> list[Node]:
     """Doors of a graph as nodes of two branches."""
     return [
         Node(
-            np.asarray(_cell(graph, door)[::-1] * cell_m, np.float64),
+            np.asarray(_cell(graph, door)[::-1] * graph.cell_m, np.float64),
             door.half_m,
             (door.edge, door.edge),
         )

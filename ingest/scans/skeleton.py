@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from .skeleton_lines import Lines
 
 
@@ -59,10 +59,13 @@ class Node:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonGraph:
-    """Nodes and the edges between them."""
+    """Nodes and the edges between them; clearance_m: (h, w) distance of all cells from walls;
+    cell_m: size of a cell."""
 
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
+    clearance_m: Float32Array | FloatArray
+    cell_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,7 +207,8 @@ def _reaches(lines: Lines, taper: float) -> list[tuple[Reach, Reach]]:
     """Of every line along its cells, and back; forks are points at their ends. O(c)."""
     count = len(lines.length_m)
     at = [lines.cells[:, ::-1] * lines.cell_m, lines.fork_xy[lines.ends.ravel()]]
-    clear = [lines.clearance_m, lines.fork_clearance_m[lines.ends.ravel()]]
+    along = lines.clearance_m[lines.cells[:, 0], lines.cells[:, 1]].astype(np.float64)
+    clear = [along, lines.fork_clearance_m[lines.ends.ravel()]]
     number = np.arange(count)
     owner = np.concatenate([lines.line, np.repeat(number, 2)])
     place = np.concatenate([np.ones(len(lines.line)), np.tile([0, 2], count)])
@@ -384,4 +388,4 @@ def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
         Node(net.centre[n], net.clearance[n], tuple(place[k] for k in net.incident[n]))
         for n in names
     ]
-    return SkeletonGraph(tuple(nodes), tuple(edges))
+    return SkeletonGraph(tuple(nodes), tuple(edges), lines.clearance_m, lines.cell_m)

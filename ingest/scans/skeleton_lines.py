@@ -35,15 +35,15 @@ class Lines:
     """Forks and lines of a skeleton, each numbered from 1 on.
 
     cells: (c, 2) row and column of all cells of lines, one line after another, each in the order
-    along it; clearance_m: (c,) distance of the nearest wall; line: (c,) line of each; fork_xy:
-    (f + 1, 2) centre of each fork, from that of the first cell [m]; fork_clearance_m: (f + 1,);
-    fork_cells: (f + 1,) number of cells; length_m: (l + 1,) of each line, including its ends in the
-    forks; ends: (l + 1, 2) fork at the first cell of each line, and at the last one, 0 for none;
-    border: lines that run into the border of the grid; cell_m: size of a cell.
+    along it; line: (c,) line of each; fork_xy: (f + 1, 2) centre of each fork, from that of the
+    first cell [m]; fork_clearance_m: (f + 1,) distance of the nearest wall; fork_cells: (f + 1,)
+    number of cells; length_m: (l + 1,) of each line, including its ends in the forks; ends:
+    (l + 1, 2) fork at the first cell of each line, and at the last one, 0 for none; border: lines
+    that run into the border of the grid; clearance_m: (h, w) distance of all cells from walls;
+    cell_m: size of a cell.
     """
 
     cells: IntArray
-    clearance_m: FloatArray
     line: Labels
     fork_xy: FloatArray
     fork_clearance_m: FloatArray
@@ -51,6 +51,7 @@ class Lines:
     length_m: FloatArray
     ends: IntArray
     border: frozenset[int]
+    clearance_m: Float32Array | FloatArray
     cell_m: float
 
 
@@ -81,11 +82,9 @@ def lines_of(
     y = np.bincount(number, rows, forks + 1) / safe * cell_m
     wide = np.zeros(forks + 1)
     np.maximum.at(wide, number, clearance_m[rows, columns])
-    cells = cells[order]
     at_border = np.unique(line_label[border])
     return Lines(
-        cells,
-        np.asarray(clearance_m[cells[:, 0], cells[:, 1]], np.float64),
+        cells[order],
         line[order],
         np.stack([x, y], axis=1),
         wide,
@@ -93,6 +92,7 @@ def lines_of(
         length * cell_m,
         ends,
         frozenset(at_border[at_border > 0].tolist()),
+        clearance_m,
         cell_m,
     )
 

@@ -80,11 +80,11 @@ class Seen:
     view: NDArray[np.uint8]
 
 
-@dataclass(slots=True, eq=False)
-class _Rolling:
-    """Keyframes around the next window, and the distance driven up to each."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rolling(Looks):
+    """Keyframes around the next window: what they saw, the robot's pose (k, 3), and the distance
+    driven up to each (k,) [m]."""
 
-    seen: Looks
     body: FloatArray
     way: FloatArray
 
@@ -142,24 +142,19 @@ def _pieces(part: Matched) -> Iterator[Matched]:
 
 def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
     """The keyframes held, with more appended; driven: the distance before the first of all."""
-    body = run.body
+    body, seen = run.body, looks(run.keyframes, run.pose, WINDOWS.grid)
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
-    way = start + np.cumsum(step)
-    seen = looks(run.keyframes, run.pose, WINDOWS.grid)
-    if held is None:
-        return _Rolling(seen, body, way)
-    joint = joined([held.seen, seen])
-    return _Rolling(joint, np.concatenate([held.body, body]), np.concatenate([held.way, way]))
+    fresh = _Rolling(seen.free, seen.hit, seen.corner, body, start + np.cumsum(step))
+    return fresh if held is None else joined([held, fresh])
 
 
 def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     first = min(int(np.searchsorted(held.way, oldest)), len(held.way) - 1)
     # Rotation on the spot adds keyframes without distance: thin them out.
     every = 1 + (len(held.way) - first) // MOST_HELD
-    rows = np.arange(len(held.way) - 1, first - 1, -every)[::-1]
-    return _Rolling(take(held.seen, rows), held.body[rows], held.way[rows])
+    return take(held, np.arange(len(held.way) - 1, first - 1, -every)[::-1])
 
 
 def _due(
@@ -216,13 +211,13 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
             if len(node.ends) >= 3
             and nearest.way(node.xy + origin, WINDOWS.near_m + node.clearance_m) is not None
         ]
-        places, _ = crossings(graph, nodes, distance(grid, way_m), cell_m, skeleton, tally=tally)
+        places, _ = crossings(graph, nodes, skeleton, tally)
         for place in places.values():
             xy = place.xy + origin
             way = nearest.way(xy, WINDOWS.near_m)
             if way is not None:
-                fork = crossing(graph, place, cell_m, skeleton)
-                turn = bends(graph, fork, cell_m, skeleton)
+                fork = crossing(graph, place, skeleton)
+                turn = bends(graph, fork, skeleton)
                 forks.append((k, way, replace(fork, xy=xy, bends=turn)))
     # One cell less than a window has, which has a middle one.
     cells = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
@@ -236,7 +231,7 @@ def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
     a, b = np.searchsorted(held.way, [begin, end]).tolist()
     rows = range(a, min(max(b, a + 1), len(held.way)))
     path = _dense(held, begin, end, WINDOWS.grid.cell_m)
-    return gather(held.seen, rows, path, (held.at(middle), half), WINDOWS.grid)
+    return gather(held, rows, path, (held.at(middle), half), WINDOWS.grid)
 
 
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
