@@ -136,9 +136,10 @@ def regions(graph: SkeletonGraph, found: Sequence[Door], robot_m: float) -> Regi
         [np.bincount(own, at, count + 1) / size * cell_m for at in (columns, rows)]
     )
     boxes = [(rows, columns) for rows, columns in ndimage.find_objects(label)]
-    out = Regions(label, area.astype(np.float64), centre, most, np.zeros(count + 1, bool), boxes)
-    out.is_room[:] = out.area_m2 <= COMPACT * np.pi * most**2
-    out.is_room[:] &= _behind_doors(graph, found, out) & ~_with_rings(graph, found, out)
+    out = Regions(
+        label, area.astype(np.float64), centre, most, area <= COMPACT * np.pi * most**2, boxes
+    )
+    out.is_room[:] &= _behind_doors(graph, found, out)
     return out
 
 
@@ -152,17 +153,6 @@ def _behind_doors(graph: SkeletonGraph, found: Sequence[Door], between: Regions)
         out[list(sides)] |= sides[0] != sides[1]
     out[0] = False
     return out
-
-
-def _with_rings(graph: SkeletonGraph, found: Sequence[Door], between: Regions) -> BoolArray:
-    """(n + 1,) regions with ways round an obstacle: as many edges between their nodes as nodes."""
-    count = len(between.is_room)
-    inside = [between.of_node(graph, k) for k in range(len(graph.nodes))]
-    nodes = np.bincount(np.array(inside, np.int64), minlength=count)
-    edges = np.zeros(count, np.int64)
-    for cells, ends in _parts(graph, found):
-        edges[between.along(cells)] += all(0 <= end < len(graph.nodes) for end in ends)
-    return np.asarray((nodes > 0) & (edges >= nodes))
 
 
 def _cut(free: BoolArray, cell: IntArray, radius: float) -> None:
