@@ -65,7 +65,7 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
         (frames.time_ns >= truth.time_ns[0]) & (frames.time_ns <= truth.time_ns[-1])
     )
     ours, frames = np.concatenate([part.pose for part in parts])[inside], take(frames, inside)
-    scans = Swept.of(frames.xy, frames.start, frames.increment)
+    scans = Swept.of(frames)
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)
     found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), 0.0)
@@ -107,7 +107,7 @@ def _loose(motion: FloatArray) -> Steps:
 
 def _steps(frames: Keyframes, errors: StepErrors) -> Steps:
     n = len(frames)
-    return Steps(*errors.steps(frames, np.arange(1, n), np.arange(n - 1)))
+    return errors.steps(frames, np.arange(1, n), np.arange(n - 1))
 
 
 def _started(real: FloatArray, ours: FloatArray) -> FloatArray:

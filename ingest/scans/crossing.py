@@ -46,18 +46,6 @@ ROUGH_M = GridSettings().cell_m
 """Lower bound of the rounding error of walls: they are no smoother in finer grids."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Crossing(Node):
-    """A node as a junction: xy is where its axes cross, clearance_m that of the node.
-
-    headings: (b,) [rad] of its branches, ascending, in the order of `ends`; bends: (b,) change of
-    heading further on (`bends`), if asked for.
-    """
-
-    headings: FloatArray = field(kw_only=True)
-    bends: FloatArray = field(default_factory=lambda: np.zeros(0), kw_only=True)
-
-
 SHARES = (np.arange(20) + 0.5) / 20
 """Possible shares of a run's axes that bend, with equal prior probabilities."""
 
@@ -99,15 +87,15 @@ def placed(graph: SkeletonGraph, node: Node, tally: BendTally | None = None) -> 
     return Node(xy, node.clearance_m, node.ends, sigma_m)
 
 
-def crossing(graph: SkeletonGraph, node: Node, settings: SkeletonSettings) -> Crossing:
+def crossing(graph: SkeletonGraph, node: Node, settings: SkeletonSettings) -> Node:
     """A placed node of a graph with the headings of its branches."""
     headings = _headings(node.xy, graph, node.ends, _reach(node, settings))
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
-    return Crossing(node.xy, node.clearance_m, ends, node.sigma_m, headings=headings[order])
+    return replace(node, ends=ends, headings=headings[order])
 
 
-def bends(graph: SkeletonGraph, place: Crossing, settings: SkeletonSettings) -> FloatArray:
+def bends(graph: SkeletonGraph, place: Node, settings: SkeletonSettings) -> FloatArray:
     """(b,) change of heading [rad] of each branch between the distance where it is measured and
     twice that; NaN where it ends before, or for the two ends of a ring."""
     reach = 2 * _reach(place, settings)
@@ -165,13 +153,10 @@ def crossings(
     return Crossings(found, joints)
 
 
-def with_crossings(
-    graph: SkeletonGraph, settings: SkeletonSettings
-) -> tuple[SkeletonGraph, tuple[Crossing, ...]]:
-    """A graph with its nodes placed, and these nodes; two forks of one crossing become one node,
-    and the edge between them is removed."""
-    every = range(len(graph.nodes))
-    found, joints = crossings(graph, every, settings)
+def with_crossings(graph: SkeletonGraph, settings: SkeletonSettings) -> SkeletonGraph:
+    """A graph with its nodes placed; two forks of one crossing become one node, and the edge
+    between them is removed."""
+    found, joints = crossings(graph, range(len(graph.nodes)), settings)
     kept, ways = sorted(found), [k for k in range(len(graph.edges)) if k not in joints]
     number = {k: new for new, k in enumerate(kept)}
     # What a node was joined to may have been joined to another one later.
@@ -184,7 +169,7 @@ def with_crossings(
     for edge in (graph.edges[way] for way in ways):
         a, b = (number.get(node, -1) for node in edge.nodes)
         edges.append(replace(edge, nodes=(a, b)))
-    return replace(graph, nodes=places, edges=tuple(edges)), places
+    return replace(graph, nodes=places, edges=tuple(edges))
 
 
 class _Bend(NamedTuple):

@@ -149,14 +149,14 @@ def skeleton_graph(
         return _Axes.of(left, edge, resolution_m, yaw, settings)
 
     base = axes_of(0.0)
-    graph, own = with_crossings(base.graph(settings.skeleton), settings.skeleton)
-    if not own and not doors(graph):
+    graph = with_crossings(base.graph(settings.skeleton), settings.skeleton)
+    if not graph.nodes and not doors(graph):
         return Floorplan((), ())
-    if len(own) < FEW_JUNCTIONS:
+    if len(graph.nodes) < FEW_JUNCTIONS:
         rooms = with_rooms(graph, base.opening, base.drivable, settings.skeleton)
     else:
-        rooms = Rooms(graph, own, [*range(len(own))], [], [], [], 0)
-    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
+        rooms = Rooms(graph, [*range(len(graph.nodes))], [], [], [], 0)
+    own = [*(graph.nodes[k] for k in rooms.kept), *rooms.graph.nodes[rooms.first_door :]]
     others = []
     for skeleton, unknown_m in settings.variants[1:] if own else ():
         axes = axes_of(unknown_m) if unknown_m else base
@@ -290,7 +290,7 @@ def _known_places(rooms: Rooms, agreement: Sequence[float], drivable: Drivable) 
     ]
     return [
         Place(drivable.moved(node.xy), node.headings, *kind)
-        for node, kind in zip(rooms.nodes, kinds, strict=True)
+        for node, kind in zip(rooms.graph.nodes, kinds, strict=True)
     ]
 
 

@@ -124,7 +124,7 @@ def _solve(
     held: Keyframes, known: _Solved, final: int, errors: StepErrors
 ) -> tuple[_Solved, StepErrors]:
     """Solve for all keyframes held; the first ones were solved before, `final` of them finally."""
-    scans = Swept.of(held.xy, held.start, held.increment, held.beams)
+    scans = Swept.of(held)
     n, least_fit = len(held), ALIGNMENT.lost_fit
     before = _before(held)
     new = n - len(known.pose)
@@ -133,12 +133,12 @@ def _solve(
     loose_m = np.concatenate([known.loose_m, np.zeros(new)])
     fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
     pairs = fresh, before[fresh]
-    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)))
+    found = match_steps(scans, pairs, errors.steps(held, *pairs))
     sure = found.fit > least_fit
     errors = errors.learned(held, pairs, (found.motion, sure, sure & (found.loose_m < LOOSE_M)))
     fit[fresh], searched[fresh], loose_m[fresh] = found.fit, found.searched, found.loose_m
     consecutive = np.arange(1, n), np.arange(n - 1)
-    raw = Steps(*errors.steps(held, *consecutive))
+    raw = errors.steps(held, *consecutive)
     guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
     earlier = _earlier(before, ALIGNMENT.offsets)
     aligned = align(

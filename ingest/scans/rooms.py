@@ -18,7 +18,7 @@ import numpy as np
 from scipy import ndimage
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
-from .crossing import Crossing, crossing
+from .crossing import crossing
 from .open_space import distances, nearest_cells
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
 from .skeleton_lines import Labels
@@ -173,7 +173,6 @@ class Rooms(NamedTuple):
     """
 
     graph: SkeletonGraph
-    nodes: tuple[Crossing, ...]
     kept: list[int]
     area_m2: list[float]
     doors: list[Door]
@@ -239,7 +238,7 @@ def with_rooms(
         for r in rooms
     ]
     area = between.area_m2[rooms].tolist()
-    return Rooms(replace(cut, nodes=crossed), crossed, kept, area, found, behind, lost)
+    return Rooms(replace(cut, nodes=crossed), kept, area, found, behind, lost)
 
 
 def door_nodes(graph: SkeletonGraph, found: Sequence[Door]) -> list[Node]:

@@ -72,7 +72,7 @@ def _posed(
         return part, pose, before
     fresh = prepared(part, rows)
     frames = fresh if before is None else join([before, fresh])
-    scans = Swept.of(frames.xy, frames.start, frames.increment, frames.beams)
+    scans = Swept.of(frames)
     seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
     information = np.zeros((len(seconds), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = (SPEED_M_PER_S * seconds) ** -2

@@ -44,17 +44,20 @@ class SkeletonSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A fork of a skeleton.
+    """A fork of a skeleton, or a junction at the crossing of its axes (`crossing.py`).
 
     xy: (2,) from the centre of the first cell [m]; clearance_m: distance of the nearest wall; ends:
     (b,) the edge of each branch, a ring's twice; sigma_m: 1 sigma of each coordinate of the
-    crossing of its axes, NaN if unknown.
+    crossing, NaN if unknown; headings: (b,) [rad] of the branches of a junction, ascending, in the
+    order of `ends`; bends: (b,) change of heading further on, if asked for.
     """
 
     xy: FloatArray
     clearance_m: float
     ends: tuple[int, ...]
     sigma_m: float = float("nan")
+    headings: FloatArray = field(default_factory=lambda: np.zeros(0))
+    bends: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse, wrap
+from .alignment import Steps
 from .keyframes import KEYFRAMES, Keyframes
 from .scatter import Aligned
 
@@ -74,11 +75,8 @@ class StepErrors:
         """(2 + lasers,) β [rad/m], κ, δ [s] of each laser."""
         return self.heading.terms
 
-    def steps(
-        self, frames: Keyframes, first: IntArray, second: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Corrected motion (p, 3) to keyframes `first` from `second`, and its information (p, 3,
-        3)."""
+    def steps(self, frames: Keyframes, first: IntArray, second: IntArray) -> Steps:
+        """Corrected motion (p, 3) to keyframes `first` from `second`, and its information."""
         own = odometry_motion(frames, first, second)
         inputs = _inputs(frames, first, second, own)
         known = self.heading.widened(inputs.shape[1], HEADING_PRIOR[2])
@@ -93,7 +91,7 @@ class StepErrors:
         information = np.zeros((len(motion), 3, 3))
         information[:, 0, 0] = information[:, 1, 1] = along**-2
         information[:, 2, 2] = heading**-2
-        return motion, information
+        return Steps(motion, information)
 
     def learned(
         self,

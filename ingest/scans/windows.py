@@ -17,10 +17,10 @@ from ...topology.columns import joined, take
 from ...topology.odometry import Odometry
 from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
-from .crossing import BendTally, Crossing, bends, crossing, crossings
+from .crossing import BendTally, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
 from .matching import Matched
-from .skeleton import SkeletonSettings, thin, traced
+from .skeleton import Node, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
 
 
@@ -75,7 +75,7 @@ class Seen:
 
     number: int
     way: float
-    forks: tuple[tuple[int, float, Crossing], ...]
+    forks: tuple[tuple[int, float, Node], ...]
     place: FloatArray
     view: NDArray[np.uint8]
 
@@ -202,7 +202,7 @@ def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
 
     nearest = _Nearest.of(held, middle)
     origin = (corner + 0.5) * cell_m
-    forks: list[tuple[int, float, Crossing]] = []
+    forks: list[tuple[int, float, Node]] = []
     for k, (grid, skeleton, way_m) in enumerate(WINDOWS.variants):
         graph = traced(lines(grid, way_m, skeleton.clearance_m), skeleton)
         nodes = [

@@ -8,7 +8,6 @@ from scipy import ndimage
 
 from topobatch.ingest.scans.crossing import (
     BendTally,
-    Crossing,
     crossing,
     crossings,
     placed,
@@ -48,7 +47,7 @@ def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node]:
     return graph, node
 
 
-def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Crossing]:
+def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Node]:
     """The one junction of a grid, as the skeleton forks and as its corridors cross."""
     graph, node = fork_of(free)
     place = placed(graph, node, tally)
@@ -65,7 +64,7 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     assert apart.min(axis=0).max() < 0.15
 
 
-def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
+def places(free: np.ndarray) -> tuple[int, list[Node]]:
     """Nodes of the skeleton of a grid, and what places they are."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
