@@ -167,14 +167,10 @@ def _floor(odometry: Odometry) -> FloatArray:
 
 def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> Calibration:
     """Calibration from evidence that was already corrected by `already` (3,)."""
-    sigma = (
-        CALIBRATION.prior_bias_rad_per_m,
-        CALIBRATION.prior_turn_scale,
-        CALIBRATION.prior_lag_s,
-    )
-    minus = tuple((-already).tolist())
+    c = CALIBRATION
+    sigma = np.array([c.prior_bias_rad_per_m, c.prior_turn_scale, c.prior_lag_s])
     model = HeadingLikelihood.of(
-        evidence, prior_sigma=sigma, centre=minus, worth=CALIBRATION.looks_per_pass
+        evidence, prior_sigma=sigma, centre=-already, worth=c.looks_per_pass
     )
     starts = _scan(model, already)
     every = np.ones(TERMS, bool)
