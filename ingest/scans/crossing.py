@@ -257,31 +257,21 @@ def _branch(
     """
     beyond, own = seen.axis(begin_m)
     middle = own.sum(axis=0) / max(len(own), 1)
+    without = _Branch(float(np.arctan2(middle[1], middle[0])), None)
     # Two cells make a line, where cells are large.
-    if not ring and np.count_nonzero(beyond) >= max(0.4 * AXIS_M / cell_m, 2):
-        wide = float(seen.clearance_m[beyond].var())
-        found = _with_axis(own, middle, node, (max(cell_m, ROUGH_M) ** 2 / 12, wide), usual)
-        if found is not None:
-            return found
-    return _Branch(float(np.arctan2(middle[1], middle[0])), None)
-
-
-def _with_axis(
-    own: FloatArray, middle: FloatArray, node: Node, noise: tuple[float, float], usual: float
-) -> _Branch | None:
-    """A branch with the axis fitted to its cells (n, 2), relative to the node [m], about their
-    centroid; None if they are unlike those of a corridor. noise: see `_bend`."""
+    if ring or np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2):
+        return without
+    rounding, wide = max(cell_m, ROUGH_M) ** 2 / 12, float(seen.clearance_m[beyond].var())
     u, v = (own - middle).T
     angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
     if np.cos(angle) * middle[0] + np.sin(angle) * middle[1] < 0:
         angle += np.pi
     c, s = np.cos(angle), np.sin(angle)
-    bend = _bend(c * u + s * v, c * v - s * u, noise, usual)
-    rounding, wide = noise
+    bend = _bend(c * u + s * v, c * v - s * u, (rounding, wide), usual)
     unlike = 0.5 * (max(bend.left, 0.0) + wide) / rounding
     # Beyond three sigma it is none; exp would overflow.
     if unlike >= 4.5:
-        return None
+        return without
     of_mean = float(np.exp(unlike)) * rounding / len(own)
     # All cells of an axis along the grid are rounded alike.
     known = (rounding + of_mean, of_mean / bend.spread)

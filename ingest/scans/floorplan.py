@@ -301,16 +301,17 @@ def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Flo
     """
     places = list(known)
     corridors, blocked = [], 0
-    used = [[False] * len(node.ends) for node in graph.nodes]
     for number, edge in enumerate(graph.edges):
         source, target = edge.nodes
         line = _polyline(edge, graph.nodes, axes.cell_m)
         if line is None:
             continue
-        source_branch, target_branch = _take(graph, used, source, number), 0
+        source_branch, target_branch = graph.nodes[source].ends.index(number), 0
         line[0] = places[source].xy
         if target >= 0:
-            target_branch = _take(graph, used, target, number)
+            # A ring comes back by another branch.
+            ends = graph.nodes[target].ends
+            target_branch = len(ends) - 1 - ends[::-1].index(number)
             line[-1] = places[target].xy
             way = _way(line, axes)
         else:
@@ -325,8 +326,7 @@ def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Flo
         if target < 0:
             target = len(places)
             places.append(_end_of(way, kind))
-        ends = source, target, source_branch, target_branch
-        corridors.append(Corridor(*ends, *way))
+        corridors.append(Corridor(source, target, source_branch, target_branch, *way))
     return Floorplan(tuple(places), tuple(corridors), blocked)
 
 
@@ -415,15 +415,6 @@ def _to_widest(path: FloatArray, clearance_m: Float32Array, cell_m: float) -> Fl
     end = (np.argwhere(wide).mean(axis=0)[::-1] + corner) * cell_m
     nearest = int(np.argmin(np.hypot(*(path - end).T)))
     return np.concatenate([path[: max(nearest, 1)], end[None]])
-
-
-def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) -> int:
-    """The branch of a place that an edge leaves by; a ring leaves by two."""
-    for branch, way in enumerate(graph.nodes[node].ends):
-        if way == edge and not used[node][branch]:
-            used[node][branch] = True
-            return branch
-    raise AssertionError("every way at a place is one of its branches")
 
 
 def _agreement(
