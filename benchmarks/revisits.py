@@ -64,7 +64,8 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
     inside = np.flatnonzero(
         (frames.time_ns >= truth.time_ns[0]) & (frames.time_ns <= truth.time_ns[-1])
     )
-    ours, frames = np.concatenate([part.pose for part in parts])[inside], take(frames, inside)
+    frames = take(frames, inside)
+    ours = frames.pose
     scans = Swept.of(frames)
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)

@@ -108,7 +108,7 @@ class _Counted:
 @dataclass(frozen=True, slots=True, eq=False)
 class _Rows:
     """Keyframes that passed: time, pose (k, 3) of the robot, corrected and as recorded; piece, fit,
-    loose_m, laser: as of `Matched` and its keyframes."""
+    loose_m, laser: as of `Placed`."""
 
     time_ns: IntArray
     pose: FloatArray
@@ -140,14 +140,14 @@ class _Track:
     def passing(self, parts: Iterable[Matched]) -> Iterator[Matched]:
         """The parts as they pass, after recording what is needed of them."""
         for part in parts:
-            frames, fit = part.keyframes, part.fit
+            frames, body = part.keyframes, part.keyframes.body
             recorded = compose(frames.odometry, inverse(frames.mount))
-            about = frames.piece, fit, part.loose_m, frames.laser
-            self.rows.append(_Rows(frames.time_ns, part.body, recorded, *about))
+            about = frames.piece, frames.fit, frames.loose_m, frames.laser
+            self.rows.append(_Rows(frames.time_ns, body, recorded, *about))
             self.spans.append(part.spans)
-            self.searched += int(part.searched.sum())
+            self.searched += int(frames.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])
-            self.turns = self.turns.more(recorded, part.body, frames.piece)
+            self.turns = self.turns.more(recorded, body, frames.piece)
             if self.turns.mirrored:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:

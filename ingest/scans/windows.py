@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import count
+from itertools import count, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
 from .crossing import BendTally, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
-from .matching import Matched
+from .matching import Matched, Placed
 from .skeleton import Node, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
 
@@ -103,8 +103,8 @@ def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
     driven = following = 0.0
     tally = BendTally(1 / len(WINDOWS.variants))
     for part in parts:
-        for run in _pieces(part):
-            own = int(run.keyframes.piece[0])
+        for run in _pieces(part.keyframes):
+            own = int(run.piece[0])
             if held is not None and own != piece:
                 yield from _due(held, (following, np.inf), numbers, tally)
                 driven = following = float(held.way[-1])
@@ -131,18 +131,17 @@ def window_places(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     return np.asarray(np.floor(middle / cell_m) * cell_m)
 
 
-def _pieces(part: Matched) -> Iterator[Matched]:
+def _pieces(part: Placed) -> Iterator[Placed]:
     """A part, cut at breaks of the odometry."""
-    cuts = np.flatnonzero(np.diff(part.keyframes.piece)) + 1
-    for a, b in zip([0, *cuts], [*cuts, len(part.pose)], strict=True):
+    cuts = (np.flatnonzero(np.diff(part.piece)) + 1).tolist()
+    for a, b in pairwise([0, *cuts, len(part)]):
         if b > a:
-            rows = slice(int(a), int(b))
-            yield replace(part, keyframes=take(part.keyframes, rows), pose=part.pose[rows])
+            yield take(part, slice(a, b))
 
 
-def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
+def _rolling(run: Placed, held: _Rolling | None, driven: float) -> _Rolling:
     """The keyframes held, with more appended; driven: the distance before the first of all."""
-    body, seen = run.body, looks(run.keyframes, run.pose, WINDOWS.grid)
+    body, seen = run.body, looks(run, run.pose, WINDOWS.grid)
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
