@@ -166,19 +166,15 @@ assume more correlation between the points of a scan than there is."""
 class SpanErrors:
     """Spans of corrected odometry and their uncertainty.
 
-    way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m] and turned: (r,)
-    absolute rotation [rad] of other, longer spans. Of the errors of these rotations, (r,) each:
-    walls, odometry: sums of squares [rad²] by patches of wall and by parts of odometry; absorbed:
-    share of the patches' errors that poses follow, so that it does not remain in the residuals.
+    way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m], turned: (r,) absolute
+    rotation [rad] and variance: (r,) its variance [rad²] of other, longer spans.
     """
 
     way: FloatArray
     along: FloatArray
     far: FloatArray
     turned: FloatArray
-    walls: FloatArray
-    absorbed: FloatArray
-    odometry: FloatArray
+    variance: FloatArray
 
 
 def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
@@ -195,7 +191,7 @@ def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
         SURER_ALONG * aligned.ways(first, last),
         step[end] - step[begin],
         turn[end] - turn[begin],
-        *aligned.headings(begin, end),
+        aligned.headings(begin, end),
     )
 
 
