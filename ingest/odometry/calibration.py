@@ -214,16 +214,12 @@ def _best(
 ) -> tuple[HeadingLikelihood, FloatArray]:
     """The highest of the maxima reached from the starts."""
     # A few steps show which maxima compete; only the best two are climbed to the top.
-    reached = [model.climb(x, free, most=6) for x in _distinct(starts)]
+    distinct = {tuple(x.tolist()): x for x in starts}.values()
+    reached = [model.climb(x, free, most=6) for x in distinct]
     reached.sort(key=lambda found: -found[0].value(found[1]))
     final = [fitted.climb(x, free) for fitted, x in reached[:2]]
     value = [fitted.value(x) for fitted, x in final]
     return final[value.index(max(value))]
-
-
-def _distinct(points: list[FloatArray]) -> list[FloatArray]:
-    """The points without duplicates, in their order."""
-    return list({tuple(point.tolist()): point for point in points}.values())
 
 
 def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:

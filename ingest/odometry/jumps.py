@@ -92,7 +92,7 @@ def spikes(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     if len(rows) == 0:
         return found
     usual = _Usual.of(time_ns, pose)
-    way, turn = _excess(time_ns, pose, _Steps.of(pose, rows), usual)
+    way, turn = _excess(time_ns, pose, rows, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / JUMPS.usual_way_m)
     out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
@@ -132,50 +132,27 @@ def _moved(pose: FloatArray, rows: IntArray) -> FloatArray:
     return between(pose[rows], pose[rows + 1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Steps:
-    """The steps that begin at rows (k,), and their neighbours.
-
-    beside: (k, 4) rows of the neighbours; moved: (k, 3), around: (k, 4, 3) motions as by `_moved`.
-    """
-
-    rows: IntArray
-    beside: IntArray
-    moved: FloatArray
-    around: FloatArray
-
-    @classmethod
-    def of(cls, pose: FloatArray, rows: IntArray) -> _Steps:
-        beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
-        around = _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
-        return cls(rows, beside, _moved(pose, rows), around)
-
-    def beyond(self, span: FloatArray, spare: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """(k,) each: distance [m] and angle [rad] by which the steps leave the range of motions (k,
-        s, 3), which includes standing still and is extended by `spare` on either side."""
-        least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
-        off = self.moved - np.clip(self.moved, least - spare, most + spare)
-        way: FloatArray = np.hypot(off[:, 0], off[:, 1])
-        turn: FloatArray = np.abs(off[:, 2])
-        return way, turn
-
-
 def _excess(
-    time_ns: IntArray, pose: FloatArray, steps: _Steps, usual: _Usual
+    time_ns: IntArray, pose: FloatArray, rows: IntArray, usual: _Usual
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) each: distance [m] and angle [rad] by which steps leave the range of their neighbours.
+    """(k,) each: distance [m] and angle [rad] by which the steps that begin at rows leave the range
+    of their neighbours.
 
     The range includes standing still, and the neighbours' motion both per step and per second,
     because stamps may be wrong. In gaps longer than the usual period it is extended by the usual
     speed.
     """
-    rows, beside = steps.rows, steps.beside
+    beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
+    moved, around = _moved(pose, rows), _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
     own = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     theirs = (time_ns[beside + 1] - time_ns[beside]) * SECOND_S
     per_second = (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
-    span = np.concatenate([steps.around, steps.around * per_second], axis=1)
+    span = np.concatenate([around, around * per_second], axis=1)
     spare = np.maximum(own - usual.period, 0.0)
-    return steps.beyond(span, spare[:, None] * np.array([usual.speed, usual.speed, usual.rate]))
+    spare = spare[:, None] * np.array([usual.speed, usual.speed, usual.rate])
+    least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
+    off = moved - np.clip(moved, least - spare, most + spare)
+    return np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
 
 
 def without_jumps(

@@ -184,16 +184,11 @@ def _glitches(pose: FloatArray, leaps: BoolArray) -> IntArray:
     return np.asarray(lone[(way <= TRACK.teleport_min_m) & (turn <= TRACK.teleport_min_rad)])
 
 
-def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n - 1,) each: distance [m], rotation [rad] and duration [s] of every step."""
-    way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
-    turn = np.abs(wrap(np.diff(pose[:, 2])))
-    return way, turn, np.diff(time_ns) / SECOND_NS
-
-
 def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     """(n - 1,) whether a step cannot have been driven, or leads back to the origin exactly."""
-    way, turn, duration = _motion(time_ns, pose)
+    way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
+    turn: FloatArray = np.abs(wrap(np.diff(pose[:, 2])))
+    duration = np.diff(time_ns) / SECOND_NS
     zero = ~pose[1:].any(axis=1)
     away = (way > TRACK.reset_min_m) | (turn > TRACK.reset_min_rad)
     reset = zero & away
@@ -206,7 +201,7 @@ def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     far |= (turn > TRACK.teleport_min_rad) & (turn > turn_limit * duration)
     # Driving through the exact origin is a step like any other; a reset is far longer.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
-    return far | (reset & sudden)
+    return np.asarray(far | (reset & sudden))
 
 
 def _limit(size: FloatArray, duration: FloatArray, least: float) -> float:

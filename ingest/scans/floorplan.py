@@ -145,7 +145,9 @@ def skeleton_graph(
     yaw = wall_yaw(free, edge, resolution_m)
 
     def axes_of(unknown_m: float) -> _Axes:
-        left = _receded(free, edge, unknown_m / resolution_m)
+        left = free
+        if unknown_m and edge.any():
+            left = free & (distance(~edge, 1.0) > unknown_m / resolution_m)
         return _Axes.of(left, edge, resolution_m, yaw, settings)
 
     base = axes_of(0.0)
@@ -169,13 +171,6 @@ def skeleton_graph(
     plan = _floorplan(rooms.graph, places, base)
     plan = plan._replace(blocked=plan.blocked + rooms.lost)
     return _from_corner(plan, base.lattice, resolution_m)
-
-
-def _receded(free: BoolArray, frontier: BoolArray, cells: float) -> BoolArray:
-    """The free cells farther than so many cells from the frontier."""
-    if cells == 0 or not frontier.any():
-        return free
-    return np.asarray(free & (distance(~frontier, 1.0) > cells))
 
 
 CELL_M = 0.05
