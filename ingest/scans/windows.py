@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cache
-from itertools import count, pairwise
+from itertools import count, groupby, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -98,25 +98,21 @@ def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
 
     Memory: the keyframes of two windows.
     """
-    held: _Rolling | None = None
-    piece, numbers = -1, count()
-    driven = following = 0.0
+    numbers, driven = count(), 0.0
     tally = BendTally(1 / len(WINDOWS.variants))
-    for part in parts:
-        for run in _pieces(part.keyframes):
-            own = int(run.piece[0])
-            if held is not None and own != piece:
-                yield from _due(held, (following, np.inf), numbers, tally)
-                driven = following = float(held.way[-1])
-                held = None
-            piece, held = own, _rolling(run, held, driven)
+    for _, runs in groupby(_unbroken(parts), key=lambda run: int(run.piece[0])):
+        held: _Rolling | None = None
+        following = driven
+        for run in runs:
+            held = _rolling(run, held, driven)
             ready = float(held.way[-1]) - WINDOWS.way_m
             for seen in _due(held, (following, ready), numbers, tally):
                 yield seen
                 following = seen.way + WINDOWS.every_m
             held = _trimmed(held, following - WINDOWS.way_m)
-    if held is not None:
-        yield from _due(held, (following, np.inf), numbers, tally)
+        if held is not None:
+            yield from _due(held, (following, np.inf), numbers, tally)
+            driven = float(held.way[-1])
 
 
 def window_places(odometry: Odometry, time_ns: IntArray) -> FloatArray:
@@ -131,12 +127,13 @@ def window_places(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     return np.asarray(np.floor(middle / cell_m) * cell_m)
 
 
-def _pieces(part: Placed) -> Iterator[Placed]:
-    """A part, cut at breaks of the odometry."""
-    cuts = (np.flatnonzero(np.diff(part.piece)) + 1).tolist()
-    for a, b in pairwise([0, *cuts, len(part)]):
-        if b > a:
-            yield take(part, slice(a, b))
+def _unbroken(parts: Iterable[Matched]) -> Iterator[Placed]:
+    """The keyframes, cut at breaks of the odometry."""
+    for frames, *_ in parts:
+        cuts = (np.flatnonzero(np.diff(frames.piece)) + 1).tolist()
+        for a, b in pairwise([0, *cuts, len(frames)]):
+            if b > a:
+                yield take(frames, slice(a, b))
 
 
 def _rolling(run: Placed, held: _Rolling | None, driven: float) -> _Rolling:
