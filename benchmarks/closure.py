@@ -30,7 +30,6 @@ import numpy as np
 
 from topobatch.ingest import mapping, pass_source
 from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
-from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.noise import estimate_noise
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.ingest.passes import fuse_passes
@@ -156,8 +155,7 @@ def left_out(run, told, first, last):
 def as_read(run):
     """The run with what reading makes of its odometry."""
     track = sane_track(run.odometry.time_ns, run.odometry.pose, "odom", "base_link")
-    odometry = without_jumps(track.odometry, track.jumps)
-    return replace(run, odometry=odometry, warnings=track.warnings)
+    return replace(run, odometry=track.odometry, warnings=track.warnings)
 
 
 def revisits(truth, name, maps):

@@ -33,7 +33,7 @@ from topobatch.ingest.scans.noise import matched_noise
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run
-from topobatch.topology.se2 import compose, inverse, wrap
+from topobatch.topology.se2 import wrap
 from topobatch.topology.track import way_at
 
 FloatArray = NDArray[np.float64]
@@ -58,7 +58,7 @@ def judged(log: Log) -> Judged:
     """A run's headings, matched but without junctions."""
     parts = list(matched(posed(log.odometry, log.scans)))
     frames = join([part.keyframes for part in parts])
-    pose = compose(np.concatenate([part.pose for part in parts]), inverse(frames.mount))
+    pose = frames.body
     noise = matched_noise([part.spans for part in parts], no_passes())
     t = log.truth.time_ns
     t = t[(t >= frames.time_ns[0]) & (t <= frames.time_ns[-1])]

@@ -18,7 +18,7 @@ import scipy.sparse as sp
 import scipy.sparse.linalg as sla
 from numpy.typing import NDArray
 
-from topobatch.ingest.scans.alignment import AlignmentSettings, Steps, match_steps
+from topobatch.ingest.scans.alignment import ALIGNMENT, Steps, match_steps
 from topobatch.ingest.scans.association import Gate, Swept, pair_terms
 from topobatch.ingest.scans.keyframes import Keyframes, join
 from topobatch.ingest.scans.matching import matched, posed
@@ -64,11 +64,12 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
     inside = np.flatnonzero(
         (frames.time_ns >= truth.time_ns[0]) & (frames.time_ns <= truth.time_ns[-1])
     )
-    ours, frames = np.concatenate([part.pose for part in parts])[inside], take(frames, inside)
-    scans = Swept.of(frames.xy, frames.start, frames.increment)
+    frames = take(frames, inside)
+    ours = frames.pose
+    scans = Swept.of(frames)
     real = compose(truth.at(frames.time_ns), frames.mount)
     start, again = _started(real, ours), _again(real, ours)
-    found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), _PLAIN)
+    found = match_steps(scans, again, _loose(between(start[again[1]], start[again[0]])), 0.0)
     off = between(between(start[again[1]], start[again[0]]), found.motion)
     like = (found.fit > LIKE_FIT) & (np.hypot(off[:, 0], off[:, 1]) < LIKE_M)
     like &= np.abs(off[:, 2]) < LIKE_RAD
@@ -101,16 +102,13 @@ def revisits(odometry: Odometry, batches: list[ScanBatch], truth: Odometry) -> R
     return Revisits(paths[0], paths[1], len(again[0]), *fits)
 
 
-_PLAIN = AlignmentSettings(lost_fit=0.0)
-
-
 def _loose(motion: FloatArray) -> Steps:
     return Steps(motion, np.tile(np.diag([0.1, 0.1, 1.0]), (len(motion), 1, 1)))
 
 
 def _steps(frames: Keyframes, errors: StepErrors) -> Steps:
     n = len(frames)
-    return Steps(*errors.steps(frames, np.arange(1, n), np.arange(n - 1)))
+    return errors.steps(frames, np.arange(1, n), np.arange(n - 1))
 
 
 def _started(real: FloatArray, ours: FloatArray) -> FloatArray:
@@ -145,9 +143,9 @@ def _solved(
 ) -> FloatArray:
     """One round of Gauss-Newton over all poses, the first of which stays."""
     first, second = pairs
-    n, settings = len(pose), AlignmentSettings()
+    n = len(pose)
     terms = pair_terms(scans, first, second, between(pose[second], pose[first]), gate)
-    scale = settings.joint_worth * terms.weight.sum() / terms.moments[:, 3, 3].sum()
+    scale = ALIGNMENT.joint_worth * terms.weight.sum() / terms.moments[:, 3, 3].sum()
     off = between(pose[:-1], pose[1:]) - steps.motion
     off[:, 2] = wrap(off[:, 2])
     distance = np.einsum("pk,pkl,pl->p", off, steps.information, off)

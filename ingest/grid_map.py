@@ -23,7 +23,6 @@ from .grid_log import GridLog
 from .logs.messages import several_that
 from .logs.saved_map import coarser
 from .scans.floorplan import (
-    AxesShown,
     Corridor,
     Floorplan,
     FloorplanSettings,
@@ -140,9 +139,9 @@ def _best_plan(grid: Grid, settings: FloorplanSettings) -> tuple[FloorplanSettin
     ends the search. A room with pillars has junctions between these alone; the more rooms of a
     small home, the narrower the doors that a robot fits through."""
     frontier = grid.free & binary_dilation(grid.unknown)
-    most, shown = -1, AxesShown()
+    most = -1
     for other in (settings, settings.among_pillars, settings.through_narrow_doors):
-        plan = skeleton_graph(grid.free, grid.resolution_m, other, frontier, shown)
+        plan = skeleton_graph(grid.free, grid.resolution_m, other, frontier)
         kinds = [place.kind for place in plan.places]
         count = kinds.count("junction") + kinds.count("room")
         if count > most:

@@ -40,7 +40,7 @@ from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
-from .odometry.noise import NOISE, refine_noise
+from .odometry.noise import refine_noise
 from .pass_source import USUAL, PassSource
 from .passes import PASSES
 
@@ -143,7 +143,7 @@ def dead_reckoned(
     source = PassSource(run)
     odometry, passes, calibration = _calibrated(source)
     noise = source.noise(odometry, passes)
-    motion = motion_errors(odometry, _usable_detections(run), passes, noise, NOISE.prior)
+    motion = motion_errors(odometry, _usable_detections(run), passes, noise)
     calibration = replace(calibration, motion=motion)
     if calibration.moves:
         run = replace(run, detections=run.detections.moved(calibration.offset_m))
@@ -254,9 +254,7 @@ def _measure_hidden_errors(
     centres that all passes by a place share; (p,) the latter of each pass [m], None if there is
     none. too_long: the share that was taken off all lengths."""
     passes, noise = fitted.passes, fitted.noise
-    scale = refine_scale(
-        odometry, _usable_detections(run), passes, noise, NOISE.prior, too_long=too_long
-    )
+    scale = refine_scale(odometry, _usable_detections(run), passes, noise, too_long=too_long)
     noise = replace(noise, scale=significant(scale))
     alike = None if source.shared_m is None else seen_alike(source.shared_m, noise)
     if alike is not None and len(alike):

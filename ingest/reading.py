@@ -32,7 +32,8 @@ from .mounting import transforms_about
 from .odometry.conventions import disagreements
 from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
-from .odometry.reading import Driven, because, described, driven, odometry_topic, poses_of
+from .odometry.reading import because, described, driven, odometry_topic, poses_of
+from .odometry.track import Track
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import robot_frame_sightings
@@ -186,7 +187,7 @@ def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
     return _with_views(read, run, odometry.frames[1] or "base_link", clock, track)
 
 
-def _with_views(read: LogRead, run: Run, body: str, clock: Clock, track: Driven) -> Run:
+def _with_views(read: LogRead, run: Run, body: str, clock: Clock, track: Track) -> Run:
     """A run with detections, and what its lasers saw around places, if it has any."""
     source = views_source(read.counts, read.settings, read.log)
     if source is None:

@@ -15,8 +15,7 @@ from ..topology.grids import cropped, grid_at
 from ..topology.run import Grid, Run
 from ..topology.se2 import compose
 from ..topology.topomap import TopoMap
-from ..topology.track import piece_of
-from ..topology.visits import Visits, in_map_frame
+from ..topology.visits import carried_along
 from .read_settings import ReadSettings
 from .reading import read_log
 from .remote.path import LogPath
@@ -61,16 +60,8 @@ def scans_on_map(
         )
     # Every view tells where its surroundings in the odometry's frame came to lie in the map.
     time_ns, pose = placed.time_ns[again], placed.pose[again]
-    visits = Visits(
-        time_ns=time_ns,
-        vertex=np.arange(len(time_ns)),
-        seen=np.ones(len(time_ns), bool),
-        pose=pose,
-        centre=window_places(odometry, time_ns),
-        piece=piece_of(odometry, time_ns),
-    )
-    body = odometry.at(frames.time_ns)
-    body = in_map_frame(odometry, visits, pose[:, :2], frames.time_ns, body)
+    at = time_ns, pose, window_places(odometry, time_ns)
+    body = carried_along(odometry, at, frames.time_ns, odometry.at(frames.time_ns))
     # The map may be of a piece of the log alone.
     known = np.flatnonzero(np.isfinite(body).all(axis=1))
     return LaidScans(take(frames, known), body[known])

@@ -18,7 +18,8 @@ from ..topology.views import Views
 from .junction_source import JunctionSource
 from .lasers import ANYWHERE, Laser, Lasers, lasers
 from .mounting import mounting
-from .odometry.reading import Driven, OdometryTopic, described, driven, odometry_topic
+from .odometry.reading import OdometryTopic, described, driven, odometry_topic
+from .odometry.track import Track
 from .scans.detection import detect
 from .scans.mount_yaw import mount_yaw
 from .scans.scan import ScanResult
@@ -108,7 +109,7 @@ def _run(
 
 
 def views_beside(
-    read: LogRead, source: JunctionSource, body: str, clock: Clock, track: Driven
+    read: LogRead, source: JunctionSource, body: str, clock: Clock, track: Track
 ) -> tuple[Views, dict[str, Any], list[str]]:
     """What the lasers of a run with detections saw around places, posed in the robot's frame of
     their time; the source for its document, and warnings.

@@ -123,3 +123,18 @@ def in_map_frame(
         out[mine, :2], turn = _drawn(visits, xy, (one, two), share, pose[mine, :2])
         out[mine, 2] = wrap(pose[mine, 2] + turn)
     return out
+
+
+def carried_along(
+    odometry: Odometry,
+    known: tuple[IntArray, FloatArray, FloatArray],
+    time_ns: IntArray,
+    pose: FloatArray,
+) -> FloatArray:
+    """(k, 3) poses of the odometry frame at times (k,) in the map frame, as `in_map_frame` has
+    them, by times (v,), poses (v, 3) and centres (v, 2), as of `Visits`, of single places."""
+    times, known_pose, centre = known
+    count = len(times)
+    seen, piece = np.ones(count, bool), piece_of(odometry, times)
+    visits = Visits(times, np.arange(count), seen, known_pose, centre, piece)
+    return in_map_frame(odometry, visits, known_pose[:, :2], time_ns, pose)

@@ -99,16 +99,6 @@ class Calibration:
     motion: MotionErrors | None = None
 
     @property
-    def bias_rad_per_m(self) -> float:
-        """Heading to be added per metre driven."""
-        return self.applied[0]
-
-    @property
-    def turn_scale(self) -> float:
-        """Heading to be added per radian turned."""
-        return self.applied[1]
-
-    @property
     def too_long(self) -> float:
         """Share to be taken off all lengths."""
         return 0.0 if self.motion is None else self.motion.length_scale.applied
@@ -125,11 +115,6 @@ class Calibration:
         """Whether lengths or centres are to be corrected."""
         return any((self.too_long, *self.offset_m))
 
-    @property
-    def lag_s(self) -> float:
-        """Seconds by which the odometry lags behind the detector."""
-        return self.applied[2]
-
 
 def calibrate(odometry: Odometry, detections: Detections) -> Calibration:
     """Estimate the systematic heading errors of a run from its detections alone.
@@ -145,7 +130,7 @@ def calibrate(odometry: Odometry, detections: Detections) -> Calibration:
         passes = fuse_passes(track, detections)
         if len(passes) < 2:
             return result
-        nominal = odometry.delayed(-result.lag_s)
+        nominal = odometry.delayed(-result.applied[2])
         evidence = heading_evidence(track, nominal, detections, passes)
         before, result = result, _fit(evidence, np.array(result.applied), _floor(odometry))
         if np.allclose(before.applied, result.applied, rtol=0, atol=1e-4):
@@ -167,14 +152,10 @@ def _floor(odometry: Odometry) -> FloatArray:
 
 def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> Calibration:
     """Calibration from evidence that was already corrected by `already` (3,)."""
-    sigma = (
-        CALIBRATION.prior_bias_rad_per_m,
-        CALIBRATION.prior_turn_scale,
-        CALIBRATION.prior_lag_s,
-    )
-    minus = tuple((-already).tolist())
+    c = CALIBRATION
+    sigma = np.array([c.prior_bias_rad_per_m, c.prior_turn_scale, c.prior_lag_s])
     model = HeadingLikelihood.of(
-        evidence, prior_sigma=sigma, centre=minus, worth=CALIBRATION.looks_per_pass
+        evidence, prior_sigma=sigma, centre=-already, worth=c.looks_per_pass
     )
     starts = _scan(model, already)
     every = np.ones(TERMS, bool)
@@ -233,16 +214,12 @@ def _best(
 ) -> tuple[HeadingLikelihood, FloatArray]:
     """The highest of the maxima reached from the starts."""
     # A few steps show which maxima compete; only the best two are climbed to the top.
-    reached = [model.climb(x, free, most=6) for x in _distinct(starts)]
+    distinct = {tuple(x.tolist()): x for x in starts}.values()
+    reached = [model.climb(x, free, most=6) for x in distinct]
     reached.sort(key=lambda found: -found[0].value(found[1]))
     final = [fitted.climb(x, free) for fitted, x in reached[:2]]
     value = [fitted.value(x) for fitted, x in final]
     return final[value.index(max(value))]
-
-
-def _distinct(points: list[FloatArray]) -> list[FloatArray]:
-    """The points without duplicates, in their order."""
-    return list({tuple(point.tolist()): point for point in points}.values())
 
 
 def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
@@ -255,10 +232,11 @@ def apply_calibration(odometry: Odometry, calibration: Calibration) -> Odometry:
     if not any(calibration.applied) or len(odometry) == 0:
         return odometry
     way, turned = np.cumsum(odometry.step_m), np.cumsum(odometry.turn_rad)
-    correction = calibration.bias_rad_per_m * way + calibration.turn_scale * turned
+    bias_rad_per_m, turn_scale, lag_s = calibration.applied
+    correction = bias_rad_per_m * way + turn_scale * turned
     step = np.diff(odometry.pose[:, 0] + 1j * odometry.pose[:, 1])
     step = step * np.exp(0.5j * (correction[1:] + correction[:-1]))
     start = complex(odometry.pose[0, 0], odometry.pose[0, 1])
     at = start + np.concatenate([[0.0], np.cumsum(step)])
     pose = np.column_stack([at.real, at.imag, wrap(odometry.pose[:, 2] + correction)])
-    return replace(odometry.delayed(-calibration.lag_s), pose=pose)
+    return replace(odometry.delayed(-lag_s), pose=pose)

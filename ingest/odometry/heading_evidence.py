@@ -190,8 +190,8 @@ def assign_readings(
     message = detections.branches.owner
     time_ns = detections.time_ns[message]
     heading = detections.branches.values + odometry.at(time_ns)[:, 2]
-    home = np.searchsorted(passes.start_ns, time_ns, side="right") - 1
-    inside = (home >= 0) & (time_ns <= passes.end_ns[np.maximum(home, 0)])
+    home = pass_at(passes, time_ns)
+    inside = home >= 0
     if np.isfinite(interpolated_rad):
         inside &= _interpolated(odometry, time_ns) <= interpolated_rad
     rows = np.flatnonzero(inside)
@@ -209,6 +209,13 @@ def assign_readings(
     nearest[of[hit]] = hit
     near = off[nearest] <= match_rad
     return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
+
+
+def pass_at(passes: Passes, time_ns: IntArray) -> IntArray:
+    """(k,) pass that the robot made at each time, -1 for none."""
+    home = np.searchsorted(passes.start_ns, time_ns, side="right") - 1
+    inside = (home >= 0) & (time_ns <= passes.end_ns[np.maximum(home, 0)])
+    return np.where(inside, home, -1)
 
 
 def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:

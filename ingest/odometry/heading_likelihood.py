@@ -8,7 +8,7 @@ maximisation, in which every step is one weighted linear least-squares problem i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -86,43 +86,39 @@ class _Scatter:
         return _Scatter(self.rows, self.worth, float(max(sigma, 0.005)))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class HeadingLikelihood:
-    """ℓ(x) of one run, with a normal prior on x with the given sigmas about `centre`."""
+    """ℓ(x) of one run, with a normal prior on x with the sigmas `prior_sigma` (3,) about `centre`
+    (3,)."""
 
-    scatter: _Scatter
-    mixtures: tuple[_Mixture, _Mixture]
-    prior_sigma: tuple[float, float, float]
-    centre: tuple[float, float, float]
+    parts: tuple[_Scatter | _Mixture, ...]
+    prior_sigma: FloatArray
+    centre: FloatArray
 
     @classmethod
     def of(
         cls,
         evidence: HeadingEvidence,
         *,
-        prior_sigma: tuple[float, float, float],
-        centre: tuple[float, float, float],
+        prior_sigma: FloatArray,
+        centre: FloatArray,
         worth: float,
     ) -> HeadingLikelihood:
         """The likelihood of corrections x, in addition to those already applied to the evidence."""
         legs = _Mixture(evidence.legs, 2 * np.pi, 0.25)
         grid = _Mixture(evidence.grid, _QUARTER, 0.15)
-        return cls(_Scatter(evidence.passes, worth), (legs, grid), prior_sigma, centre)
-
-    @property
-    def _parts(self) -> tuple[_Scatter | _Mixture, ...]:
-        return (self.scatter, *self.mixtures)
+        return cls((_Scatter(evidence.passes, worth), legs, grid), prior_sigma, centre)
 
     def value(self, x: FloatArray) -> float:
         """Log-likelihood plus log-prior, in nats, up to a constant."""
-        deviation = (x - np.array(self.centre)) / np.array(self.prior_sigma)
-        return sum(part.expect(x)[0] for part in self._parts) - 0.5 * float(deviation @ deviation)
+        deviation = (x - self.centre) / self.prior_sigma
+        return sum(part.expect(x)[0] for part in self.parts) - 0.5 * float(deviation @ deviation)
 
     def scores(self, x: FloatArray) -> FloatArray:
         """(visits, 3) contribution of each visit of a junction to the gradient of ℓ at x."""
-        count = max(part.rows.visits for part in self._parts)
+        count = max(part.rows.visits for part in self.parts)
         out = np.zeros((count, TERMS))
-        for part in self._parts:
+        for part in self.parts:
             _, r, weight = part.expect(x)
             pull = part.rows.a * (-r * weight / part.sigma**2)[:, None]
             for k in range(TERMS):
@@ -131,28 +127,23 @@ class HeadingLikelihood:
 
     def slope(self, x: FloatArray) -> FloatArray:
         """(3,) gradient of ℓ at x, including the prior."""
-        belief = (x - np.array(self.centre)) / np.square(self.prior_sigma)
+        belief = (x - self.centre) / np.square(self.prior_sigma)
         return np.asarray(self.scores(x).sum(axis=0) - belief)
 
     def improve(self, x: FloatArray, free: BoolArray) -> tuple[HeadingLikelihood, FloatArray]:
         """One step of expectation maximisation: scales, shares, and the `free` components of x."""
         belief = 1.0 / np.square(self.prior_sigma)
-        gradient, curvature = -belief * (x - np.array(self.centre)), np.diag(belief)
-        expected = [part.expect(x)[1:] for part in self._parts]
-        fitted = HeadingLikelihood(
-            self.scatter.refit(*expected[0]),
-            (self.mixtures[0].refit(*expected[1]), self.mixtures[1].refit(*expected[2])),
-            self.prior_sigma,
-            self.centre,
-        )
-        for part, (r, weight) in zip(fitted._parts, expected, strict=True):
+        gradient, curvature = -belief * (x - self.centre), np.diag(belief)
+        expected = [part.expect(x)[1:] for part in self.parts]
+        parts = tuple(part.refit(*each) for part, each in zip(self.parts, expected, strict=True))
+        for part, (r, weight) in zip(parts, expected, strict=True):
             a = part.rows.a * (weight / part.sigma**2)[:, None]
             gradient = gradient - (a * r[:, None]).sum(axis=0)
             curvature = curvature + np.einsum("rk,rl->kl", a, part.rows.a)
         move, index = np.zeros(TERMS), np.flatnonzero(free)
         if len(index):
             move[index] = np.linalg.solve(curvature[np.ix_(index, index)], gradient[index])
-        return fitted, x + move
+        return replace(self, parts=parts), x + move
 
     def climb(
         self, x: FloatArray, free: BoolArray, most: int = 60
@@ -162,7 +153,7 @@ class HeadingLikelihood:
         here = self
         for _ in range(most):
             here, there = here.improve(x, free)
-            settled = np.all(np.abs(there - x) <= 1e-4 * np.array(self.prior_sigma))
+            settled = np.all(np.abs(there - x) <= 1e-4 * self.prior_sigma)
             x = there
             if settled:
                 break
@@ -178,14 +169,19 @@ class HeadingLikelihood:
         visit in the sandwich estimate A⁻¹BA⁻¹. If the curvature is singular, the sigmas are those
         of the prior.
         """
-        step, observed = self._step(x), np.empty((TERMS, TERMS))
+        # Steps of a third of a sigma, if all inliers were certain.
+        curvature = 1.0 / np.square(self.prior_sigma)
+        for part in self.parts:
+            _, _, weight = part.expect(x)
+            curvature = curvature + np.einsum("r,rk->k", weight / part.sigma**2, part.rows.a**2)
+        step, observed = 0.3 / np.sqrt(curvature), np.empty((TERMS, TERMS))
         for k in range(TERMS):
             move = np.zeros(TERMS)
             move[k] = step[k]
             observed[:, k] = (self.slope(x - move) - self.slope(x + move)) / (2 * step[k])
         observed = 0.5 * (observed + observed.T)
         if np.linalg.eigvalsh(observed)[0] <= 0:
-            return np.array(self.prior_sigma), np.array(self.prior_sigma)
+            return self.prior_sigma, self.prior_sigma
         inverse = np.linalg.inv(observed)
         scores = self.scores(x)
         belief = np.diag(1.0 / np.square(self.prior_sigma))
@@ -193,11 +189,3 @@ class HeadingLikelihood:
         between = scores.T @ scores * count / max(count - TERMS, 1) + belief
         plain = np.sqrt(np.diag(inverse))
         return plain, np.maximum(plain, np.sqrt(np.diag(inverse @ between @ inverse)))
-
-    def _step(self, x: FloatArray) -> FloatArray:
-        """(3,) steps for the differences: a third of a sigma, if all inliers were certain."""
-        curvature = 1.0 / np.square(self.prior_sigma)
-        for part in self._parts:
-            _, _, weight = part.expect(x)
-            curvature = curvature + np.einsum("r,rk->k", weight / part.sigma**2, part.rows.a**2)
-        return np.asarray(0.3 / np.sqrt(curvature))

@@ -51,46 +51,6 @@ JUMPS = JumpSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Jumps:
-    """Steps that were not driven, from row - 1 to row.
-
-    rows: (j,) ascending; way: (j,) [m] and turn: (j,) [rad] deviation from the motion predicted by
-    neighbouring steps; reset: (j,) whether the motion is unknown.
-    """
-
-    rows: IntArray
-    way: FloatArray
-    turn: FloatArray
-    reset: BoolArray
-
-    def sentences(self, time_ns: IntArray) -> list[str]:
-        """Warnings, one sentence per kind."""
-        kinds = (
-            (~self.reset, "odometry jumps", "steps of unknown size; places seen again measure it"),
-            (self.reset, "odometry is reset", "the chain is split there"),
-        )
-        return [
-            f"{what} {times(int(rows.sum()))} ({self._sizes(rows, time_ns)}): {how}"
-            for rows, what, how in kinds
-            if rows.any()
-        ]
-
-    def _sizes(self, rows: BoolArray, time_ns: IntArray) -> str:
-        at = (time_ns[self.rows[rows]] - time_ns[0]) * SECOND_S
-        sizes = [
-            f"{way:.2f} m and {np.degrees(turn):.0f} degrees at {second:.1f} s"
-            for way, turn, second in zip(self.way[rows], self.turn[rows], at, strict=True)
-        ]
-        return ", ".join(sizes[:MOST_TOLD]) + (", …" if len(sizes) > MOST_TOLD else "")
-
-
-def no_jumps() -> Jumps:
-    """Without any jumps."""
-    none = np.zeros(0)
-    return Jumps(np.zeros(0, np.int64), none, none, np.zeros(0, bool))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Usual:
     """period: median time between rows [s]; speed [m/s] and rate [rad/s]: 99 % quantiles in
     motion."""
@@ -132,7 +92,7 @@ def spikes(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     if len(rows) == 0:
         return found
     usual = _Usual.of(time_ns, pose)
-    way, turn = _excess(time_ns, pose, _Steps.of(pose, rows), usual)
+    way, turn = _excess(time_ns, pose, rows, usual)
     driven = float(np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1])).sum())
     often = 1 + int(driven / JUMPS.usual_way_m)
     out = way > max(JUMPS.least_m, JUMPS.factor * _at_rank(way, often))
@@ -172,72 +132,80 @@ def _moved(pose: FloatArray, rows: IntArray) -> FloatArray:
     return between(pose[rows], pose[rows + 1])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Steps:
-    """The steps that begin at rows (k,), and their neighbours.
-
-    beside: (k, 4) rows of the neighbours; moved: (k, 3), around: (k, 4, 3) motions as by `_moved`.
-    """
-
-    rows: IntArray
-    beside: IntArray
-    moved: FloatArray
-    around: FloatArray
-
-    @classmethod
-    def of(cls, pose: FloatArray, rows: IntArray) -> _Steps:
-        beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
-        around = _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
-        return cls(rows, beside, _moved(pose, rows), around)
-
-    def beyond(self, span: FloatArray, spare: FloatArray | float) -> tuple[FloatArray, FloatArray]:
-        """(k,) each: distance [m] and angle [rad] by which the steps leave the range of motions (k,
-        s, 3), which includes standing still and is extended by `spare` on either side."""
-        least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
-        off = self.moved - np.clip(self.moved, least - spare, most + spare)
-        way: FloatArray = np.hypot(off[:, 0], off[:, 1])
-        turn: FloatArray = np.abs(off[:, 2])
-        return way, turn
-
-
 def _excess(
-    time_ns: IntArray, pose: FloatArray, steps: _Steps, usual: _Usual
+    time_ns: IntArray, pose: FloatArray, rows: IntArray, usual: _Usual
 ) -> tuple[FloatArray, FloatArray]:
-    """(k,) each: distance [m] and angle [rad] by which steps leave the range of their neighbours.
+    """(k,) each: distance [m] and angle [rad] by which the steps that begin at rows leave the range
+    of their neighbours.
 
     The range includes standing still, and the neighbours' motion both per step and per second,
     because stamps may be wrong. In gaps longer than the usual period it is extended by the usual
     speed.
     """
-    rows, beside = steps.rows, steps.beside
+    beside = np.clip(rows[:, None] + BESIDE, 0, len(pose) - 2)
+    moved, around = _moved(pose, rows), _moved(pose, beside.ravel()).reshape(*beside.shape, 3)
     own = (time_ns[rows + 1] - time_ns[rows]) * SECOND_S
     theirs = (time_ns[beside + 1] - time_ns[beside]) * SECOND_S
     per_second = (own[:, None] / np.maximum(theirs, 0.5 * usual.period))[:, :, None]
-    span = np.concatenate([steps.around, steps.around * per_second], axis=1)
+    span = np.concatenate([around, around * per_second], axis=1)
     spare = np.maximum(own - usual.period, 0.0)
-    return steps.beyond(span, spare[:, None] * np.array([usual.speed, usual.speed, usual.rate]))
+    spare = spare[:, None] * np.array([usual.speed, usual.speed, usual.rate])
+    least, most = np.minimum(span.min(axis=1), 0.0), np.maximum(span.max(axis=1), 0.0)
+    off = moved - np.clip(moved, least - spare, most + spare)
+    return np.hypot(off[:, 0], off[:, 1]), np.abs(off[:, 2])
 
 
-def measured_jumps(
-    time_ns: IntArray, pose: FloatArray, leaps: BoolArray, restarted: BoolArray
-) -> Jumps:
-    """Classify the given steps as jumps or resets.
+def without_jumps(
+    odometry: Odometry, leaps: BoolArray, restarted: BoolArray
+) -> tuple[Odometry, list[str]]:
+    """The odometry with breaks at resets, and other leaps, its jumps, replaced by the motion of
+    neighbouring steps; and a warning for each of the two kinds.
 
     leaps: (n - 1,) steps that cannot have been driven; restarted: (n - 1,) those of them at which
     the clock jumps as well. A reset leads back to the origin or to the start of the track, or
-    farther than the robot drives in the whole run.
+    farther than the robot drives in the whole run. The uncertainty of a jump is its size and the
+    usual motion in its time. Rows before the first jump stay as they are. O(n).
     """
+    if not leaps.any():
+        return odometry, []
+    time_ns, pose = odometry.time_ns, odometry.pose
     begin = np.flatnonzero(leaps)
     usual = _Usual.of(time_ns, pose)
     duration = (time_ns[begin + 1] - time_ns[begin]) * SECOND_S
-    off = _moved(pose, begin) - _expected(time_ns, pose, leaps, begin, usual)
+    moved, step = _moved(pose, begin), _expected(time_ns, pose, leaps, begin, usual)
+    off = moved - step
     way, turn = np.hypot(off[:, 0], off[:, 1]), np.abs(wrap(off[:, 2]))
     driven = float(np.hypot(*np.diff(pose[:, :2], axis=0).T)[~leaps].sum())
     again = np.minimum(duration, 2 * usual.period)
     reset = _near(pose, begin + 1, np.zeros(3), again, usual)
     reset |= _near(pose, begin + 1, pose[0], again, usual)
     reset |= restarted[begin] | (way > max(driven, JUMPS.least_m))
-    return Jumps(begin + 1, way, turn, reset)
+    sigma_rad = np.minimum(np.hypot(turn, usual.rate * duration), np.pi / np.sqrt(3))
+    sigma = np.column_stack([np.hypot(way, usual.speed * duration), sigma_rad])
+    jumps, known = begin[~reset] + 1, ~reset
+    replaced = replace(
+        odometry,
+        pose=driven_on(pose, jumps, step[known]),
+        breaks=begin[reset] + 1,
+        jumps=jumps,
+        jump_sigma=sigma[known],
+        jump_other=moved[known],
+    )
+    at_s = (time_ns[begin + 1] - time_ns[0]) * SECOND_S
+    sizes = [
+        f"{metres:.2f} m and {np.degrees(rad):.0f} degrees at {second:.1f} s"
+        for metres, rad, second in zip(way, turn, at_s, strict=True)
+    ]
+    warnings = []
+    for which, what, how in (
+        (known, "odometry jumps", "steps of unknown size; places seen again measure it"),
+        (reset, "odometry is reset", "the chain is split there"),
+    ):
+        own = [sizes[k] for k in np.flatnonzero(which)]
+        if own:
+            listed = ", ".join([*own[:MOST_TOLD], *(["…"] if len(own) > MOST_TOLD else [])])
+            warnings.append(f"{what} {times(len(own))} ({listed}): {how}")
+    return replaced, warnings
 
 
 def _near(
@@ -266,42 +234,6 @@ def _expected(
         theirs = (time_ns[side + 1] - time_ns[side]) * SECOND_S
         out += 0.5 * _moved(pose, side) * (own / np.maximum(theirs, 0.5 * usual.period))[:, None]
     return out
-
-
-def without_jumps(odometry: Odometry, jumps: Jumps) -> Odometry:
-    """The odometry with breaks at resets, and jumps replaced by the motion of neighbouring steps.
-
-    The uncertainty of such a step is the size of the jump and the usual motion in its time. Rows
-    before the first jump stay as they are. O(n).
-    """
-    if len(jumps.rows) == 0:
-        return odometry
-    breaks = np.union1d(odometry.breaks, jumps.rows[jumps.reset]).astype(np.int64)
-    known = ~jumps.reset
-    rows = jumps.rows[known]
-    if len(rows) == 0:
-        return replace(odometry, breaks=breaks)
-    time_ns, pose = odometry.time_ns, odometry.pose
-    usual = _Usual.of(time_ns, pose)
-    leaps = np.zeros(len(pose) - 1, bool)
-    leaps[jumps.rows - 1] = True
-    step = _expected(time_ns, pose, leaps, rows - 1, usual)
-    other = _moved(pose, rows - 1)
-    own = (time_ns[rows] - time_ns[rows - 1]) * SECOND_S
-    sigma = np.column_stack(
-        [
-            np.hypot(jumps.way[known], usual.speed * own),
-            np.minimum(np.hypot(jumps.turn[known], usual.rate * own), np.pi / np.sqrt(3)),
-        ]
-    )
-    return replace(
-        odometry,
-        pose=driven_on(pose, rows, step),
-        breaks=breaks,
-        jumps=rows,
-        jump_sigma=sigma,
-        jump_other=other,
-    )
 
 
 def driven_on(pose: FloatArray, rows: IntArray, step: FloatArray) -> FloatArray:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...topology.arrays import IntArray
 from ...topology.odometry import Odometry
 from ...topology.run import Detections
 
@@ -34,20 +33,11 @@ CARRIED = CarriedSettings()
 def split_where_carried(odometry: Odometry, detections: Detections) -> tuple[Odometry, int]:
     """The odometry with a break wherever the robot was carried, and the number of these. O(n +
     k)."""
-    rows = _carried(odometry, detections)
-    if len(rows) == 0:
-        return odometry, 0
-    at = np.searchsorted(odometry.time_ns, detections.time_ns[rows + 1])
-    breaks = np.union1d(odometry.breaks, np.clip(at, 1, len(odometry) - 1))
-    return replace(odometry, breaks=breaks), len(rows)
-
-
-def _carried(odometry: Odometry, detections: Detections) -> IntArray:
-    """Rows i of detections such that the robot was carried between i and i + 1."""
     side, centre = CARRIED.sightings, detections.centre
+    # Between detections i and i + 1.
     i = np.arange(side - 1, len(detections) - side)
     if len(i) == 0 or len(odometry) < 2:
-        return np.zeros(0, np.int64)
+        return odometry, 0
     i = i[np.hypot(*(centre[i + 1] - centre[i]).T) > CARRIED.apart_m]
     row = np.clip(np.searchsorted(odometry.time_ns, detections.time_ns), 0, len(odometry) - 1)
     way, turn = np.cumsum(odometry.step_m)[row], np.cumsum(np.abs(odometry.turn_rad))[row]
@@ -58,4 +48,9 @@ def _carried(odometry: Odometry, detections: Detections) -> IntArray:
     middle = np.median(sides, axis=2)
     spread = np.hypot(*np.moveaxis(sides - middle[:, :, None], -1, 0)).max(axis=(1, 2))
     apart = np.hypot(*(middle[:, 1] - middle[:, 0]).T)
-    return np.asarray(i[(spread <= CARRIED.agree_m) & (apart > CARRIED.apart_m)])
+    i = i[(spread <= CARRIED.agree_m) & (apart > CARRIED.apart_m)]
+    if len(i) == 0:
+        return odometry, 0
+    at = np.searchsorted(odometry.time_ns, detections.time_ns[i + 1])
+    breaks = np.union1d(odometry.breaks, np.clip(at, 1, len(odometry) - 1))
+    return replace(odometry, breaks=breaks), len(i)

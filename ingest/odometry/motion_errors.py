@@ -17,7 +17,7 @@ from ...topology.se2 import apply
 from ...topology.topomap import RunNoise
 from ...topology.track import walked_at
 from .calibration import MotionErrors, Shown
-from .noise import drift_ratio
+from .noise import NOISE, drift_ratio
 from .within_passes import messages_of, scatter
 
 _STEPS = 8192
@@ -55,11 +55,7 @@ MOTION = MotionSettings()
 
 
 def motion_errors(
-    odometry: Odometry,
-    detections: Detections,
-    passes: Passes,
-    noise: RunNoise,
-    prior: RunNoise,
+    odometry: Odometry, detections: Detections, passes: Passes, noise: RunNoise
 ) -> MotionErrors | None:
     """What passes show of all lengths, and of the points of the robot to which odometry and
     detector refer; None where they show nothing.
@@ -68,15 +64,15 @@ def motion_errors(
     move along with the robot that passes them, and where the points differ, they turn with it
     (`_shown_motion`). A detector whose readings are too small by a share shows as a scale, too
     (`detector_scale`). Applied are the mean of the scale's posterior (`_Scale`), and of the lever
-    what is `lever_at_z` sigmas from zero. prior: the noise of odometries in general.
+    what is `lever_at_z` sigmas from zero.
     """
-    shown = _shown_motion(odometry, detections, passes, noise, prior)
+    shown = _shown_motion(odometry, detections, passes, noise)
     if shown is None:
         return None
     (too_long, x, y), (scale_sigma, x_sigma, y_sigma) = (values.tolist() for values in shown)
     mean = 0.0
     if abs(too_long) <= MOTION.most_scale:
-        mean = _Scale.of(_expected(odometry, noise, prior), too_long, scale_sigma).mean
+        mean = _Scale.of(_expected(odometry, noise), too_long, scale_sigma).mean
     return MotionErrors(
         Shown(
             rounded(too_long, LENGTH_SCALE),
@@ -119,18 +115,16 @@ def refine_scale(
     detections: Detections,
     passes: Passes,
     noise: RunNoise,
-    prior: RunNoise,
     *,
     too_long: float = 0.0,
 ) -> float:
     """Standard deviation of the relative length error, after loop closure has estimated the
     heading's drift: the bound that holds 68.3 % of the posterior of what is left.
 
-    odometry: calibrated; prior: as in `motion_errors`; too_long: the share that was taken off its
-    lengths.
+    odometry: calibrated; too_long: the share that was taken off its lengths.
     """
-    expected = _expected(odometry, noise, prior)
-    left = _shown_motion(odometry, detections, passes, noise, prior)
+    expected = _expected(odometry, noise)
+    left = _shown_motion(odometry, detections, passes, noise)
     if left is None:
         return expected
     error, sigma = float(left[0][0]), float(left[1][0])
@@ -139,9 +133,9 @@ def refine_scale(
     return _Scale.of(expected, too_long + error * (1 - too_long), sigma).radius(too_long)
 
 
-def _expected(odometry: Odometry, noise: RunNoise, prior: RunNoise) -> float:
+def _expected(odometry: Odometry, noise: RunNoise) -> float:
     """The usual error of lengths, times the ratio of this run's heading drift to the usual one."""
-    return prior.scale * drift_ratio(
+    return NOISE.prior.scale * drift_ratio(
         odometry, noise.heading_rad_per_sqrt_m, noise.heading_rad_per_sqrt_rad
     )
 
@@ -194,12 +188,7 @@ class _Sections:
 
     @classmethod
     def of(
-        cls,
-        odometry: Odometry,
-        detections: Detections,
-        passes: Passes,
-        noise: RunNoise,
-        prior: RunNoise,
+        cls, odometry: Odometry, detections: Detections, passes: Passes, noise: RunNoise
     ) -> _Sections | None:
         """None if no pass is long enough. O(messages)."""
         if len(passes) == 0:
@@ -221,7 +210,7 @@ class _Sections:
 
         pose = odometry.at(detections.time_ns[rows])
         centre = apply(pose, detections.centre[rows])
-        sigma = scatter(centre, home, prior.centre_m)
+        sigma = scatter(centre, home, NOISE.prior.centre_m)
         middle = np.column_stack([np.bincount(home, c, len(passes)) for c in centre.T])
         # By the mean of the pass: noise of single messages would be taken for a bias.
         away = (middle / np.maximum(size, 1)[:, None])[home] - pose[:, :2]
@@ -261,7 +250,7 @@ def _walk_covariance(walked: FloatArray, away: FloatArray, noise: RunNoise) -> F
 
 
 def _shown_motion(
-    odometry: Odometry, detections: Detections, passes: Passes, noise: RunNoise, prior: RunNoise
+    odometry: Odometry, detections: Detections, passes: Passes, noise: RunNoise
 ) -> tuple[FloatArray, FloatArray] | None:
     """(3,) relative length error by how junctions move along with the robot, and x and y of the
     detector's point less the odometry's in the axes of the robot [m], by how they turn with it;
@@ -272,7 +261,7 @@ def _shown_motion(
     them, where those of wrong lengths move evenly. Where the residuals are larger than the noise,
     so are the standard deviations.
     """
-    sections = _Sections.of(odometry, detections, passes, noise, prior)
+    sections = _Sections.of(odometry, detections, passes, noise)
     if sections is None:
         return None
     weight = np.linalg.inv(sections.covariance)

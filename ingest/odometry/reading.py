@@ -23,7 +23,6 @@ from ..topic_poses import (
     pair_of_poses,
     pair_of_transforms,
 )
-from .jumps import without_jumps
 from .track import Track, sane_track
 
 
@@ -34,16 +33,6 @@ class OdometryTopic:
     choice: Choice
     poses: TopicPoses
     frames: tuple[str, str]
-
-
-@dataclass(frozen=True, slots=True)
-class Driven:
-    """recorded: the track as in the log; odometry: with its jumps replaced; warnings: one sentence
-    per kind of fault."""
-
-    recorded: Odometry
-    odometry: Odometry
-    warnings: tuple[str, ...] = ()
 
 
 def odometry_topic(read: LogRead) -> OdometryTopic:
@@ -75,18 +64,16 @@ def odometry_topic(read: LogRead) -> OdometryTopic:
     raise LogError(f"{read.log}: no odometry: {', '.join(reasons)}; {listing(read.counts)}")
 
 
-def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Driven:
+def driven(topic: OdometryTopic, clock: Clock, read: LogRead) -> Track:
     """The track, by one clock; the topic's columns are released.
 
     Raises LogError if no robot can have moved like that.
     """
     track = _track(topic, clock)
-    odometry = without_jumps(track.odometry, track.jumps)
     # As recorded, but drive by drive: a reset may lead anywhere.
-    resets = odometry.breaks
-    drives = replace(track.odometry, breaks=resets) if len(resets) else track.odometry
+    drives = replace(track.recorded, breaks=track.odometry.breaks)
     doubt = check_plausible(drives, topic.choice.topic, read.log)
-    return Driven(track.odometry, odometry, (*track.warnings, *([doubt] if doubt else [])))
+    return replace(track, warnings=(*track.warnings, doubt)) if doubt else track
 
 
 def poses_of(read: LogRead, choice: Choice) -> TopicPoses:

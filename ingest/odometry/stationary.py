@@ -91,8 +91,8 @@ class DriveBys:
 
     at: (n,) time of each detection [ns from the odometry's first row]; centre: (n,) x + iy; owner:
     (n,) its drive-by; first: (k,) first row of each drive-by; branches: n rows of headings [rad];
-    pairs: branches of two detections of a drive-by; clock, x, y, turned: (m,) time, position, and
-    heading as a sum of turns, of the odometry.
+    pairs: branches of two detections of a drive-by; clock, place, turned: (m,) time, position x +
+    iy, and heading as a sum of turns, of the odometry.
     """
 
     at: FloatArray
@@ -102,8 +102,7 @@ class DriveBys:
     branches: Ragged
     pairs: _Pairs
     clock: FloatArray
-    x: FloatArray
-    y: FloatArray
+    place: ComplexArray
     turned: FloatArray
 
     @classmethod
@@ -112,7 +111,6 @@ class DriveBys:
         rows, owner = _grouped(detections)
         at = (detections.time_ns[rows] - odometry.time_ns[0]).astype(np.float64)
         east, north = detections.centre[rows].T
-        x, y = odometry.pose[:, :2].T.copy()
         branches = detections.branches.take(rows)
         return cls(
             at,
@@ -122,8 +120,7 @@ class DriveBys:
             branches,
             _Pairs.of_branches(at, owner, branches),
             (odometry.time_ns - odometry.time_ns[0]).astype(np.float64),
-            x,
-            y,
+            odometry.pose[:, 0] + 1j * odometry.pose[:, 1],
             odometry.pose[0, 2] + np.cumsum(odometry.turn_rad),
         )
 
@@ -207,12 +204,12 @@ class DriveBys:
         and to where it went [rad]."""
         position, heading = self._poses(AS_READ)
         centre = self._means(self.centre * np.exp(1j * heading) + position)
-        robot, found = self.x + 1j * self.y, []
+        found = []
         search = 1e9 * DRIVE_BYS.search_s
         ends = np.append(self.first[1:], len(self.owner)) - 1
         for k, (begin, end) in enumerate(zip(self.at[self.first], self.at[ends], strict=True)):
             a, b = np.searchsorted(self.clock, [begin - search, end + search])
-            away = robot[a:b] - centre[k]
+            away = self.place[a:b] - centre[k]
             if len(away) == 0:
                 continue
             nearest = int(np.abs(away).argmin())
@@ -235,8 +232,7 @@ class DriveBys:
         return np.asarray(self._positions(at + half) - self._positions(at - half))
 
     def _positions(self, at: FloatArray) -> ComplexArray:
-        x, y = (np.interp(at, self.clock, v) for v in (self.x, self.y))
-        return np.asarray(x + 1j * y)
+        return np.asarray(np.interp(at, self.clock, self.place))
 
     def _sums(self, values: FloatArray) -> FloatArray:
         return np.add.reduceat(values, self.first)

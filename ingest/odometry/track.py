@@ -9,7 +9,7 @@ import numpy as np
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
 from ...topology.se2 import wrap
-from .jumps import Jumps, measured_jumps, no_jumps, spikes, times
+from .jumps import spikes, times, without_jumps
 
 SECOND_NS = 10**9
 """A second in nanoseconds."""
@@ -47,11 +47,11 @@ TRACK = TrackSettings()
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """A track in order, as recorded, its jumps (still in it), and one warning per kind of
-    repair."""
+    """recorded: the track in order, as in the log; odometry: with its jumps replaced; warnings: one
+    per kind of fault."""
 
+    recorded: Odometry
     odometry: Odometry
-    jumps: Jumps
     warnings: tuple[str, ...]
 
 
@@ -80,7 +80,7 @@ def sane_track(
     frame: str,
     child_frame: str,
 ) -> Track:
-    """Sort by time, drop duplicates, find glitches and jumps. `without_jumps` comes next.
+    """Sort by time, drop duplicates and glitches, replace jumps.
 
     time_ns: (n,) in the order of the log, n ≥ 1; pose: (n, 3) x, y [m], theta [rad], finite. O(n
     log n) at worst, O(n) for times in order.
@@ -88,12 +88,24 @@ def sane_track(
     warnings: list[str] = []
     time_ns, pose = _forward(time_ns, pose, warnings)
     time_ns, pose = _in_order(time_ns, pose, warnings)
-    time_ns, pose, jumps = _measured(time_ns, pose, warnings)
-    _report_gaps(time_ns, warnings)
+    teleports, leaps = _leaps(time_ns, pose)
+    glitches = _glitches(pose, leaps)
+    if len(glitches):
+        warnings.append(
+            f"{len(glitches)} odometry poses lie off the track for one message; dropped"
+        )
+        time_ns, pose = np.delete(time_ns, glitches), np.delete(pose, glitches, axis=0)
+        teleports, leaps = _leaps(time_ns, pose)
     for array in (time_ns, pose):
         array.flags.writeable = False
-    unbroken = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
-    return Track(unbroken, jumps, tuple(warnings))
+    recorded = Odometry(time_ns, pose, np.zeros(0, np.int64), frame, child_frame)
+    gaps = _gaps(time_ns)
+    odometry, told = without_jumps(recorded, leaps, teleports & gaps)
+    warnings += told
+    if gaps.any():
+        longest = np.diff(time_ns)[gaps].max() / SECOND_NS
+        warnings.append(f"odometry is silent {times(int(gaps.sum()))} (longest {longest:.2f} s)")
+    return Track(recorded, odometry, tuple(warnings))
 
 
 def _forward(
@@ -157,42 +169,26 @@ def _in_order(
     return time_ns, pose
 
 
-def _measured(
-    time_ns: IntArray, pose: FloatArray, warnings: list[str]
-) -> tuple[IntArray, FloatArray, Jumps]:
-    """The track without glitches (single poses off it), and its jumps and resets."""
-    leaps = _leaps(time_ns, pose)
-    glitch = _glitches(time_ns, pose, leaps)
-    if glitch.any():
-        count = int(glitch.sum())
-        warnings.append(f"{count} odometry poses lie off the track for one message; dropped")
-        time_ns, pose = time_ns[~glitch], pose[~glitch]
-        leaps = _leaps(time_ns, pose)
-    if not leaps.any():
-        return time_ns, pose, no_jumps()
-    duration = np.diff(time_ns)
-    gap_ns = max(TRACK.gap_min_s * SECOND_NS, TRACK.gap_periods * float(np.median(duration)))
-    restarted = (duration > gap_ns) & _teleports(time_ns, pose)
-    jumps = measured_jumps(time_ns, pose, leaps, restarted)
-    warnings += jumps.sentences(time_ns)
-    return time_ns, pose, jumps
+def _leaps(time_ns: IntArray, pose: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """(n - 1,) steps that cannot have been driven; these, and those that stand out from all
+    others."""
+    teleports = _teleports(time_ns, pose)
+    return teleports, teleports | spikes(time_ns, pose)
 
 
-def _leaps(time_ns: IntArray, pose: FloatArray) -> BoolArray:
-    """(n - 1,) steps that cannot have been driven, or stand out from all others."""
-    return _teleports(time_ns, pose) | spikes(time_ns, pose)
-
-
-def _motion(time_ns: IntArray, pose: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n - 1,) each: distance [m], rotation [rad] and duration [s] of every step."""
-    way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
-    turn = np.abs(wrap(np.diff(pose[:, 2])))
-    return way, turn, np.diff(time_ns) / SECOND_NS
+def _glitches(pose: FloatArray, leaps: BoolArray) -> IntArray:
+    """Rows of single poses between two leaps whose neighbours are consistent."""
+    lone = np.flatnonzero(leaps[:-1] & leaps[1:]) + 1
+    way = np.hypot(*(pose[lone + 1, :2] - pose[lone - 1, :2]).T)
+    turn = np.abs(wrap(pose[lone + 1, 2] - pose[lone - 1, 2]))
+    return np.asarray(lone[(way <= TRACK.teleport_min_m) & (turn <= TRACK.teleport_min_rad)])
 
 
 def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     """(n - 1,) whether a step cannot have been driven, or leads back to the origin exactly."""
-    way, turn, duration = _motion(time_ns, pose)
+    way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
+    turn: FloatArray = np.abs(wrap(np.diff(pose[:, 2])))
+    duration = np.diff(time_ns) / SECOND_NS
     zero = ~pose[1:].any(axis=1)
     away = (way > TRACK.reset_min_m) | (turn > TRACK.reset_min_rad)
     reset = zero & away
@@ -205,7 +201,7 @@ def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     far |= (turn > TRACK.teleport_min_rad) & (turn > turn_limit * duration)
     # Driving through the exact origin is a step like any other; a reset is far longer.
     sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
-    return far | (reset & sudden)
+    return np.asarray(far | (reset & sudden))
 
 
 def _limit(size: FloatArray, duration: FloatArray, least: float) -> float:
@@ -217,28 +213,9 @@ def _limit(size: FloatArray, duration: FloatArray, least: float) -> float:
     return max(least, TRACK.teleport_speed_factor * usual)
 
 
-def _glitches(time_ns: IntArray, pose: FloatArray, teleport: BoolArray) -> BoolArray:
-    """(n,) single poses between two teleports whose neighbours are consistent."""
-    glitch = np.zeros(len(time_ns), bool)
-    lone = np.flatnonzero(teleport[:-1] & teleport[1:]) + 1
-    if len(lone) == 0:
-        return glitch
-    way = np.hypot(*(pose[lone + 1, :2] - pose[lone - 1, :2]).T)
-    turn = np.abs(wrap(pose[lone + 1, 2] - pose[lone - 1, 2]))
-    fits = (way <= TRACK.teleport_min_m) & (turn <= TRACK.teleport_min_rad)
-    glitch[lone[fits]] = True
-    return glitch
-
-
-def _report_gaps(time_ns: IntArray, warnings: list[str]) -> None:
-    if len(time_ns) < 3:
-        return
-    step = np.diff(time_ns)
-    if step.max() <= TRACK.gap_min_s * SECOND_NS:
-        return
-    usual = float(np.median(step))
-    gaps = step[step > max(TRACK.gap_min_s * SECOND_NS, TRACK.gap_periods * usual)]
-    if len(gaps):
-        warnings.append(
-            f"odometry is silent {times(len(gaps))} (longest {gaps.max() / SECOND_NS:.2f} s)"
-        )
+def _gaps(time_ns: IntArray) -> BoolArray:
+    """(n - 1,) steps in which the odometry is silent."""
+    step, least = np.diff(time_ns), TRACK.gap_min_s * SECOND_NS
+    if not (step > least).any():
+        return np.zeros(len(step), bool)
+    return np.asarray(step > max(least, TRACK.gap_periods * float(np.median(step))))

@@ -15,7 +15,7 @@ from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import walked_at
 from ...topology.walk_means import WalkMeans
-from .heading_evidence import assign_readings
+from .heading_evidence import assign_readings, pass_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,9 +93,7 @@ class WithinPasses:
 
 def messages_of(detections: Detections, passes: Passes) -> tuple[IntArray, IntArray]:
     """(k,) pass of every message, -1 for none, and its index within the pass."""
-    home = np.searchsorted(passes.start_ns, detections.time_ns, side="right") - 1
-    inside = (home >= 0) & (detections.time_ns <= passes.end_ns[np.maximum(home, 0)])
-    home = np.where(inside, home, -1)
+    home = pass_at(passes, detections.time_ns)
     first = np.searchsorted(detections.time_ns, passes.start_ns)
     return home, np.arange(len(home)) - first[home]
 

@@ -18,7 +18,7 @@ from scipy.linalg import solveh_banded
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, wrap
 from .association import Gate, Swept, pair_terms
-from .scatter import STRETCH, Scatter, odometry_scores, wall_scores
+from .scatter import STRETCH, Aligned, odometry_scores, wall_scores
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,19 +68,21 @@ class AlignmentSettings:
     matching: solvers differ between processors in the last digits, and gates would amplify that. As
     a power of two it is exact, also in single precision up to 128 m."""
 
-    def moved(self, change: FloatArray) -> BoolArray:
-        """(p,) whether a change (p, 3) of motions moves points by more than `settled_m`."""
-        shift = np.hypot(change[:, 0], change[:, 1])
-        return np.asarray(shift + self.settled_at_m * np.abs(change[:, 2]) > self.settled_m)
-
-    def rounded(self, pose: FloatArray) -> FloatArray:
-        """Poses or motions (p, 3) rounded to the `grain`, angles wrapped."""
-        out = np.rint(pose / self.grain) * self.grain
-        out[:, 2] = wrap(out[:, 2])
-        return out
-
 
 ALIGNMENT = AlignmentSettings()
+
+
+def _moved(change: FloatArray) -> BoolArray:
+    """(p,) whether a change (p, 3) of motions moves points by more than `settled_m`."""
+    shift = np.hypot(change[:, 0], change[:, 1])
+    return np.asarray(shift + ALIGNMENT.settled_at_m * np.abs(change[:, 2]) > ALIGNMENT.settled_m)
+
+
+def _rounded(pose: FloatArray) -> FloatArray:
+    """Poses or motions (p, 3) rounded to the `grain`, angles wrapped."""
+    out = np.rint(pose / ALIGNMENT.grain) * ALIGNMENT.grain
+    out[:, 2] = wrap(out[:, 2])
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,38 +114,35 @@ MOST_POINTS = 1 << 18
 
 
 def match_steps(
-    scans: Swept, pairs: tuple[IntArray, IntArray], steps: Steps, settings: AlignmentSettings
+    scans: Swept,
+    pairs: tuple[IntArray, IntArray],
+    steps: Steps,
+    search_rad: float = ALIGNMENT.search_rad,
 ) -> PairMotion:
     """The motion to scans `first` (p,) from scans `second`, by pairwise matching with the odometry
-    as prior."""
+    as prior; search_rad: see `AlignmentSettings`."""
     first, second = pairs
-    n = len(first)
     # Weak weight: the odometry only decides what the scans leave open.
-    weak = settings.pair_worth * steps.information
-    start = steps.motion
-    motion, fit, loose_m = _matched(scans, (first, second), (start, start, weak), settings)
-    searched = np.zeros(n, bool)
+    weak = ALIGNMENT.pair_worth * steps.information
+    motion, fit, loose_m = _matched(scans, pairs, Steps(steps.motion, weak), steps.motion)
+    searched = np.zeros(len(first), bool)
     shared = _shared(scans, first, second, steps.motion[:, 2])
-    apart = shared < settings.least_shared
-    motion[apart] = settings.rounded(steps.motion)[apart]
-    lost = np.flatnonzero((fit < settings.lost_fit) & ~apart)
-    tried = np.arange(-settings.search_rad, settings.search_rad + 1e-9, settings.search_step_rad)
+    apart = shared < ALIGNMENT.least_shared
+    motion[apart] = _rounded(steps.motion)[apart]
+    lost = np.flatnonzero((fit < ALIGNMENT.lost_fit) & ~apart)
+    tried = np.arange(-search_rad, search_rad + 1e-9, ALIGNMENT.search_step_rad)
     together = max(1, MOST_POINTS // (len(tried) * scans.beams))
     for some in (lost[k : k + together] for k in range(0, len(lost), together)):
         rows = np.repeat(some, len(tried))
         start = steps.motion[rows]
         start[:, 2] = wrap(start[:, 2] + np.tile(tried, len(some)))
-        prior = steps.motion[rows], start, 0.01 * weak[rows]
-        found, found_fit, found_loose_m = _matched(
-            scans, (first[rows], second[rows]), prior, settings
-        )
-        by_row = found_fit.reshape(len(some), -1)
+        prior = Steps(steps.motion[rows], 0.01 * weak[rows])
+        found = _matched(scans, (first[rows], second[rows]), prior, start)
+        by_row = found[1].reshape(len(some), -1)
         best = by_row.argmax(axis=1)
-        better = by_row[np.arange(len(some)), best] > fit[some] + settings.better_fit
-        at = some[better]
-        motion[at] = found.reshape(len(some), -1, 3)[better, best[better]]
-        fit[at] = by_row[better, best[better]]
-        loose_m[at] = found_loose_m.reshape(len(some), -1)[better, best[better]]
+        better = by_row[np.arange(len(some)), best] > fit[some] + ALIGNMENT.better_fit
+        at, nth = some[better], np.flatnonzero(better) * len(tried) + best[better]
+        motion[at], fit[at], loose_m[at] = (values[nth] for values in found)
         searched[at] = True
     return PairMotion(motion, fit, searched, loose_m)
 
@@ -160,40 +159,27 @@ def _shared(scans: Swept, first: IntArray, second: IntArray, turn: FloatArray) -
 
 
 def _matched(
-    scans: Swept,
-    pairs: tuple[IntArray, IntArray],
-    odometry: tuple[FloatArray, FloatArray, FloatArray],
-    settings: AlignmentSettings,
+    scans: Swept, pairs: tuple[IntArray, IntArray], prior: Steps, motion: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Gauss-Newton on each pair: motion, fit, loose_m. odometry: motion, initial motion,
-    information."""
-    expected, motion, information = odometry
-    motion = settings.rounded(motion)
-    scale = settings.pair_worth / settings.sigma_m**2
+    """Gauss-Newton on each pair, from `motion` (p, 3) on: motion, fit, loose_m of `PairMotion`."""
+    motion, information = _rounded(motion), prior.information
+    scale = ALIGNMENT.pair_worth / ALIGNMENT.sigma_m**2
     first, second = pairs
-    for rounds, gate in settings.pair_rounds:
+    for rounds, gate in ALIGNMENT.pair_rounds:
         moving = np.arange(len(motion))
         for _ in range(rounds):
             some = first[moving], second[moving]
             moments = scale * pair_terms(scans, *some, motion[moving], gate).moments
-            off = _difference(motion[moving], expected[moving])
+            off = _difference(motion[moving], prior.motion[moving])
             odometry_gradient = np.einsum("pkl,pl->pk", information[moving], off)
             gradient = moments[:, :3, 3] + odometry_gradient
             total = moments[:, :3, :3] + information[moving]
             step = np.clip(np.linalg.solve(total, gradient[..., None])[..., 0], -0.5, 0.5)
-            motion[moving] = settings.rounded(motion[moving] - step)
-            moving = moving[settings.moved(step)]
-    last = pair_terms(scans, *pairs, motion, settings.pair_rounds[-1][-1])
+            motion[moving] = _rounded(motion[moving] - step)
+            moving = moving[_moved(step)]
+    last = pair_terms(scans, *pairs, motion, ALIGNMENT.pair_rounds[-1][-1])
     weakest = np.linalg.eigvalsh(scale * last.moments[:, :2, :2])[:, 0]
     return motion, last.fit, 1 / np.sqrt(np.maximum(weakest, 1e-4))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Aligned:
-    """Poses (n, 3), and their uncertainty."""
-
-    pose: FloatArray
-    scatter: Scatter
 
 
 def align(
@@ -203,7 +189,6 @@ def align(
     *,
     fixed: int,
     earlier: Sequence[IntArray],
-    settings: AlignmentSettings,
     stretch: int = STRETCH,
 ) -> Aligned:
     """Align all poses jointly, starting from `pose` (n, 3), the first `fixed` of which stay.
@@ -214,27 +199,25 @@ def align(
     """
     looks = _Looks.of(earlier, fixed)
     equations = _Equations.of(len(pose), fixed, looks)
-    pose = settings.rounded(pose)
-    for rounds, gate in settings.joint_rounds:
+    pose = _rounded(pose)
+    for rounds, gate in ALIGNMENT.joint_rounds:
         looks.known[:] = False
         for _ in range(rounds):
-            if looks.renewed(scans, pose, gate, settings) <= settings.settled_share:
+            if looks.renewed(scans, pose, gate) <= ALIGNMENT.settled_share:
                 break
             quadratic = looks.quadratic(pose)
-            band, gradient = equations.at(
-                pose, steps, quadratic, _worth(looks, quadratic, settings)
-            )
+            band, gradient = equations.at(pose, steps, quadratic, _worth(looks, quadratic))
             step = solveh_banded(band, -gradient, lower=True, overwrite_ab=True, overwrite_b=True)
-            pose = settings.rounded(pose + np.asarray(step).reshape(-1, 3))
+            pose = _rounded(pose + np.asarray(step).reshape(-1, 3))
     quadratic = looks.quadratic(pose)
-    worth = _worth(looks, quadratic, settings)
-    pairs, gate = (looks.first, looks.second), settings.joint_rounds[-1][1]
+    worth = _worth(looks, quadratic)
+    pairs, gate = (looks.first, looks.second), ALIGNMENT.joint_rounds[-1][1]
     # Gradients by walls and odometry at the solution.
     walls, curvature = wall_scores(scans, pose, pairs, gate, scans.each * worth)
     off, information = _odometry(pose, steps)
     odometry = odometry_scores(np.einsum("pkl,pl->pk", information, off), stretch)
     band, _ = equations.at(pose, steps, quadratic, curvature * worth)
-    return Aligned(pose, Scatter(band, walls, odometry))
+    return Aligned(pose, band, walls, odometry)
 
 
 def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
@@ -244,11 +227,11 @@ def _odometry(pose: FloatArray, steps: Steps) -> tuple[FloatArray, FloatArray]:
     return off, steps.information / (1 + distance / 9)[:, None, None]
 
 
-def _worth(looks: _Looks, quadratic: _Quadratic, settings: AlignmentSettings) -> float:
+def _worth(looks: _Looks, quadratic: _Quadratic) -> float:
     """Weight of a point's squared residual [1/m²], from the mean squared residual."""
     squares, weight = max(quadratic.squares.sum(), 0.0), max(looks.weight.sum(), 1e-9)
     residual_m = float(np.sqrt(squares / weight))
-    return settings.joint_worth / max(residual_m, settings.least_residual_m) ** 2
+    return ALIGNMENT.joint_worth / max(residual_m, ALIGNMENT.least_residual_m) ** 2
 
 
 class _Quadratic(NamedTuple):
@@ -282,13 +265,11 @@ class _Looks:
         nothing = np.zeros((p, 3)), np.zeros((p, 4, 4)), np.zeros(p), np.zeros(p, bool)
         return cls(first, second, *nothing)
 
-    def renewed(
-        self, scans: Swept, pose: FloatArray, gate: Gate, settings: AlignmentSettings
-    ) -> float:
+    def renewed(self, scans: Swept, pose: FloatArray, gate: Gate) -> float:
         """Linearise again the pairs that moved so far that correspondences may change; returns
         their share."""
         motion = between(pose[self.second], pose[self.first])
-        k = np.flatnonzero(~self.known | settings.moved(self._change(motion)))
+        k = np.flatnonzero(~self.known | _moved(self._change(motion)))
         terms = pair_terms(scans, self.first[k], self.second[k], motion[k], gate)
         self.motion[k], self.moments[k], self.weight[k] = motion[k], terms.moments, terms.weight
         self.known[k] = True

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import wrap
+from .keyframes import Keyframes
 from .surfaces import Surfaces, surfaces
 
 POINT_RAD = 0.035
@@ -45,14 +46,9 @@ class Swept:
     own_beams: IntArray
 
     @classmethod
-    def of(
-        cls,
-        xy: Float32Array,
-        start: FloatArray,
-        increment: FloatArray,
-        own_beams: IntArray | None = None,
-    ) -> Swept:
-        """From (k, m, 2) points in the laser's frame [m], NaN without return."""
+    def of(cls, frames: Keyframes) -> Swept:
+        """The points of keyframes, and the surfaces that these lie on."""
+        xy, increment = frames.xy, frames.increment
         on = surfaces(xy, increment)
         each = max(int(POINT_RAD / increment.max(initial=1e-3)), 1)
         x, y = (np.where(on.valid, xy[..., k], np.float32(0)) for k in (0, 1))
@@ -61,8 +57,7 @@ class Swept:
         at = _with_neighbours(on.valid)
         x, y, nx, ny = (values.take(at) for values in (on.x, on.y, on.nx, on.ny))
         lines = Surfaces(x, y, nx, ny, on.valid.take(at))
-        own = np.full(len(xy), xy.shape[1]) if own_beams is None else own_beams
-        return cls(start, increment, xy.shape[1], each, points, lines, own)
+        return cls(frames.start, increment, xy.shape[1], each, points, lines, frames.beams)
 
 
 def _every(values: Any, each: int) -> Any:

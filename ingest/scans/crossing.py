@@ -15,10 +15,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit, logit
 
-from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.se2 import wrap
 from .grid import GridSettings
-from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
+from .skeleton import Node, SkeletonGraph, SkeletonSettings
 
 AXIS_M = 3.0
 """Length of a branch that its axis is fitted to, beyond the widening: half of what a window shows.
@@ -46,18 +46,6 @@ ROUGH_M = GridSettings().cell_m
 """Lower bound of the rounding error of walls: they are no smoother in finer grids."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Crossing(Node):
-    """A node as a junction: xy is where its axes cross, clearance_m that of the node.
-
-    headings: (b,) [rad] of its branches, ascending, in the order of `ends`; bends: (b,) change of
-    heading further on (`bends`), if asked for.
-    """
-
-    headings: FloatArray = field(kw_only=True)
-    bends: FloatArray = field(default_factory=lambda: np.zeros(0), kw_only=True)
-
-
 SHARES = (np.arange(20) + 0.5) / 20
 """Possible shares of a run's axes that bend, with equal prior probabilities."""
 
@@ -82,64 +70,41 @@ class BendTally:
         self.log += self.weight * bent.sum(axis=0)
 
 
-Known = dict[tuple[bytes, ...], tuple[FloatArray, float]]
-"""Cache of the centres of a grid's nodes and their sigmas, keyed by what they depend on: graphs of
-one grid share most of them."""
-
-
-def placed(
-    graph: SkeletonGraph,
-    node: Node,
-    clearance_m: Float32Array | FloatArray,
-    cell_m: float,
-    *,
-    known: Known | None = None,
-    tally: BendTally | None = None,
-) -> Node:
+def placed(graph: SkeletonGraph, node: Node, tally: BendTally | None = None) -> Node:
     """A node of a graph at the crossing of the axes of its branches.
 
-    clearance_m: (h, w) distance from walls, as the graph was traced with; known: cache of centres
-    of the same grid, updated; tally: of the axes seen before, updated, None if there is none.
+    tally: of the axes seen before, updated, None if there is none.
     """
-    known = {} if known is None else known
     tally = BendTally() if tally is None else tally
-    own = (*node.xy, node.clearance_m)
-    key = (np.array(own).tobytes(), *(graph.edges[way].cells.tobytes() for way in node.ends))
-    if key not in known:
-        seen = [_Cells.of(graph.edges[way], node, cell_m) for way in node.ends]
-        usual = tally.usual
-        branches = [
-            _branch(cells, node, begin, clearance_m, usual=usual, ring=node.ends.count(way) > 1)
-            for way, cells, begin in zip(node.ends, seen, _begins(node, seen).tolist(), strict=True)
-        ]
-        tally.add([branch.axis.bend.odds for branch in branches if branch.axis is not None])
-        known[key] = _centre(node, branches)
-    xy, sigma_m = known[key]
+    usual, seen = tally.usual, [_Cells.of(graph, way, node) for way in node.ends]
+    begins = _begins(node, seen).tolist()
+    branches = [
+        _branch(cells, node, begin, graph.cell_m, usual=usual, ring=node.ends.count(way) > 1)
+        for way, cells, begin in zip(node.ends, seen, begins, strict=True)
+    ]
+    tally.add([branch.axis.bend.odds for branch in branches if branch.axis is not None])
+    xy, sigma_m = _centre(node, branches)
     return Node(xy, node.clearance_m, node.ends, sigma_m)
 
 
-def crossing(
-    graph: SkeletonGraph, node: Node, cell_m: float, settings: SkeletonSettings
-) -> Crossing:
+def crossing(graph: SkeletonGraph, node: Node, settings: SkeletonSettings) -> Node:
     """A placed node of a graph with the headings of its branches."""
-    headings = _headings(node.xy, graph, node.ends, _reach(node, settings), cell_m)
+    headings = _headings(node.xy, graph, node.ends, _reach(node, settings))
     order = np.argsort(headings, kind="stable")
     ends = tuple(node.ends[k] for k in order)
-    return Crossing(node.xy, node.clearance_m, ends, node.sigma_m, headings=headings[order])
+    return replace(node, ends=ends, headings=headings[order])
 
 
-def bends(
-    graph: SkeletonGraph, place: Crossing, cell_m: float, settings: SkeletonSettings
-) -> FloatArray:
+def bends(graph: SkeletonGraph, place: Node, settings: SkeletonSettings) -> FloatArray:
     """(b,) change of heading [rad] of each branch between the distance where it is measured and
     twice that; NaN where it ends before, or for the two ends of a ring."""
     reach = 2 * _reach(place, settings)
-    far = [np.hypot(*graph.edges[k].away(place.xy, cell_m).T) for k in place.ends]
+    far = [np.hypot(*graph.edges[k].away(place.xy, graph.cell_m).T) for k in place.ends]
     known = [
         place.ends.count(way) == 1 and away.max(initial=0.0) >= reach
         for way, away in zip(place.ends, far, strict=True)
     ]
-    further = _headings(place.xy, graph, place.ends, reach, cell_m)
+    further = _headings(place.xy, graph, place.ends, reach)
     return np.where(known, wrap(further - place.headings), np.nan)
 
 
@@ -159,18 +124,14 @@ class Crossings(NamedTuple):
 def crossings(
     graph: SkeletonGraph,
     numbers: Sequence[int],
-    clearance_m: Float32Array | FloatArray,
-    cell_m: float,
     settings: SkeletonSettings,
-    *,
-    known: Known | None = None,
     tally: BendTally | None = None,
 ) -> Crossings:
-    """Nodes `numbers` of a graph, placed; known, tally: see `placed`. Two ends of one edge whose
+    """Nodes `numbers` of a graph, placed; tally: see `placed`. Two ends of one edge whose
     axes cross at one point are merged: a skeleton may show a crossing of many branches as two forks
     farther apart than `join_m`, whose centres are nearer."""
     found = {
-        k: placed(graph, graph.nodes[k], clearance_m, cell_m, known=known, tally=tally)
+        k: placed(graph, graph.nodes[k], tally)
         if graph.nodes[k].clearance_m <= settings.axes_m
         else graph.nodes[k]
         for k in numbers
@@ -186,37 +147,29 @@ def crossings(
             continue
         ends = tuple(k for k in (*one.ends, *other.ends) if k != way)
         amid = Node(0.5 * (one.xy + other.xy), max(one.clearance_m, other.clearance_m), ends)
-        found[a] = placed(graph, amid, clearance_m, cell_m, known=known, tally=tally)
+        found[a] = placed(graph, amid, tally)
         del found[b]
         joints[way] = b, a
     return Crossings(found, joints)
 
 
-def with_crossings(
-    graph: SkeletonGraph,
-    clearance_m: Float32Array | FloatArray,
-    cell_m: float,
-    settings: SkeletonSettings,
-    *,
-    known: Known | None = None,
-) -> tuple[SkeletonGraph, tuple[Crossing, ...]]:
-    """A graph with its nodes placed, and these nodes; two forks of one crossing become one node,
-    and the edge between them is removed."""
-    every = range(len(graph.nodes))
-    found, joints = crossings(graph, every, clearance_m, cell_m, settings, known=known)
+def with_crossings(graph: SkeletonGraph, settings: SkeletonSettings) -> SkeletonGraph:
+    """A graph with its nodes placed; two forks of one crossing become one node, and the edge
+    between them is removed."""
+    found, joints = crossings(graph, range(len(graph.nodes)), settings)
     kept, ways = sorted(found), [k for k in range(len(graph.edges)) if k not in joints]
     number = {k: new for new, k in enumerate(kept)}
     # What a node was joined to may have been joined to another one later.
     for gone, into in reversed(joints.values()):
         number[gone] = number[into]
     way_number = {k: new for new, k in enumerate(ways)}
-    crossed = [crossing(graph, found[k], cell_m, settings) for k in kept]
+    crossed = [crossing(graph, found[k], settings) for k in kept]
     places = tuple(replace(c, ends=tuple(way_number[way] for way in c.ends)) for c in crossed)
     edges = []
     for edge in (graph.edges[way] for way in ways):
         a, b = (number.get(node, -1) for node in edge.nodes)
         edges.append(replace(edge, nodes=(a, b)))
-    return replace(graph, nodes=places, edges=tuple(edges)), places
+    return replace(graph, nodes=places, edges=tuple(edges))
 
 
 class _Bend(NamedTuple):
@@ -255,19 +208,19 @@ class _Branch(NamedTuple):
 
 
 class _Cells(NamedTuple):
-    """Cells (n, 2) of a branch, their offsets (n, 2) and distances (n,) from its node [m], and
-    their size [m]."""
+    """Cells of a branch: their offsets (n, 2) and distances (n,) from its node [m], and their
+    clearance (n,) [m]."""
 
-    cells: IntArray
     away: FloatArray
     distance: FloatArray
-    cell_m: float
+    clearance_m: Float32Array | FloatArray
 
     @classmethod
-    def of(cls, edge: Edge, node: Node, cell_m: float) -> _Cells:
-        """The cells of an edge, relative to one of its nodes."""
-        away = edge.away(node.xy, cell_m)
-        return cls(edge.cells, away, np.hypot(away[:, 0], away[:, 1]), cell_m)
+    def of(cls, graph: SkeletonGraph, way: int, node: Node) -> _Cells:
+        """The cells of an edge of a graph, relative to one of its nodes."""
+        edge = graph.edges[way]
+        away = edge.away(node.xy, graph.cell_m)
+        return cls(away, np.hypot(away[:, 0], away[:, 1]), graph.clearance_m[tuple(edge.cells.T)])
 
     def axis(self, begin_m: float) -> tuple[BoolArray, FloatArray]:
         """(n,) which cells an axis that begins at `begin_m` is fitted to, and their offsets; all
@@ -291,7 +244,7 @@ def _branch(
     seen: _Cells,
     node: Node,
     begin_m: float,
-    clearance_m: Float32Array | FloatArray,
+    cell_m: float,
     *,
     usual: float,
     ring: bool,
@@ -304,31 +257,21 @@ def _branch(
     """
     beyond, own = seen.axis(begin_m)
     middle = own.sum(axis=0) / max(len(own), 1)
+    without = _Branch(float(np.arctan2(middle[1], middle[0])), None)
     # Two cells make a line, where cells are large.
-    if not ring and np.count_nonzero(beyond) >= max(0.4 * AXIS_M / seen.cell_m, 2):
-        wide = float(clearance_m[seen.cells[beyond, 0], seen.cells[beyond, 1]].var())
-        found = _with_axis(own, middle, node, (max(seen.cell_m, ROUGH_M) ** 2 / 12, wide), usual)
-        if found is not None:
-            return found
-    return _Branch(float(np.arctan2(middle[1], middle[0])), None)
-
-
-def _with_axis(
-    own: FloatArray, middle: FloatArray, node: Node, noise: tuple[float, float], usual: float
-) -> _Branch | None:
-    """A branch with the axis fitted to its cells (n, 2), relative to the node [m], about their
-    centroid; None if they are unlike those of a corridor. noise: see `_bend`."""
+    if ring or np.count_nonzero(beyond) < max(0.4 * AXIS_M / cell_m, 2):
+        return without
+    rounding, wide = max(cell_m, ROUGH_M) ** 2 / 12, float(seen.clearance_m[beyond].var())
     u, v = (own - middle).T
     angle = 0.5 * np.arctan2(2 * float(u @ v), float(u @ u) - float(v @ v))
     if np.cos(angle) * middle[0] + np.sin(angle) * middle[1] < 0:
         angle += np.pi
     c, s = np.cos(angle), np.sin(angle)
-    bend = _bend(c * u + s * v, c * v - s * u, noise, usual)
-    rounding, wide = noise
+    bend = _bend(c * u + s * v, c * v - s * u, (rounding, wide), usual)
     unlike = 0.5 * (max(bend.left, 0.0) + wide) / rounding
     # Beyond three sigma it is none; exp would overflow.
     if unlike >= 4.5:
-        return None
+        return without
     of_mean = float(np.exp(unlike)) * rounding / len(own)
     # All cells of an axis along the grid are rounded alike.
     known = (rounding + of_mean, of_mean / bend.spread)
@@ -425,10 +368,10 @@ def _towards(angle: FloatArray | float) -> FloatArray | float:
 
 
 def _headings(
-    centre: FloatArray, graph: SkeletonGraph, ways: tuple[int, ...], reach_m: float, cell_m: float
+    centre: FloatArray, graph: SkeletonGraph, ways: tuple[int, ...], reach_m: float
 ) -> FloatArray:
     """(b,) headings [rad] of the chords from a node to where its edges cross a circle about it."""
-    out = np.zeros(len(ways))
+    out, cell_m = np.zeros(len(ways)), graph.cell_m
     used: dict[int, float] = {}
     for k, way in enumerate(ways):
         away = graph.edges[way].away(centre, cell_m)

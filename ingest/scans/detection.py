@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.columns import joined
 from ...topology.errors import DataError
 from ...topology.odometry import Odometry
 from ...topology.run import Scanned
@@ -104,18 +105,31 @@ class _Counted:
         ]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rows:
+    """Keyframes that passed: time, pose (k, 3) of the robot, corrected and as recorded; piece, fit,
+    loose_m, laser: as of `Placed`."""
+
+    time_ns: IntArray
+    pose: FloatArray
+    recorded: FloatArray
+    piece: IntArray
+    fit: FloatArray
+    loose_m: FloatArray
+    laser: IntArray
+
+    def driven(self) -> Driven:
+        """The track, its distance as in `windows`."""
+        step = np.hypot(*np.diff(self.pose[:, :2], axis=0).T)
+        step[np.diff(self.piece) != 0] = 0.0
+        return Driven(self.time_ns, self.pose, np.concatenate([[0.0], np.cumsum(step)]))
+
+
 @dataclass(slots=True, eq=False)
 class _Track:
-    """Data kept of processed keyframes: rows (k, 3) of the robot's pose, corrected and as
-    recorded."""
+    """Data kept of processed keyframes."""
 
-    time_ns: list[IntArray] = field(default_factory=list)
-    pose: list[FloatArray] = field(default_factory=list)
-    recorded: list[FloatArray] = field(default_factory=list)
-    piece: list[IntArray] = field(default_factory=list)
-    fit: list[FloatArray] = field(default_factory=list)
-    loose_m: list[FloatArray] = field(default_factory=list)
-    laser: list[IntArray] = field(default_factory=list)
+    rows: list[_Rows] = field(default_factory=list)
     spans: list[SpanErrors] = field(default_factory=list)
     searched: int = 0
     bias_rad_per_m: float = 0.0
@@ -126,45 +140,33 @@ class _Track:
     def passing(self, parts: Iterable[Matched]) -> Iterator[Matched]:
         """The parts as they pass, after recording what is needed of them."""
         for part in parts:
-            off = inverse(part.keyframes.mount)
-            self.time_ns.append(part.keyframes.time_ns)
-            self.pose.append(compose(part.pose, off))
-            self.piece.append(part.keyframes.piece)
-            self.fit.append(part.fit)
-            self.loose_m.append(part.loose_m)
-            self.laser.append(part.keyframes.laser)
+            frames, body = part.keyframes, part.keyframes.body
+            recorded = compose(frames.odometry, inverse(frames.mount))
+            about = frames.piece, frames.fit, frames.loose_m, frames.laser
+            self.rows.append(_Rows(frames.time_ns, body, recorded, *about))
             self.spans.append(part.spans)
-            self.searched += int(part.searched.sum())
+            self.searched += int(frames.searched.sum())
             self.bias_rad_per_m = float(part.errors.terms[0])
-            self.recorded.append(compose(part.keyframes.odometry, off))
-            self.turns = self.turns.more(self.recorded[-1], self.pose[-1], self.piece[-1])
+            self.turns = self.turns.more(recorded, body, frames.piece)
             if self.turns.mirrored:
                 raise MirroredError(f"the scans turn {self.turns}")
             if self.lag is not None and self.turns.enough:
-                times, pieces = np.concatenate(self.time_ns), np.concatenate(self.piece)
-                lag_s = self.lag(times, np.concatenate(self.pose), pieces)
+                so_far = joined(self.rows)
+                lag_s = self.lag(so_far.time_ns, so_far.pose, so_far.piece)
                 if lag_s:
                     raise LaggingError(lag_s)
                 self.lag = None
             yield part
 
-    def driven(self) -> Driven:
-        """Rows by time; two lasers at one time make one row. Distance as in `windows`."""
-        pose, piece = np.concatenate(self.pose), np.concatenate(self.piece)
-        step = np.hypot(*np.diff(pose[:, :2], axis=0).T)
-        step[np.diff(piece) != 0] = 0.0
-        way = np.concatenate([[0.0], np.cumsum(step)])
-        return Driven(np.concatenate(self.time_ns), pose, way)
-
 
 def _result(
     recorded: Odometry | None, counted: _Counted, track: _Track, seen: list[Seen]
 ) -> ScanResult:
-    if not track.pose:
+    if not track.rows:
         raise DataError(_nothing(counted))
-    driven = track.driven()
-    fit, piece = np.concatenate(track.fit), np.concatenate(track.piece)
-    covered = _covered(driven, fit >= LEAST_FIT, np.concatenate(track.laser))
+    rows = joined(track.rows)
+    driven, good = rows.driven(), rows.fit >= LEAST_FIT
+    covered = _covered(driven, good, rows.laser)
     passes, warnings = junction_passes(seen, driven), counted.warnings()
     if seen and not len(passes) and covered >= LEAST_COVERED and driven.way[-1] >= LEAST_WAY_M:
         passes = pass_midway(driven)
@@ -173,25 +175,24 @@ def _result(
             "walls along it can place the run in others"
         )
     if recorded is None:
-        warnings.append(_alone(driven, np.concatenate(track.loose_m)))
+        warnings.append(_alone(driven, rows.loose_m))
     noise = matched_noise(track.spans, passes, alone=recorded is None)
     statistics = ScanStatistics(
         scans=counted.scans,
-        matched=int(np.sum(fit >= LEAST_FIT)),
-        drift_before_m=recorded_drift(
-            np.concatenate(track.recorded), driven.pose, driven.way, DRIFT_M
-        ),
+        matched=int(good.sum()),
+        drift_before_m=recorded_drift(rows.recorded, driven.pose, driven.way, DRIFT_M),
         drift_after_m=expected_drift(noise, driven.pose, driven.way, DRIFT_M),
         bias_rad_per_m=track.bias_rad_per_m,
         covered=covered,
         searched=track.searched,
         odometry=recorded is not None,
     )
+    # Two lasers at one time make one row.
     keep = np.concatenate([[True], np.diff(driven.time_ns) > 0])
     odometry = Odometry(
         driven.time_ns[keep],
         driven.pose[keep],
-        np.flatnonzero(np.diff(piece[keep])) + 1,
+        np.flatnonzero(np.diff(rows.piece[keep])) + 1,
         recorded.frame if recorded is not None else "odom",
         recorded.child_frame if recorded is not None else "base_link",
     )

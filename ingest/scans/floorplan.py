@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from ...topology.arrays import BoolArray, Float32Array, FloatArray
 from ...topology.polyline import leaving_over, way_of
 from ...topology.se2 import wrap
-from .crossing import Known, crossings, with_crossings
+from .crossing import crossings, with_crossings
 from .grid import GridSettings
 from .open_space import Lattice, distance, open_space, wall_yaw
 from .rooms import Rooms, door_nodes, doors, with_rooms
@@ -128,15 +128,13 @@ def skeleton_graph(
     resolution_m: float,
     settings: FloorplanSettings = FloorplanSettings(),
     frontier: BoolArray | None = None,
-    shown: AxesShown | None = None,
 ) -> Floorplan:
     """Places and corridors of free space (h, w), row 0 at the smallest y, column 0 at the smallest
     x.
 
     frontier: (h, w) free cells next to unknown ones; none by default. A corridor that ends without
     a junction gets a dead end; one that leads into the unknown ends at a frontier, if it leads
-    farther than the disc around its junction. Loops without a junction are left out. shown: what
-    other settings showed of the same grid, added to.
+    farther than the disc around its junction. Loops without a junction are left out.
     O(h w log(h w)).
     """
     free = np.asarray(free, bool)
@@ -145,66 +143,34 @@ def skeleton_graph(
     free = np.pad(free, 1)
     edge = np.zeros_like(free) if frontier is None else np.pad(np.asarray(frontier, bool), 1)
     yaw = wall_yaw(free, edge, resolution_m)
-    shown = {} if shown is None else shown
-    about = settings.skeleton.clearance_m, settings.island_m
-    for key in [key for key in shown if key[1:] != about]:
-        del shown[key]  # each takes 20 bytes a cell
 
     def axes_of(unknown_m: float) -> _Axes:
-        key = unknown_m, *about
-        if key not in shown:
-            left = _receded(free, edge, unknown_m / resolution_m)
-            found = _Axes.of(left, edge, resolution_m, yaw, settings, driven=unknown_m == 0)
-            # Without islands any size of them shows the same.
-            shown.update({key: found} if found.islands else {key: found, (*key[:2], 0.0): found})
-        return shown[key]
+        left = free
+        if unknown_m and edge.any():
+            left = free & (distance(~edge, 1.0) > unknown_m / resolution_m)
+        return _Axes.of(left, edge, resolution_m, yaw, settings)
 
     base = axes_of(0.0)
-    known: Known = {}
-    graph, own = with_crossings(
-        base.graph(settings.skeleton),
-        base.clearance_m,
-        base.cell_m,
-        settings.skeleton,
-        known=known,
-    )
-    if not own and not doors(graph, base.clearance_m, base.cell_m):
+    graph = with_crossings(base.graph(settings.skeleton), settings.skeleton)
+    if not graph.nodes and not doors(graph):
         return Floorplan((), ())
-    assert base.drivable is not None
-    drivable = base.drivable
-    if len(own) < FEW_JUNCTIONS:
-        rooms = with_rooms(graph, base.clearance_m, base.opening, drivable, settings.skeleton)
+    if len(graph.nodes) < FEW_JUNCTIONS:
+        rooms = with_rooms(graph, base.opening, base.drivable, settings.skeleton)
     else:
-        rooms = Rooms(graph, own, [*range(len(own))], [], [], [], 0)
-    own = (*(own[k] for k in rooms.kept), *rooms.nodes[rooms.first_door :])
+        rooms = Rooms(graph, [*range(len(graph.nodes))], [], [], [], 0)
+    own = [*(graph.nodes[k] for k in rooms.kept), *rooms.graph.nodes[rooms.first_door :]]
     others = []
-    for variant in settings.variants[1:] if own else ():
-        axes = axes_of(variant.unknown_m)
-        other = axes.graph(variant.skeleton)
-        every = crossings(
-            other,
-            range(len(other.nodes)),
-            axes.clearance_m,
-            axes.cell_m,
-            variant.skeleton,
-            known=known if axes is base else None,
-        )
-        others.append(list(every.places.values()))
+    for skeleton, unknown_m in settings.variants[1:] if own else ():
+        axes = axes_of(unknown_m) if unknown_m else base
+        other = axes.graph(skeleton)
+        found = crossings(other, range(len(other.nodes)), skeleton)
+        others.append(list(found.places.values()))
         if rooms.doors:
-            found = doors(other, axes.clearance_m, axes.cell_m)
-            others[-1] += door_nodes(other, found, axes.cell_m)
-    agreement = _agreement(own, others, settings)
-    places = _known_places(rooms, agreement, drivable)
-    plan = _floorplan(rooms.graph, places, base, drivable)
+            others[-1] += door_nodes(other, doors(other))
+    places = _known_places(rooms, _agreement(own, others, settings), base.drivable)
+    plan = _floorplan(rooms.graph, places, base)
     plan = plan._replace(blocked=plan.blocked + rooms.lost)
     return _from_corner(plan, base.lattice, resolution_m)
-
-
-def _receded(free: BoolArray, frontier: BoolArray, cells: float) -> BoolArray:
-    """The free cells farther than so many cells from the frontier."""
-    if cells == 0 or not frontier.any():
-        return free
-    return np.asarray(free & (distance(~frontier, 1.0) > cells))
 
 
 CELL_M = 0.05
@@ -225,17 +191,14 @@ second; wider spaces are traced in larger cells."""
 class _Axes:
     """The skeleton of an open space, in a lattice along its walls.
 
-    clearance_m: (h, w) distance of walls; opening: see `_openings`; islands: whether there are any
-    that make no junctions; radius_m: of the robot; drivable: where it can drive, if asked for;
-    lines: those for its radius, once they are traced.
+    clearance_m: (h, w) distance of walls; opening: see `_openings`; drivable: where the robot can
+    drive; lines: those for its radius, once they are traced.
     """
 
     clearance_m: Float32Array
     lattice: Lattice
     opening: BoolArray
-    islands: bool
-    radius_m: float
-    drivable: Drivable | None = None
+    drivable: Drivable
     lines: Lines | None = None
 
     @property
@@ -251,41 +214,30 @@ class _Axes:
         cell_m: float,
         yaw: float,
         settings: FloorplanSettings,
-        *,
-        driven: bool,
     ) -> _Axes:
         """frontier: free cells beside unknown ones; yaw: of the lattice."""
         radius_m = settings.skeleton.clearance_m
         space = open_space(free, cell_m, radius_m, settings.island_m)
-        islands = space.clearance_m is not space.room_m
         opening = _openings(frontier, space.clearance_m, cell_m, 2 * radius_m)
         area, wide_m = free.size * cell_m**2, float(space.clearance_m.max())
         peeled_m = (area * wide_m / MOST_PEELED) ** (1 / 3)
         own_m = max(CELL_M, cell_m / FINER, peeled_m, (area / MOST_CELLS) ** 0.5)
         lattice = Lattice.along(yaw, free.shape, cell_m, own_m)
-        marks = lattice.marks(opening, cell_m)
-        if not driven:
-            clearance_m = lattice.of(space.clearance_m, cell_m)
-            return cls(clearance_m, lattice, marks, islands, radius_m)
         on = space.on(lattice)
         drivable = Drivable.of(on, radius_m)
-        return cls(on.clearance_m, lattice, marks, islands, radius_m, drivable)
+        return cls(on.clearance_m, lattice, lattice.marks(opening, cell_m), drivable)
 
     def graph(self, settings: SkeletonSettings) -> SkeletonGraph:
         """The graph of where there is the clearance of the settings."""
-        if settings.clearance_m != self.radius_m:
+        if settings.clearance_m != self.drivable.radius_m:
             return traced(self._lines(settings.clearance_m), settings)
-        self.lines = self.lines or self._lines(self.radius_m)
+        self.lines = self.lines or self._lines(settings.clearance_m)
         return traced(self.lines, settings)
 
     def _lines(self, least_m: float) -> Lines:
         skeleton = thin(self.clearance_m > least_m)
         found = lines_of(skeleton, self.clearance_m, self.cell_m, self.opening)
         return _without_corners(found, self.opening, self.cell_m)
-
-
-AxesShown = dict[tuple[float, float, float], _Axes]
-"""By how far the unknown reaches, the robot's radius, and the size of islands [m]."""
 
 
 def _openings(
@@ -333,45 +285,43 @@ def _known_places(rooms: Rooms, agreement: Sequence[float], drivable: Drivable) 
     ]
     return [
         Place(drivable.moved(node.xy), node.headings, *kind)
-        for node, kind in zip(rooms.nodes, kinds, strict=True)
+        for node, kind in zip(rooms.graph.nodes, kinds, strict=True)
     ]
 
 
-def _floorplan(
-    graph: SkeletonGraph, known: Sequence[Place], axes: _Axes, drivable: Drivable
-) -> Floorplan:
+def _floorplan(graph: SkeletonGraph, known: Sequence[Place], axes: _Axes) -> Floorplan:
     """Places, and the ways between them that can be driven, from the corner of the lattice.
 
     known: a place for every node.
     """
-    cell_m = drivable.cell_m
     places = list(known)
     corridors, blocked = [], 0
-    used = [[False] * len(node.ends) for node in graph.nodes]
     for number, edge in enumerate(graph.edges):
         source, target = edge.nodes
-        line = _polyline(edge, graph.nodes, cell_m)
+        line = _polyline(edge, graph.nodes, axes.cell_m)
         if line is None:
             continue
-        source_branch, target_branch = _take(graph, used, source, number), 0
+        source_branch, target_branch = graph.nodes[source].ends.index(number), 0
         line[0] = places[source].xy
         if target >= 0:
-            target_branch = _take(graph, used, target, number)
+            # A ring comes back by another branch.
+            ends = graph.nodes[target].ends
+            target_branch = len(ends) - 1 - ends[::-1].index(number)
             line[-1] = places[target].xy
-            way = drivable_way(line, drivable, _reach(line, axes, drivable))
+            way = _way(line, axes)
         else:
-            kind, line = _ended(line, axes, drivable)
-            if kind == "frontier" and way_of(line)[-1] <= graph.nodes[source].clearance_m:
+            kind, line = _ended(line, axes)
+            beyond_m = graph.nodes[source].clearance_m
+            if kind == "frontier" and way_of(line)[-1] <= beyond_m:
                 continue
-            way = _drivable_part(line, axes, drivable, graph.nodes[source].clearance_m)
+            way = _way(line, axes) or _drivable_part(line, axes, beyond_m)
         if way is None:
             blocked += 1
             continue
         if target < 0:
             target = len(places)
             places.append(_end_of(way, kind))
-        ends = source, target, source_branch, target_branch
-        corridors.append(Corridor(*ends, *way))
+        corridors.append(Corridor(source, target, source_branch, target_branch, *way))
     return Floorplan(tuple(places), tuple(corridors), blocked)
 
 
@@ -387,25 +337,21 @@ def _from_corner(plan: Floorplan, lattice: Lattice, cell_m: float) -> Floorplan:
     return plan._replace(places=tuple(places), corridors=tuple(corridors))
 
 
-def _reach(line: FloatArray, axes: _Axes, drivable: Drivable) -> FloatArray:
-    """(k,) distance of the walls from each point of a line [m]."""
-    return axes.clearance_m[drivable.at(line)].astype(np.float64)
+def _way(line: FloatArray, axes: _Axes) -> Way | None:
+    """The way along a line, within the distance of the walls from each of its points."""
+    reach_m = axes.clearance_m[axes.drivable.at(line)].astype(np.float64)
+    return drivable_way(line, axes.drivable, reach_m)
 
 
-def _drivable_part(
-    line: FloatArray, axes: _Axes, drivable: Drivable, beyond_m: float
-) -> Way | None:
-    """The way to the end of a line, else as far as it can be driven straight along it, if that is
-    beyond the disc around its junction."""
-    way = drivable_way(line, drivable, _reach(line, axes, drivable))
-    if way is not None:
-        return way
-    fits = drivable.cells[drivable.at(line)]
+def _drivable_part(line: FloatArray, axes: _Axes, beyond_m: float) -> Way | None:
+    """The way along a line as far as it can be driven straight, if that is beyond the disc around
+    its junction."""
+    fits = axes.drivable.cells[axes.drivable.at(line)]
     fits[0] = True
     until = len(line) if fits.all() else int(np.argmin(fits))
     if until < 2 or way_of(line[:until])[-1] <= beyond_m:
         return None
-    return drivable_way(line[:until], drivable, _reach(line[:until], axes, drivable))
+    return _way(line[:until], axes)
 
 
 HEADING_M = 1.0
@@ -435,16 +381,14 @@ def _polyline(edge: Edge, nodes: Sequence[Node], cell_m: float) -> FloatArray | 
     return np.concatenate([begin[None], points[first : last + 1], end[None]])
 
 
-def _ended(
-    line: FloatArray, axes: _Axes, drivable: Drivable
-) -> tuple[Literal["dead_end", "frontier"], FloatArray]:
+def _ended(line: FloatArray, axes: _Axes) -> tuple[Literal["dead_end", "frontier"], FloatArray]:
     """What a line ends at, and the line up to there."""
-    cells = drivable.at(line)
+    cells = axes.drivable.at(line)
     if axes.opening[cells[0][-1], cells[1][-1]]:
         before = np.flatnonzero(~axes.opening[cells])
         return "frontier", line[: max(2, int(before[-1]) + 2 if len(before) else 2)]
     line = _to_widest(line, axes.clearance_m, axes.cell_m)
-    line[-1] = drivable.moved(line[-1])
+    line[-1] = axes.drivable.moved(line[-1])
     return "dead_end", line
 
 
@@ -466,15 +410,6 @@ def _to_widest(path: FloatArray, clearance_m: Float32Array, cell_m: float) -> Fl
     end = (np.argwhere(wide).mean(axis=0)[::-1] + corner) * cell_m
     nearest = int(np.argmin(np.hypot(*(path - end).T)))
     return np.concatenate([path[: max(nearest, 1)], end[None]])
-
-
-def _take(graph: SkeletonGraph, used: list[list[bool]], node: int, edge: int) -> int:
-    """The branch of a place that an edge leaves by; a ring leaves by two."""
-    for branch, way in enumerate(graph.nodes[node].ends):
-        if way == edge and not used[node][branch]:
-            used[node][branch] = True
-            return branch
-    raise AssertionError("every way at a place is one of its branches")
 
 
 def _agreement(

@@ -172,17 +172,8 @@ def free_space(window: Window, settings: GridSettings) -> BoolArray:
     observed = window.hit + window.free
     wall = (window.hit >= settings.wall_hits) & (window.hit > settings.wall_share * observed)
     free = (window.free >= settings.free_looks) & ~wall
-    radius = round(settings.strip_m / settings.cell_m)
-    return without_islands(free | _beside_cells(window.driven, radius), settings)
-
-
-def _beside_cells(cells: BoolArray, radius: int) -> BoolArray:
-    """Cells within `radius` of the given ones."""
-    rows, columns = np.nonzero(np.pad(cells, radius))
-    dy, dx = np.nonzero(disc(radius))
-    near = np.zeros((cells.shape[0] + 2 * radius, cells.shape[1] + 2 * radius), bool)
-    near[rows[:, None] + dy - radius, columns[:, None] + dx - radius] = True
-    return near[radius : radius + cells.shape[0], radius : radius + cells.shape[1]]
+    strip = ndimage.binary_dilation(window.driven, disc(round(settings.strip_m / settings.cell_m)))
+    return without_islands(free | strip, settings)
 
 
 def without_islands(free: BoolArray, settings: GridSettings) -> BoolArray:

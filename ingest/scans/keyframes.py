@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -55,7 +56,10 @@ class Keyframes:
         return len(self.time_ns)
 
 
-def join(parts: list[Keyframes]) -> Keyframes:
+Frames = TypeVar("Frames", bound=Keyframes)
+
+
+def join(parts: list[Frames]) -> Frames:
     """Keyframes concatenated; narrower rasters are padded with NaN."""
     width = max(part.xy.shape[1] for part in parts)
     return joined([replace(part, xy=_widened(part.xy, width)) for part in parts])

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.odometry import Odometry
-from ...topology.se2 import between, wrap
+from ...topology.se2 import between, compose, inverse, wrap
 from ...topology.track import piece_of
-from .alignment import ALIGNMENT, Aligned, Steps, align, match_steps
+from .alignment import ALIGNMENT, Steps, align, match_steps
 from .association import Swept
 from .keyframes import Keyframes, Posed, in_order, join, keyframes
 from .scan import ScanBatch
-from .scatter import STRETCH
+from .scatter import STRETCH, Aligned
 from .step_errors import LOOSE_M, SpanErrors, StepErrors, span_errors
 
 
@@ -38,20 +39,30 @@ MATCHING = MatchingSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Matched:
-    """Keyframes with final poses.
+class Placed(Keyframes):
+    """Keyframes with poses.
 
     pose: (k, 3) of the laser in the corrected frame; fit: (k,) share of the points that fit the
     previous keyframe; searched: (k,) whether found by searching; loose_m: (k,) as in `PairMotion`,
-    from the previous keyframe; spans: uncertainty of the poses; errors: the learned model of the
-    odometry's errors.
+    from the previous keyframe.
     """
 
-    keyframes: Keyframes
     pose: FloatArray
     fit: FloatArray
     searched: BoolArray
     loose_m: FloatArray
+
+    @property
+    def body(self) -> FloatArray:
+        """(k, 3) pose of the robot in the corrected frame."""
+        return compose(self.pose, inverse(self.mount))
+
+
+class Matched(NamedTuple):
+    """Keyframes with final poses; spans: uncertainty of the poses; errors: the learned model of the
+    odometry's errors."""
+
+    keyframes: Placed
     spans: SpanErrors
     errors: StepErrors
 
@@ -84,68 +95,61 @@ def matched(posed_scans: Iterable[Posed]) -> Iterator[Matched]:
     Every window begins with keyframes whose poses are final, and ends with some that are solved for
     again in the next one.
     """
-    held: Keyframes | None = None
-    solved = _Solved(np.zeros((0, 3)), np.zeros(0), np.zeros(0, bool), np.zeros(0))
+    window: tuple[Placed, Aligned] | None = None
     final, errors = 0, StepErrors()
     for fresh in in_order(keyframes(posed_scans), MATCHING.window):
-        if held is not None:
+        frames, known = _unplaced(fresh), 0
+        if window is not None:
+            held, _ = window
             lag = MATCHING.lag * _lasers(held)
             upto = max(len(held) - lag, final)
             if upto > final:
-                yield _finished(held, solved, slice(final, upto), errors)
+                yield _finished(*window, slice(final, upto), errors)
             keep = max(upto - lag, 0)
-            held, solved, final = take(held, slice(keep, None)), solved.since(keep), upto - keep
-        held = fresh if held is None else join([held, fresh])
-        solved, errors = _solve(held, solved, final, errors)
-    if held is not None:
-        yield _finished(held, solved, slice(final, len(held)), errors)
+            held, final = take(held, slice(keep, None)), upto - keep
+            frames, known = join([held, frames]), len(held)
+        frames, aligned, errors = _solve(frames, known, final, errors)
+        window = frames, aligned
+    if window is not None:
+        yield _finished(*window, slice(final, len(window[0])), errors)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Solved:
-    """The state of a window's keyframes as in `Matched`, and the alignment of the window."""
-
-    pose: FloatArray
-    fit: FloatArray
-    searched: BoolArray
-    loose_m: FloatArray
-    aligned: Aligned | None = None
-
-    def since(self, row: int) -> _Solved:
-        return _Solved(self.pose[row:], self.fit[row:], self.searched[row:], self.loose_m[row:])
+def _unplaced(frames: Keyframes) -> Placed:
+    """Keyframes of which nothing is known yet."""
+    n = len(frames)
+    columns = {column.name: getattr(frames, column.name) for column in fields(frames)}
+    return Placed(
+        **columns,
+        pose=np.zeros((n, 3)),
+        fit=np.ones(n),
+        searched=np.zeros(n, bool),
+        loose_m=np.zeros(n),
+    )
 
 
 def _solve(
-    held: Keyframes, known: _Solved, final: int, errors: StepErrors
-) -> tuple[_Solved, StepErrors]:
-    """Solve for all keyframes held; the first ones were solved before, `final` of them finally."""
-    scans = Swept.of(held.xy, held.start, held.increment, held.beams)
+    held: Placed, known: int, final: int, errors: StepErrors
+) -> tuple[Placed, Aligned, StepErrors]:
+    """Solve for all keyframes held; the first `known` ones were solved before, `final` of them
+    finally."""
+    scans = Swept.of(held)
     n, least_fit = len(held), ALIGNMENT.lost_fit
     before = _before(held)
-    new = n - len(known.pose)
-    fit = np.concatenate([known.fit, np.ones(new)])
-    searched = np.concatenate([known.searched, np.zeros(new, bool)])
-    loose_m = np.concatenate([known.loose_m, np.zeros(new)])
-    fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= len(known.pose)))
+    fresh = np.flatnonzero((before >= 0) & (np.arange(n) >= known))
     pairs = fresh, before[fresh]
-    found = match_steps(scans, pairs, Steps(*errors.steps(held, *pairs)), ALIGNMENT)
+    found = match_steps(scans, pairs, errors.steps(held, *pairs))
     sure = found.fit > least_fit
     errors = errors.learned(held, pairs, (found.motion, sure, sure & (found.loose_m < LOOSE_M)))
+    fit, searched, loose_m = held.fit.copy(), held.searched.copy(), held.loose_m.copy()
     fit[fresh], searched[fresh], loose_m[fresh] = found.fit, found.searched, found.loose_m
     consecutive = np.arange(1, n), np.arange(n - 1)
-    raw = Steps(*errors.steps(held, *consecutive))
-    guess = _guess(held, known.pose, (fresh, before, found.motion), raw)
+    raw = errors.steps(held, *consecutive)
+    guess = _guess(held, known, (fresh, before, found.motion), raw)
     earlier = _earlier(before, ALIGNMENT.offsets)
-    aligned = align(
-        scans,
-        guess,
-        raw,
-        fixed=final,
-        earlier=earlier,
-        settings=ALIGNMENT,
-        stretch=STRETCH * _lasers(held),
-    )
-    return _Solved(aligned.pose, fit, searched, loose_m, aligned), errors
+    stretch = STRETCH * _lasers(held)
+    aligned = align(scans, guess, raw, fixed=final, earlier=earlier, stretch=stretch)
+    placed = replace(held, pose=aligned.pose, fit=fit, searched=searched, loose_m=loose_m)
+    return placed, aligned, errors
 
 
 def _lasers(held: Keyframes) -> int:
@@ -177,8 +181,8 @@ def _earlier(before: IntArray, offsets: tuple[int, ...]) -> list[IntArray]:
 
 
 def _guess(
-    held: Keyframes,
-    known: FloatArray,
+    held: Placed,
+    known: int,
     matched_to: tuple[IntArray, IntArray, FloatArray],
     raw: Steps,
 ) -> FloatArray:
@@ -187,7 +191,7 @@ def _guess(
     fresh, before, motion = matched_to
     came_from, step = np.arange(len(held)) - 1, np.concatenate([np.zeros((1, 3)), raw.motion])
     came_from[fresh], step[fresh] = before[fresh], motion
-    pose = known.tolist() or [tuple(held.odometry[0])]
+    pose = held.pose[:known].tolist() or [tuple(held.odometry[0])]
     ahead = zip(came_from[len(pose) :].tolist(), step[len(pose) :].tolist(), strict=True)
     for row, (x, y, turn) in ahead:
         x0, y0, theta = pose[row]
@@ -198,8 +202,5 @@ def _guess(
     return out
 
 
-def _finished(held: Keyframes, solved: _Solved, rows: slice, errors: StepErrors) -> Matched:
-    assert solved.aligned is not None
-    spans = span_errors(solved.aligned, rows, _lasers(held))
-    own = solved.pose[rows], solved.fit[rows], solved.searched[rows], solved.loose_m[rows]
-    return Matched(take(held, rows), *own, spans, errors)
+def _finished(held: Placed, aligned: Aligned, rows: slice, errors: StepErrors) -> Matched:
+    return Matched(take(held, rows), span_errors(aligned, rows, _lasers(held)), errors)

@@ -66,10 +66,10 @@ def _yaws(frames: Keyframes) -> FloatArray:
     second, own, way = second[straight], own[straight], way[straight]
     if len(second) == 0:
         return np.zeros(0)
-    scans = Swept.of(frames.xy, frames.start, frames.increment, frames.beams)
+    scans = Swept.of(frames)
     anywhere = np.tile(np.diag(1 / np.array([1.0, 1.0, STRAIGHT_RAD]) ** 2), (len(own), 1, 1))
     still = Steps(np.zeros_like(own), anywhere)
-    seen = match_steps(scans, (second + 1, second), still, ALIGNMENT)
+    seen = match_steps(scans, (second + 1, second), still)
     x, y = seen.motion[:, :2].T
     sure = (seen.fit > ALIGNMENT.lost_fit) & (seen.loose_m < LOOSE_M) & ~seen.searched
     sure &= np.abs(np.hypot(x, y) - way) < SAME_RAD * way

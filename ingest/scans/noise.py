@@ -24,13 +24,6 @@ LEAST_HEADING = 1e-4
 USUAL_HEADING = 1e-3
 """Prior heading noise [rad per root metre, or per root radian] with the weight of one long span:
 scans in twelve buildings have 0.0005 to 0.0024. It decides for drives of a few metres."""
-TOGETHER = 1.3
-"""Design effect of wall patches (Kish, Survey sampling, 1965): the variance of their sum, relative
-to independent errors, as patches of one bent wall err alike. Pairs of scans that are matched both
-ways, with different errors, show it: over six kinds of simulated world and two buildings 1.2 in the
-mean, 0.4 (aces) to 1.7 (offices). Measured run by run it changes headings within sigmas by 2 %."""
-LEAST_SEEN = 0.25
-"""Lower bound of the share of the walls' errors that remains in the residuals."""
 ALONE_ALONG, ALONE_HEADING = 0.15, 0.01
 """Lower bounds for scans without odometry, because of bare corridors [m, rad per root metre]."""
 
@@ -50,7 +43,7 @@ def matched_noise(
     if told is None or len(told.way) == 0:
         return replace(PRIOR, branch_fault_rate=fault)
     along = float(np.sqrt(np.median(told.along / np.maximum(told.way, 0.1))))
-    walk = _heading_walk(told.far, told.turned, _variance(told))
+    walk = _heading_walk(told.far, told.turned, told.variance)
     heading = max(float(np.sqrt(walk[0])), ALONE_HEADING if alone else LEAST_HEADING)
     return replace(
         PRIOR,
@@ -59,17 +52,6 @@ def matched_noise(
         heading_rad_per_sqrt_rad=significant(max(float(np.sqrt(walk[1])), LEAST_HEADING)),
         branch_fault_rate=significant(fault),
     )
-
-
-def _variance(told: SpanErrors) -> FloatArray:
-    """(r,) variance of the rotations of spans [rad²].
-
-    With scores s of patches, M the sum of their variances and κ M the variance of their sum, the
-    residual scores at the fitted poses, s - A H⁻¹ Σ s, have squares that sum up to M (1 - 2 κ l + κ
-    l), where l is the share absorbed by the poses (if errors are distributed like the curvature).
-    """
-    seen = np.maximum(1 - TOGETHER * told.absorbed, LEAST_SEEN)
-    return np.asarray(TOGETHER * told.walls / seen + told.odometry)
 
 
 def _heading_walk(way: FloatArray, turned: FloatArray, variance: FloatArray) -> FloatArray:

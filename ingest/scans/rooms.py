@@ -17,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
-from .crossing import Crossing, crossing
+from ...topology.arrays import BoolArray, FloatArray, IntArray
+from .crossing import crossing
 from .open_space import distances, nearest_cells
 from .skeleton import Edge, Node, SkeletonGraph, SkeletonSettings
 from .skeleton_lines import Labels
@@ -49,27 +49,23 @@ class Door(NamedTuple):
     half_m: float
 
 
-def doors(graph: SkeletonGraph, clearance_m: Float32Array, cell_m: float) -> list[Door]:
-    """The doors on the edges of a graph, in their order. clearance_m: (h, w), as it was traced
-    with. O(cells of the skeleton)."""
-    out = []
-    for number, edge in enumerate(graph.edges):
-        ends = [graph.nodes[node].clearance_m if node >= 0 else 0.0 for node in edge.nodes]
-        out += [
-            Door(number, at, half_m) for at, half_m in _narrowest(edge, ends, clearance_m, cell_m)
-        ]
-    return out
+def doors(graph: SkeletonGraph) -> list[Door]:
+    """The doors on the edges of a graph, in their order. O(cells of the skeleton)."""
+    return [
+        Door(number, at, half_m)
+        for number, edge in enumerate(graph.edges)
+        for at, half_m in _narrowest(graph, edge)
+    ]
 
 
-def _narrowest(
-    edge: Edge, ends_m: list[float], clearance_m: Float32Array, cell_m: float
-) -> Iterator[tuple[int, float]]:
-    """Index and clearance of the doors along an edge; ends_m: clearance of the nodes at its ends,
-    0 for none."""
+def _narrowest(graph: SkeletonGraph, edge: Edge) -> Iterator[tuple[int, float]]:
+    """Index and clearance of the doors along an edge."""
+    ends_m = [graph.nodes[node].clearance_m if node >= 0 else 0.0 for node in edge.nodes]
+    cell_m = graph.cell_m
     cells = edge.cells
     if not len(cells):
         return
-    r = np.concatenate([ends_m[:1], clearance_m[tuple(cells.T)], ends_m[1:]])
+    r = np.concatenate([ends_m[:1], graph.clearance_m[tuple(cells.T)], ends_m[1:]])
     way = np.concatenate([[0.0, cell_m], np.hypot(*np.diff(cells, axis=0).T) * cell_m, [cell_m]])
     way = np.cumsum(way)
     for k in range(1, len(r) - 1):
@@ -113,18 +109,12 @@ class Regions:
         return int(found[np.argmax(found > 0)]) if len(found) else 0
 
 
-def regions(
-    graph: SkeletonGraph,
-    found: Sequence[Door],
-    clearance_m: Float32Array,
-    cell_m: float,
-    robot_m: float,
-) -> Regions:
+def regions(graph: SkeletonGraph, found: Sequence[Door], robot_m: float) -> Regions:
     """The regions that doors part, of where a robot of radius `robot_m` can be: walls have gaps.
 
-    clearance_m: (h, w) distance of walls. Free cells as near to a region as that count in its area.
-    O(h w).
+    Free cells as near to a region as that count in its area. O(h w).
     """
+    clearance_m, cell_m = graph.clearance_m, graph.cell_m
     open_ = clearance_m > robot_m
     for door in found:
         _cut(open_, _cell(graph, door), door.half_m / cell_m + 1.0)
@@ -146,9 +136,10 @@ def regions(
         [np.bincount(own, at, count + 1) / size * cell_m for at in (columns, rows)]
     )
     boxes = [(rows, columns) for rows, columns in ndimage.find_objects(label)]
-    out = Regions(label, area.astype(np.float64), centre, most, np.zeros(count + 1, bool), boxes)
-    out.is_room[:] = out.area_m2 <= COMPACT * np.pi * most**2
-    out.is_room[:] &= _behind_doors(graph, found, out) & ~_with_rings(graph, found, out)
+    out = Regions(
+        label, area.astype(np.float64), centre, most, area <= COMPACT * np.pi * most**2, boxes
+    )
+    out.is_room[:] &= _behind_doors(graph, found, out)
     return out
 
 
@@ -162,17 +153,6 @@ def _behind_doors(graph: SkeletonGraph, found: Sequence[Door], between: Regions)
         out[list(sides)] |= sides[0] != sides[1]
     out[0] = False
     return out
-
-
-def _with_rings(graph: SkeletonGraph, found: Sequence[Door], between: Regions) -> BoolArray:
-    """(n + 1,) regions with ways round an obstacle: as many edges between their nodes as nodes."""
-    count = len(between.is_room)
-    inside = [between.of_node(graph, k) for k in range(len(graph.nodes))]
-    nodes = np.bincount(np.array(inside, np.int64), minlength=count)
-    edges = np.zeros(count, np.int64)
-    for cells, ends in _parts(graph, found):
-        edges[between.along(cells)] += all(0 <= end < len(graph.nodes) for end in ends)
-    return np.asarray((nodes > 0) & (edges >= nodes))
 
 
 def _cut(free: BoolArray, cell: IntArray, radius: float) -> None:
@@ -193,7 +173,6 @@ class Rooms(NamedTuple):
     """
 
     graph: SkeletonGraph
-    nodes: tuple[Crossing, ...]
     kept: list[int]
     area_m2: list[float]
     doors: list[Door]
@@ -208,7 +187,6 @@ class Rooms(NamedTuple):
 
 def with_rooms(
     graph: SkeletonGraph,
-    clearance_m: Float32Array,
     opening: BoolArray,
     drivable: Drivable,
     settings: SkeletonSettings,
@@ -216,11 +194,10 @@ def with_rooms(
     """The graph cut at its doors; in rooms, ways from the middle to the doors, and to where the
     unknown begins, replace it.
 
-    clearance_m: (h, w), as it was traced with; opening: (h, w) cells where the unknown begins.
+    opening: (h, w) cells where the unknown begins.
     """
-    cell_m = drivable.cell_m
-    found = doors(graph, clearance_m, cell_m)
-    between = regions(graph, found, clearance_m, cell_m, settings.clearance_m)
+    cell_m, found = graph.cell_m, doors(graph)
+    between = regions(graph, found, settings.clearance_m)
     rooms = np.flatnonzero(between.is_room).tolist()
     inside = [between.of_node(graph, k) for k in range(len(graph.nodes))]
     kept = [k for k, region in enumerate(inside) if not between.is_room[region]]
@@ -245,7 +222,7 @@ def with_rooms(
                     edges.append(Edge((room[region], stop), way, _length_m(way, cell_m)))
     nodes = [graph.nodes[k] for k in kept]
     nodes += [Node(between.centre[r], float(between.clearance_m[r]), ()) for r in rooms]
-    nodes += door_nodes(graph, found, cell_m)
+    nodes += door_nodes(graph, found)
     ends_of: list[list[int]] = [[] for _ in nodes]
     for k, edge in enumerate(edges):
         for node in edge.nodes:
@@ -253,7 +230,7 @@ def with_rooms(
                 ends_of[node].append(k)
     cut = replace(graph, edges=tuple(edges))
     crossed = tuple(
-        crossing(cut, Node(node.xy, node.clearance_m, tuple(ways)), cell_m, settings)
+        crossing(cut, Node(node.xy, node.clearance_m, tuple(ways)), settings)
         for node, ways in zip(nodes, ends_of, strict=True)
     )
     behind = [
@@ -261,14 +238,14 @@ def with_rooms(
         for r in rooms
     ]
     area = between.area_m2[rooms].tolist()
-    return Rooms(replace(cut, nodes=crossed), crossed, kept, area, found, behind, lost)
+    return Rooms(replace(cut, nodes=crossed), kept, area, found, behind, lost)
 
 
-def door_nodes(graph: SkeletonGraph, found: Sequence[Door], cell_m: float) -> list[Node]:
+def door_nodes(graph: SkeletonGraph, found: Sequence[Door]) -> list[Node]:
     """Doors of a graph as nodes of two branches."""
     return [
         Node(
-            np.asarray(_cell(graph, door)[::-1] * cell_m, np.float64),
+            np.asarray(_cell(graph, door)[::-1] * graph.cell_m, np.float64),
             door.half_m,
             (door.edge, door.edge),
         )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...topology.arrays import Float32Array, FloatArray, IntArray
-from ...topology.frozen import frozen_array
+from ...topology.frozen import freeze
 from ...topology.odometry import Odometry
 from ...topology.run import Scanned
 
@@ -35,29 +35,21 @@ class ScanBatch:
     laser: int = 0
 
     def __post_init__(self) -> None:
-        times_ns = frozen_array(self.times_ns, np.int64, (None,), "times_ns")
-        angles = frozen_array(self.angles_rad, np.float64, (None,), "angles_rad")
-        pose = frozen_array(self.T_body_laser, np.float64, (3,), "T_body_laser")
+        freeze(self, np.int64, times_ns=(None,))
+        freeze(self, np.float64, angles_rad=(None,), T_body_laser=(3,))
+        n, m = len(self.times_ns), len(self.angles_rad)
         ranges = np.asarray(self.ranges_m, np.float32)
-        if ranges.shape != (len(times_ns), len(angles)):
-            raise ValueError(
-                f"ranges_m has shape {ranges.shape}, expected {(len(times_ns), len(angles))}"
-            )
+        if ranges.shape != (n, m):
+            raise ValueError(f"ranges_m has shape {ranges.shape}, expected {(n, m)}")
         if np.isinf(ranges).any() or (ranges <= 0).any():
             raise ValueError("ranges_m holds values that are neither positive nor NaN")
-        if np.any(np.diff(times_ns) < 0):
+        if np.any(np.diff(self.times_ns) < 0):
             raise ValueError("scans must be in the order of time")
-        free = np.broadcast_to(np.asarray(self.free_m, np.float64), (len(times_ns),))
+        free = np.broadcast_to(np.asarray(self.free_m, np.float64), (n,))
         if not np.isfinite(free).all() or (free < 0).any() or not np.isfinite(self.sweep_s):
             raise ValueError("free_m and sweep_s must be finite, free_m not negative")
-        for name, value in (
-            ("times_ns", times_ns),
-            ("ranges_m", ranges),
-            ("free_m", free),
-            ("angles_rad", angles),
-            ("T_body_laser", pose),
-        ):
-            object.__setattr__(self, name, value)
+        object.__setattr__(self, "ranges_m", ranges)
+        object.__setattr__(self, "free_m", free)
 
     def __len__(self) -> int:
         return len(self.times_ns)

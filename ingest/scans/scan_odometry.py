@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
 
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import take
 from ...topology.se2 import between, compose, inverse
-from .alignment import ALIGNMENT, Steps, chained, match_steps
+from .alignment import Steps, chained, match_steps
 from .association import Swept
 from .keyframes import Keyframes, Posed, join, prepared
 from .scan import ScanBatch
@@ -26,7 +25,7 @@ LOOSE_M = 0.05
 """1 sigma of the motion above which scans do not determine the distance of a step."""
 
 
-ANY_TURN = replace(ALIGNMENT, search_rad=np.pi)
+ANY_TURN_RAD = np.pi
 """Where a scan does not fit the one before, all turns are tried: logs have gaps of seconds, in
 which a robot turns by more than is searched beside an odometry (a quarter turn in 3 s of aces)."""
 
@@ -73,14 +72,14 @@ def _posed(
         return part, pose, before
     fresh = prepared(part, rows)
     frames = fresh if before is None else join([before, fresh])
-    scans = Swept.of(frames.xy, frames.start, frames.increment, frames.beams)
+    scans = Swept.of(frames)
     seconds = np.maximum(np.diff(frames.time_ns) * 1e-9, 1e-3)
     information = np.zeros((len(seconds), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = (SPEED_M_PER_S * seconds) ** -2
     information[:, 2, 2] = (TURN_RAD_PER_S * seconds) ** -2
     pairs = np.arange(1, len(frames)), np.arange(len(frames) - 1)
     still = Steps(np.zeros((len(seconds), 3)), information)
-    found = match_steps(scans, pairs, still, ANY_TURN)
+    found = match_steps(scans, pairs, still, ANY_TURN_RAD)
     motion = found.motion
     if (found.loose_m > LOOSE_M).any() and (found.loose_m <= LOOSE_M).any():
         # Along bare walls: match again, expecting the speed of the well-determined steps around.
@@ -88,7 +87,7 @@ def _posed(
         when = np.cumsum(seconds)
         pace_of = [np.interp(when, when[sure], (motion[:, k] / seconds)[sure]) for k in range(3)]
         going = Steps(np.stack(pace_of, axis=1) * seconds[:, None], 4 * information)
-        again = match_steps(scans, pairs, going, ANY_TURN).motion
+        again = match_steps(scans, pairs, going, ANY_TURN_RAD).motion
         motion = np.where(sure[:, None], motion, again)
     mount = batch.T_body_laser
     own = compose(compose(mount, motion), inverse(mount))

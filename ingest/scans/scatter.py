@@ -12,7 +12,7 @@ groups has the covariance
 Zeger, Longitudinal data analysis using generalized linear models, 1986). Groups are patches of wall
 and parts of the odometry.
 
-Patches of one bent wall err alike, which `noise.TOGETHER` accounts for.
+Patches of one bent wall err alike, which `TOGETHER` accounts for.
 """
 
 from __future__ import annotations
@@ -32,6 +32,13 @@ PATCH_M = 2.0
 give headings a tenth less and more noise."""
 STRETCH = 16
 """Steps of odometry with common errors, 4 m: turns and bends last that long."""
+TOGETHER = 1.3
+"""Design effect of wall patches (Kish, Survey sampling, 1965): the variance of their sum, relative
+to independent errors, as patches of one bent wall err alike. Pairs of scans that are matched both
+ways, with different errors, show it: over six kinds of simulated world and two buildings 1.2 in the
+mean, 0.4 (aces) to 1.7 (offices). Measured run by run it changes headings within sigmas by 2 %."""
+LEAST_SEEN = 0.25
+"""Lower bound of the share of the walls' errors that remains in the residuals."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,33 +57,40 @@ NO_SCORES = Scores(_NONE, _NONE, _NONE, np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scatter:
-    """curvature: banded (lower form, 3 n columns); gradients by walls and odometry."""
+class Aligned:
+    """Poses (n, 3), and their uncertainty: curvature: banded (lower form, 3 n columns); gradients
+    by walls and odometry."""
 
+    pose: FloatArray
     curvature: FloatArray
     walls: Scores
     odometry: Scores
 
-    def headings(self, pose: FloatArray, first: IntArray, last: IntArray) -> tuple[FloatArray, ...]:
-        """Errors of the rotations from poses `first` (q,) to `last`, from the scatter of the
-        groups: walls, absorbed and odometry of `SpanErrors`."""
+    def headings(self, first: IntArray, last: IntArray) -> FloatArray:
+        """(q,) variance [rad²] of the rotations from poses `first` (q,) to `last`, from the scatter
+        of the groups.
+
+        With scores s of patches, M the sum of their variances and κ M the variance of their sum,
+        the residual scores at the fitted poses, s - A H⁻¹ Σ s, have squares that sum up to M (1 - 2
+        κ l + κ l), where l is the share absorbed by the poses (if errors are distributed like the
+        curvature).
+        """
         q = np.arange(len(first))
-        onto = np.zeros((3 * len(pose), len(q)))
+        onto = np.zeros((3 * len(self.pose), len(q)))
         onto[3 * last + 2, q], onto[3 * first + 2, q] = 1.0, -1.0
         moved = self._solved(onto)
-        walls, odometry = (_pulls(pose, scores, moved) for scores in (self.walls, self.odometry))
-        return (
-            np.sum(walls**2, axis=0),
-            np.full(len(first), _absorbed(self.walls)),
-            np.sum(odometry**2, axis=0),
+        walls, odometry = (
+            np.sum(_pulls(self.pose, by, moved) ** 2, axis=0) for by in (self.walls, self.odometry)
         )
+        seen = max(1 - TOGETHER * _absorbed(self.walls), LEAST_SEEN)
+        return np.asarray(TOGETHER * walls / seen + odometry)
 
-    def ways(self, pose: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    def ways(self, first: IntArray, last: IntArray) -> FloatArray:
         """(q,) variance [m²] of the distance ahead from poses `first` (q,) to `last`, by the
         curvature alone: along bare walls there are no gradients."""
-        by_last, by_first = motion_by_ends(pose, last, first)
+        by_last, by_first = motion_by_ends(self.pose, last, first)
         k, q = np.arange(3), np.arange(len(first))[:, None]
-        onto = np.zeros((3 * len(pose), len(first)))
+        onto = np.zeros((3 * len(self.pose), len(first)))
         onto[3 * last[:, None] + k, q] = by_last[:, 0]
         onto[3 * first[:, None] + k, q] += by_first[:, 0]
         moved = self._solved(onto).reshape(onto.shape)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from .skeleton_lines import Lines
 
 
@@ -44,25 +44,31 @@ class SkeletonSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A fork of a skeleton.
+    """A fork of a skeleton, or a junction at the crossing of its axes (`crossing.py`).
 
     xy: (2,) from the centre of the first cell [m]; clearance_m: distance of the nearest wall; ends:
     (b,) the edge of each branch, a ring's twice; sigma_m: 1 sigma of each coordinate of the
-    crossing of its axes, NaN if unknown.
+    crossing, NaN if unknown; headings: (b,) [rad] of the branches of a junction, ascending, in the
+    order of `ends`; bends: (b,) change of heading further on, if asked for.
     """
 
     xy: FloatArray
     clearance_m: float
     ends: tuple[int, ...]
     sigma_m: float = float("nan")
+    headings: FloatArray = field(default_factory=lambda: np.zeros(0))
+    bends: FloatArray = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkeletonGraph:
-    """Nodes and the edges between them."""
+    """Nodes and the edges between them; clearance_m: (h, w) distance of all cells from walls;
+    cell_m: size of a cell."""
 
     nodes: tuple[Node, ...]
     edges: tuple[Edge, ...]
+    clearance_m: Float32Array | FloatArray
+    cell_m: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,7 +122,7 @@ class Reach(NamedTuple):
 @dataclass(slots=True, eq=False)
 class _Segment:
     """A line of the skeleton while the graph is being simplified. parts: numbers of its lines in
-    order, negative where they are passed backwards; ends: the nodes that it leads from and to, 0
+    order, negative where they are passed backwards; ends: the forks that it leads from and to, 0
     for none; along, back: its reach in this direction, and in the other one."""
 
     parts: list[int]
@@ -127,33 +133,44 @@ class _Segment:
     back: Reach
 
     @property
-    def nodes(self) -> list[int]:
-        """The nodes at its ends."""
-        return [node for node in self.ends if node]
+    def forks(self) -> list[int]:
+        """The forks at its ends."""
+        return [fork for fork in self.ends if fork]
+
+    @property
+    def corridor(self) -> float:
+        """How much corridor it shows from its tip to its one fork [m]."""
+        return (self.along if self.ends[1] else self.back).most
 
     def reversed(self) -> _Segment:
         """The same, in the other direction."""
         ends, parts = (self.ends[1], self.ends[0]), [-k for k in reversed(self.parts)]
         return replace(self, parts=parts, ends=ends, along=self.back, back=self.along)
 
-    def without(self, node: int) -> tuple[int, int]:
-        """Its ends, where it no longer leads to a node."""
+    def lead(self, fork: int, to: int) -> None:
+        """Let its ends at a fork be at another one, or at none (0)."""
         first, last = self.ends
-        return (0 if first == node else first, 0 if last == node else last)
+        self.ends = (to if first == fork else first, to if last == fork else last)
+
+
+@dataclass(slots=True, eq=False)
+class _Fork:
+    """A fork while the graph is being simplified: number of cells (weight), and segments, a loop
+    twice."""
+
+    centre: FloatArray
+    clearance: float
+    weight: float
+    segments: list[int] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
 class _Net:
-    """Nodes (centre, clearance, number of pixels) and segments by number."""
+    """Forks and segments by number; changed: segments changed since they were last examined."""
 
-    centre: dict[int, FloatArray]
-    clearance: dict[int, float]
-    weight: dict[int, float]
+    forks: dict[int, _Fork]
     segments: dict[int, _Segment]
-    incident: dict[int, list[int]] = field(default_factory=dict)
-    """Segment numbers by node, twice for a loop."""
     changed: list[int] = field(default_factory=list)
-    """Segments changed since they were last examined."""
 
 
 def thin(free: BoolArray) -> BoolArray:
@@ -182,21 +199,15 @@ def _net(lines: Lines, settings: SkeletonSettings) -> _Net:
         for k, length in enumerate(lines.length_m.tolist())
         if k > 0
     }
-    numbers = range(1, len(lines.fork_xy))
-    clearance, weight = lines.fork_clearance_m.tolist(), lines.fork_cells.tolist()
-    net = _Net(
-        {k: lines.fork_xy[k] for k in numbers},
-        {k: clearance[k] for k in numbers},
-        {k: weight[k] for k in numbers},
-        segments,
-    )
-    net.incident = {k: [] for k in net.centre}
+    about = lines.fork_xy, lines.fork_clearance_m.tolist(), lines.fork_cells.tolist()
+    forks = {k: _Fork(*each) for k, each in enumerate(zip(*about, strict=True)) if k > 0}
     for k, segment in segments.items():
         # A ring hangs on its one fork by both ends.
-        for node in segment.nodes:
-            net.incident[node].append(k)
-    for node in numbers:
-        _dissolve(net, node)
+        for fork in segment.forks:
+            forks[fork].segments.append(k)
+    net = _Net(forks, segments)
+    for fork in list(forks):
+        _dissolve(net, fork)
     return net
 
 
@@ -204,7 +215,8 @@ def _reaches(lines: Lines, taper: float) -> list[tuple[Reach, Reach]]:
     """Of every line along its cells, and back; forks are points at their ends. O(c)."""
     count = len(lines.length_m)
     at = [lines.cells[:, ::-1] * lines.cell_m, lines.fork_xy[lines.ends.ravel()]]
-    clear = [lines.clearance_m, lines.fork_clearance_m[lines.ends.ravel()]]
+    along = lines.clearance_m[lines.cells[:, 0], lines.cells[:, 1]].astype(np.float64)
+    clear = [along, lines.fork_clearance_m[lines.ends.ravel()]]
     number = np.arange(count)
     owner = np.concatenate([lines.line, np.repeat(number, 2)])
     place = np.concatenate([np.ones(len(lines.line)), np.tile([0, 2], count)])
@@ -247,101 +259,71 @@ def _rises(f: FloatArray, owner: IntArray) -> dict[int, Reach]:
 
 
 def _simplify(net: _Net, settings: SkeletonSettings) -> None:
-    """Prune spurs, dissolve nodes with two branches, merge near ones, until nothing changes.
+    """Prune spurs, dissolve forks with two branches, merge near ones, until nothing changes.
 
-    Spurs go before nodes are merged, the least first. Candidates are kept in heaps; outdated
+    Spurs go before forks are merged, the least first. Candidates are kept in a heap; outdated
     entries are skipped. O(n log n).
     """
-    spurs: list[tuple[float, int]] = []
-    joints: list[tuple[float, int]] = []
+    candidates: list[tuple[bool, float, int]] = []
     net.changed = list(net.segments)
     while True:
         for k in net.changed:
-            if _is_spur(net, k, settings):
-                heappush(spurs, (_corridor(net.segments[k]), k))
-            elif (rank := _joint_rank(net, k, settings)) is not None:
-                heappush(joints, rank)
+            if (rank := _rank(net, k, settings)) is not None:
+                heappush(candidates, rank)
         net.changed.clear()
-        if not (_prune(net, spurs, settings) or _join(net, joints, settings)):
+        if not candidates:
             return
+        rank = heappop(candidates)
+        at = abs(rank[-1])
+        if _rank(net, at, settings) == rank:
+            _remove(net, at)
 
 
-def _is_spur(net: _Net, k: int, settings: SkeletonSettings) -> bool:
-    """Whether segment k is a corner of the free space."""
+def _rank(net: _Net, k: int, settings: SkeletonSettings) -> tuple[bool, float, int] | None:
+    """Sort key of segment k among spurs (corners of the free space, by how much corridor they
+    show), and then among those whose two ends are merged (rings first, then by length); None if it
+    stays."""
     segment = net.segments.get(k)
-    if segment is None or len(segment.nodes) != 1:
-        return False
-    return _corridor(segment) < (settings.border_m if segment.border else settings.spur_m)
-
-
-def _corridor(segment: _Segment) -> float:
-    """How much corridor a segment shows from its tip to its one node [m]."""
-    return (segment.along if segment.ends[1] else segment.back).most
-
-
-def _joint_rank(net: _Net, k: int, settings: SkeletonSettings) -> tuple[float, int] | None:
-    """Sort key of segment k among those whose two ends are merged, rings first; None if it is too
-    long for that."""
-    segment = net.segments.get(k)
-    if segment is None or len(segment.nodes) != 2:
+    forks = segment.forks if segment is not None else []
+    if segment is None or not forks:
         return None
+    if len(forks) == 1:
+        least = settings.border_m if segment.border else settings.spur_m
+        return (False, segment.corridor, k) if segment.corridor < least else None
     if segment.length >= settings.join_m:
         return None
-    return (segment.length, k) if segment.nodes[0] != segment.nodes[1] else (-1.0, -k)
+    return (True, segment.length, k) if forks[0] != forks[1] else (True, -1.0, -k)
 
 
-def _prune(net: _Net, spurs: list[tuple[float, int]], settings: SkeletonSettings) -> bool:
-    """Remove the spur that shows the least corridor; False if there is none."""
-    while spurs:
-        shown, at = heappop(spurs)
-        if _is_spur(net, at, settings) and _corridor(net.segments[at]) == shown:
-            break
-    else:
-        return False
-    node = net.segments.pop(at).nodes[0]
-    net.incident[node].remove(at)
-    _dissolve(net, node)
-    return True
-
-
-def _join(net: _Net, joints: list[tuple[float, int]], settings: SkeletonSettings) -> bool:
-    """Merge the two nearest nodes; False if none are near."""
-    while joints:
-        rank = heappop(joints)
-        at = abs(rank[1])
-        if _joint_rank(net, at, settings) == rank:
-            break
-    else:
-        return False
-    segment = net.segments.pop(at)
-    a, b = segment.nodes
-    for node in (a, b):
-        net.incident[node].remove(at)
+def _remove(net: _Net, k: int) -> None:
+    """Remove segment k, and merge the forks that it joins."""
+    forks = net.segments.pop(k).forks
+    for fork in forks:
+        net.forks[fork].segments.remove(k)
+    a, b = forks[0], forks[-1]
     if a != b:
-        total = net.weight[a] + net.weight[b]
-        net.centre[a] = (net.centre[a] * net.weight[a] + net.centre[b] * net.weight[b]) / total
-        net.weight[a] = total
-        net.clearance[a] = max(net.clearance[a], net.clearance.pop(b))
-        for other in net.incident.pop(b):
-            first, last = net.segments[other].ends
-            net.segments[other].ends = (a if first == b else first, a if last == b else last)
-            net.incident[a].append(other)
-        del net.centre[b], net.weight[b]
-    net.changed += net.incident[a]
+        one, other = net.forks[a], net.forks.pop(b)
+        total = one.weight + other.weight
+        one.centre = (one.centre * one.weight + other.centre * other.weight) / total
+        one.weight, one.clearance = total, max(one.clearance, other.clearance)
+        for segment in other.segments:
+            net.segments[segment].lead(b, a)
+        one.segments += other.segments
+    if len(forks) == 2:
+        net.changed += net.forks[a].segments
     _dissolve(net, a)
-    return True
 
 
-def _dissolve(net: _Net, node: int) -> None:
-    """Remove a node of fewer than three branches and join its segments."""
-    ends = net.incident[node]
+def _dissolve(net: _Net, fork: int) -> None:
+    """Remove a fork of fewer than three branches and join its segments."""
+    ends = net.forks[fork].segments
     if len(ends) >= 3:
         return
     net.changed += ends
     if len(ends) == 2 and ends[0] != ends[1]:
         first, second = (net.segments[k] for k in ends)
-        first = first if first.ends[1] == node else first.reversed()
-        second = second if second.ends[0] == node else second.reversed()
+        first = first if first.ends[1] == fork else first.reversed()
+        second = second if second.ends[0] == fork else second.reversed()
         other = second.ends[1]
         net.segments[ends[0]] = _Segment(
             first.parts + second.parts,
@@ -352,13 +334,13 @@ def _dissolve(net: _Net, node: int) -> None:
             second.back.then(first.back),
         )
         if other:
-            net.incident[other] = [ends[0] if k == ends[1] else k for k in net.incident[other]]
+            beyond = net.forks[other]
+            beyond.segments = [ends[0] if k == ends[1] else k for k in beyond.segments]
         del net.segments[ends[1]]
     else:
-        for k in set(ends):
-            net.segments[k].ends = net.segments[k].without(node)
-    for table in (net.centre, net.clearance, net.weight, net.incident):
-        table.pop(node, None)
+        for k in ends:
+            net.segments[k].lead(fork, 0)
+    del net.forks[fork]
 
 
 def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
@@ -369,7 +351,7 @@ def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
         own = lines.cells[bounds[abs(part) - 1] : bounds[abs(part)]]
         return own if part > 0 else own[::-1]
 
-    names = {node: index for index, node in enumerate(sorted(net.centre))}
+    names = {node: index for index, node in enumerate(sorted(net.forks))}
     kept = sorted(net.segments)
     edges = []
     for k in kept:
@@ -381,7 +363,7 @@ def _graph(net: _Net, lines: Lines) -> SkeletonGraph:
         edges.append(Edge(ends, cells, segment.length))
     place = {k: number for number, k in enumerate(kept)}
     nodes = [
-        Node(net.centre[n], net.clearance[n], tuple(place[k] for k in net.incident[n]))
-        for n in names
+        Node(fork.centre, fork.clearance, tuple(place[k] for k in fork.segments))
+        for fork in (net.forks[number] for number in names)
     ]
-    return SkeletonGraph(tuple(nodes), tuple(edges))
+    return SkeletonGraph(tuple(nodes), tuple(edges), lines.clearance_m, lines.cell_m)

@@ -8,8 +8,9 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.se2 import between, compose, inverse, wrap
-from .alignment import Aligned
+from .alignment import Steps
 from .keyframes import KEYFRAMES, Keyframes
+from .scatter import Aligned
 
 HEADING_PRIOR = (0.035, 0.03, 0.1)
 """Prior 1 sigma of heading errors: per metre [rad/m], per radian, and by a lag [s] of each
@@ -74,11 +75,8 @@ class StepErrors:
         """(2 + lasers,) β [rad/m], κ, δ [s] of each laser."""
         return self.heading.terms
 
-    def steps(
-        self, frames: Keyframes, first: IntArray, second: IntArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Corrected motion (p, 3) to keyframes `first` from `second`, and its information (p, 3,
-        3)."""
+    def steps(self, frames: Keyframes, first: IntArray, second: IntArray) -> Steps:
+        """Corrected motion (p, 3) to keyframes `first` from `second`, and its information."""
         own = odometry_motion(frames, first, second)
         inputs = _inputs(frames, first, second, own)
         known = self.heading.widened(inputs.shape[1], HEADING_PRIOR[2])
@@ -93,7 +91,7 @@ class StepErrors:
         information = np.zeros((len(motion), 3, 3))
         information[:, 0, 0] = information[:, 1, 1] = along**-2
         information[:, 2, 2] = heading**-2
-        return motion, information
+        return Steps(motion, information)
 
     def learned(
         self,
@@ -168,25 +166,21 @@ assume more correlation between the points of a scan than there is."""
 class SpanErrors:
     """Spans of corrected odometry and their uncertainty.
 
-    way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m] and turned: (r,)
-    absolute rotation [rad] of other, longer spans. Of the errors of these rotations, (r,) each:
-    walls, odometry: sums of squares [rad²] by patches of wall and by parts of odometry; absorbed:
-    share of the patches' errors that poses follow, so that it does not remain in the residuals.
+    way: (q,) [m]; along: (q,) variance of the distance [m²]; far: (r,) [m], turned: (r,) absolute
+    rotation [rad] and variance: (r,) its variance [rad²] of other, longer spans.
     """
 
     way: FloatArray
     along: FloatArray
     far: FloatArray
     turned: FloatArray
-    walls: FloatArray
-    absorbed: FloatArray
-    odometry: FloatArray
+    variance: FloatArray
 
 
 def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
     """The errors of spans among the given rows of a window, in which keyframes of so many lasers
     come in turns."""
-    pose, scatter = aligned.pose, aligned.scatter
+    pose = aligned.pose
     short, long = lasers * SHORT, lasers * LONG
     first, last = _spans(rows, short, short)
     begin, end = _spans(rows, min(long, max(rows.stop - rows.start - 1, short)), short)
@@ -194,10 +188,10 @@ def span_errors(aligned: Aligned, rows: slice, lasers: int = 1) -> SpanErrors:
     turn = np.concatenate([[0.0], np.cumsum(np.abs(wrap(np.diff(pose[:, 2]))))])
     return SpanErrors(
         step[last] - step[first],
-        SURER_ALONG * scatter.ways(pose, first, last),
+        SURER_ALONG * aligned.ways(first, last),
         step[end] - step[begin],
         turn[end] - turn[begin],
-        *scatter.headings(pose, begin, end),
+        aligned.headings(begin, end),
     )
 
 

@@ -180,16 +180,23 @@ class ScanStream:
         raw, tally = timed.scans, self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
-        except _UnusableError as why:
-            tally.left_out[str(why)] += len(raw.message)
+        except _UnusableError as error:
+            tally.left_out[str(error)] += len(raw.message)
             return None
         laser = _number(raw, angles, lasers)
         after_ns = last_ns.get(laser, -1)
         sweep_s = _sweep_s(raw.geometry, len(angles))
         times_ns = self._times(timed, sweep_s)
-        far = _far(raw)
-        _count(tally, far, FAR)
-        good = ~far & _usable_times(raw.stamp_ns, times_ns, after_ns, self._clock, tally)
+        unstamped = (raw.stamp_ns <= 0) | (raw.stamp_ns >= LATEST_NS)
+        good = np.ones(len(times_ns), bool)
+        for why, bad in (
+            (FAR, _far(raw)),
+            ("carry no header time", unstamped & (self._clock == "header")),
+            ("go back in time", times_ns < after_ns),
+        ):
+            if (good & bad).any():
+                tally.left_out[why] += int((good & bad).sum())
+            good &= ~bad
         if not good.any():
             return None
         order = np.flatnonzero(good)[np.argsort(times_ns[good], kind="stable")]
@@ -288,34 +295,12 @@ def _sweep_s(geometry: Geometry, beams: int) -> float:
     return float(sweep) if 0 <= sweep <= LONGEST_SWEEP_S else 0.0
 
 
-def _usable_times(
-    stamp_ns: IntArray,
-    times_ns: IntArray,
-    after_ns: int,
-    clock: Literal["header", "log"],
-    tally: Tally,
-) -> BoolArray:
-    """(n,) which scans have times that increase from `after_ns` on."""
-    good = np.ones(len(times_ns), bool)
-    if clock == "header":
-        good = (stamp_ns > 0) & (stamp_ns < LATEST_NS)
-        _count(tally, ~good, "carry no header time")
-    late = good & (times_ns < after_ns)
-    _count(tally, late, "go back in time")
-    return good & ~late
-
-
 def _far(raw: RawScans) -> BoolArray:
     """(n,) which scans have more than half of their echoes beyond UNLIKELY_M."""
     with np.errstate(invalid="ignore"):
         echo = (raw.ranges_m > 0) & (raw.ranges_m < np.inf)
     far = echo & (raw.ranges_m > UNLIKELY_M)
     return np.asarray(2 * far.sum(axis=1) > echo.sum(axis=1))
-
-
-def _count(tally: Tally, which: BoolArray, why: str) -> None:
-    if which.any():
-        tally.left_out[why] += int(which.sum())
 
 
 def _measured(raw: RawScans, rows: IntArray, tally: Tally) -> tuple[Float32Array, FloatArray]:

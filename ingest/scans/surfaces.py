@@ -72,7 +72,9 @@ def surfaces(xy: Float32Array, increment_rad: FloatArray) -> Surfaces:
     low, high = _windows(xy, near, seen, increment_rad)
     points = np.where(seen[..., None], xy, 0).astype(np.float64)
     x, y = points[..., 0], points[..., 1]
-    sums = _prefix_sums(np.stack([x, y, x * x, y * y, x * y]))
+    # Sums over all beams before each.
+    sums = np.cumsum(np.stack([x, y, x * x, y * y, x * y]), axis=-1)
+    sums = np.pad(sums, ((0, 0), (0, 0), (1, 0)))
     here = SURFACES.flatter * _roughness(_line(sums, low, high))
     # A line fitted across a corner lies inside it, by an amount that depends on the distance.
     beam = np.arange(xy.shape[1])
@@ -117,13 +119,6 @@ class _Line(NamedTuple):
     length: FloatArray
     cos2: FloatArray
     sin2: FloatArray
-
-
-def _prefix_sums(values: FloatArray) -> FloatArray:
-    """(c, n, m + 1) sums of (c, n, m) over all beams before each."""
-    out = np.zeros((*values.shape[:-1], values.shape[-1] + 1))
-    np.cumsum(values, axis=-1, out=out[..., 1:])
-    return out
 
 
 def _line(sums: FloatArray, low: IntArray, high: IntArray) -> _Line:

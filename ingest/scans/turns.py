@@ -108,48 +108,33 @@ def clock_lag(odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: In
     time_ns: (k,) by the scans' clock, ascending; pose: (k, 3) of the robot, by its scans; piece:
     (k,) of the odometry.
     """
-    count = round(LAG.most_s / LAG.step_s)
-    lags = np.asarray(LAG.step_s * np.arange(-count, count + 1), np.float64)
-    off = _differences(odometry, time_ns, pose, piece, lags)
-    best = int(off.argmin())
-    _require_one_clock(off[best], (odometry, time_ns, pose, piece))
-    if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
-        return 0.0
-    before, here, after = off[best - 1 : best + 2] ** 2
-    lag = lags[best] + 0.5 * LAG.step_s * (before - after) / (before - 2 * here + after)
-    return float(lag) if abs(lag) >= LAG.least_s else 0.0
-
-
-def _require_one_clock(
-    least: float, turns: tuple[Odometry, IntArray, FloatArray, IntArray]
-) -> None:
-    """Raise OtherClockError if the least difference up to `most_s` is that of any other time."""
-    ahead = np.arange(LAG.most_s + LAG.far_step_s, LAG.far_s + 1e-9, LAG.far_step_s)
-    lags = np.concatenate([-ahead[::-1], ahead])
-    off = _differences(*turns, lags)
-    if least < LAG.unlike * float(np.median(off)):
-        return
-    best = int(off.argmin())
-    told = ""
-    if off[best] < LAG.unlike * least:
-        late = "late" if lags[best] > 0 else "early"
-        told = f"; they are stamped some {abs(lags[best]):.1f} s {late}"
-    raise OtherClockError(f"the scans do not turn when the odometry does{told}")
-
-
-def _differences(
-    odometry: Odometry, time_ns: IntArray, pose: FloatArray, piece: IntArray, lags: FloatArray
-) -> FloatArray:
-    """The differences (root mean square, [rad]) of all steps' rotations at each lag [s]."""
-    at = odometry.interpolator()
-    step = np.diff(piece) == 0
+    at, step = odometry.interpolator(), np.diff(piece) == 0
     turn = wrap(np.diff(pose[:, 2]))[step]
     way = np.hypot(*np.diff(pose[:, :2], axis=0).T)[step]
 
-    def left(lag_s: float) -> float:
+    def difference(lag_s: float) -> float:
+        """Of the rotations of all steps (root mean square, [rad])."""
         own = wrap(np.diff(at(time_ns - np.int64(1e9 * lag_s))[:, 2]))[step]
         inputs = np.column_stack([way, own])
         off = turn - inputs @ np.linalg.lstsq(inputs, turn)[0]
         return float(np.sqrt(np.mean(off**2)))
 
-    return np.array([left(lag) for lag in lags.tolist()])
+    count = round(LAG.most_s / LAG.step_s)
+    lags = np.asarray(LAG.step_s * np.arange(-count, count + 1), np.float64)
+    off = np.array([difference(lag) for lag in lags.tolist()])
+    best = int(off.argmin())
+    ahead = np.arange(LAG.most_s + LAG.far_step_s, LAG.far_s + 1e-9, LAG.far_step_s)
+    far = np.concatenate([-ahead[::-1], ahead])
+    elsewhere = np.array([difference(lag) for lag in far.tolist()])
+    if off[best] >= LAG.unlike * float(np.median(elsewhere)):
+        there = int(elsewhere.argmin())
+        told = ""
+        if elsewhere[there] < LAG.unlike * off[best]:
+            late = "late" if far[there] > 0 else "early"
+            told = f"; they are stamped some {abs(far[there]):.1f} s {late}"
+        raise OtherClockError(f"the scans do not turn when the odometry does{told}")
+    if off[best] > LAG.left * off[count] or best in (0, len(off) - 1):
+        return 0.0
+    before, here, after = off[best - 1 : best + 2] ** 2
+    lag = lags[best] + 0.5 * LAG.step_s * (before - after) / (before - 2 * here + after)
+    return float(lag) if abs(lag) >= LAG.least_s else 0.0

@@ -29,7 +29,7 @@ from ...topology.views import (
     WALL,
     Views,
 )
-from ...topology.visits import Visits, in_map_frame
+from ...topology.visits import carried_along
 from .junctions import Driven
 from .open_space import distance, without_specks
 from .windows import Seen
@@ -83,15 +83,8 @@ def closed_by_views(
     closed, estimate = view_loops(reckoning, ViewIndex.of(views), way_at(odometry, times))
     loops, pose = closed.loops, np.round(estimate.pose, POSE_DIGITS)
     # Each node's pose tells how the frame of the odometry is to be moved there.
-    visits = Visits(
-        time_ns=times,
-        vertex=np.arange(count),
-        seen=np.ones(count, bool),
-        pose=pose,
-        centre=views.pose[:, :2],
-        piece=reckoning.piece,
-    )
-    moved = in_map_frame(odometry, visits, pose[:, :2], odometry.time_ns, odometry.pose)
+    known = times, pose, views.pose[:, :2]
+    moved = carried_along(odometry, known, odometry.time_ns, odometry.pose)
     moved = np.where(np.isfinite(moved), moved, odometry.pose)
     placed = np.column_stack([pose[:, :2], wrap(views.pose[:, 2] + pose[:, 2])])
     back = turned_axes(pose[loops.second, 2])

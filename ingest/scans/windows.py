@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
-from itertools import count
+from functools import cache
+from itertools import count, groupby, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from ...topology.odometry import Odometry
-from ...topology.se2 import compose, inverse
 from ...topology.track import piece_of, point_at, way_at
 from ...topology.views import SIDE, view_cells
-from .crossing import BendTally, Crossing, bends, crossing, crossings
+from .crossing import BendTally, bends, crossing, crossings
 from .grid import GridSettings, Looks, Window, free_space, gather, looks
-from .matching import Matched
-from .skeleton import SkeletonSettings, thin, traced
+from .matching import Matched, Placed
+from .skeleton import Node, SkeletonSettings, thin, traced
 from .skeleton_lines import Lines, labelled, lines_of
 
 
-@dataclass(frozen=True, slots=True)
-class Variant:
+class Variant(NamedTuple):
     """One variant of the settings of a window."""
 
     grid: GridSettings
@@ -75,16 +75,16 @@ class Seen:
 
     number: int
     way: float
-    forks: tuple[tuple[int, float, Crossing], ...]
+    forks: tuple[tuple[int, float, Node], ...]
     place: FloatArray
     view: NDArray[np.uint8]
 
 
-@dataclass(slots=True, eq=False)
-class _Rolling:
-    """Keyframes around the next window, and the distance driven up to each."""
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rolling(Looks):
+    """Keyframes around the next window: what they saw, the robot's pose (k, 3), and the distance
+    driven up to each (k,) [m]."""
 
-    seen: Looks
     body: FloatArray
     way: FloatArray
 
@@ -98,25 +98,21 @@ def windows(parts: Iterable[Matched]) -> Iterator[Seen]:
 
     Memory: the keyframes of two windows.
     """
-    held: _Rolling | None = None
-    piece, numbers = -1, count()
-    driven = following = 0.0
+    numbers, driven = count(), 0.0
     tally = BendTally(1 / len(WINDOWS.variants))
-    for part in parts:
-        for run in _pieces(part):
-            own = int(run.keyframes.piece[0])
-            if held is not None and own != piece:
-                yield from _due(held, (following, np.inf), numbers, tally)
-                driven = following = float(held.way[-1])
-                held = None
-            piece, held = own, _rolling(run, held, driven)
+    for _, runs in groupby(_unbroken(parts), key=lambda run: int(run.piece[0])):
+        held: _Rolling | None = None
+        following = driven
+        for run in runs:
+            held = _rolling(run, held, driven)
             ready = float(held.way[-1]) - WINDOWS.way_m
             for seen in _due(held, (following, ready), numbers, tally):
                 yield seen
                 following = seen.way + WINDOWS.every_m
             held = _trimmed(held, following - WINDOWS.way_m)
-    if held is not None:
-        yield from _due(held, (following, np.inf), numbers, tally)
+        if held is not None:
+            yield from _due(held, (following, np.inf), numbers, tally)
+            driven = float(held.way[-1])
 
 
 def window_places(odometry: Odometry, time_ns: IntArray) -> FloatArray:
@@ -131,35 +127,30 @@ def window_places(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     return np.asarray(np.floor(middle / cell_m) * cell_m)
 
 
-def _pieces(part: Matched) -> Iterator[Matched]:
-    """A part, cut at breaks of the odometry."""
-    cuts = np.flatnonzero(np.diff(part.keyframes.piece)) + 1
-    for a, b in zip([0, *cuts], [*cuts, len(part.pose)], strict=True):
-        if b > a:
-            rows = slice(int(a), int(b))
-            yield replace(part, keyframes=take(part.keyframes, rows), pose=part.pose[rows])
+def _unbroken(parts: Iterable[Matched]) -> Iterator[Placed]:
+    """The keyframes, cut at breaks of the odometry."""
+    for frames, *_ in parts:
+        cuts = (np.flatnonzero(np.diff(frames.piece)) + 1).tolist()
+        for a, b in pairwise([0, *cuts, len(frames)]):
+            if b > a:
+                yield take(frames, slice(a, b))
 
 
-def _rolling(run: Matched, held: _Rolling | None, driven: float) -> _Rolling:
+def _rolling(run: Placed, held: _Rolling | None, driven: float) -> _Rolling:
     """The keyframes held, with more appended; driven: the distance before the first of all."""
-    body = compose(run.pose, inverse(run.keyframes.mount))
+    body, seen = run.body, looks(run, run.pose, WINDOWS.grid)
     before = held.body[-1:] if held is not None else body[:1]
     start = float(held.way[-1]) if held is not None else driven
     step = np.hypot(*np.diff(np.concatenate([before, body])[:, :2], axis=0).T)
-    way = start + np.cumsum(step)
-    seen = looks(run.keyframes, run.pose, WINDOWS.grid)
-    if held is None:
-        return _Rolling(seen, body, way)
-    joint = joined([held.seen, seen])
-    return _Rolling(joint, np.concatenate([held.body, body]), np.concatenate([held.way, way]))
+    fresh = _Rolling(seen.free, seen.hit, seen.corner, body, start + np.cumsum(step))
+    return fresh if held is None else joined([held, fresh])
 
 
 def _trimmed(held: _Rolling, oldest: float) -> _Rolling:
     first = min(int(np.searchsorted(held.way, oldest)), len(held.way) - 1)
     # Rotation on the spot adds keyframes without distance: thin them out.
     every = 1 + (len(held.way) - first) // MOST_HELD
-    rows = np.arange(len(held.way) - 1, first - 1, -every)[::-1]
-    return _Rolling(take(held.seen, rows), held.body[rows], held.way[rows])
+    return take(held, np.arange(len(held.way) - 1, first - 1, -every)[::-1])
 
 
 def _due(
@@ -174,91 +165,60 @@ def _due(
 
 def _look(held: _Rolling, middle: float, number: int, tally: BendTally) -> Seen:
     """One window under all variants of the settings; its axes are added to the tally."""
-    variants = WINDOWS.variants
-    cell = WINDOWS.grid.cell_m
-    half = round(WINDOWS.half_m / cell)
+    cell_m = WINDOWS.grid.cell_m
+    half = round(WINDOWS.half_m / cell_m)
+    side = 2 * half + 1
     # A view shows more than a window, but is made of the same.
     around = _gathered(held, middle, WINDOWS.way_m, SIDE)
-    others = {variant.way_m for variant in variants} - {WINDOWS.way_m}
-    shown = {way_m: _gathered(held, middle, way_m, half) for way_m in others}
-    shown[WINDOWS.way_m] = around.inner(SIDE - half)
-    masks = _masks(shown, variants)
-    corner, side = shown[WINDOWS.way_m].corner, 2 * half + 1
-    path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell)
-    at = np.floor(path / cell).astype(np.int64) - corner
-    at = at[((at >= 0) & (at < side)).all(axis=1)]
-    views = _views(masks, variants, at, cell)
-    span = _near(held, middle, 1.5 * WINDOWS.every_m)
-    middles = (corner + 0.5) * cell
-    forks: list[tuple[int, float, Crossing]] = []
-    for k, (variant, view) in enumerate(zip(variants, views, strict=True)):
-        graph = traced(view.lines, variant.skeleton)
+    corner = around.corner + SIDE - half
+    path = _dense(held, middle - WINDOWS.every_m, middle + WINDOWS.every_m, cell_m)
+    driven = np.floor(path / cell_m).astype(np.int64) - corner
+    driven = driven[((driven >= 0) & (driven < side)).all(axis=1)]
+    border = np.pad(np.zeros((side - 2, side - 2), bool), 1, constant_values=True)
+
+    # Most variants differ in few settings, and share the rest.
+    @cache
+    def distance(grid: GridSettings, way_m: float) -> FloatArray:
+        """(s, s) from the nearest wall [m]; the border is not a wall."""
+        usual = way_m == WINDOWS.way_m
+        seen = around.inner(SIDE - half) if usual else _gathered(held, middle, way_m, half)
+        free = np.pad(free_space(seen, grid), 1, mode="edge")
+        away = np.asarray(ndimage.distance_transform_edt(free), np.float64)
+        return away[1:-1, 1:-1] * cell_m
+
+    @cache
+    def lines(grid: GridSettings, way_m: float, least_m: float) -> Lines:
+        """The skeleton of the free space with a clearance that the robot drove through."""
+        clearance_m = distance(grid, way_m)
+        labels, count = labelled(clearance_m > least_m)
+        mine = np.zeros(count + 1, bool)
+        mine[labels[driven[:, 1], driven[:, 0]]] = True
+        mine[0] = False
+        return lines_of(thin(mine[labels]), clearance_m, cell_m, border)
+
+    nearest = _Nearest.of(held, middle)
+    origin = (corner + 0.5) * cell_m
+    forks: list[tuple[int, float, Node]] = []
+    for k, (grid, skeleton, way_m) in enumerate(WINDOWS.variants):
+        graph = traced(lines(grid, way_m, skeleton.clearance_m), skeleton)
         nodes = [
             number
             for number, node in enumerate(graph.nodes)
             if len(node.ends) >= 3
-            and _passed(node.xy + middles, span, WINDOWS.near_m + node.clearance_m) is not None
+            and nearest.way(node.xy + origin, WINDOWS.near_m + node.clearance_m) is not None
         ]
-        places, _ = crossings(graph, nodes, view.clearance_m, cell, variant.skeleton, tally=tally)
+        places, _ = crossings(graph, nodes, skeleton, tally)
         for place in places.values():
-            xy = place.xy + middles
-            found = _passed(xy, span, WINDOWS.near_m)
-            if found is not None:
-                fork = crossing(graph, place, cell, variant.skeleton)
-                turn = bends(graph, fork, cell, variant.skeleton)
-                forks.append((k, found, replace(fork, xy=xy, bends=turn)))
+            xy = place.xy + origin
+            way = nearest.way(xy, WINDOWS.near_m)
+            if way is not None:
+                fork = crossing(graph, place, skeleton)
+                turn = bends(graph, fork, skeleton)
+                forks.append((k, way, replace(fork, xy=xy, bends=turn)))
     # One cell less than a window has, which has a middle one.
     cells = view_cells(around.hit[:-1, :-1], around.free[:-1, :-1])
-    corner_xy = np.asarray((around.corner + SIDE) * cell, np.float64)
+    corner_xy = np.asarray((around.corner + SIDE) * cell_m, np.float64)
     return Seen(number, middle, tuple(forks), corner_xy, cells)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """Free space that the robot drove through: clearance_m: (s + 1, s) distance from walls, the
-    last row empty; lines of its skeleton."""
-
-    clearance_m: FloatArray
-    lines: Lines
-
-
-def _views(
-    masks: Sequence[BoolArray], variants: Sequence[Variant], at: IntArray, cell_m: float
-) -> list[_View]:
-    """For each variant, its free space (s, s) around cells `at` (c, 2) of the track; shared by
-    those that differ only in pruning."""
-    side = len(masks[0])
-    kinds = [(id(m), v.skeleton.clearance_m) for m, v in zip(masks, variants, strict=True)]
-    distinct = {kind: k for k, kind in enumerate(dict.fromkeys(kinds))}
-    distances = {number: _distances(m, cell_m) for number, m in {id(m): m for m in masks}.items()}
-    clearance = np.zeros((len(distinct), side + 1, side))
-    open_ = np.zeros(clearance.shape, bool)
-    for (mask, least_m), k in distinct.items():
-        clearance[k, :side] = distances[mask]
-        open_[k, :side] = _driven_through(distances[mask] > least_m, at)
-    stacked = thin(open_.reshape(-1, side)).reshape(open_.shape)
-    border = np.zeros((side + 1, side), bool)
-    border[[0, side - 1]] = True
-    border[:side, [0, side - 1]] = True
-    views = [
-        _View(c, lines_of(s, c, cell_m, border)) for s, c in zip(stacked, clearance, strict=True)
-    ]
-    return [views[distinct[kind]] for kind in kinds]
-
-
-def _distances(mask: BoolArray, cell_m: float) -> FloatArray:
-    """(s, s) distance from the nearest wall [m]; the border is not a wall."""
-    away = ndimage.distance_transform_edt(np.pad(mask, 1, mode="edge"))
-    return np.asarray(away, np.float64)[1:-1, 1:-1] * cell_m
-
-
-def _driven_through(open_: BoolArray, at: IntArray) -> BoolArray:
-    """The components that contain cells `at` (c, 2), x and y."""
-    labels, count = labelled(open_)
-    mine = np.zeros(count + 1, bool)
-    mine[labels[at[:, 1], at[:, 0]]] = True
-    mine[0] = False
-    return np.asarray(mine[labels])
 
 
 def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
@@ -267,18 +227,7 @@ def _gathered(held: _Rolling, middle: float, way_m: float, half: int) -> Window:
     a, b = np.searchsorted(held.way, [begin, end]).tolist()
     rows = range(a, min(max(b, a + 1), len(held.way)))
     path = _dense(held, begin, end, WINDOWS.grid.cell_m)
-    return gather(held.seen, rows, path, (held.at(middle), half), WINDOWS.grid)
-
-
-def _masks(seen: Mapping[float, Window], variants: tuple[Variant, ...]) -> list[BoolArray]:
-    """Free space for every variant, the same array for those that differ in the skeleton only;
-    seen: by the way that a variant is made of."""
-    made: dict[tuple[GridSettings, float], BoolArray] = {}
-    for variant in variants:
-        key = variant.grid, variant.way_m
-        if key not in made:
-            made[key] = free_space(seen[variant.way_m], variant.grid)
-    return [made[v.grid, v.way_m] for v in variants]
+    return gather(held, rows, path, (held.at(middle), half), WINDOWS.grid)
 
 
 def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
@@ -287,21 +236,21 @@ def _dense(held: _Rolling, begin: float, end: float, step: float) -> FloatArray:
     return held.at(np.linspace(begin, end, max(2, int((end - begin) / (0.7 * step)) + 2)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Span:
-    way: FloatArray
+class _Nearest(NamedTuple):
+    """The track about the middle of a window: distances driven (w,) [m], and points (w, 2) [m]."""
+
+    driven: FloatArray
     xy: FloatArray
 
+    @classmethod
+    def of(cls, held: _Rolling, middle: float) -> _Nearest:
+        reach = 1.5 * WINDOWS.every_m
+        begin, end = max(middle - reach, held.way[0]), min(middle + reach, held.way[-1])
+        driven = np.linspace(begin, end, 64)
+        return cls(driven, held.at(driven))
 
-def _near(held: _Rolling, middle: float, reach: float) -> _Span:
-    begin, end = max(middle - reach, held.way[0]), min(middle + reach, held.way[-1])
-    way = np.linspace(begin, end, 64)
-    return _Span(way, held.at(way))
-
-
-def _passed(xy: FloatArray, span: _Span, near_m: float) -> float | None:
-    """Distance driven when the robot was nearest to a place; None if it did not pass within the
-    span."""
-    distance = np.hypot(*(span.xy - xy).T)
-    best = int(np.argmin(distance))
-    return float(span.way[best]) if distance[best] <= near_m else None
+    def way(self, xy: FloatArray, near_m: float) -> float | None:
+        """Distance driven when the robot was nearest to a place; None if it did not pass it."""
+        distance = np.hypot(*(self.xy - xy).T)
+        best = int(np.argmin(distance))
+        return float(self.driven[best]) if distance[best] <= near_m else None

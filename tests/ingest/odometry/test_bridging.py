@@ -9,7 +9,6 @@ import pytest
 
 from topobatch.ingest.mapping import build_map, dead_reckoned
 from topobatch.ingest.odometry.bridging import confirmed
-from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
 from topobatch.simulation.settings import DRIFTS
@@ -28,8 +27,7 @@ def simulated(seed=5, **jump):
 
 def as_read(run, pose):
     track = sane_track(run.odometry.time_ns, pose, "odom", "base_link")
-    odometry = without_jumps(track.odometry, track.jumps)
-    return replace(run, odometry=odometry, warnings=track.warnings)
+    return replace(run, odometry=track.odometry, warnings=track.warnings)
 
 
 def split_and_mixed(truth, run, topomap):
@@ -71,8 +69,8 @@ def jumped(truth, run, jump):
     time_ns, pose = run.odometry.time_ns[:end], run.odometry.pose[:end].copy()
     pose[row:] = compose(compose(pose[row], jump), between(pose[row], pose[row:]))
     track = sane_track(time_ns, pose, "odom", "base_link")
-    assert track.jumps.rows.tolist() == [row]
-    return replace(run, odometry=without_jumps(track.odometry, track.jumps))
+    assert track.odometry.jumps.tolist() == [row]
+    return replace(run, odometry=track.odometry)
 
 
 def test_a_large_jump_that_no_place_tells_splits_the_chain():

@@ -131,5 +131,5 @@ def test_a_real_robot_is_straightened() -> None:
     run, truth = scenario.runs["run1"], scenario.truth.runs["run1"]
     true = Odometry(truth.path_ns, truth.path, np.zeros(0, np.int64))
     found = calibrate(run.odometry, run.detections)
-    assert found.bias_rad_per_m == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
+    assert found.applied[0] == pytest.approx(np.radians(1.5), abs=np.radians(0.25))
     assert off(apply_calibration(run.odometry, found), true) < 0.4 * off(run.odometry, true)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.topology.se2 import between, compose, wrap
 
@@ -35,7 +34,7 @@ def jumped(pose, row, jump):
 
 def read(time, pose):
     track = sane_track(time.copy(), pose.copy(), "odom", "base_link")
-    return without_jumps(track.odometry, track.jumps), track
+    return track.odometry, track
 
 
 @pytest.mark.parametrize("row", [1990])

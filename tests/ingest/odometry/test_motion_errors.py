@@ -48,7 +48,7 @@ def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
     def found(factor: float, detections: Detections = run.detections) -> MotionErrors | None:
         """Of an odometry whose lengths are too long by a factor."""
         track, told = scaled(run.odometry, factor), drifting(noise, 3.0)
-        return motion_errors(track, detections, fuse_passes(track, detections), told, USUAL)
+        return motion_errors(track, detections, fuse_passes(track, detections), told)
 
     for factor in (0.92, 0.95, 0.97, 1.0, 1.03, 1.05, 1.08):
         errors = found(factor)
@@ -71,12 +71,12 @@ def test_passes_show_the_scale_and_what_of_it_is_likely_is_taken_off() -> None:
     (told,) = describe_scale(errors)
     assert "nothing is corrected" in told
     passes = fuse_passes(track, feet)
-    assert refine_scale(track, feet, passes, noise, USUAL) > 0.2
+    assert refine_scale(track, feet, passes, noise) > 0.2
     few = Detections(seen.time_ns[:3], seen.centre[:3], seen.branches.take(np.arange(3)))
     assert found(1.0, few) is None
     # Nothing is corrected where hardly anything is known.
     for along in (10.0, 1e8):
         vague = replace(noise, along_m_per_sqrt_m=along)
-        errors = motion_errors(track, seen, fuse_passes(track, seen), vague, USUAL)
+        errors = motion_errors(track, seen, fuse_passes(track, seen), vague)
         assert errors is not None
         assert abs(errors.length_scale.applied) < 0.002

@@ -6,7 +6,6 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.odometry.jumps import without_jumps
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.ingest.reading import read_run
 
@@ -30,7 +29,7 @@ def test_a_sane_track_is_left_alone():
     assert result.warnings == ()
     assert result.odometry.pose.tolist() == pose.tolist()
     assert result.odometry.time_ns.tolist() == time.tolist()
-    assert len(result.jumps.rows) == 0
+    assert len(result.odometry.cuts) == 0
 
 
 def test_messages_out_of_order_are_sorted():
@@ -55,7 +54,7 @@ def test_a_teleport_farther_than_the_robot_drives_breaks_the_chain():
     time, pose = straight()
     pose[200:] += [7.0, -3.0, 0.0]
     result = track(time, pose)
-    odometry = without_jumps(result.odometry, result.jumps)
+    odometry = result.odometry
     assert odometry.breaks.tolist() == [200]
     assert "reset once (7.62 m and 0 degrees at 4.0 s)" in result.warnings[0]
     assert odometry.step_m.max() < 0.011
@@ -66,7 +65,7 @@ def test_a_single_pose_off_the_track_is_dropped():
     pose[77] = [100.0, 100.0, 1.0]
     result = track(time, pose)
     assert len(result.odometry) == 499
-    assert len(result.jumps.rows) == 0
+    assert len(result.odometry.cuts) == 0
     assert "off the track" in result.warnings[0]
 
 
@@ -75,7 +74,7 @@ def test_gaps_are_reported_and_driving_through_them_is_no_teleport():
     keep = (np.arange(500) < 100) | (np.arange(500) >= 300)
     result = track(time[keep], pose[keep])
     assert result.warnings == ("odometry is silent once (longest 4.02 s)",)
-    assert len(result.jumps.rows) == 0
+    assert len(result.odometry.cuts) == 0
 
 
 @given(

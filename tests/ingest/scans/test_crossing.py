@@ -8,7 +8,6 @@ from scipy import ndimage
 
 from topobatch.ingest.scans.crossing import (
     BendTally,
-    Crossing,
     crossing,
     crossings,
     placed,
@@ -39,20 +38,20 @@ def skeleton_of(clearance: np.ndarray) -> Lines:
     return lines_of(thin(clearance > SkeletonSettings().clearance_m), clearance, CELL, border)
 
 
-def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node, np.ndarray]:
-    """The skeleton of a grid with one junction, its node, and the distance from walls."""
+def fork_of(free: np.ndarray) -> tuple[SkeletonGraph, Node]:
+    """The skeleton of a grid with one junction, and its node."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
     graph = traced(skeleton_of(clearance), settings)
     (node,) = graph.nodes
-    return graph, node, clearance
+    return graph, node
 
 
-def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Crossing]:
+def seen(free: np.ndarray, tally: BendTally | None = None) -> tuple[Node, Node]:
     """The one junction of a grid, as the skeleton forks and as its corridors cross."""
-    graph, node, clearance = fork_of(free)
-    place = placed(graph, node, clearance, CELL, tally=tally)
-    return node, crossing(graph, place, CELL, SkeletonSettings())
+    graph, node = fork_of(free)
+    place = placed(graph, node, tally)
+    return node, crossing(graph, place, SkeletonSettings())
 
 
 @pytest.mark.parametrize("sharp", [40, 75])
@@ -65,11 +64,11 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     assert apart.min(axis=0).max() < 0.15
 
 
-def places(free: np.ndarray) -> tuple[int, list[Crossing]]:
+def places(free: np.ndarray) -> tuple[int, list[Node]]:
     """Nodes of the skeleton of a grid, and what places they are."""
     clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
     settings = SkeletonSettings()
     graph = traced(skeleton_of(clearance), settings)
     numbers = range(len(graph.nodes))
-    found = crossings(graph, numbers, clearance, CELL, settings).places.values()
-    return len(numbers), [crossing(graph, node, CELL, settings) for node in found]
+    found = crossings(graph, numbers, settings).places.values()
+    return len(numbers), [crossing(graph, node, settings) for node in found]

@@ -58,7 +58,7 @@ def test_steps_are_those_of_the_robot_once_learned() -> None:
         [SCALE - 1, SCALE * DIRECTION, -CENTRE[0], -CENTRE[1]], abs=0.005
     )
     # From laser to laser, one of which looks the other way, as from scan to scan of one.
-    steps, _ = errors.steps(keyframes, np.arange(1, n), np.arange(n - 1))
+    steps = errors.steps(keyframes, np.arange(1, n), np.arange(n - 1)).motion
     off = steps - between(real[:-1], real[1:])
     raw = between(keyframes.odometry[:-1], keyframes.odometry[1:]) - between(real[:-1], real[1:])
     assert np.abs(raw[:, :2]).max() > 0.02
