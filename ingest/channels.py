@@ -8,7 +8,7 @@ from ..topology.errors import LogError, UsageError
 from .junction_source import junction_source
 from .logs.fields import JunctionFields, fields_decoder
 from .logs.intake import Intake, decoder_for
-from .logs.messages import Channel, Findings
+from .logs.messages import Channel
 from .logs.poses import PoseDecoder
 from .logs.recording import Recording
 from .logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS, choose_odometry
@@ -97,14 +97,12 @@ def try_mapping(recording: Recording, settings: ReadSettings) -> None:
         lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
     )
     found = TopicPoses.of(())
-    for file in recording.files:
-        with file.opened() as container:
-            for block in container.blocks(intake.want, Findings(), None):
-                intake.take(block.rows(slice(TRIED)))
-                found = TopicPoses.of(intake.of_topic(topic))
-                if found.failed < found.messages:
-                    return
-                if found.messages >= TRIED:
-                    break
+    for block in recording.blocks(intake.want):
+        intake.take(block.rows(slice(TRIED)))
+        found = TopicPoses.of(intake.of_topic(topic))
+        if found.failed < found.messages:
+            return
+        if found.messages >= TRIED:
+            break
     if found.messages:
         raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")

@@ -62,7 +62,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
-        findings = walk(recording, Intake(lambda _: False), None)
+        findings = walk(recording, Intake(lambda _: False))
         problems = damage_of(recording, findings)
         survey = Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
     damage = len(problems)

@@ -54,7 +54,7 @@ class Laser:
     @classmethod
     def of(cls, read: LogRead, choice: Choice) -> Laser:
         """Read the first scans; LogError if none can be decoded."""
-        stream = ScanStream(read.recording, choice.topic, ANYWHERE, on_walked=read.faults.add)
+        stream = ScanStream(read.recording, choice.topic, ANYWHERE)
         views: dict[str, BoolArray] = {}
         stamp_ns, log_ns, scans = [], [], 0
         for timed in stream.raw():
@@ -114,7 +114,7 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
     if read.settings.laser_pose is not None:
         where = KnownMounting({}, body or "")
     else:
-        where = known_mounting(read.recording, frames, body, read.faults.add)
+        where = known_mounting(read.recording, frames, body)
     known = [laser for laser in found if where.knows(laser.frames)]
     used = known or [laser for laser in found if laser.frames <= found[0].frames]
     for laser in (laser for laser in found if laser not in used):

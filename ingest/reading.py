@@ -37,12 +37,12 @@ from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import robot_frame_sightings
 from .survey import (
-    Faults,
     LogRead,
     OnKeyframes,
     Progress,
     checked_damage,
     damage_of,
+    further_damage,
     surveyed,
     walk,
 )
@@ -106,8 +106,7 @@ def read_log(
     )
     intake, findings = _kept(recording, settings, progress, index)
     warnings = _damage(recording, findings, settings)
-    faults = Faults([findings])
-    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress, faults)
+    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     read = replace(read, on_keyframes=on_keyframes)
     try:
         source = junction_source(findings.counts, settings, log)
@@ -115,10 +114,10 @@ def read_log(
     except DataError as error:
         # The damage may be the reason.
         kind = LogError if isinstance(error, LogError) else DataError
-        raise kind("; ".join([str(error), *warnings, *faults.sentences])) from error
+        raise kind("; ".join([str(error), *warnings, *further_damage(recording)])) from error
     finally:
         progress.finish()
-    further = checked_damage(log, faults.sentences, settings)
+    further = checked_damage(log, further_damage(recording), settings)
     return replace(found, warnings=(*found.warnings, *further))
 
 
@@ -135,6 +134,7 @@ def _kept(
             if index.sure:
                 raise
     # There is no index, or one that may be wrong lacks what is needed.
+    recording.passes.clear()
     if settings.junction_fields is not None:
         try_mapping(recording, settings)
     intake, findings = _walked(recording, settings, progress, None)
@@ -218,11 +218,7 @@ def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> Gr
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
     """The last grid of a topic."""
-    findings = Findings()
-    try:
-        grid, failed = last_grid(read.recording, source.choice.topic, findings)
-    finally:
-        read.faults.add(findings)
+    grid, failed = last_grid(read.recording, source.choice.topic)
     warnings = list(read.warnings)
     if failed:
         last = "last grid" if failed == 1 else f"last {failed} grids"
@@ -259,7 +255,7 @@ def _sightings(
         poses.time_ns(clock),
         frames,
         odometry,
-        fixed=transforms_about(read.recording, frames, odometry, read.faults.add),
+        fixed=transforms_about(read.recording, frames, odometry),
     )
     warnings = [*poses.warnings(choice.topic), *warnings]
     if len(detections) == 0:

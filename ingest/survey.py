@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from ..topology.errors import LogError
@@ -44,27 +44,13 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Surv
     return by_start, Survey(counts, start, end, sure)
 
 
-def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Findings:
-    """Read all files; the calls of on_bytes add up to the size of the recording."""
-    findings = Findings()
+def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None = None) -> Findings:
+    """Keep the messages of a recording; the calls of on_bytes add up to its size."""
     intake.expect(recording.bytes)
-    for file in recording.files:
-        told = 0
-
-        def progress(count: int) -> None:
-            nonlocal told
-            told += count
-            if on_bytes is not None:
-                on_bytes(count)
-
-        with file.opened() as log:
-            onward = None if file.packed else progress
-            for block in log.blocks(intake.want, findings, onward):
-                intake.take(block)
-                del block  # its memory, still in the processor's cache, serves the next one
-        if file.bytes > told:
-            progress(file.bytes - told)
-    return findings
+    for block in recording.blocks(intake.want, on_bytes):
+        intake.take(block)
+        del block  # its memory, still in the processor's cache, serves the next one
+    return recording.passes[-1]
 
 
 def damage_of(recording: Recording, findings: Findings) -> list[str]:
@@ -106,20 +92,14 @@ class Progress:
             self.told = upto
 
 
-@dataclass(slots=True, eq=False)
-class Faults:
-    """The faults of a log that only passes after the first one found. known: the findings of
-    passes."""
-
-    known: list[Findings]
-    sentences: list[str] = field(default_factory=list)
-
-    def add(self, found: Findings) -> None:
-        """Count in a complete pass."""
-        further = found.beyond(self.known).damage
-        if further:
-            self.known.append(found)
-            self.sentences += further
+def further_damage(recording: Recording) -> list[str]:
+    """The faults of a log that only passes after the first one found."""
+    known, sentences = recording.passes[:1], list[str]()
+    for found in recording.passes[1:]:
+        if further := found.beyond(known).damage:
+            known.append(found)
+            sentences += further
+    return sentences
 
 
 def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[str]:
@@ -131,7 +111,7 @@ def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[
 
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """The result of one pass over a log; warnings: damage; progress, faults: of further passes;
+    """The result of one pass over a log; warnings: damage; progress: of further passes;
     on_keyframes: takes the scans that a run's track was made from."""
 
     recording: Recording
@@ -140,7 +120,6 @@ class LogRead:
     settings: ReadSettings
     warnings: tuple[str, ...]
     progress: Progress
-    faults: Faults
     on_keyframes: OnKeyframes | None = None
 
     @property

@@ -35,6 +35,7 @@ from .inflate import (
 from .messages import (
     CUT,
     MESSAGE_BYTES,
+    NOT_TOLD,
     TOO_LARGE,
     UNREADABLE,
     Block,
@@ -43,7 +44,6 @@ from .messages import (
     DamageError,
     Findings,
     Passed,
-    Progress,
     Survey,
     Want,
 )
@@ -154,9 +154,7 @@ class ChunkedLog:
         wanted = {number for number in found.channels if channels.wanted(number)}
         return channels, [(begin, end) for begin, end, held in found.chunks if held & wanted]
 
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
+    def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
         keep_freed_memory()
         with open_source(self.path) as source:
@@ -169,12 +167,10 @@ class ChunkedLog:
                         f"have to be read; {ALLOW_SCAN} does that"
                     )
                 needed = [(0, source.size)]
-            passed = Passed(progress)
             scan = self._scan(source, channels, findings, passed, self.index)
             with source.ahead(needed):
                 yield from scan.blocks(scan.all() if whole else scan.some(needed))
             channels.finish(self.index.counts if self.index is not None else {}, by_index=not whole)
-            passed.passed(source.size)
 
 
 class Scan(ABC):

@@ -25,6 +25,7 @@ from .messages import (
     CUT,
     MESSAGE_BYTES,
     NAME_BYTES,
+    NOT_TOLD,
     SCHEMA_BYTES,
     TOO_LARGE,
     UNKNOWN,
@@ -33,7 +34,6 @@ from .messages import (
     DamageError,
     Findings,
     Passed,
-    Progress,
     Survey,
     Want,
     normal_topic,
@@ -103,12 +103,9 @@ class SqliteFile:
             return None
         return None if findings.damage else Survey(counts, first, last, sure=True)
 
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
+    def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         keep_freed_memory()
-        passed = Passed(progress)
         with _sound(self.path, findings) as path:
             for salvage in (False, True):
                 try:
@@ -117,7 +114,6 @@ class SqliteFile:
                     break
                 except (*_ERRORS, DamageError) as error:
                     findings.note(f"the database is damaged ({one_line(error)})")
-        passed.passed(self.path.stat().st_size)
 
 
 class _Reader:

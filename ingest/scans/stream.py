@@ -15,7 +15,7 @@ from ...topology.se2 import compose, wrap, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
 from ..logs.lasers import Geometry, RawScans, ScanIntake, TimedScans
-from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
+from ..logs.messages import LATEST_NS, Channel, several, several_that
 from ..logs.recording import Recording
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
@@ -107,9 +107,8 @@ class ScanStream:
     """The scans of one topic; every iteration reads the log anew.
 
     topic: of scans or point clouds; clock: header or log time; stamp: the beam that a header stamp
-    refers to (log time is that of a finished sweep). `tally` is that of the last iteration;
-    on_walked is called with what was found in the log after every complete one. Memory depends on
-    the largest chunk of the log, not on its length.
+    refers to (log time is that of a finished sweep). `tally` is that of the last iteration. Memory
+    depends on the largest chunk of the log, not on its length.
     """
 
     def __init__(
@@ -122,11 +121,10 @@ class ScanStream:
         stamp: Stamp = "begin",
         slices: SliceSettings = DEFAULT_SLICES,
         on_bytes: Callable[[int], None] | None = None,
-        on_walked: Callable[[Findings], object] = lambda _: None,
     ) -> None:
         self._recording, self.topic, self._mounting = recording, topic, mounting
         self._clock, self._stamp, self._slices = clock, stamp, slices
-        self._on_bytes, self._on_walked = on_bytes, on_walked
+        self._on_bytes = on_bytes
         self.tally = Tally()
 
     def __iter__(self) -> Iterator[ScanBatch]:
@@ -156,17 +154,12 @@ class ScanStream:
                 intakes.append(ScanIntake(channel, self._slice))
             return numbers[channel]
 
-        findings = Findings()
-        for file in self._recording.files:
-            progress = None if file.packed else self._on_bytes
-            with file.opened() as log:
-                for block in log.blocks(want, findings, progress):
-                    yield from intakes[block.sink].take(block)
+        for block in self._recording.blocks(want, self._on_bytes):
+            yield from intakes[block.sink].take(block)
         tally = self.tally
         tally.messages = sum(intake.messages for intake in intakes)
         tally.failed = sum(intake.failed for intake in intakes)
         tally.reason = next((i.reason for i in intakes if i.reason), "")
-        self._on_walked(findings)
 
     def _slice(self, cloud: Cloud) -> RawScans:
         mount = self._mounting.of(cloud.frame)
