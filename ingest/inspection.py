@@ -14,8 +14,8 @@ from .logs.intake import Intake
 from .logs.messages import Channel, Survey
 from .logs.recording import Recording, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
-from .logs.topics import JUNCTION_KINDS, choose_odometry, odometry_topics
-from .read_settings import DEFAULT_READ, ReadSettings, Way
+from .logs.topics import JUNCTION_KINDS, Way, choose_odometry, odometry_topics
+from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .survey import damage_of, surveyed, walk
 

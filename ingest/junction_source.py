@@ -2,37 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from ..topology.errors import LogError, UsageError
 from .logs.messages import Channel
 from .logs.topics import (
-    CLOUD_KINDS,
-    CLOUD_TYPES,
-    GRID_KINDS,
-    GRID_TYPES,
-    JUNCTION_KINDS,
-    JUNCTION_TYPES,
-    SCAN_KINDS,
-    SCAN_TYPES,
+    JUNCTIONS,
     Choice,
+    Way,
     choose_junctions,
     choose_odometry,
     choose_sensors,
     listing,
 )
-from .read_settings import ReadSettings, Way
+from .read_settings import ReadSettings
 
-SENSORS: Mapping[Way, tuple[Iterable[str], str, str]] = MappingProxyType(
-    {
-        "scan": (SCAN_KINDS, SCAN_TYPES, "/scan"),
-        "cloud": (CLOUD_KINDS, CLOUD_TYPES, "/points"),
-        "grid": (GRID_KINDS, GRID_TYPES, "/map"),
-    }
-)
-"""Types, their names for people and the usual topic, of every kind of source but detections."""
+SENSORS: tuple[Way, ...] = ("scan", "cloud", "grid")
+"""Every kind of source but detections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +52,10 @@ def junction_source(
                 raise
             continue
         return JunctionSource(way, choice, _others(way, counts), tuple(beside))
+    types = {way: role.named for way, role in JUNCTIONS.items()}
     raise LogError(
-        f"{log}: no junction detections found ({JUNCTION_TYPES}), and nothing to find them "
-        f"in: no scans ({SCAN_TYPES}), no clouds ({CLOUD_TYPES}), no grid ({GRID_TYPES}); "
+        f"{log}: no junction detections found ({types['topic']}), and nothing to find them in: "
+        f"no scans ({types['scan']}), no clouds ({types['cloud']}), no grid ({types['grid']}); "
         f"{listing(counts)}; if one of them holds junctions, name it by --junction-topic and its "
         "fields by --junction-fields"
     )
@@ -106,9 +94,7 @@ def _ways_to_try(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple
     if settings.scan_topic is not None:
         named = "/" + settings.scan_topic.strip("/")
         types = {channel.type_name for channel in counts if channel.topic == named}
-        return tuple(way for way, (kinds, _, _) in SENSORS.items() if types & set(kinds)) or (
-            "scan",
-        )
+        return tuple(way for way in SENSORS if types & {*JUNCTIONS[way].types}) or ("scan",)
     return ("topic", *SENSORS)
 
 
@@ -118,8 +104,7 @@ def _choices(
     if way == "topic":
         any_type = settings.junction_fields is not None
         return [choose_junctions(counts, settings.junction_topic, any_type, log)]
-    kinds, types, usual = SENSORS[way]
-    found = choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
+    found = choose_sensors(counts, settings.scan_topic, JUNCTIONS[way], log)
     # Of several robots in a log, that of the odometry has its sensors beside it.
     own = namespace(counts, settings, log)
     return sorted(found, key=lambda choice: not choice.topic.startswith(own))
@@ -140,8 +125,8 @@ def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:
         {
             (channel.topic, way)
             for channel, count in counts.items()
-            for way, (kinds, _, _) in SENSORS.items()
-            if count and channel.type_name in set(kinds)
+            for way in SENSORS
+            if count and channel.type_name in JUNCTIONS[way].types
         }
     )
 
@@ -150,5 +135,5 @@ def _others(way: Way, counts: Mapping[Channel, int]) -> tuple[str, ...]:
     """Topics of another kind that could be used as well."""
     if way not in ("topic", "scan"):
         return ()
-    types = {*SCAN_KINDS} if way == "topic" else {*JUNCTION_KINDS}
+    types = JUNCTIONS["scan" if way == "topic" else "topic"].types
     return tuple(sorted({c.topic for c, n in counts.items() if n and c.type_name in types}))

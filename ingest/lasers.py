@@ -10,10 +10,10 @@ import numpy as np
 from ..topology.arrays import BoolArray
 from ..topology.errors import LogError
 from .frames import NOWHERE_ELSE
-from .junction_source import SENSORS, JunctionSource, namespace
+from .junction_source import JunctionSource, namespace
 from .logs.intake import PoseColumns
 from .logs.lasers import RawScans
-from .logs.topics import Choice
+from .logs.topics import JUNCTIONS, Choice
 from .mounting import KnownMounting, known_mounting
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
@@ -107,7 +107,7 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
     left_out: dict[str, str] = {}
     warnings: list[str] = []
     every = [first, *_others(read, source, left_out, warnings.append)]
-    own, usual = namespace(read.counts, read.settings, read.log), SENSORS[source.way][2]
+    own, usual = namespace(read.counts, read.settings, read.log), JUNCTIONS[source.way].usual
     ranked = sorted(every, key=lambda laser: _rank(laser, own, usual))
     found = _distinct(ranked, left_out)
     frames = frozenset().union(*(laser.frames for laser in found))

@@ -21,7 +21,7 @@ from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit
 from .inflate import SLICE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
 from .schema import as_expected
-from .topics import CLOUD_KINDS
+from .topics import JUNCTIONS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
 MOST_BEAMS = 1 << 16
@@ -282,7 +282,7 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     if serialized and channel.type_name == "sensor_msgs/msg/PointCloud2":
         return OneByOne(lambda raw: slicer(wire_cloud(raw, ros1)), _together, MESSAGE_BYTES)
     read = object_reader(channel)
-    if channel.type_name in CLOUD_KINDS:
+    if channel.type_name in JUNCTIONS["cloud"].types:
         return OneByOne(lambda raw: slicer(foxglove_cloud(read(raw))), _together)
     many = channel.type_name == "sensor_msgs/msg/MultiEchoLaserScan"
     return OneByOne(
