@@ -110,9 +110,9 @@ def fixed_transforms(recording: Recording) -> FixedTransforms:
     for block in recording.blocks(want):
         encoding, decoder = decoders[block.sink]
         for part, _ in unpacked(block, encoding):
-            poses = decoder.decode(part.data, part.start, part.size)
+            poses = decoder.decode(part)
             for number in np.unique(poses.frame).tolist():
-                heard.compare(decoder.frames.pairs[number], poses.value[poses.frame == number])
+                heard.compare(decoder.frames.pairs[number], poses.pose[poses.frame == number])
     return heard.found
 
 

@@ -11,8 +11,8 @@ from ..topology.arrays import BoolArray
 from ..topology.errors import LogError
 from .frames import NOWHERE_ELSE
 from .junction_source import JunctionSource, namespace
-from .logs.intake import PoseColumns
 from .logs.lasers import RawScans
+from .logs.poses import Poses
 from .logs.topics import JUNCTIONS, Choice
 from .mounting import KnownMounting, known_mounting
 from .scans.stream import Mounting, ScanStream
@@ -57,12 +57,12 @@ class Laser:
         stream = ScanStream(read.recording, choice.topic, ANYWHERE)
         views: dict[str, BoolArray] = {}
         stamp_ns, log_ns, scans = [], [], 0
-        for timed in stream.raw():
-            frame, view = timed.scans.geometry.frame, directions(timed.scans)
+        for raw in stream.raw():
+            frame, view = raw.geometry.frame, directions(raw)
             views[frame] = view | views.get(frame, view)
-            stamp_ns.append(timed.scans.stamp_ns)
-            log_ns.append(timed.log_ns)
-            scans += len(timed.log_ns)
+            stamp_ns.append(raw.stamp_ns)
+            log_ns.append(raw.log_ns)
+            scans += len(raw.log_ns)
             if scans >= FIRST_SCANS:
                 break
         if not views:
@@ -70,7 +70,7 @@ class Laser:
             raise LogError(f"{read.log}: nothing can be made of {choice.topic}: {why}")
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
-        columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
+        columns = Poses(none, none, logged, stamps, none, np.zeros((scans, 3)))
         return cls(choice, views, TopicPoses(columns, (), messages=scans))
 
 

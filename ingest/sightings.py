@@ -14,8 +14,9 @@ from ..topology.ragged import Ragged
 from ..topology.run import Detections
 from ..topology.se2 import apply, inverse, wrap
 from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
-from .logs.intake import PoseColumns, in_plane
+from .logs.intake import in_plane
 from .logs.messages import several, several_that
+from .logs.poses import Poses
 
 Side = Literal["robot", "odometry", "foreign"]
 
@@ -41,7 +42,7 @@ def side_of(frame: str, odometry_frame: str, child_frame: str) -> Side:
 
 
 def robot_frame_sightings(
-    columns: PoseColumns,
+    columns: Poses,
     time_ns: IntArray,
     frames: Sequence[str],
     odometry: Odometry,
@@ -133,7 +134,7 @@ class _Mounted:
 
 
 def _mounted(
-    columns: PoseColumns,
+    columns: Poses,
     frames: Sequence[str],
     odometry: Odometry,
     fixed: FixedTransforms,

@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...topology.arrays import IntArray
+from ...topology.arrays import BoolArray, IntArray
 from ...topology.wording import legible, utc
 
 Bytes = NDArray[np.uint8]
@@ -87,7 +87,7 @@ class Block(NamedTuple):
         data = np.frombuffer(b"".join(payloads), np.uint8)
         return cls(data, sink, log_time_ns, np.cumsum(size) - size, size)
 
-    def rows(self, which: IntArray | slice) -> Block:
+    def rows(self, which: IntArray | BoolArray | slice) -> Block:
         """Some of its messages."""
         log_ns, start, size = self.log_time_ns[which], self.start[which], self.size[which]
         return self._replace(log_time_ns=log_ns, start=start, size=size)

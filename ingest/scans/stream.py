@@ -14,7 +14,7 @@ from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import compose, wrap, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
-from ..logs.lasers import Geometry, RawScans, ScanIntake, TimedScans
+from ..logs.lasers import Geometry, RawScans, ScanIntake
 from ..logs.messages import LATEST_NS, Channel, several, several_that
 from ..logs.recording import Recording
 from .scan import ScanBatch
@@ -130,19 +130,19 @@ class ScanStream:
     def __iter__(self) -> Iterator[ScanBatch]:
         self.tally = tally = Tally()
         lasers, last_ns = list[tuple[str, float]](), dict[int, int]()
-        for timed in self._decoded():
-            batch = self._batch(timed, lasers, last_ns)
+        for raw in self._decoded():
+            batch = self._batch(raw, lasers, last_ns)
             if batch is not None:
                 last_ns[batch.laser] = int(batch.times_ns[-1])
                 tally.scans += len(batch)
                 yield batch
 
-    def raw(self) -> Iterator[TimedScans]:
+    def raw(self) -> Iterator[RawScans]:
         """The scans as decoded, not validated."""
         self.tally = Tally()
         yield from self._decoded()
 
-    def _decoded(self) -> Iterator[TimedScans]:
+    def _decoded(self) -> Iterator[RawScans]:
         intakes: list[ScanIntake] = []
         numbers: dict[Channel, int] = {}
 
@@ -166,11 +166,11 @@ class ScanStream:
         return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
 
     def _batch(
-        self, timed: TimedScans, lasers: list[tuple[str, float]], last_ns: Mapping[int, int]
+        self, raw: RawScans, lasers: list[tuple[str, float]], last_ns: Mapping[int, int]
     ) -> ScanBatch | None:
         """The usable scans of a batch, None if there are none; lasers: see `_number`; last_ns: each
         laser's last time."""
-        raw, tally = timed.scans, self.tally
+        tally = self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
         except _UnusableError as why:
@@ -179,7 +179,7 @@ class ScanStream:
         laser = _number(raw, angles, lasers)
         after_ns = last_ns.get(laser, -1)
         sweep_s = _sweep_s(raw.geometry, len(angles))
-        times_ns = self._times(timed, sweep_s)
+        times_ns = self._times(raw, sweep_s)
         far = _far(raw)
         _count(tally, far, FAR)
         good = ~far & _usable_times(raw.stamp_ns, times_ns, after_ns, self._clock, tally)
@@ -224,13 +224,13 @@ class ScanStream:
         seen = sign * angles
         return T_body_laser, *((seen[::-1], True) if seen[0] > seen[-1] else (seen, False))
 
-    def _times(self, timed: TimedScans, sweep_s: float) -> IntArray:
+    def _times(self, raw: RawScans, sweep_s: float) -> IntArray:
         """(n,) times of the middle beams [ns]."""
         half = round(0.5e9 * sweep_s)
         if self._clock == "log":
-            return timed.log_ns - half
+            return raw.log_ns - half
         shift = {"begin": half, "middle": 0, "end": -half}[self._stamp]
-        return timed.scans.stamp_ns + shift
+        return raw.stamp_ns + shift
 
 
 def _number(raw: RawScans, angles: FloatArray, lasers: list[tuple[str, float]]) -> int:
