@@ -2,32 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..topology.arrays import FloatArray
-from ..topology.odometry import Odometry
-from .frames import NO_TRANSFORMS, NOWHERE_ELSE, FixedTransforms, fixed_transforms
+from .frames import NOWHERE_ELSE, FixedTransforms, fixed_transforms
 from .logs.recording import Recording
 from .read_settings import ReadSettings
 from .scans.slicing import mount_of_camera
 from .scans.stream import Mounting
-from .sightings import side_of
 
 BODIES = ("base_link", "base_footprint", "base")
 """Usual names of the robot's frame, for logs without odometry, which would name it."""
 AHEAD = np.array(NOWHERE_ELSE)
-
-
-def transforms_about(
-    recording: Recording, frames: Iterable[str], odometry: Odometry
-) -> FixedTransforms:
-    """The fixed transforms of a log; it is read again only if some frame is not of the odometry."""
-    if all(side_of(name, odometry.frame, odometry.child_frame) != "foreign" for name in frames):
-        return NO_TRANSFORMS
-    return fixed_transforms(recording)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from ..topology.errors import DataError, LogError, UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
 from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
+from .frames import fixed_transforms
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, views_source, walks
@@ -28,7 +30,6 @@ from .logs.recording import (
 )
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
-from .mounting import transforms_about
 from .odometry.conventions import disagreements
 from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
@@ -255,7 +256,7 @@ def _sightings(
         poses.time_ns(clock),
         frames,
         odometry,
-        fixed=transforms_about(read.recording, frames, odometry),
+        partial(fixed_transforms, read.recording),
     )
     warnings = [*poses.warnings(choice.topic), *warnings]
     if len(detections) == 0:
