@@ -78,21 +78,18 @@ def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
     )
 
 
-def check_mapping(
-    recording: Recording, counts: Mapping[Channel, int], settings: ReadSettings
+def try_mapping(
+    recording: Recording, counts: Mapping[Channel, int] | None, settings: ReadSettings
 ) -> None:
-    """UsageError if --junction-fields does not fit the topic, before all of it is read."""
-    topics = {channel.topic for channel, count in counts.items() if count}
-    if settings.junction_fields is not None and settings.mapped_topic in topics:
-        try_mapping(recording, settings)
+    """UsageError if none of the first messages of the mapped topic can be decoded, before all of
+    the log is read. counts: what it holds, if that is known.
 
-
-def try_mapping(recording: Recording, settings: ReadSettings) -> None:
-    """UsageError if none of the first messages of the mapped topic can be decoded.
-
-    Several are tried, because a single one that fails proves nothing.
+    Several messages are tried, because a single one that fails proves nothing.
     """
-    topic, log = settings.mapped_topic or "", str(recording.path)
+    known = None if counts is None else {c.topic for c, count in counts.items() if count}
+    if settings.mapped_topic is None or (known is not None and settings.mapped_topic not in known):
+        return
+    topic, log = settings.mapped_topic, str(recording.path)
     intake = Intake(
         lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
     )

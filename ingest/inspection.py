@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from ..topology.errors import LogError, UsageError
-from .channels import check_mapping
+from .channels import try_mapping
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.intake import Intake
 from .logs.messages import Channel, Survey
@@ -129,7 +129,7 @@ def _uses(
     try:
         source = junction_source(counts, settings, log)
         if source.way == "topic":
-            check_mapping(recording, counts, settings)
+            try_mapping(recording, counts, settings)
     except (LogError, UsageError) as error:
         missing.append(str(error))
     try:

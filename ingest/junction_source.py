@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ..topology.errors import LogError, UsageError
@@ -44,14 +45,11 @@ def junction_source(
     topic must be named.
     """
     ways = _ways_to_try(counts, settings)
-    for way in ways:
-        try:
-            choice, *beside = _choices(way, counts, settings, log)
-        except LogError:
-            if len(ways) == 1:
-                raise
-            continue
-        return JunctionSource(way, choice, _others(way, counts), tuple(beside))
+    found = _first(ways, counts, settings, log)
+    if found is not None:
+        return found
+    if len(ways) == 1:
+        _choices(ways[0], counts, settings, log)  # raises why not
     types = {way: role.named for way, role in JUNCTIONS.items()}
     raise LogError(
         f"{log}: no junction detections found ({types['topic']}), and nothing to find them in: "
@@ -61,28 +59,24 @@ def junction_source(
     )
 
 
-def walks(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> int:
-    """Number of times that a log with these channels is read: scans are read separately."""
-    try:
-        way = junction_source(counts, settings, log).way
-    except (LogError, UsageError):
-        return 1
-    if way == "topic":
-        return 1 if views_source(counts, settings, log) is None else 2
-    return 2 if way in ("scan", "cloud") else 1
-
-
 def views_source(
     counts: Mapping[Channel, int], settings: ReadSettings, log: str
 ) -> JunctionSource | None:
     """The scans, or else the clouds, that show the surroundings of places in a log with
     detections; None if there are none, or if nothing but detections was asked for."""
-    for way in ("scan", "cloud") if settings.junctions_from is None else ():
-        try:
+    if settings.junctions_from is not None:
+        return None
+    return _first(("scan", "cloud"), counts, settings, log)
+
+
+def _first(
+    ways: Iterable[Way], counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> JunctionSource | None:
+    """The first of some kinds of source that the log has."""
+    for way in ways:
+        with suppress(LogError):
             choice, *beside = _choices(way, counts, settings, log)
-        except LogError:
-            continue
-        return JunctionSource(way, choice, beside=tuple(beside))
+            return JunctionSource(way, choice, _others(way, counts), tuple(beside))
     return None
 
 

@@ -11,11 +11,11 @@ from typing import Any
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
-from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
+from .channels import acceptance, decoders, kept_whole, try_mapping
 from .frames import fixed_transforms
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
-from .junction_source import JunctionSource, junction_source, views_source, walks
+from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
 from .logs.intake import Intake
@@ -102,9 +102,11 @@ def read_log(
     if is_saved_map(recording.path):
         return _saved_map(recording, recording.path, on_bytes)
     recording, index = surveyed(recording)
-    progress = Progress(
-        recording.bytes, walks(index.counts if index else {}, settings, log), on_bytes
+    # Scans are read in a pass of their own.
+    passes = 1 + any(
+        way in ("scan", "cloud") for _, way in sensor_topics(index.counts if index else {})
     )
+    progress = Progress(recording.bytes, passes, on_bytes)
     intake, findings = _kept(recording, settings, progress, index)
     warnings = _damage(recording, findings, settings)
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
@@ -136,8 +138,6 @@ def _kept(
                 raise
     # There is no index, or one that may be wrong lacks what is needed.
     recording.passes.clear()
-    if settings.junction_fields is not None:
-        try_mapping(recording, settings)
     intake, findings = _walked(recording, settings, progress, None)
     if index is not None and not findings.counts.keys() <= index.counts.keys():
         findings.note("the index describes other channels than the data, which are believed")
@@ -152,8 +152,7 @@ def _walked(
     log = str(recording.path)
     counts = index.counts if index is not None else None
     accept = acceptance(counts, settings, log)
-    if counts is not None:
-        check_mapping(recording, counts, settings)
+    try_mapping(recording, counts, settings)
     intake = Intake(accept, decoders(settings, log), kept_whole(settings))
     return intake, walk(recording, intake, progress)
 

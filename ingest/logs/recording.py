@@ -12,6 +12,7 @@ from typing import Any
 from ...topology.errors import LogError
 from ...topology.wording import legible, listed
 from ..remote.path import LogPath, RemotePath, log_path
+from .inflate import keep_freed_memory
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
 from .messages import NOT_TOLD, Block, Findings, Passed, Progress, Want
 from .metadata import METADATA_BYTES, Metadata, parse_metadata
@@ -50,6 +51,7 @@ class Recording:
     def blocks(self, want: Want, on_bytes: Progress | None = None) -> Iterator[Block]:
         """The wanted messages, in one pass over all files; the calls of on_bytes add up to
         `bytes`."""
+        keep_freed_memory()
         findings = Findings()
         for file in self.files:
             passed = Passed(on_bytes)

@@ -20,7 +20,6 @@ from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ...topology.wording import legible
 from .channels import DEFINITION_BYTES
-from .inflate import keep_freed_memory
 from .messages import (
     CUT,
     MESSAGE_BYTES,
@@ -105,7 +104,6 @@ class SqliteFile:
 
     def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
-        keep_freed_memory()
         with _sound(self.path, findings) as path:
             for salvage in (False, True):
                 try:
