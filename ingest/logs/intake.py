@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray
-from ...topology.columns import take
+from ...topology.columns import joined, take
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
-from .columns import Growing
 from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import UNWANTED, Block, Channel, DamageError
-from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder
+from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
 from .schema import EXPECTED, as_expected
 from .topics import POSE_KINDS
 
@@ -85,14 +83,6 @@ def in_plane(value: FloatArray) -> FloatArray:
     return out
 
 
-def _empty_columns(whole: bool, sigma: bool) -> tuple[Growing, ...]:
-    """Empty columns for the fields of `Poses`, in their order; sigma: whether there is the
-    last one."""
-    kinds = ("i4", "u2", "i8", "i8", "i2")
-    columns = (*(Growing(kind) for kind in kinds), Growing("f8", 7 if whole else 3))
-    return (*columns, Growing("f4")) if sigma else columns
-
-
 @dataclass(slots=True)
 class Sink:
     """The poses of one channel.
@@ -112,7 +102,7 @@ class Sink:
     undecoded: int = 0
     empty: int = 0
     _kept: int = 0
-    _columns: tuple[Growing, ...] = ()
+    _parts: list[Poses] = field(default_factory=list)
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
@@ -150,10 +140,8 @@ class Sink:
     def columns(self) -> Poses:
         """All poses; the sink is empty afterwards, so that they are held once."""
         self.flush()
-        return Poses(*(column.taken() for column in self._columns or self._empty()))
-
-    def _empty(self) -> tuple[Growing, ...]:
-        return _empty_columns(self.whole, states_sigma(self.channel))
+        parts, self._parts = self._parts, []
+        return joined(parts) if parts else no_poses()
 
     def flush(self) -> None:
         """Decode what was collected."""
@@ -171,21 +159,12 @@ class Sink:
         told = int(changes) + (len(decoded) > 0)
         self.empty += len(block.start) - (self.decoder.failed - failed) - told
         poses = self._usable(decoded)
-        rows: tuple[Any, ...] = (
-            poses.message + self.messages,
-            poses.part,
-            poses.log_ns,
-            poses.stamp_ns,
-            poses.frame,
-            poses.pose if self.whole else in_plane(poses.pose),
-        )
-        # Most channels that are described have no message: they take no room for any.
-        self._columns = self._columns or self._empty()
-        if states_sigma(self.channel):
-            none = np.full(len(poses), np.nan)
-            rows = (*rows, none if poses.sigma_m is None else poses.sigma_m)
-        for column, more in zip(self._columns, rows, strict=True):
-            column.add(more)
+        if states_sigma(self.channel) and poses.sigma_m is None:
+            poses.sigma_m = np.full(len(poses), np.nan)
+        poses.message = poses.message + self.messages
+        if not self.whole:
+            poses.pose = in_plane(poses.pose)
+        self._parts.append(poses)
         self._kept += len(poses)
         self.messages += len(block.start)
 
