@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from ..topology.errors import LogError, UsageError
-from .channels import try_mapping
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.intake import Intake
 from .logs.messages import Channel, Survey
@@ -17,7 +16,7 @@ from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import JUNCTION_KINDS, Way, choose_odometry, odometry_topics
 from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
-from .survey import damage_of, surveyed, walk
+from .survey import damage_of, surveyed, try_mapping, walk
 
 
 @dataclass(frozen=True, slots=True)

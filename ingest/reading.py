@@ -8,18 +8,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..topology.errors import DataError, LogError, UsageError
+from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
-from .channels import acceptance, decoders, kept_whole, try_mapping
 from .frames import fixed_transforms
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
-from .logs.intake import Intake
-from .logs.messages import Findings, Survey
+from .logs.messages import Findings
 from .logs.recording import (
     Recording,
     log_exists,
@@ -44,8 +42,8 @@ from .survey import (
     checked_damage,
     damage_of,
     further_damage,
+    kept,
     surveyed,
-    walk,
 )
 from .topic_poses import Clock, TopicPoses, choose_clock
 
@@ -107,7 +105,7 @@ def read_log(
         way in ("scan", "cloud") for _, way in sensor_topics(index.counts if index else {})
     )
     progress = Progress(recording.bytes, passes, on_bytes)
-    intake, findings = _kept(recording, settings, progress, index)
+    intake, findings = kept(recording, settings, progress, index)
     warnings = _damage(recording, findings, settings)
     read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     read = replace(read, on_keyframes=on_keyframes)
@@ -122,39 +120,6 @@ def read_log(
         progress.finish()
     further = checked_damage(log, further_damage(recording), settings)
     return replace(found, warnings=(*found.warnings, *further))
-
-
-def _kept(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
-) -> tuple[Intake, Findings]:
-    """The messages kept and the findings, by the index if it lists what is needed."""
-    if index is not None:
-        try:
-            intake, findings = _walked(recording, settings, progress, index)
-            if index.sure or findings.counts.keys() <= index.counts.keys():
-                return intake, findings
-        except (LogError, UsageError):
-            if index.sure:
-                raise
-    # There is no index, or one that may be wrong lacks what is needed.
-    recording.passes.clear()
-    intake, findings = _walked(recording, settings, progress, None)
-    if index is not None and not findings.counts.keys() <= index.counts.keys():
-        findings.note("the index describes other channels than the data, which are believed")
-    return intake, findings
-
-
-def _walked(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
-) -> tuple[Intake, Findings]:
-    """The messages kept and the findings of one pass over a recording; index: its claimed
-    contents."""
-    log = str(recording.path)
-    counts = index.counts if index is not None else None
-    accept = acceptance(counts, settings, log)
-    try_mapping(recording, counts, settings)
-    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
-    return intake, walk(recording, intake, progress)
 
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
