@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from .workspace import Workspace  # noqa: F401  offered as the functions are
 
 if TYPE_CHECKING:
-    from ..ingest.read_settings import Stamp, Way
+    from ..ingest.logs.topics import Way
+    from ..ingest.read_settings import Stamp
     from ..merge.change import Change
     from ..merge.drive import Drive
     from ..merge.locks import Lock

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..topology.arrays import FloatArray, IntArray
+from ..topology.arrays import FloatArray
 from ..topology.wording import listed
+from .logs.inflate import unpacked
 from .logs.intake import decoder_for, usable_poses
-from .logs.messages import Bytes, Channel
-from .logs.poses import Frames, PoseDecoder, Poses, no_poses
+from .logs.messages import UNWANTED, Channel, DamageError
+from .logs.poses import PoseDecoder
+from .logs.recording import Recording
+from .logs.topics import TRANSFORM_KINDS
 
 Pair = tuple[str, str]
 
@@ -90,21 +93,40 @@ def _inverse(T_a_b: FloatArray) -> FloatArray:
     return np.concatenate([-back.apply(T_a_b[:3]), back.as_quat()])
 
 
-class FixedCollector:
-    """Takes in transforms of any number of channels, and keeps one value of each."""
+def fixed_transforms(recording: Recording) -> FixedTransforms:
+    """All transforms between named frames that never change; reads the log once more."""
+    decoders: list[tuple[str, PoseDecoder]] = []
+    heard = _Heard()
+
+    def want(channel: Channel) -> int:
+        if channel.type_name not in TRANSFORM_KINDS:
+            return UNWANTED
+        try:
+            decoders.append((channel.encoding, decoder_for(channel)))
+        except DamageError:
+            return UNWANTED
+        return len(decoders) - 1
+
+    for block in recording.blocks(want):
+        encoding, decoder = decoders[block.sink]
+        for part, _ in unpacked(block, encoding):
+            poses = decoder.decode(part)
+            for number in np.unique(poses.frame).tolist():
+                heard.compare(decoder.frames.pairs[number], poses.pose[poses.frame == number])
+    return heard.found
+
+
+class _Heard:
+    """One value of every pair of frames, and which of them change."""
 
     def __init__(self) -> None:
         self._known: dict[Pair, FloatArray] = {}
         self._moving: set[Pair] = set()
         self._unusable: set[Pair] = set()
 
-    def decoder_for(self, channel: Channel) -> PoseDecoder:
-        """Stands in for the decoder of a channel; raises DamageError if there is none."""
-        return _Listener(decoder_for(channel), self._compare)
-
     @property
     def found(self) -> FixedTransforms:
-        """What was collected, without what moves, and without frames that have no name."""
+        """What was heard, without what moves, and without frames that have no name."""
         value = {
             pair: first
             for pair, first in sorted(self._known.items())
@@ -113,7 +135,7 @@ class FixedCollector:
         unusable = self._unusable - self._known.keys()
         return FixedTransforms(value, frozenset(self._moving), frozenset(unusable))
 
-    def _compare(self, pair: Pair, value: FloatArray) -> None:
+    def compare(self, pair: Pair, value: FloatArray) -> None:
         """Whether (k, 7) transforms are what was heard of the pair before."""
         value = value[usable_poses(value)]
         if len(value) == 0:
@@ -125,20 +147,3 @@ class FixedCollector:
         value[:, 3:] *= np.where(value[:, 3:] @ first[3:] < 0, -1.0, 1.0)[:, None]
         if (np.abs(value - first) > FIXED).any():
             self._moving.add(pair)
-
-
-class _Listener:
-    """A decoder of transforms that hands them on by their pair of frames, and gives no poses."""
-
-    def __init__(self, decoder: PoseDecoder, hear: Callable[[Pair, FloatArray], None]) -> None:
-        self._decoder, self._hear = decoder, hear
-        self.frames: Frames = decoder.frames
-        self.failed = 0
-        self.reason = ""
-
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
-        """No poses."""
-        poses = self._decoder.decode(data, start, size)
-        for number in np.unique(poses.frame).tolist():
-            self._hear(self.frames.pairs[number], poses.value[poses.frame == number])
-        return no_poses()

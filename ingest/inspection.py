@@ -8,16 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from ..topology.errors import LogError, UsageError
-from .channels import check_mapping
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.intake import Intake
 from .logs.messages import Channel, Survey
 from .logs.recording import Recording, recording_at, run_name
 from .logs.saved_map import is_saved_map, read_saved_map
-from .logs.topics import JUNCTION_KINDS, choose_odometry, odometry_topics
-from .read_settings import DEFAULT_READ, ReadSettings, Way
+from .logs.topics import JUNCTION_KINDS, Way, choose_odometry, odometry_topics
+from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
-from .survey import damage_of, surveyed, walk
+from .survey import damage_of, surveyed, try_mapping, walk
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +61,7 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     recording, survey = surveyed(recording, exact=True)
     problems = list(recording.notes)
     if survey is None:
-        findings = walk(recording, Intake(lambda _: False), None)
+        findings = walk(recording, Intake(lambda _: False))
         problems = damage_of(recording, findings)
         survey = Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
     damage = len(problems)
@@ -129,7 +128,7 @@ def _uses(
     try:
         source = junction_source(counts, settings, log)
         if source.way == "topic":
-            check_mapping(recording, counts, settings)
+            try_mapping(recording, counts, settings)
     except (LogError, UsageError) as error:
         missing.append(str(error))
     try:

@@ -3,36 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from ..topology.errors import LogError, UsageError
 from .logs.messages import Channel
 from .logs.topics import (
-    CLOUD_KINDS,
-    CLOUD_TYPES,
-    GRID_KINDS,
-    GRID_TYPES,
-    JUNCTION_KINDS,
-    JUNCTION_TYPES,
-    SCAN_KINDS,
-    SCAN_TYPES,
+    JUNCTIONS,
     Choice,
+    Way,
     choose_junctions,
     choose_odometry,
     choose_sensors,
     listing,
 )
-from .read_settings import ReadSettings, Way
+from .read_settings import ReadSettings
 
-SENSORS: Mapping[Way, tuple[Iterable[str], str, str]] = MappingProxyType(
-    {
-        "scan": (SCAN_KINDS, SCAN_TYPES, "/scan"),
-        "cloud": (CLOUD_KINDS, CLOUD_TYPES, "/points"),
-        "grid": (GRID_KINDS, GRID_TYPES, "/map"),
-    }
-)
-"""Types, their names for people and the usual topic, of every kind of source but detections."""
+SENSORS: tuple[Way, ...] = ("scan", "cloud", "grid")
+"""Every kind of source but detections."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,31 +45,18 @@ def junction_source(
     topic must be named.
     """
     ways = _ways_to_try(counts, settings)
-    for way in ways:
-        try:
-            choice, *beside = _choices(way, counts, settings, log)
-        except LogError:
-            if len(ways) == 1:
-                raise
-            continue
-        return JunctionSource(way, choice, _others(way, counts), tuple(beside))
+    found = _first(ways, counts, settings, log)
+    if found is not None:
+        return found
+    if len(ways) == 1:
+        _choices(ways[0], counts, settings, log)  # raises why not
+    types = {way: role.named for way, role in JUNCTIONS.items()}
     raise LogError(
-        f"{log}: no junction detections found ({JUNCTION_TYPES}), and nothing to find them "
-        f"in: no scans ({SCAN_TYPES}), no clouds ({CLOUD_TYPES}), no grid ({GRID_TYPES}); "
+        f"{log}: no junction detections found ({types['topic']}), and nothing to find them in: "
+        f"no scans ({types['scan']}), no clouds ({types['cloud']}), no grid ({types['grid']}); "
         f"{listing(counts)}; if one of them holds junctions, name it by --junction-topic and its "
         "fields by --junction-fields"
     )
-
-
-def walks(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> int:
-    """Number of times that a log with these channels is read: scans are read separately."""
-    try:
-        way = junction_source(counts, settings, log).way
-    except (LogError, UsageError):
-        return 1
-    if way == "topic":
-        return 1 if views_source(counts, settings, log) is None else 2
-    return 2 if way in ("scan", "cloud") else 1
 
 
 def views_source(
@@ -89,12 +64,19 @@ def views_source(
 ) -> JunctionSource | None:
     """The scans, or else the clouds, that show the surroundings of places in a log with
     detections; None if there are none, or if nothing but detections was asked for."""
-    for way in ("scan", "cloud") if settings.junctions_from is None else ():
-        try:
+    if settings.junctions_from is not None:
+        return None
+    return _first(("scan", "cloud"), counts, settings, log)
+
+
+def _first(
+    ways: Iterable[Way], counts: Mapping[Channel, int], settings: ReadSettings, log: str
+) -> JunctionSource | None:
+    """The first of some kinds of source that the log has."""
+    for way in ways:
+        with suppress(LogError):
             choice, *beside = _choices(way, counts, settings, log)
-        except LogError:
-            continue
-        return JunctionSource(way, choice, beside=tuple(beside))
+            return JunctionSource(way, choice, _others(way, counts), tuple(beside))
     return None
 
 
@@ -106,9 +88,7 @@ def _ways_to_try(counts: Mapping[Channel, int], settings: ReadSettings) -> tuple
     if settings.scan_topic is not None:
         named = "/" + settings.scan_topic.strip("/")
         types = {channel.type_name for channel in counts if channel.topic == named}
-        return tuple(way for way, (kinds, _, _) in SENSORS.items() if types & set(kinds)) or (
-            "scan",
-        )
+        return tuple(way for way in SENSORS if types & {*JUNCTIONS[way].types}) or ("scan",)
     return ("topic", *SENSORS)
 
 
@@ -118,8 +98,7 @@ def _choices(
     if way == "topic":
         any_type = settings.junction_fields is not None
         return [choose_junctions(counts, settings.junction_topic, any_type, log)]
-    kinds, types, usual = SENSORS[way]
-    found = choose_sensors(counts, settings.scan_topic, kinds, usual=usual, types=types, log=log)
+    found = choose_sensors(counts, settings.scan_topic, JUNCTIONS[way], log)
     # Of several robots in a log, that of the odometry has its sensors beside it.
     own = namespace(counts, settings, log)
     return sorted(found, key=lambda choice: not choice.topic.startswith(own))
@@ -140,8 +119,8 @@ def sensor_topics(counts: Mapping[Channel, int]) -> list[tuple[str, Way]]:
         {
             (channel.topic, way)
             for channel, count in counts.items()
-            for way, (kinds, _, _) in SENSORS.items()
-            if count and channel.type_name in set(kinds)
+            for way in SENSORS
+            if count and channel.type_name in JUNCTIONS[way].types
         }
     )
 
@@ -150,5 +129,5 @@ def _others(way: Way, counts: Mapping[Channel, int]) -> tuple[str, ...]:
     """Topics of another kind that could be used as well."""
     if way not in ("topic", "scan"):
         return ()
-    types = {*SCAN_KINDS} if way == "topic" else {*JUNCTION_KINDS}
+    types = JUNCTIONS["scan" if way == "topic" else "topic"].types
     return tuple(sorted({c.topic for c, n in counts.items() if n and c.type_name in types}))

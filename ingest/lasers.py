@@ -10,10 +10,10 @@ import numpy as np
 from ..topology.arrays import BoolArray
 from ..topology.errors import LogError
 from .frames import NOWHERE_ELSE
-from .junction_source import SENSORS, JunctionSource, namespace
-from .logs.intake import PoseColumns
+from .junction_source import JunctionSource, namespace
 from .logs.lasers import RawScans
-from .logs.topics import Choice
+from .logs.poses import Poses
+from .logs.topics import JUNCTIONS, Choice
 from .mounting import KnownMounting, known_mounting
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
@@ -54,15 +54,15 @@ class Laser:
     @classmethod
     def of(cls, read: LogRead, choice: Choice) -> Laser:
         """Read the first scans; LogError if none can be decoded."""
-        stream = ScanStream(read.recording, choice.topic, ANYWHERE, on_walked=read.faults.add)
+        stream = ScanStream(read.recording, choice.topic, ANYWHERE)
         views: dict[str, BoolArray] = {}
         stamp_ns, log_ns, scans = [], [], 0
-        for timed in stream.raw():
-            frame, view = timed.scans.geometry.frame, directions(timed.scans)
+        for raw in stream.raw():
+            frame, view = raw.geometry.frame, directions(raw)
             views[frame] = view | views.get(frame, view)
-            stamp_ns.append(timed.scans.stamp_ns)
-            log_ns.append(timed.log_ns)
-            scans += len(timed.log_ns)
+            stamp_ns.append(raw.stamp_ns)
+            log_ns.append(raw.log_ns)
+            scans += len(raw.log_ns)
             if scans >= FIRST_SCANS:
                 break
         if not views:
@@ -70,7 +70,7 @@ class Laser:
             raise LogError(f"{read.log}: nothing can be made of {choice.topic}: {why}")
         none = np.zeros(scans, np.int64)
         stamps, logged = (np.concatenate(t) if t else none for t in (stamp_ns, log_ns))
-        columns = PoseColumns(none, none, logged, stamps, none, np.zeros((scans, 3)))
+        columns = Poses(none, none, logged, stamps, none, np.zeros((scans, 3)))
         return cls(choice, views, TopicPoses(columns, (), messages=scans))
 
 
@@ -107,14 +107,14 @@ def lasers(read: LogRead, source: JunctionSource, body: str | None) -> Lasers:
     left_out: dict[str, str] = {}
     warnings: list[str] = []
     every = [first, *_others(read, source, left_out, warnings.append)]
-    own, usual = namespace(read.counts, read.settings, read.log), SENSORS[source.way][2]
+    own, usual = namespace(read.counts, read.settings, read.log), JUNCTIONS[source.way].usual
     ranked = sorted(every, key=lambda laser: _rank(laser, own, usual))
     found = _distinct(ranked, left_out)
     frames = frozenset().union(*(laser.frames for laser in found))
     if read.settings.laser_pose is not None:
         where = KnownMounting({}, body or "")
     else:
-        where = known_mounting(read.recording, frames, body, read.faults.add)
+        where = known_mounting(read.recording, frames, body)
     known = [laser for laser in found if where.knows(laser.frames)]
     used = known or [laser for laser in found if laser.frames <= found[0].frames]
     for laser in (laser for laser in found if laser not in used):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -50,21 +52,23 @@ _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phant
 def map_of_log(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> TopoMap:
     """The map of a log: of a run by `build_map`, of a grid by its skeleton. Raises DataError, with
     the faults of the log, which may be the reason."""
-    try:
-        if isinstance(log, GridLog):
-            return _map_of_grid(log, settings)
-        return build_map(log, settings)
-    except DataError as error:
-        raise DataError("; ".join((str(error), *log.warnings))) from error
+    with _faults_told(log):
+        return _map_of_grid(log, settings) if isinstance(log, GridLog) else build_map(log, settings)
 
 
 def require_junctions(log: Run | GridLog, settings: MappingSettings = DEFAULT_MAPPING) -> None:
     """The errors of `map_of_log`, without closing loops."""
-    try:
+    with _faults_told(log):
         if isinstance(log, GridLog):
             _map_of_grid(log, settings)
         else:
             _calibrated(PassSource(log))
+
+
+@contextmanager
+def _faults_told(log: Run | GridLog) -> Iterator[None]:
+    try:
+        yield
     except DataError as error:
         raise DataError("; ".join((str(error), *log.warnings))) from error
 

@@ -2,55 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ..topology.arrays import FloatArray
-from ..topology.odometry import Odometry
-from .frames import NO_TRANSFORMS, NOWHERE_ELSE, FixedCollector, FixedTransforms
-from .logs.intake import Intake
-from .logs.messages import Findings
+from .frames import NOWHERE_ELSE, FixedTransforms, fixed_transforms
 from .logs.recording import Recording
-from .logs.topics import TRANSFORM_KINDS
 from .read_settings import ReadSettings
 from .scans.slicing import mount_of_camera
 from .scans.stream import Mounting
-from .sightings import side_of
-from .survey import walk
 
 BODIES = ("base_link", "base_footprint", "base")
 """Usual names of the robot's frame, for logs without odometry, which would name it."""
 AHEAD = np.array(NOWHERE_ELSE)
-
-
-def transforms_about(
-    recording: Recording,
-    frames: Iterable[str],
-    odometry: Odometry,
-    on_walked: Callable[[Findings], object],
-) -> FixedTransforms:
-    """The fixed transforms of a log; it is read again only if some frame is not of the odometry.
-
-    on_walked: called with what was found in it.
-    """
-    if all(side_of(name, odometry.frame, odometry.child_frame) != "foreign" for name in frames):
-        return NO_TRANSFORMS
-    return fixed_transforms(recording, on_walked)
-
-
-def fixed_transforms(
-    recording: Recording, on_walked: Callable[[Findings], object]
-) -> FixedTransforms:
-    """All constant transforms of a log. Reads the log again; on_walked is called with what was
-    found in it."""
-    collector = FixedCollector()
-    intake = Intake(lambda channel: channel.type_name in TRANSFORM_KINDS, collector.decoder_for)
-    on_walked(walk(recording, intake, None))
-    for sink in intake.sinks:
-        sink.flush()
-    return collector.found
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,22 +37,19 @@ class KnownMounting:
 
 
 def known_mounting(
-    recording: Recording,
-    frames: Collection[str],
-    body: str | None,
-    on_walked: Callable[[Findings], object] = lambda _: None,
+    recording: Recording, frames: Collection[str], body: str | None
 ) -> KnownMounting:
     """The mounting of sensors with these frames, by the transforms of a log.
 
     body: the robot's frame, the odometry's child; None: one of the usual names. The log is read
-    again only if a frame is none of these; on_walked is called with what was found in it.
+    again only if a frame is none of these.
     """
     bodies = (body,) if body is not None else BODIES
     known = dict.fromkeys(("", *bodies), np.array(NOWHERE_ELSE))
     foreign = set(frames) - set(known)
     if not foreign:
         return KnownMounting(known, bodies[0])
-    fixed = fixed_transforms(recording, on_walked)
+    fixed = fixed_transforms(recording)
     robot = next((b for b in bodies if foreign & set(fixed.connected_to(b))), bodies[0])
     return KnownMounting(known | fixed.connected_to(robot), robot, fixed)
 

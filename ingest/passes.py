@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.circular import cluster_angles
@@ -133,22 +134,13 @@ def _without_flicker(group: IntArray) -> tuple[BoolArray, IntArray]:
     return keep, np.unique(group[keep], return_inverse=True)[1].astype(np.int64)
 
 
-def _median_by(values: FloatArray, group: IntArray, offsets: IntArray) -> FloatArray:
-    """Median of each group. One sort by (group, value), then the middle rows of each group."""
-    ordered = values[np.lexsort((values, group))]
-    counts = np.diff(offsets)
-    middle: FloatArray = 0.5 * (
-        ordered[offsets[:-1] + (counts - 1) // 2] + ordered[offsets[:-1] + counts // 2]
-    )
-    return middle
-
-
-def _middle(xy: FloatArray, group: IntArray, offsets: IntArray) -> FloatArray:
+def _middle(xy: FloatArray, group: IntArray, groups: int) -> FloatArray:
     """Mean of each group's points without outliers (more than three median distances from the
     median)."""
-    median = np.column_stack([_median_by(xy[:, k], group, offsets) for k in (0, 1)])
+    index = np.arange(groups)
+    median = np.column_stack([ndimage.median(xy[:, k], group, index) for k in (0, 1)])
     away = np.hypot(*(xy - median[group]).T)
-    usual = _median_by(away, group, offsets)
+    usual = np.asarray(ndimage.median(away, group, index))
     weight = (away <= 3.0 * usual[group] + 1e-9).astype(np.float64)
     total = np.bincount(group, weight)
     return np.column_stack([np.bincount(group, weight * xy[:, k]) / total for k in (0, 1)])
@@ -165,7 +157,7 @@ def _fuse(
 ) -> Passes:
     counts = np.bincount(group)
     offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    fused = _middle(centre, group, offsets)
+    fused = _middle(centre, group, len(counts))
     # When nearest: the first row of each group in the order of distance.
     distance = np.hypot(*(pose[:, :2] - fused[group]).T)
     nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]

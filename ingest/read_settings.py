@@ -9,11 +9,9 @@ import numpy as np
 
 from ..topology.errors import UsageError, check_choice
 from .logs.fields import JunctionFields
+from .logs.topics import Way
 from .scans.slicing import SliceSettings
 from .topic_poses import Clock
-
-Way = Literal["topic", "scan", "cloud", "grid"]
-"""Source of junctions: detections, or found in scans, in point clouds, in a grid."""
 
 Stamp = Literal["begin", "middle", "end"]
 """The beam that the time of a scan refers to."""

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from ..topology.errors import DataError, LogError, UsageError
+from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
-from .channels import acceptance, check_mapping, decoders, kept_whole, try_mapping
+from .frames import fixed_transforms
 from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
-from .junction_source import JunctionSource, junction_source, views_source, walks
+from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.finding import find_logs, with_parts_joined
 from .logs.grids import last_grid
-from .logs.intake import Intake
-from .logs.messages import Findings, Survey
+from .logs.messages import Findings
 from .logs.recording import (
     Recording,
     log_exists,
@@ -28,7 +28,6 @@ from .logs.recording import (
 )
 from .logs.saved_map import is_saved_map, read_saved_map
 from .logs.topics import Choice
-from .mounting import transforms_about
 from .odometry.conventions import disagreements
 from .odometry.jumps import times
 from .odometry.kidnapping import split_where_carried
@@ -38,14 +37,14 @@ from .read_settings import DEFAULT_READ, ReadSettings
 from .remote.path import LogPath
 from .sightings import robot_frame_sightings
 from .survey import (
-    Faults,
     LogRead,
     OnKeyframes,
     Progress,
     checked_damage,
     damage_of,
+    further_damage,
+    kept,
     surveyed,
-    walk,
 )
 from .topic_poses import Clock, TopicPoses, choose_clock
 
@@ -102,13 +101,14 @@ def read_log(
     if is_saved_map(recording.path):
         return _saved_map(recording, recording.path, on_bytes)
     recording, index = surveyed(recording)
-    progress = Progress(
-        recording.bytes, walks(index.counts if index else {}, settings, log), on_bytes
+    # Scans are read in a pass of their own.
+    passes = 1 + any(
+        way in ("scan", "cloud") for _, way in sensor_topics(index.counts if index else {})
     )
-    intake, findings = _kept(recording, settings, progress, index)
+    progress = Progress(recording.bytes, passes, on_bytes)
+    intake, findings = kept(recording, settings, progress, index)
     warnings = _damage(recording, findings, settings)
-    faults = Faults([findings])
-    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress, faults)
+    read = LogRead(recording, intake, findings.counts, settings, tuple(warnings), progress)
     read = replace(read, on_keyframes=on_keyframes)
     try:
         source = junction_source(findings.counts, settings, log)
@@ -116,46 +116,11 @@ def read_log(
     except DataError as error:
         # The damage may be the reason.
         kind = LogError if isinstance(error, LogError) else DataError
-        raise kind("; ".join([str(error), *warnings, *faults.sentences])) from error
+        raise kind("; ".join([str(error), *warnings, *further_damage(recording)])) from error
     finally:
         progress.finish()
-    further = checked_damage(log, faults.sentences, settings)
+    further = checked_damage(log, further_damage(recording), settings)
     return replace(found, warnings=(*found.warnings, *further))
-
-
-def _kept(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
-) -> tuple[Intake, Findings]:
-    """The messages kept and the findings, by the index if it lists what is needed."""
-    if index is not None:
-        try:
-            intake, findings = _walked(recording, settings, progress, index)
-            if index.sure or findings.counts.keys() <= index.counts.keys():
-                return intake, findings
-        except (LogError, UsageError):
-            if index.sure:
-                raise
-    # There is no index, or one that may be wrong lacks what is needed.
-    if settings.junction_fields is not None:
-        try_mapping(recording, settings)
-    intake, findings = _walked(recording, settings, progress, None)
-    if index is not None and not findings.counts.keys() <= index.counts.keys():
-        findings.note("the index describes other channels than the data, which are believed")
-    return intake, findings
-
-
-def _walked(
-    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
-) -> tuple[Intake, Findings]:
-    """The messages kept and the findings of one pass over a recording; index: its claimed
-    contents."""
-    log = str(recording.path)
-    counts = index.counts if index is not None else None
-    accept = acceptance(counts, settings, log)
-    if counts is not None:
-        check_mapping(recording, counts, settings)
-    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
-    return intake, walk(recording, intake, progress)
 
 
 def _with_detections(read: LogRead, junction: JunctionSource) -> Run:
@@ -219,11 +184,7 @@ def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> Gr
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
     """The last grid of a topic."""
-    findings = Findings()
-    try:
-        grid, failed = last_grid(read.recording, source.choice.topic, findings)
-    finally:
-        read.faults.add(findings)
+    grid, failed = last_grid(read.recording, source.choice.topic)
     warnings = list(read.warnings)
     if failed:
         last = "last grid" if failed == 1 else f"last {failed} grids"
@@ -260,7 +221,7 @@ def _sightings(
         poses.time_ns(clock),
         frames,
         odometry,
-        fixed=transforms_about(read.recording, frames, odometry, read.faults.add),
+        partial(fixed_transforms, read.recording),
     )
     warnings = [*poses.warnings(choice.topic), *warnings]
     if len(detections) == 0:

@@ -173,7 +173,6 @@ class _Scans:
             stamp=self.read.settings.scan_stamp,
             slices=self.read.settings.slices,
             on_bytes=on_bytes,
-            on_walked=self.read.faults.add,
         )
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,11 +13,9 @@ from ..topology.ragged import Ragged
 from ..topology.run import Detections
 from ..topology.se2 import apply, inverse, wrap
 from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
-from .logs.intake import PoseColumns, in_plane
+from .logs.intake import in_plane
 from .logs.messages import several, several_that
-
-Side = Literal["robot", "odometry", "foreign"]
-
+from .logs.poses import Poses
 
 MAX_BRANCHES = 32
 """More are implausible, and would take memory."""
@@ -33,30 +30,23 @@ FARTHEST_M = 1000.0
 (`scans/slicing.py`)."""
 
 
-def side_of(frame: str, odometry_frame: str, child_frame: str) -> Side:
-    """Which frame of the odometry a detection's frame is."""
-    if frame in ("", child_frame):
-        return "robot"
-    return "odometry" if frame == odometry_frame else "foreign"
-
-
 def robot_frame_sightings(
-    columns: PoseColumns,
+    columns: Poses,
     time_ns: IntArray,
     frames: Sequence[str],
     odometry: Odometry,
-    *,
-    fixed: FixedTransforms = NO_TRANSFORMS,
+    transforms: Callable[[], FixedTransforms] = lambda: NO_TRANSFORMS,
 ) -> tuple[Detections, list[str]]:
     """One detection per junction of a message, in the robot's frame at the message's time, by time;
     and warnings on messages that were left out.
 
     columns: poses in space; time_ns: (k,) time of each pose's message; frames: name of every frame
-    number. Messages in a frame that is neither of the odometry's nor fixed to one, with branches
-    that point up or down, with implausibly many, or outside the odometry's time are left out.
+    number; transforms: those of the log, asked for if some frame is not of the odometry. Messages
+    in a frame that is neither of the odometry's nor fixed to one, with branches that point up or
+    down, with implausibly many, or outside the odometry's time are left out.
     """
     warnings: list[str] = []
-    mounted = _mounted(columns, frames, odometry, fixed)
+    mounted = _mounted(columns, frames, odometry, transforms)
     pose = in_plane(mounted.pose)
     message, part = columns.message, columns.part
     new = np.ones(len(message), bool)
@@ -73,7 +63,7 @@ def robot_frame_sightings(
     within = (time >= odometry.time_ns[0] - outside) & (time <= odometry.time_ns[-1] + outside)
     keep = np.ones(len(first), bool)
     for good, why in (
-        (~mounted.on("foreign")[frame], mounted.expected(odometry, fixed)),
+        (~np.isin(frame, mounted.foreign), mounted.expected),
         (
             steep <= STEEPEST,
             f"point a branch up or down, seen from {odometry.child_frame!r} (angles turn about the "
@@ -87,7 +77,7 @@ def robot_frame_sightings(
     chosen = np.flatnonzero(keep)
     chosen = chosen[np.argsort(time[chosen], kind="stable")]
     branches, centre, time = rows.take(chosen), centre[chosen], time[chosen]
-    in_odometry = mounted.on("odometry")[frame[chosen]]
+    in_odometry = np.isin(frame[chosen], mounted.in_odometry)
     if in_odometry.any():
         T_odom_base = odometry.at(time)
         turned = apply(inverse(T_odom_base), centre)
@@ -106,56 +96,53 @@ def robot_frame_sightings(
     return Detections(time[near], centre[near], branches.take(near)), warnings
 
 
-@dataclass(frozen=True, slots=True)
-class _Mounted:
-    """Poses (k, 7) in the odometry's two frames, and which of the two by frame number.
+class _Mounted(NamedTuple):
+    """Poses (k, 7) in the odometry's two frames, all but the foreign ones.
 
-    rise: (k,) sine of the elevation of each x axis if a mount was applied, else 0; foreign: names
-    of other frames.
+    rise: (k,) sine of the elevation of each x axis if a mount was applied, else 0; in_odometry,
+    foreign: numbers of the frames that are the odometry's parent, or neither of the two; expected:
+    why the latter cannot be used.
     """
 
     pose: FloatArray
-    sides: tuple[Side, ...]
     rise: FloatArray
-    foreign: tuple[str, ...]
-
-    def on(self, side: Side) -> BoolArray:
-        """Whether each frame, by number, is on that side."""
-        return np.array([own == side for own in self.sides], bool)
-
-    def expected(self, odometry: Odometry, fixed: FixedTransforms) -> str:
-        """The error for frames that are not connected to the odometry's."""
-        names = ", ".join(repr(name[:100]) for name in self.foreign[:5])
-        return (
-            f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}, or "
-            f"one fixed to them ({fixed})"
-        )
+    in_odometry: list[int]
+    foreign: list[int]
+    expected: str
 
 
 def _mounted(
-    columns: PoseColumns,
+    columns: Poses,
     frames: Sequence[str],
     odometry: Odometry,
-    fixed: FixedTransforms,
+    transforms: Callable[[], FixedTransforms],
 ) -> _Mounted:
     """The poses as seen from the odometry's frames, where fixed transforms lead there."""
     pose, rise = columns.pose, np.zeros(len(columns.pose))
-    sides: list[Side] = [side_of(frame, odometry.frame, odometry.child_frame) for frame in frames]
     # The robot's own frame comes last, so that it counts where a frame is fixed to both.
-    owns: dict[Side, str] = {"odometry": odometry.frame, "robot": odometry.child_frame}
-    joins: dict[str, tuple[Side, FloatArray]] = {}
-    if "foreign" in sides:
-        pose = pose.copy()
-        for side, own in owns.items():
-            joins |= {name: (side, T) for name, T in fixed.connected_to(own).items()}
+    owns = odometry.frame, odometry.child_frame
+    side = {odometry.frame: odometry.frame, odometry.child_frame: odometry.child_frame}
+    side[""] = odometry.child_frame
+    fixed, joins = NO_TRANSFORMS, dict[str, tuple[str, FloatArray]]()
+    if not side.keys() >= set(frames):
+        fixed, pose = transforms(), pose.copy()
+        for own in owns:
+            joins |= {name: (own, T) for name, T in fixed.connected_to(own).items()}
     for number, name in enumerate(frames):
-        if sides[number] == "foreign" and name in joins:
-            sides[number], T_own_sensor = joins[name]
+        if name not in side and name in joins:
             rows = columns.frame == number
+            side[name], T_own_sensor = joins[name]
             pose[rows] = seen_from(T_own_sensor, pose[rows])
             rise[rows] = _rise(pose[rows])
-    foreign = {name for name, side in zip(frames, sides, strict=True) if side == "foreign"}
-    return _Mounted(pose, tuple(sides), rise, tuple(sorted(foreign)))
+    foreign = [number for number, name in enumerate(frames) if name not in side]
+    names = ", ".join(repr(name[:100]) for name in sorted({frames[k] for k in foreign})[:5])
+    expected = (
+        f"are in frame {names}, expected {odometry.child_frame!r} or {odometry.frame!r}, or "
+        f"one fixed to them ({fixed})"
+    )
+    parent, child = odometry.frame, odometry.child_frame
+    in_odometry = [k for k, name in enumerate(frames) if side.get(name) == parent != child]
+    return _Mounted(pose, rise, in_odometry, foreign, expected)
 
 
 def _rise(pose: FloatArray) -> FloatArray:

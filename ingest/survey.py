@@ -1,16 +1,21 @@
-"""The indexes of a recording, and a pass over all of its files."""
+"""The first pass over a log: its indexes, the channels that are kept, and what is damaged."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
-from ..topology.errors import LogError
-from .logs.intake import Intake
+from ..topology.errors import LogError, UsageError
+from .junction_source import junction_source
+from .logs.fields import JunctionFields, fields_decoder
+from .logs.intake import Intake, decoder_for
 from .logs.messages import Channel, Findings, Survey, several
+from .logs.poses import PoseDecoder
 from .logs.recording import Recording, run_name
+from .logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS, choose_odometry
 from .read_settings import ReadSettings
+from .topic_poses import TopicPoses
 
 OnBytes = Callable[[int], None]
 OnKeyframes = Callable[[Any], object]
@@ -44,27 +49,137 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Surv
     return by_start, Survey(counts, start, end, sure)
 
 
-def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None) -> Findings:
-    """Read all files; the calls of on_bytes add up to the size of the recording."""
-    findings = Findings()
+def walk(recording: Recording, intake: Intake, on_bytes: OnBytes | None = None) -> Findings:
+    """Keep the messages of a recording; the calls of on_bytes add up to its size."""
     intake.expect(recording.bytes)
-    for file in recording.files:
-        told = 0
+    for block in recording.blocks(intake.want, on_bytes):
+        intake.take(block)
+        del block  # its memory, still in the processor's cache, serves the next one
+    return recording.passes[-1]
 
-        def progress(count: int) -> None:
-            nonlocal told
-            told += count
-            if on_bytes is not None:
-                on_bytes(count)
 
-        with file.opened() as log:
-            onward = None if file.packed else progress
-            for block in log.blocks(intake.want, findings, onward):
-                intake.take(block)
-                del block  # its memory, still in the processor's cache, serves the next one
-        if file.bytes > told:
-            progress(file.bytes - told)
-    return findings
+def kept(
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
+) -> tuple[Intake, Findings]:
+    """The messages of a log that are kept, and the findings; by the index if it lists what is
+    needed."""
+    if index is not None:
+        try:
+            intake, findings = _walked(recording, settings, progress, index)
+            if index.sure or findings.counts.keys() <= index.counts.keys():
+                return intake, findings
+        except (LogError, UsageError):
+            if index.sure:
+                raise
+    # There is no index, or one that may be wrong lacks what is needed.
+    recording.passes.clear()
+    intake, findings = _walked(recording, settings, progress, None)
+    if index is not None and not findings.counts.keys() <= index.counts.keys():
+        findings.note("the index describes other channels than the data, which are believed")
+    return intake, findings
+
+
+def _walked(
+    recording: Recording, settings: ReadSettings, progress: Progress, index: Survey | None
+) -> tuple[Intake, Findings]:
+    """The messages kept and the findings of one pass over a recording; index: its claimed
+    contents."""
+    log = str(recording.path)
+    counts = index.counts if index is not None else None
+    accept = acceptance(counts, settings, log)
+    try_mapping(recording, counts, settings)
+    intake = Intake(accept, decoders(settings, log), kept_whole(settings))
+    return intake, walk(recording, intake, progress)
+
+
+TRIED = 100
+"""Number of messages tried before all are read."""
+
+
+def acceptance(
+    counts: Mapping[Channel, int] | None, settings: ReadSettings, log: str
+) -> Callable[[Channel], bool]:
+    """Which channels to keep: the chosen ones if the index lists them, else all candidates."""
+    named = {
+        f"/{name.strip('/')}"
+        for name in (settings.odometry_topic, settings.junction_topic)
+        if name is not None
+    }
+    if settings.junction_fields is not None:
+        named.add("/junctions")
+    types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
+    if counts is None:
+        return lambda channel: channel.topic in named or channel.type_name in types
+    listed = {channel.topic for channel in counts}
+    chosen = _chosen(counts, settings, log)
+    # A topic that the index forgot is kept as well: the choice is made again at the end.
+    return lambda channel: (
+        channel.topic in chosen or (channel.topic not in listed and channel.type_name in types)
+    )
+
+
+def _chosen(counts: Mapping[Channel, int], settings: ReadSettings, log: str) -> set[str]:
+    """Topics of odometry and detections; scans are read separately, and need neither."""
+    source = junction_source(counts, settings, log)
+    detections = {source.choice.topic} if source.way == "topic" else set()
+    if source.way == "grid":
+        return set()
+    try:
+        return {c.topic for c in choose_odometry(counts, settings.odometry_topic, log)} | detections
+    except LogError:
+        if detections or settings.odometry_topic is not None:
+            raise
+        return set()
+
+
+def decoders(settings: ReadSettings, log: str) -> Callable[[Channel], PoseDecoder]:
+    """The decoder of each channel: by its type, or for junctions by the fields that are named."""
+    if settings.junction_fields is None:
+        return decoder_for
+    fields = JunctionFields.parse(settings.junction_fields)
+    named = settings.mapped_topic
+
+    def by_topic(channel: Channel) -> PoseDecoder:
+        if channel.topic != named:
+            return decoder_for(channel)
+        return fields_decoder(channel, fields, log)
+
+    return by_topic
+
+
+def kept_whole(settings: ReadSettings) -> Callable[[Channel], bool]:
+    """Channels of detections, kept in three dimensions: their sensor's mounting is only known in
+    the end."""
+    return lambda channel: (
+        channel.topic == settings.mapped_topic or channel.type_name in JUNCTION_KINDS
+    )
+
+
+def try_mapping(
+    recording: Recording, counts: Mapping[Channel, int] | None, settings: ReadSettings
+) -> None:
+    """UsageError if none of the first messages of the mapped topic can be decoded, before all of
+    the log is read. counts: what it holds, if that is known.
+
+    Several messages are tried, because a single one that fails proves nothing.
+    """
+    known = None if counts is None else {c.topic for c, count in counts.items() if count}
+    if settings.mapped_topic is None or (known is not None and settings.mapped_topic not in known):
+        return
+    topic, log = settings.mapped_topic, str(recording.path)
+    intake = Intake(
+        lambda channel: channel.topic == topic, decoders(settings, log), kept_whole(settings)
+    )
+    found = TopicPoses.of(())
+    for block in recording.blocks(intake.want):
+        intake.take(block.rows(slice(TRIED)))
+        found = TopicPoses.of(intake.of_topic(topic))
+        if found.failed < found.messages:
+            return
+        if found.messages >= TRIED:
+            break
+    if found.messages:
+        raise UsageError(f"{log}: {topic}: --junction-fields: {found.reason}")
 
 
 def damage_of(recording: Recording, findings: Findings) -> list[str]:
@@ -88,38 +203,30 @@ class Progress:
     size: int
     walks: int
     on_bytes: OnBytes | None
-    told: int = 0
+    _told: int = 0
     _read: int = 0
 
     def __call__(self, count: int) -> None:
         """Report that so many more bytes were read, in any pass."""
-        self._read += count
-        self._tell(min(self._read // self.walks, self.size))
+        self._read = min(self._read + count, self.walks * self.size)
+        upto = self._read // self.walks
+        if self.on_bytes is not None and upto > self._told:
+            self.on_bytes(upto - self._told)
+            self._told = upto
 
     def finish(self) -> None:
         """Report that all passes are done."""
-        self._tell(self.size)
-
-    def _tell(self, upto: int) -> None:
-        if self.on_bytes is not None and upto > self.told:
-            self.on_bytes(upto - self.told)
-            self.told = upto
+        self(self.walks * self.size)
 
 
-@dataclass(slots=True, eq=False)
-class Faults:
-    """The faults of a log that only passes after the first one found. known: the findings of
-    passes."""
-
-    known: list[Findings]
-    sentences: list[str] = field(default_factory=list)
-
-    def add(self, found: Findings) -> None:
-        """Count in a complete pass."""
-        further = found.beyond(self.known).damage
-        if further:
-            self.known.append(found)
-            self.sentences += further
+def further_damage(recording: Recording) -> list[str]:
+    """The faults of a log that only passes after the first one found."""
+    known, sentences = recording.passes[:1], list[str]()
+    for found in recording.passes[1:]:
+        if further := found.beyond(known).damage:
+            known.append(found)
+            sentences += further
+    return sentences
 
 
 def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[str]:
@@ -131,7 +238,7 @@ def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[
 
 @dataclass(frozen=True, slots=True)
 class LogRead:
-    """The result of one pass over a log; warnings: damage; progress, faults: of further passes;
+    """The result of one pass over a log; warnings: damage; progress: of further passes;
     on_keyframes: takes the scans that a run's track was made from."""
 
     recording: Recording
@@ -140,7 +247,6 @@ class LogRead:
     settings: ReadSettings
     warnings: tuple[str, ...]
     progress: Progress
-    faults: Faults
     on_keyframes: OnKeyframes | None = None
 
     @property

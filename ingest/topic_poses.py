@@ -11,8 +11,9 @@ import numpy as np
 from ..topology.arrays import BoolArray, IntArray
 from ..topology.columns import joined, take
 from ..topology.wording import listed
-from .logs.intake import PoseColumns, Sink, no_columns
+from .logs.intake import Sink
 from .logs.messages import several_that
+from .logs.poses import Poses, no_poses
 from .odometry.jumps import times
 from .odometry.track import backward_jumps
 
@@ -29,7 +30,7 @@ class TopicPoses:
     could be the odometry's.
     """
 
-    columns: PoseColumns
+    columns: Poses
     frames: tuple[tuple[str, str], ...]
     messages: int
     failed: int = 0
@@ -42,7 +43,7 @@ class TopicPoses:
         """Join the columns of one topic; there are several if its definition changed during the
         recording."""
         frames: dict[tuple[str, str], int] = {}
-        parts: list[PoseColumns] = []
+        parts: list[Poses] = []
         before = 0
         for sink in sinks:
             columns = sink.columns()
@@ -114,7 +115,7 @@ VAGUER = 10.0
 the way or its root, reach 4 times."""
 
 
-def _vague(columns: PoseColumns) -> BoolArray:
+def _vague(columns: Poses) -> BoolArray:
     """(k,) which poses are stated to be far more uncertain than most."""
     sigma_m = columns.sigma_m
     if sigma_m is None or np.isnan(sigma_m).all():
@@ -128,12 +129,12 @@ def listed_pairs(pairs: Sequence[tuple[str, str]]) -> str:
     return listed([f"{parent} → {child}" if child else parent for parent, child in pairs], 5)
 
 
-def _by_log_time(parts: Sequence[PoseColumns]) -> PoseColumns:
+def _by_log_time(parts: Sequence[Poses]) -> Poses:
     """Columns of several channels, sorted by log time."""
     if len(parts) == 1:
         return parts[0]
     if not parts:
-        return no_columns()
+        return no_poses()
     columns = joined(parts)
     return take(columns, np.argsort(columns.log_ns, kind="stable"))
 

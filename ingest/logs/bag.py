@@ -27,7 +27,7 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import LEAST_BYTES, SLAB_BYTES, Source
+from .source import SLAB_BYTES, Source
 from .walk import bag_records
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -215,23 +215,17 @@ class BagScan(Scan):
                 return max(int(place), need)
         return size
 
-    def _next_record(self, read: Read, position: int, stop: int) -> int | None:
-        window = LEAST_BYTES
-        while position < stop:
-            raw = read(position, window + 32)
-            for match in _START.finditer(raw, 0, window + 24):
-                self._tries -= 1
-                if self._tries < 0:
-                    return None
-                record = record_at(read, position + match.start())
-                if record is None:
-                    continue
-                cut = record.end > stop and record.op == CHUNK
-                if cut or record.end == stop or record_at(read, record.end) is not None:
-                    return position + match.start()
-            position += window
-            window = min(4 * window, SLAB_BYTES)
-        return None
+    front = 33
+
+    def _starts(self, raw: bytes, most: int) -> Iterator[int]:
+        return (match.start() for match in _START.finditer(raw, 0, len(raw) - 8))
+
+    def _leads_on(self, read: Read, position: int, stop: int) -> bool:
+        record = record_at(read, position)
+        if record is None:
+            return False
+        cut = record.end > stop and record.op == CHUNK
+        return cut or record.end == stop or record_at(read, record.end) is not None
 
     def _chunk_at(self, position: int) -> Chunk | None:
         record = record_at(self._source.read, position)

@@ -9,10 +9,10 @@ from __future__ import annotations
 import struct
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -29,12 +29,12 @@ from .inflate import (
     checksum,
     excess,
     inflate,
-    keep_freed_memory,
     pieces,
 )
 from .messages import (
     CUT,
     MESSAGE_BYTES,
+    NOT_TOLD,
     TOO_LARGE,
     UNREADABLE,
     Block,
@@ -43,11 +43,10 @@ from .messages import (
     DamageError,
     Findings,
     Passed,
-    Progress,
     Survey,
     Want,
 )
-from .source import SLAB_BYTES, Source, open_source
+from .source import LEAST_BYTES, SLAB_BYTES, Source, open_source
 
 ALLOW_SCAN = "--allow-scan"
 
@@ -154,11 +153,8 @@ class ChunkedLog:
         wanted = {number for number in found.channels if channels.wanted(number)}
         return channels, [(begin, end) for begin, end, held in found.chunks if held & wanted]
 
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
+    def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
-        keep_freed_memory()
         with open_source(self.path) as source:
             channels, needed = self._channels(want, findings)
             whole = isinstance(needed, str)
@@ -169,12 +165,10 @@ class ChunkedLog:
                         f"have to be read; {ALLOW_SCAN} does that"
                     )
                 needed = [(0, source.size)]
-            passed = Passed(progress)
             scan = self._scan(source, channels, findings, passed, self.index)
             with source.ahead(needed):
                 yield from scan.blocks(scan.all() if whole else scan.some(needed))
             channels.finish(self.index.counts if self.index is not None else {}, by_index=not whole)
-            passed.passed(source.size)
 
 
 class Scan(ABC):
@@ -220,9 +214,17 @@ class Scan(ABC):
     def _record_size(self, data: Bytes) -> int:
         """Length of the record that begins with `data`, 0 if it cannot be one."""
 
+    front: ClassVar[int]
+    """Bytes that show whether a record may begin."""
+
     @abstractmethod
-    def _next_record(self, read: Read, position: int, stop: int) -> int | None:
-        """The next position from which on records follow each other, None if there is none."""
+    def _starts(self, raw: bytes, most: int) -> Iterable[int]:
+        """Positions where records may begin, by their first bytes; most: the longest record that
+        fits, from the first byte on."""
+
+    @abstractmethod
+    def _leads_on(self, read: Read, position: int, stop: int) -> bool:
+        """Whether believable records follow each other from a position on."""
 
     # What is the same
 
@@ -339,6 +341,21 @@ class Scan(ABC):
             raise DamageError("the records of a chunk do not fill it")
         elif chunk.crc and crc != chunk.crc:
             self._fault("large chunk", "with a wrong checksum (CRC), used all the same")
+
+    def _next_record(self, read: Read, position: int, stop: int) -> int | None:
+        """The next position from which on records follow each other, None if there is none."""
+        window = LEAST_BYTES
+        while position < stop:
+            raw = read(position, window + self.front - 1)
+            for start in self._starts(raw, stop - position):
+                self._tries -= 1
+                if self._tries < 0:
+                    return None
+                if self._leads_on(read, position + start, stop):
+                    return position + start
+            position += window
+            window = min(4 * window, SLAB_BYTES)
+        return None
 
     def _around_damage(self, position: int, stop: int) -> int:
         """Where reading goes on behind a record that cannot be read; what is between is counted."""

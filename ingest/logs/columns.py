@@ -48,40 +48,6 @@ def column(rows: Bytes, kind: str, at: int) -> IntArray:
     return np.ndarray((len(rows),), kind, rows.data, offset=at, strides=strides).astype(np.int64)
 
 
-class Growing:
-    """A column, or rows of equal width, that can be appended to.
-
-    A long column grows in place: the C library remaps a large block without touching it, whereas
-    joining parts in the end would take twice the memory, and fresh pages cost more than the
-    decoding.
-    """
-
-    LEAST = 1 << 12
-    """Initial capacity [rows]; unused room takes no memory."""
-
-    def __init__(self, kind: str, width: int | None = None) -> None:
-        self._beyond = () if width is None else (width,)
-        self._rows: NDArray[Any] = np.empty((0, *self._beyond), kind)
-        self._count = 0
-
-    def add(self, rows: NDArray[Any]) -> None:
-        """Append rows, converted to the column's type."""
-        end = self._count + len(rows)
-        if end > len(self._rows):
-            # This fills what is new with zeros: little, so that few pages are touched in vain.
-            room = max(end, len(self._rows) * 5 // 4, self.LEAST)
-            self._rows.resize((room, *self._beyond), refcheck=False)
-        self._rows[self._count : end] = rows
-        self._count = end
-
-    def taken(self) -> NDArray[Any]:
-        """All rows; the column is empty afterwards."""
-        rows, self._rows = self._rows, self._rows[:0].copy()
-        rows.resize((self._count, *self._beyond), refcheck=False)
-        self._count = 0
-        return rows
-
-
 ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """Every bit of a word."""
 

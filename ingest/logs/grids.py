@@ -9,7 +9,7 @@ from ...topology.run import Grid
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import as_text, get, integer, object_reader, pose_of, real, unit_quaternion
 from .inflate import ZSTD_MAGIC, inflate_message
-from .messages import Channel, DamageError, Findings
+from .messages import Channel, DamageError
 from .recording import Recording
 from .saved_map import checked_grid
 
@@ -17,7 +17,7 @@ FREE = 20
 """Occupancy below which a cell is free: map_server's threshold of 0.196, in percent."""
 
 
-def last_grid(recording: Recording, topic: str, findings: Findings) -> tuple[Grid, int]:
+def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
     """The last readable grid of a topic, and the number of unreadable ones after it.
 
     Raises LogError if there is none. Memory follows the largest message.
@@ -32,13 +32,9 @@ def last_grid(recording: Recording, topic: str, findings: Findings) -> tuple[Gri
         return len(channels) - 1
 
     payloads: list[tuple[Channel, bytes]] = []
-    for file in recording.files:
-        with file.opened() as log:
-            for block in log.blocks(want, findings, None):
-                for at, size in zip(block.start.tolist(), block.size.tolist(), strict=True):
-                    payloads.append((channels[block.sink], block.data[at : at + size].tobytes()))
-                    # Some are kept in case that the last ones are broken.
-                    del payloads[:-3]
+    for block in recording.blocks(want):
+        payloads += [(channels[block.sink], payload) for payload in block.payloads()]
+        del payloads[:-3]  # some are kept in case that the last ones are broken
     for channel, payload in reversed(payloads):
         try:
             return grid_of_message(channel, payload), failed

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from ...topology.arrays import BoolArray, FloatArray, IntArray
-from ...topology.columns import take
+from ...topology.arrays import BoolArray, FloatArray
+from ...topology.columns import joined, take
 from ...topology.errors import LogError
 from ...topology.se2 import yaw_from_quaternion
-from .columns import Growing
 from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import UNWANTED, Block, Channel, DamageError
-from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder
+from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
 from .schema import EXPECTED, as_expected
 from .topics import POSE_KINDS
 
@@ -45,25 +43,6 @@ def decoder_for(channel: Channel) -> PoseDecoder:
         return WireDecoder(kind, channel.encoding == "ros1")
     read = object_reader(channel)
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
-
-
-@dataclass(slots=True)
-class PoseColumns:
-    """Poses of one channel: one row per pose, in the order of the log.
-
-    message: index of the message; part: index of the junction in it; log_ns, stamp_ns: its times;
-    frame: number of the frames; pose: x, y [m], theta [rad] or, if poses are kept whole, x, y, z
-    [m], qx, qy, qz, qw; sigma_m: stated 1 sigma of the positions [m], NaN where none is; None if no
-    message can state one.
-    """
-
-    message: IntArray
-    part: IntArray
-    log_ns: IntArray
-    stamp_ns: IntArray
-    frame: IntArray
-    pose: FloatArray
-    sigma_m: FloatArray | None = None
 
 
 def states_sigma(channel: Channel) -> bool:
@@ -104,20 +83,6 @@ def in_plane(value: FloatArray) -> FloatArray:
     return out
 
 
-def no_columns() -> PoseColumns:
-    """Columns without a row."""
-    none = np.zeros(0, np.int64)
-    return PoseColumns(none, none, none, none, none, np.zeros((0, 3)))
-
-
-def _empty_columns(whole: bool, sigma: bool) -> tuple[Growing, ...]:
-    """Empty columns for the fields of `PoseColumns`, in their order; sigma: whether there is the
-    last one."""
-    kinds = ("i4", "u2", "i8", "i8", "i2")
-    columns = (*(Growing(kind) for kind in kinds), Growing("f8", 7 if whole else 3))
-    return (*columns, Growing("f4")) if sigma else columns
-
-
 @dataclass(slots=True)
 class Sink:
     """The poses of one channel.
@@ -137,7 +102,7 @@ class Sink:
     undecoded: int = 0
     empty: int = 0
     _kept: int = 0
-    _columns: tuple[Growing, ...] = ()
+    _parts: list[Poses] = field(default_factory=list)
     _pending: list[bytes] = field(default_factory=list)
     _pending_ns: list[int] = field(default_factory=list)
     _pending_bytes: int = 0
@@ -172,13 +137,11 @@ class Sink:
             if self._pending_bytes >= PENDING_BYTES:
                 self.flush()
 
-    def columns(self) -> PoseColumns:
+    def columns(self) -> Poses:
         """All poses; the sink is empty afterwards, so that they are held once."""
         self.flush()
-        return PoseColumns(*(column.taken() for column in self._columns or self._empty()))
-
-    def _empty(self) -> tuple[Growing, ...]:
-        return _empty_columns(self.whole, states_sigma(self.channel))
+        parts, self._parts = self._parts, []
+        return joined(parts) if parts else no_poses()
 
     def flush(self) -> None:
         """Decode what was collected."""
@@ -188,42 +151,30 @@ class Sink:
             self._decode(block)
 
     def _decode(self, block: Block) -> None:
+        """Append the poses of further messages."""
         failed = self.decoder.failed
-        decoded = self.decoder.decode(block.data, block.start, block.size)
-        self._take(decoded, block.log_time_ns, self.decoder.failed - failed)
-
-    def _take(self, decoded: Poses, log_ns: IntArray, failed: int) -> None:
-        """Append the poses of further messages; log_ns: one time per message."""
+        decoded = self.decoder.decode(block)
         # Messages are numbered in their order, so that each change of the number is a message.
         changes = np.count_nonzero(decoded.message[1:] != decoded.message[:-1])
-        told = int(changes) + (len(decoded.message) > 0)
-        self.empty += len(log_ns) - failed - told
+        told = int(changes) + (len(decoded) > 0)
+        self.empty += len(block.start) - (self.decoder.failed - failed) - told
         poses = self._usable(decoded)
-        rows: tuple[Any, ...] = (
-            poses.message + self.messages,
-            poses.part,
-            log_ns[poses.message],
-            poses.stamp_ns,
-            poses.frame,
-            poses.value if self.whole else in_plane(poses.value),
-        )
-        # Most channels that are described have no message: they take no room for any.
-        self._columns = self._columns or self._empty()
-        if states_sigma(self.channel):
-            none = np.full(len(poses.message), np.nan)
-            rows = (*rows, none if poses.sigma_m is None else poses.sigma_m)
-        for column, more in zip(self._columns, rows, strict=True):
-            column.add(more)
-        self._kept += len(poses.message)
-        self.messages += len(log_ns)
+        if states_sigma(self.channel) and poses.sigma_m is None:
+            poses.sigma_m = np.full(len(poses), np.nan)
+        poses.message = poses.message + self.messages
+        if not self.whole:
+            poses.pose = in_plane(poses.pose)
+        self._parts.append(poses)
+        self._kept += len(poses)
+        self.messages += len(block.start)
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
-        if not _all_inside(poses.value):
-            finite = np.asarray(_inside(poses.value).all(axis=1))
+        if not _all_inside(poses.pose):
+            finite = np.asarray(_inside(poses.pose).all(axis=1))
             self.not_finite += int((~finite).sum())
             poses = take(poses, finite)
-        turned = _turned(poses.value)
+        turned = _turned(poses.pose)
         if not turned.all():
             self.zero_quaternion += int((~turned).sum())
             poses = take(poses, turned)

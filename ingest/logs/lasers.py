@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit
 from .inflate import SLICE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
 from .schema import as_expected
-from .topics import CLOUD_KINDS
+from .topics import JUNCTIONS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
 
 MOST_BEAMS = 1 << 16
@@ -58,12 +58,13 @@ class Geometry(NamedTuple):
 class RawScans(NamedTuple):
     """Scans of one geometry and number of beams, as recorded.
 
-    message: (n,) index of the message in its batch; stamp_ns: (n,) header time; ranges_m: (n, m)
-    float32 as in the message; blind: beams without a range give no information, as in a slice of a
-    cloud.
+    message: (n,) index of the message in its batch; log_ns, stamp_ns: (n,) its times; ranges_m: (n,
+    m) float32 as in the message; blind: beams without a range give no information, as in a slice of
+    a cloud.
     """
 
     message: IntArray
+    log_ns: IntArray
     stamp_ns: IntArray
     ranges_m: Float32Array
     geometry: Geometry
@@ -73,14 +74,16 @@ class RawScans(NamedTuple):
         """Some of the scans."""
         return self._replace(
             message=self.message[which],
+            log_ns=self.log_ns[which],
             stamp_ns=self.stamp_ns[which],
             ranges_m=self.ranges_m[which],
         )
 
 
 def one_scan(stamp_ns: int, ranges_m: Float32Array, geometry: Geometry) -> RawScans:
-    """One scan of ranges (m,)."""
-    return RawScans(np.zeros(1, np.int64), np.array([stamp_ns], np.int64), ranges_m[None], geometry)
+    """One scan of ranges (m,); its message and log time are added where they are known."""
+    unknown = np.zeros(1, np.int64)
+    return RawScans(unknown, unknown, np.array([stamp_ns], np.int64), ranges_m[None], geometry)
 
 
 def _checked_beams(count: int) -> int:
@@ -115,13 +118,13 @@ class _Template(NamedTuple):
         width, order = parser.position, parser.order
         return cls(width, shape, order, ros1, frame, stamp_at, about_at, beams)
 
-    def scans(self, rows: Bytes, message: IntArray) -> list[RawScans]:
+    def scans(self, rows: Bytes, message: IntArray, log_ns: IntArray) -> list[RawScans]:
         """The scans of messages (rows) of this shape, by geometry."""
         stamp_ns = stamps_ns(rows, self.stamp_at, self.order, self.ros1)
         about = self._numbers(rows, self.about_at, ABOUT_BYTES // 4)
         ranges = self._numbers(rows, self.width - 4 * self.beams, self.beams)
         return [
-            RawScans(message[which], stamp_ns[which], ranges[which], _geometry(self.frame, stated))
+            RawScans(message, log_ns, stamp_ns, ranges, _geometry(self.frame, stated)).rows(which)
             for which, stated in _alike(about)
         ]
 
@@ -158,11 +161,16 @@ def _geometry(frame: str, about: list[float]) -> Geometry:
     )
 
 
-def _in_order(parts: Sequence[list[RawScans]]) -> list[RawScans]:
-    """The scans in the order of their messages, in parts of consecutive messages."""
-    whole = [scans for part in parts for scans in part if len(scans.message)]
-    if len(whole) < 2:
-        return whole
+def _in_order(parts: Sequence[RawScans]) -> list[RawScans]:
+    """The scans in the order of their messages, consecutive ones of one geometry together."""
+    if len(parts) < 2:
+        return list(parts)
+    kinds: dict[str, list[RawScans]] = {}
+    for scans in parts:
+        # Compared as text, since geometries may hold NaN.
+        alike = repr((scans.geometry, scans.ranges_m.shape[1], scans.blind))
+        kinds.setdefault(alike, []).append(scans)
+    whole = [_concatenated(group) for group in kinds.values()]
     message = np.concatenate([scans.message for scans in whole])
     owner = np.repeat(np.arange(len(whole)), [len(scans.message) for scans in whole])
     row = np.concatenate([np.arange(len(scans.message)) for scans in whole])
@@ -171,28 +179,28 @@ def _in_order(parts: Sequence[list[RawScans]]) -> list[RawScans]:
     return [whole[int(owner[piece[0]])].rows(row[piece]) for piece in pieces]
 
 
+def _concatenated(parts: list[RawScans]) -> RawScans:
+    if len(parts) == 1:
+        return parts[0]
+    return parts[0]._replace(
+        message=np.concatenate([scans.message for scans in parts]),
+        log_ns=np.concatenate([scans.log_ns for scans in parts]),
+        stamp_ns=np.concatenate([scans.stamp_ns for scans in parts]),
+        ranges_m=np.concatenate([scans.ranges_m for scans in parts]),
+    )
+
+
 # One by one
 
 
-def _together(found: list[tuple[int, RawScans]]) -> list[RawScans]:
-    """Scans of single messages, consecutive ones of one geometry joined."""
-    groups: list[list[RawScans]] = []
-    before = ""
-    for number, scan in found:
-        # Compared as text, since geometries may hold NaN.
-        alike = repr((scan.geometry, scan.ranges_m.shape, scan.blind))
-        if alike != before:
-            groups.append([])
-        groups[-1].append(scan._replace(message=np.array([number], np.int64)))
-        before = alike
-    return [
-        group[0]._replace(
-            message=np.concatenate([scan.message for scan in group]),
-            stamp_ns=np.concatenate([scan.stamp_ns for scan in group]),
-            ranges_m=np.concatenate([scan.ranges_m for scan in group]),
-        )
-        for group in groups
-    ]
+def _numbered(found: list[tuple[int, int, RawScans]]) -> list[RawScans]:
+    """The scans of single messages, with the numbers and log times of these."""
+    return _in_order(
+        [
+            scan._replace(message=np.array([number]), log_ns=np.array([log_ns]))
+            for number, log_ns, scan in found
+        ]
+    )
 
 
 def object_scan(message: Any) -> RawScans:
@@ -278,23 +286,17 @@ def scan_decoder(channel: Channel, slicer: Slicer) -> ScanDecoder:
     serialized, ros1 = channel.encoding in ("cdr", "ros1"), channel.encoding == "ros1"
     scan = channel.type_name == "sensor_msgs/msg/LaserScan"
     if serialized and scan and as_expected(channel, "laser_scan"):
-        return TemplateDecoder(partial(_Template.of, ros1), _Template.scans, _in_order)
+        template = partial(_Template.of, ros1)
+        return TemplateDecoder(template, _Template.scans, lambda parts: _in_order([*chain(*parts)]))
     if serialized and channel.type_name == "sensor_msgs/msg/PointCloud2":
-        return OneByOne(lambda raw: slicer(wire_cloud(raw, ros1)), _together, MESSAGE_BYTES)
+        return OneByOne(lambda raw: slicer(wire_cloud(raw, ros1)), _numbered, MESSAGE_BYTES)
     read = object_reader(channel)
-    if channel.type_name in CLOUD_KINDS:
-        return OneByOne(lambda raw: slicer(foxglove_cloud(read(raw))), _together)
+    if channel.type_name in JUNCTIONS["cloud"].types:
+        return OneByOne(lambda raw: slicer(foxglove_cloud(read(raw))), _numbered)
     many = channel.type_name == "sensor_msgs/msg/MultiEchoLaserScan"
     return OneByOne(
-        lambda raw: object_scan(read(raw)), _together, ECHOES_BYTES if many else OBJECT_BYTES
+        lambda raw: object_scan(read(raw)), _numbered, ECHOES_BYTES if many else OBJECT_BYTES
     )
-
-
-class TimedScans(NamedTuple):
-    """Scans with their log times log_ns (n,)."""
-
-    scans: RawScans
-    log_ns: IntArray
 
 
 class ScanIntake:
@@ -317,7 +319,7 @@ class ScanIntake:
         """Why the first of these could not be decoded."""
         return self._decoder.reason
 
-    def take(self, block: Block) -> Iterator[TimedScans]:
+    def take(self, block: Block) -> Iterator[RawScans]:
         """The scans of a block, in order."""
         self.messages += len(block.start)
         # Cut where the bytes so far fill another slice.
@@ -326,5 +328,4 @@ class ScanIntake:
             part = block.rows(rows)
             for plain, failed in unpacked(part, self._encoding):
                 self._unpacked += failed
-                for scans in self._decoder.decode(plain.data, plain.start, plain.size):
-                    yield TimedScans(scans, plain.log_time_ns[scans.message])
+                yield from self._decoder.decode(plain)

@@ -105,25 +105,27 @@ class McapScan(Scan):
             position = end
         self.findings.faults[CUT] = 1
 
-    def _next_record(self, read: Read, position: int, stop: int) -> int | None:
-        window = LEAST_BYTES
-        while position + RECORD_HEAD <= stop:
-            raw = np.frombuffer(read(position, window + RECORD_HEAD), np.uint8)
-            count = min(len(raw) - RECORD_HEAD + 1, stop - position)
-            at = _KNOWN[raw[:count]].nonzero()[0]
-            behind = (
-                at + RECORD_HEAD + words(raw, "<u8", at + 1).clip(max=LARGEST_RECORD).astype(int)
-            )
-            follows = (behind >= len(raw)) | _KNOWN[raw[np.minimum(behind, len(raw) - 1)]]
-            for start in at[follows & (behind <= stop - position)].tolist():
-                self._tries -= 1
-                if self._tries < 0:
-                    return None
-                if _leads_on(read, position + start, stop):
-                    return int(position + start)
-            position += count
-            window = min(4 * window, SLAB_BYTES)
-        return None
+    front = RECORD_HEAD
+
+    def _starts(self, raw: bytes, most: int) -> list[int]:
+        data = np.frombuffer(raw, np.uint8)
+        count = max(min(len(raw) - RECORD_HEAD + 1, most), 0)
+        at = _KNOWN[data[:count]].nonzero()[0]
+        length = words(data, "<u8", at + 1).clip(max=LARGEST_RECORD).astype(int)
+        behind = at + RECORD_HEAD + length
+        follows = (behind >= len(raw)) | _KNOWN[data[np.minimum(behind, len(raw) - 1)]]
+        found: list[int] = at[follows & (behind <= most)].tolist()
+        return found
+
+    def _leads_on(self, read: Read, position: int, stop: int) -> bool:
+        for _ in range(CHAIN):
+            head = read(position, HEAD_BYTES)
+            if not _plausible(head):
+                return False
+            position += RECORD_HEAD + int(_RECORD(head)[1])
+            if position >= stop:
+                return position == stop
+        return True
 
     def _chunk_at(self, position: int) -> Chunk | None:
         head = self._source.read(position, HEAD_BYTES)
@@ -171,18 +173,6 @@ def _plausible(head: bytes) -> bool:
     if op == MESSAGE_INDEX:
         return len(head) >= RECORD_HEAD + 6 and bool(_U32(head, RECORD_HEAD + 2)[0] + 6 == length)
     return bool(_KNOWN[op] and length < LARGEST_RECORD)
-
-
-def _leads_on(read: Read, position: int, stop: int) -> bool:
-    """Whether plausible records follow each other from a position on."""
-    for _ in range(CHAIN):
-        head = read(position, HEAD_BYTES)
-        if not _plausible(head):
-            return False
-        position += RECORD_HEAD + int(_RECORD(head)[1])
-        if position >= stop:
-            return position == stop
-    return True
 
 
 def _chunk(head: bytes, position: int) -> Chunk | None:

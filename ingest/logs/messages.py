@@ -10,7 +10,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ...topology.arrays import IntArray
+from ...topology.arrays import BoolArray, IntArray
 from ...topology.wording import legible, utc
 
 Bytes = NDArray[np.uint8]
@@ -87,7 +87,7 @@ class Block(NamedTuple):
         data = np.frombuffer(b"".join(payloads), np.uint8)
         return cls(data, sink, log_time_ns, np.cumsum(size) - size, size)
 
-    def rows(self, which: IntArray | slice) -> Block:
+    def rows(self, which: IntArray | BoolArray | slice) -> Block:
         """Some of its messages."""
         log_ns, start, size = self.log_time_ns[which], self.start[which], self.size[which]
         return self._replace(log_time_ns=log_ns, start=start, size=size)
@@ -212,6 +212,23 @@ class Findings:
         return out
 
 
+class Passed:
+    """Tells how much of a file is dealt with, every byte once."""
+
+    def __init__(self, progress: Progress | None = None) -> None:
+        self._progress = progress
+        self._told = 0
+
+    def passed(self, offset: int) -> None:
+        """Everything before `offset` is dealt with."""
+        if self._progress is not None and offset > self._told:
+            self._progress(offset - self._told)
+            self._told = offset
+
+
+NOT_TOLD = Passed()
+
+
 class Container(Protocol):
     """One log file of any format."""
 
@@ -221,25 +238,9 @@ class Container(Protocol):
         exact: the counts must be right; without it a count above 0 may stand for any other.
         """
 
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
+    def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """Scan the file once; a channel is offered to `want` when it is met."""
 
 
 class DamageError(Exception):
     """A part of a log cannot be read; its text says why. Never leaves `ingest.logs`."""
-
-
-class Passed:
-    """Tells how much of a file is dealt with, every byte once."""
-
-    def __init__(self, progress: Progress | None) -> None:
-        self._progress = progress
-        self._told = 0
-
-    def passed(self, offset: int) -> None:
-        """Everything before `offset` is dealt with."""
-        if self._progress is not None and offset > self._told:
-            self._progress(offset - self._told)
-            self._told = offset

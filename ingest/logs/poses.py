@@ -12,7 +12,7 @@ import numpy as np
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
 from .columns import Shape
-from .messages import Bytes, DamageError
+from .messages import Block, Bytes, DamageError
 from .wire import OneByOne, TemplateDecoder, WireParser, stamps_ns
 
 Kind = Literal[
@@ -45,22 +45,26 @@ FRAMES = 1024
 """Largest number of pairs of frames in one topic."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Poses:
-    """Poses of a batch of messages, in the order of the messages.
+    """Poses of one channel, or of a batch of its messages, in the order of the messages.
 
-    message: (k,) index of the message in the batch; part: (k,) index of the junction in the
-    message, if it has several; stamp_ns: (k,) header time; frame: (k,) number in the decoder's
-    frames; value: (k, 7) x, y, z [m], qx, qy, qz, qw, as recorded; sigma_m: (k,) 1 sigma of the
-    positions [m] as stated, NaN where not; None if the type of message states none.
+    message: (k,) index of the message; part: (k,) index of the junction in the message, if it has
+    several; log_ns, stamp_ns: (k,) its times; frame: (k,) number in the decoder's frames; pose: (k,
+    7) x, y, z [m], qx, qy, qz, qw, as recorded, or (k, 3) x, y [m], theta [rad]; sigma_m: (k,) 1
+    sigma of the positions [m] as stated, NaN where not; None if the type of message states none.
     """
 
     message: IntArray
     part: IntArray
+    log_ns: IntArray
     stamp_ns: IntArray
     frame: IntArray
-    value: FloatArray
+    pose: FloatArray
     sigma_m: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.message)
 
 
 @dataclass(slots=True)
@@ -89,14 +93,14 @@ class PoseDecoder(Protocol):
     failed: int
     reason: str
 
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> Poses:
-        """The poses of the messages at `start` with `size` in `data`."""
+    def decode(self, block: Block) -> Poses:
+        """The poses of the messages of a block."""
 
 
 def no_poses() -> Poses:
     """A batch without poses."""
     none = np.zeros(0, np.int64)
-    return Poses(none, none, none, none, np.zeros((0, 7)))
+    return Poses(none, none, none, none, none, np.zeros((0, 7)))
 
 
 def join(parts: Sequence[Poses]) -> Poses:
@@ -129,20 +133,21 @@ class _Template(NamedTuple):
     order: str
     ros1: bool
 
-    def poses(self, rows: Bytes, message: IntArray) -> Poses:
+    def poses(self, rows: Bytes, message: IntArray, log_ns: IntArray) -> Poses:
         """The poses of messages (rows) of this shape."""
-        return join([self._run(rows, message, run) for run in self.runs])
+        return join([self._run(rows, message, log_ns, run) for run in self.runs])
 
-    def _run(self, rows: Bytes, message: IntArray, run: _Run) -> Poses:
+    def _run(self, rows: Bytes, message: IntArray, log_ns: IntArray, run: _Run) -> Poses:
         stamp_ns = stamps_ns(rows, run.stamp_at, self.order, self.ros1)
         value = self._numbers(rows, run.pose_at, NUMBERS * run.length).reshape(-1, NUMBERS)
         sigma_m = None
         if run.length != 1:
-            message, stamp_ns = np.repeat(message, run.length), np.repeat(stamp_ns, run.length)
+            times = message, log_ns, stamp_ns
+            message, log_ns, stamp_ns = (np.repeat(column, run.length) for column in times)
         elif run.covariance:
             sigma_m = self._sigma_m(rows, run.pose_at + 8 * NUMBERS)
         frame = np.full(len(message), run.frame, np.int64)
-        return Poses(message, np.zeros_like(message), stamp_ns, frame, value, sigma_m)
+        return Poses(message, np.zeros_like(message), log_ns, stamp_ns, frame, value, sigma_m)
 
     def _numbers(self, rows: Bytes, at: int, count: int) -> FloatArray:
         """(n, count) float64 at one offset of every row."""
@@ -194,20 +199,20 @@ class RowDecoder(OneByOne[list[Row], Poses]):
         super().__init__(lambda raw: parse(raw, self.frames), _poses_of_rows)
 
 
-def _poses_of_rows(found: list[tuple[int, list[Row]]]) -> Poses:
+def _poses_of_rows(found: list[tuple[int, int, list[Row]]]) -> Poses:
     return join(
         [
-            _poses(number, part, row)
-            for number, rows in found
+            _poses(number, part, log_ns, row)
+            for number, log_ns, rows in found
             for part, row in enumerate(rows)
             if row[2]
         ]
     )
 
 
-def _poses(number: int, part: int, row: Row) -> Poses:
+def _poses(number: int, part: int, log_ns: int, row: Row) -> Poses:
     stamp, frame, values = row
-    number_of, part_of, stamps, frames = (
-        np.full(len(values), value) for value in (number, part, stamp, frame)
-    )
-    return Poses(number_of, part_of, stamps, frames, np.array(values, np.float64).reshape(-1, 7))
+    numbers = number, part, log_ns, stamp, frame
+    message, parts, log, stamps, frames = (np.full(len(values), value) for value in numbers)
+    pose = np.array(values, np.float64).reshape(-1, 7)
+    return Poses(message, parts, log, stamps, frames, pose)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import re
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from ...topology.errors import LogError
 from ...topology.wording import legible, listed
 from ..remote.path import LogPath, RemotePath, log_path
+from .inflate import keep_freed_memory
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
+from .messages import NOT_TOLD, Block, Findings, Passed, Progress, Want
 from .metadata import METADATA_BYTES, Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
 from .split_recordings import is_path_of_parts, name_of_parts, parts_at
@@ -30,18 +33,32 @@ _PACKED = re.compile(r"\.(zstd|zst)$")
 class Recording:
     """The files of one run in order, with notes on missing or unexpected ones.
 
-    declared: message count of the bag's metadata, None without any.
+    declared: message count of the bag's metadata, None without any; passes: what each complete pass
+    over all files found, added to.
     """
 
     path: LogPath
     files: tuple[LogFile, ...]
     notes: tuple[str, ...] = ()
     declared: int | None = None
+    passes: list[Findings] = field(default_factory=list)
 
     @property
     def bytes(self) -> int:
         """Size of all files."""
         return sum(file.bytes for file in self.files)
+
+    def blocks(self, want: Want, on_bytes: Progress | None = None) -> Iterator[Block]:
+        """The wanted messages, in one pass over all files; the calls of on_bytes add up to
+        `bytes`."""
+        keep_freed_memory()
+        findings = Findings()
+        for file in self.files:
+            passed = Passed(on_bytes)
+            with file.opened() as log:
+                yield from log.blocks(want, findings, NOT_TOLD if file.packed else passed)
+            passed.passed(file.bytes)
+        self.passes.append(findings)
 
 
 def run_name(path: LogPath) -> str:

@@ -7,9 +7,8 @@ import os
 import shutil
 import sqlite3
 import tempfile
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
-from functools import cached_property
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -21,11 +20,11 @@ from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ...topology.wording import legible
 from .channels import DEFINITION_BYTES
-from .inflate import keep_freed_memory
 from .messages import (
     CUT,
     MESSAGE_BYTES,
     NAME_BYTES,
+    NOT_TOLD,
     SCHEMA_BYTES,
     TOO_LARGE,
     UNKNOWN,
@@ -34,7 +33,6 @@ from .messages import (
     DamageError,
     Findings,
     Passed,
-    Progress,
     Survey,
     Want,
     normal_topic,
@@ -42,7 +40,7 @@ from .messages import (
     one_line,
     several,
 )
-from .write_ahead import WriteAhead, log_of, page_bytes, read_write_ahead
+from .write_ahead import merge_write_ahead, page_bytes
 
 MAGIC = b"SQLite format 3\x00"
 
@@ -84,41 +82,29 @@ class SqliteFile:
     def __init__(self, path: Path) -> None:
         self.path = path
 
-    @cached_property
-    def _write_ahead(self) -> WriteAhead | None:
-        """The write-ahead log beside the file if it is damaged: the library would leave out what
-        follows, without a word."""
-        found = read_write_ahead(self.path)
-        return found if found is not None and found.damaged else None
-
     def survey(self, exact: bool = False) -> Survey | None:
         """Channels with their counts; None if the tables cannot be read, or not all changes.
 
         exact: count all rows. Else a channel with any message counts as 1: counting reads every
         row's page, which takes as long as reading the run.
         """
-        if self._write_ahead is not None:
-            return None
+        findings = Findings()
         try:
-            with _with_room(self.path) as path, _connected(path) as base:
+            with _sound(self.path, findings) as path, _connected(path) as base:
                 channels = _channels(base)
                 counts = dict.fromkeys(channels.values(), 0)
                 for key, count in _counts(base, channels, exact).items():
                     if key in channels:
                         counts[channels[key]] += count
                 ends = "SELECT (SELECT min(timestamp) FROM messages), max(timestamp) FROM messages"
-                first, last = base.execute(ends).fetchone()
+                first, last = (int(end or 0) for end in base.execute(ends).fetchone())
         except (*_ERRORS, DamageError):
             return None
-        return Survey(counts, first or 0, last or 0, sure=True)
+        return None if findings.damage else Survey(counts, first, last, sure=True)
 
-    def blocks(
-        self, want: Want, findings: Findings, progress: Progress | None = None
-    ) -> Iterator[Block]:
+    def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
-        keep_freed_memory()
-        passed = Passed(progress)
-        with self._sound(findings) as path:
+        with _sound(self.path, findings) as path:
             for salvage in (False, True):
                 try:
                     with _connected(path, salvage) as base:
@@ -126,27 +112,6 @@ class SqliteFile:
                     break
                 except (*_ERRORS, DamageError) as error:
                     findings.note(f"the database is damaged ({one_line(error)})")
-        passed.passed(self.path.stat().st_size)
-
-    @contextmanager
-    def _sound(self, findings: Findings) -> Iterator[Path]:
-        """The database, or a copy without what is known to be damaged.
-
-        What is sound of a damaged write-ahead log is merged, and a page that is cut is left out:
-        the library would take what is missing of it for zeros.
-        """
-        page, size = page_bytes(self.path), self.path.stat().st_size
-        if self._write_ahead is None and size % page == 0:
-            with _with_room(self.path) as path:
-                yield path
-            return
-        if size % page:
-            findings.faults[CUT] = 1
-        with _copied(self.path, []) as copy:
-            os.truncate(copy, size // page * page)
-            if self._write_ahead is not None:
-                self._write_ahead.merge(copy, findings)
-            yield copy
 
 
 class _Reader:
@@ -294,75 +259,62 @@ class _Reader:
 
 
 @contextmanager
-def _with_room(path: Path) -> Iterator[Path]:
-    """The database, or a copy of it and its log of changes where the library would have to write:
-    an index beside a write-ahead log, or what a rollback journal takes back."""
-    journal = path.with_name(path.name + "-journal")
-    hot = [journal] if journal.is_file() and journal.stat().st_size else []
-    log = log_of(path)
-    logs = [] if log is None else [log]
-    if not hot and (not logs or _index_of(path).exists() or os.access(path.parent, os.W_OK)):
+def _sound(path: Path, findings: Findings) -> Iterator[Path]:
+    """The database, or a copy with the changes of its write-ahead log, without those that its
+    rollback journal takes back, and without a page that is cut: the library would take what is
+    missing of it for zeros.
+
+    A copy, so that nothing has to be written beside the database.
+    """
+    page, size = page_bytes(path), path.stat().st_size
+    log, journal = (_beside(path, suffix) for suffix in ("-wal", "-journal"))
+    if log is None and journal is None and size % page == 0:
         yield path
         return
-    with _copied(path, [*logs, *hot]) as copy:
-        if hot:
+    with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
+        copy = Path(folder) / path.name
+        try:
+            for file in (path, journal) if journal is not None else (path,):
+                shutil.copyfile(file, copy.with_name(file.name))
+        except OSError as error:
+            raise LogError(f"{path}: cannot be copied to be read ({error.strerror})") from error
+        if size % page:
+            findings.faults[CUT] = 1
+            os.truncate(copy, size // page * page)
+        if log is not None:
+            merge_write_ahead(log, copy, findings)
+        if journal is not None:
             with closing(sqlite3.connect(copy)) as base, suppress(*_ERRORS):
                 base.execute("SELECT 1 FROM sqlite_master").fetchone()
         yield copy
 
 
-@contextmanager
-def _copied(path: Path, more: Sequence[Path]) -> Iterator[Path]:
-    """A copy of the database, with others of its files beside it."""
-    with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
-        try:
-            for file in (path, *more):
-                shutil.copyfile(file, Path(folder) / file.name)
-        except OSError as error:
-            raise LogError(f"{path}: cannot be copied to be read ({error.strerror})") from error
-        yield Path(folder) / path.name
+def _beside(path: Path, suffix: str) -> Path | None:
+    """A file that belongs to a database, None if there is none or it is empty."""
+    file = path.with_name(path.name + suffix)
+    return file if file.is_file() and file.stat().st_size else None
 
 
 @contextmanager
 def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection]:
-    """A read-only connection that runs no code of the file, with work limited by the file's size.
-
-    Leaves no file behind: without a write-ahead log only the database is opened (`immutable`); with
-    one the library opens both, and makes the index that it needs. salvage: open the database alone,
-    even if it is shorter than its header says.
-    """
-    log, index = log_of(path), _index_of(path)
-    existed, mode = index.exists(), "immutable=1"
-    if log is not None and not salvage:
-        # An index that is there is the recorder's; what is wrong with it is worked out in memory.
-        mode = "mode=ro&readonly_shm=1" if existed else "mode=ro"
-    size = path.stat().st_size + (log.stat().st_size if log is not None else 0)
-    left = LEAST_STEPS + STEPS_PER_BYTE * size
+    """A connection that only reads the database itself (`immutable`) and runs no code of it, with
+    work limited by the file's size. salvage: open one that is shorter than its header says, too."""
+    left = LEAST_STEPS + STEPS_PER_BYTE * path.stat().st_size
 
     def spent() -> bool:
         nonlocal left
         left -= STEPS_AT_ONCE
         return left < 0
 
-    try:
-        with closing(
-            sqlite3.connect(f"file:{quote(str(path.resolve()))}?{mode}", uri=True)
-        ) as base:
-            base.text_factory = lambda raw: raw.decode("utf-8", "replace")
-            base.set_progress_handler(spent, STEPS_AT_ONCE)
-            with suppress(*_ERRORS):  # what is wrong with the file shows when something is asked
-                base.execute("PRAGMA trusted_schema = OFF")
-                if salvage:
-                    base.execute("PRAGMA writable_schema = ON")
-            yield base
-    finally:
-        if index.exists() and not existed:
-            index.unlink()
-
-
-def _index_of(path: Path) -> Path:
-    """The index of the write-ahead log beside a database."""
-    return path.with_name(path.name + "-shm")
+    address = f"file:{quote(str(path.resolve()))}?immutable=1"
+    with closing(sqlite3.connect(address, uri=True)) as base:
+        base.text_factory = lambda raw: raw.decode("utf-8", "replace")
+        base.set_progress_handler(spent, STEPS_AT_ONCE)
+        with suppress(*_ERRORS):  # what is wrong with the file shows when something is asked
+            base.execute("PRAGMA trusted_schema = OFF")
+            if salvage:
+                base.execute("PRAGMA writable_schema = ON")
+        yield base
 
 
 def _check_table(base: sqlite3.Connection, name: str) -> None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
+from typing import Literal, NamedTuple
 
 from ...topology.errors import LogError, UsageError
 from .messages import Channel
@@ -54,30 +55,61 @@ TRANSFORM_KINDS = (
 )
 """Types with transforms between frames."""
 
-SCAN_KINDS = (
-    "sensor_msgs/msg/LaserScan",
-    "sensor_msgs/msg/MultiEchoLaserScan",
-    "foxglove.LaserScan",
-    "foxglove_msgs/msg/LaserScan",
-)
-"""Types of planar scans."""
+Way = Literal["topic", "scan", "cloud", "grid"]
+"""Source of junctions: detections, or found in scans, in point clouds, in a grid."""
 
-CLOUD_KINDS = (
-    "sensor_msgs/msg/PointCloud2",
-    "foxglove.PointCloud",
-    "foxglove_msgs/msg/PointCloud",
-)
 
-GRID_KINDS = ("nav_msgs/msg/OccupancyGrid",)
+class Role(NamedTuple):
+    """What topics serve for. types: those accepted; named: these for people; usual: the topic that
+    is preferred; flag: the option that names another one; noun: for people."""
 
-ODOMETRY_TYPES = (
+    types: Collection[str]
+    named: str
+    usual: str
+    flag: str
+    noun: str = "what junctions are to be found in"
+
+
+ODOMETRY = Role(
+    tuple(ODOMETRY_KINDS),
     "nav_msgs/Odometry, tf, geometry_msgs/PoseStamped, PoseWithCovarianceStamped or "
-    "foxglove.PoseInFrame"
+    "foxglove.PoseInFrame",
+    "/odom",
+    "--odometry-topic",
+    "the odometry",
 )
-JUNCTION_TYPES = "geometry_msgs/PoseArray or foxglove.PosesInFrame"
-SCAN_TYPES = "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan"
-CLOUD_TYPES = "sensor_msgs/PointCloud2 or foxglove.PointCloud"
-GRID_TYPES = "nav_msgs/OccupancyGrid"
+JUNCTIONS: Mapping[Way, Role] = {
+    "topic": Role(
+        tuple(JUNCTION_KINDS),
+        "geometry_msgs/PoseArray or foxglove.PosesInFrame",
+        "/junctions",
+        "--junction-topic",
+        "the junction detections",
+    ),
+    "scan": Role(
+        (
+            "sensor_msgs/msg/LaserScan",
+            "sensor_msgs/msg/MultiEchoLaserScan",
+            "foxglove.LaserScan",
+            "foxglove_msgs/msg/LaserScan",
+        ),
+        "sensor_msgs/LaserScan, MultiEchoLaserScan or foxglove.LaserScan",
+        "/scan",
+        "--scan-topic",
+    ),
+    "cloud": Role(
+        (
+            "sensor_msgs/msg/PointCloud2",
+            "foxglove.PointCloud",
+            "foxglove_msgs/msg/PointCloud",
+        ),
+        "sensor_msgs/PointCloud2 or foxglove.PointCloud",
+        "/points",
+        "--scan-topic",
+    ),
+    "grid": Role(("nav_msgs/msg/OccupancyGrid",), "nav_msgs/OccupancyGrid", "/map", "--scan-topic"),
+}
+"""The sources of junctions, the preferred one first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,27 +137,18 @@ def choose_odometry(counts: Mapping[Channel, int], named: str | None, log: str) 
     LogError if there is none, UsageError if two topics of one type are candidates.
     """
     if named is not None:
-        return [
-            _named(
-                counts,
-                named,
-                kinds=ODOMETRY_KINDS,
-                flag="--odometry-topic",
-                types=ODOMETRY_TYPES,
-                log=log,
-            )
-        ]
+        return [_named(counts, named, ODOMETRY, log)]
     choices: list[Choice] = []
     for rank in sorted({rank for rank, _ in ODOMETRY_KINDS.values()}):
         types = {name for name, (r, _) in ODOMETRY_KINDS.items() if r == rank}
         topics = _of_types(counts, types, without=("/tf_static",))
         topics = {name: kind for name, kind in topics.items() if not name.endswith(SET_BY_HAND)}
         if topics and not (choices and len(topics) > 1):
-            choices.append(_single(topics, "/odom", "--odometry-topic", "the odometry", log))
+            choices.append(_single(topics, ODOMETRY, log))
         if rank == 0 and choices:
             break
     if not choices:
-        raise LogError(f"{log}: no odometry found ({ODOMETRY_TYPES}); {listing(counts)}")
+        raise LogError(f"{log}: no odometry found ({ODOMETRY.named}); {listing(counts)}")
     return choices
 
 
@@ -143,34 +166,29 @@ def choose_junctions(
     any_type: the caller names the fields to use, so that any type is accepted. Raises LogError if
     there is none, UsageError if there are several.
     """
+    role = JUNCTIONS["topic"]
     if named is not None:
-        kinds = None if any_type else JUNCTION_KINDS
-        return _named(
-            counts, named, kinds=kinds, flag="--junction-topic", types=JUNCTION_TYPES, log=log
-        )
+        return _named(counts, named, role, log, any_type=any_type)
     if any_type:
         every = _of_types(counts, {channel.type_name for channel in counts})
         if "/junctions" in every:
             return Choice("/junctions", every["/junctions"], "default name")
         raise UsageError(f"{log}: --junction-fields needs --junction-topic; {listing(counts)}")
-    topics = _of_types(counts, set(JUNCTION_KINDS))
+    topics = _of_types(counts, role.types)
     # What a particle filter believes of the robot's own pose.
     topics = {name: kind for name, kind in topics.items() if not name.endswith(PARTICLES)}
     if not topics:
         raise LogError(
-            f"{log}: no junction detections found ({JUNCTION_TYPES}); {listing(counts)}; if one of "
+            f"{log}: no junction detections found ({role.named}); {listing(counts)}; if one of "
             "them holds junctions, name it by --junction-topic and its fields by --junction-fields"
         )
-    return _single(topics, "/junctions", "--junction-topic", "the junction detections", log)
+    return _single(topics, role, log)
 
 
 def choose_sensors(
     counts: Mapping[Channel, int],
     named: str | None,
-    kinds: Iterable[str],
-    *,
-    usual: str,
-    types: str,
+    role: Role,
     log: str,
 ) -> list[Choice]:
     """The topics of scans, clouds or grids: the usual one first, then those with most messages.
@@ -179,16 +197,18 @@ def choose_sensors(
     when named.
     """
     if named is not None:
-        return [_named(counts, named, kinds=kinds, flag="--scan-topic", types=types, log=log)]
-    topics = _of_types(counts, kinds)
+        return [_named(counts, named, role, log)]
+    topics = _of_types(counts, role.types)
     topics = {name: kind for name, kind in topics.items() if "costmap" not in name}
     if not topics:
-        raise LogError(f"{log}: nothing found to detect junctions in ({types}); {listing(counts)}")
+        raise LogError(
+            f"{log}: nothing found to detect junctions in ({role.named}); {listing(counts)}"
+        )
     if len(topics) == 1:
-        return [_single(topics, usual, "--scan-topic", "what junctions are to be found in", log)]
+        return [_single(topics, role, log)]
     messages = {name: sum(n for c, n in counts.items() if c.topic == name) for name in topics}
-    ranked = sorted(topics, key=lambda name: (name != usual, -messages[name], name))
-    why = "default name" if ranked[0] == usual else "most messages"
+    ranked = sorted(topics, key=lambda name: (name != role.usual, -messages[name], name))
+    why = "default name" if ranked[0] == role.usual else "most messages"
     return [Choice(ranked[0], topics[ranked[0]], f"{why}, out of several topics of its type")] + [
         Choice(name, topics[name], "one of several topics of its type") for name in ranked[1:]
     ]
@@ -205,33 +225,33 @@ def _of_types(
     }
 
 
-def _single(topics: dict[str, str], default: str, flag: str, what: str, log: str) -> Choice:
+def _single(topics: dict[str, str], role: Role, log: str) -> Choice:
     if len(topics) == 1:
         ((topic, type_name),) = topics.items()
-        why = "the only topic of its type"
-        return Choice(topic, type_name, "default name" if topic == default else why)
-    if default in topics:
-        return Choice(default, topics[default], "default name, out of several topics of its type")
+        why = "default name" if topic == role.usual else "the only topic of its type"
+        return Choice(topic, type_name, why)
+    if role.usual in topics:
+        why = "default name, out of several topics of its type"
+        return Choice(role.usual, topics[role.usual], why)
     names = ", ".join(sorted(topics))
-    raise UsageError(f"{log}: {len(topics)} topics could be {what}: {names}; choose with {flag}")
+    raise UsageError(
+        f"{log}: {len(topics)} topics could be {role.noun}: {names}; choose with {role.flag}"
+    )
 
 
 def _named(
-    counts: Mapping[Channel, int],
-    named: str,
-    *,
-    kinds: Iterable[str] | None,
-    flag: str,
-    types: str,
-    log: str,
+    counts: Mapping[Channel, int], named: str, role: Role, log: str, *, any_type: bool = False
 ) -> Choice:
-    named = "/" + named.strip("/")
+    named, flag = "/" + named.strip("/"), role.flag
     for channel, count in sorted(counts.items()):
         if channel.topic == named and count:
-            if kinds is not None and channel.type_name not in set(kinds):
-                raise UsageError(f"{log}: {named} is {channel.type_name}, but {flag} needs {types}")
+            if not any_type and channel.type_name not in role.types:
+                raise UsageError(
+                    f"{log}: {named} is {channel.type_name}, but {flag} needs {role.named}"
+                )
             return Choice(named, channel.type_name, f"named by {flag}")
-    near = _like(named, _of_types(counts, kinds or {channel.type_name for channel in counts}))
+    types = {channel.type_name for channel in counts} if any_type else role.types
+    near = _like(named, _of_types(counts, types))
     meant = f"; did you mean {near}?" if near else ";"
     raise LogError(f"{log}: no messages of {named} ({flag}){meant} {listing(counts)}")
 

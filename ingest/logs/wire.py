@@ -15,7 +15,7 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .columns import Shape, column, gather
-from .messages import NAME_BYTES, OBJECT_BYTES, Bytes, DamageError, text
+from .messages import NAME_BYTES, OBJECT_BYTES, Block, Bytes, DamageError, text
 
 TEMPLATES = 64
 """Limit on templates per message size, and on those tried per batch."""
@@ -116,8 +116,8 @@ class Decoder(Generic[P]):
         self.failed = 0
         self.reason = ""
 
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
-        """What the messages at `start` with `size` in `data` hold."""
+    def decode(self, block: Block) -> P:
+        """What the messages of a block hold."""
         raise NotImplementedError
 
     def _leave_out(self, damage: DamageError) -> None:
@@ -144,94 +144,97 @@ class TemplateDecoder(Decoder[P], Generic[T, P]):
     """Decodes messages by templates.
 
     parse: the template of one message, or DamageError; read: what messages (rows of `width`
-    bytes) of a template hold, with their numbers; join: of parts in no order.
+    bytes) of a template hold, with their numbers and log times; join: of parts in no order.
     """
 
     def __init__(
         self,
         parse: Callable[[bytes], T],
-        read: Callable[[T, Bytes, IntArray], P],
+        read: Callable[[T, Bytes, IntArray, IntArray], P],
         join: Callable[[list[P]], P],
     ) -> None:
         super().__init__()
         self._parse, self._read, self._join = parse, read, join
         self._templates: dict[int, list[T]] = {}
 
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
+    def decode(self, block: Block) -> P:
         """What a batch of messages holds. O(bytes read) with few templates."""
-        message = np.arange(len(start))
-        if len(start) and (size == size[0]).all():
-            return self._join(self._same_size(data, start, int(size[0]), message))
+        size, message = block.size, np.arange(len(block.size))
+        if len(size) and (size == size[0]).all():
+            return self._join(self._same_size(block, message))
         # One group per size: sort once, then split where the size changes.
         order = np.argsort(size, kind="stable")
         cuts = np.flatnonzero(np.diff(size[order])) + 1
         out: list[P] = []
         for group in np.split(order, cuts) if len(order) else []:
-            out += self._same_size(data, start[group], int(size[group[0]]), message[group])
+            out += self._same_size(block.rows(group), group)
         return self._join(out)
 
-    def _same_size(self, data: Bytes, start: IntArray, size: int, message: IntArray) -> list[P]:
+    def _same_size(self, block: Block, message: IntArray) -> list[P]:
         out: list[P] = []
+        size = int(block.size[0])
         known = self._templates.setdefault(size, [])
         for template in known:
-            start, message = self._take(data, start, message, template, out)
-        while len(start):
+            block, message = self._take(block, message, template, out)
+        while len(message):
+            at, behind = int(block.start[0]), slice(1, None)
             try:
-                template = self._parse(data[start[0] : start[0] + size].tobytes())
+                template = self._parse(block.data[at : at + size].tobytes())
             except DamageError as damage:
                 self._leave_out(damage)
-                start, message = start[1:], message[1:]
+                block, message = block.rows(behind), message[behind]
                 continue
             if len(known) < TEMPLATES:
                 known.append(template)
-                start, message = self._take(data, start, message, template, out)
+                block, message = self._take(block, message, template, out)
             else:
-                self._take(data, start[:1], message[:1], template, out)
-                start, message = start[1:], message[1:]
+                self._take(block.rows(slice(0, 1)), message[:1], template, out)
+                block, message = block.rows(behind), message[behind]
         if len(self._templates) > TEMPLATES * TEMPLATES:
             self._templates.clear()
         return out
 
     def _take(
-        self, data: Bytes, start: IntArray, message: IntArray, template: T, out: list[P]
-    ) -> tuple[IntArray, IntArray]:
+        self, block: Block, message: IntArray, template: T, out: list[P]
+    ) -> tuple[Block, IntArray]:
         """Decode the messages that have the template's shape; returns the others."""
-        if len(start) == 0:
-            return start, message
-        rows = gather(data, start, template.width)
+        if len(message) == 0:
+            return block, message
+        rows = gather(block.data, block.start, template.width)
         other = template.shape.misfits(rows)
         if other is None:
-            out.append(self._read(template, rows, message))
-            return start[:0], message[:0]
+            out.append(self._read(template, rows, message, block.log_time_ns))
+            return block.rows(slice(0, 0)), message[:0]
         if not other.all():
-            out.append(self._read(template, rows[~other], message[~other]))
-        return start[other], message[other]
+            log_ns = block.log_time_ns[~other]
+            out.append(self._read(template, rows[~other], message[~other], log_ns))
+        return block.rows(other), message[other]
 
 
 class OneByOne(Decoder[P], Generic[Q, P]):
     """Decodes messages one by one, for encodings without fixed offsets.
 
-    parse: what one message holds, or DamageError; join: of contents with the numbers of their
-    messages, in order; longest: of the messages that are decoded [bytes].
+    parse: what one message holds, or DamageError; join: of contents with the numbers and log times
+    of their messages, in order; longest: of the messages that are decoded [bytes].
     """
 
     def __init__(
         self,
         parse: Callable[[bytes], Q],
-        join: Callable[[list[tuple[int, Q]]], P],
+        join: Callable[[list[tuple[int, int, Q]]], P],
         longest: int = OBJECT_BYTES,
     ) -> None:
         super().__init__()
         self._parse, self._join, self._longest = parse, join, longest
 
-    def decode(self, data: Bytes, start: IntArray, size: IntArray) -> P:
+    def decode(self, block: Block) -> P:
         """What a batch of messages holds."""
-        found: list[tuple[int, Q]] = []
-        for number, (at, length) in enumerate(zip(start.tolist(), size.tolist(), strict=True)):
+        found: list[tuple[int, int, Q]] = []
+        for number, raw in enumerate(block.payloads()):
             try:
-                if length > self._longest:
+                if len(raw) > self._longest:
                     raise DamageError("a message is implausibly long")
-                found.append((number, self._parse(data[at : at + length].tobytes())))
+                found.append((number, int(block.log_time_ns[number]), self._parse(raw)))
             except DamageError as damage:
                 self._leave_out(damage)
         return self._join(found)

@@ -1,4 +1,4 @@
-"""SQLite's write-ahead log, where it is damaged: which of its frames hold, and merging them.
+"""SQLite's write-ahead log: merging the pages whose checksums hold into a copy of the database.
 
 The library stops at the first frame whose checksum is wrong, without a word. Checksums are chained:
 each frame's starts from the one before, as stored, so that the frames behind a wrong one can be
@@ -24,65 +24,42 @@ LITTLE, BIG = 0x377F0682, 0x377F0683
 """Magic numbers: the byte order in which checksums are added up. All else is big-endian."""
 
 
-class WriteAhead(NamedTuple):
-    """The frames of a database's write-ahead log, up to the last that belongs to it.
+def merge_write_ahead(log: Path, copy: Path, findings: Findings) -> None:
+    """Write all pages of a log that hold, up to the last commit, into a copy of its database, and
+    tell what is left out, in bytes.
 
-    page: (n,) the page that each holds; pages: (n,) pages of the database after a commit, else 0;
-    holds: (n,) whether its checksum does; size: bytes of a page; head_holds: whether the log's own
-    header does; rest: bytes behind the last whole frame.
+    What a log held before it was begun anew stands behind its frames, under another salt.
     """
-
-    path: Path
-    log: Path
-    page: IntArray
-    pages: IntArray
-    holds: BoolArray
-    size: int
-    head_holds: bool
-    rest: int
-
-    @property
-    def committed(self) -> int:
-        """Number of frames up to the last commit that holds."""
-        found = np.flatnonzero(self.holds & (self.pages > 0))
-        return int(found[-1]) + 1 if len(found) else 0
-
-    @property
-    def damaged(self) -> bool:
-        """Whether the library would leave out anything of it."""
-        broken = not (self.head_holds and self.holds.all())
-        return broken or self.committed < len(self.page) or self.rest > 0
-
-    def merge(self, copy: Path, findings: Findings) -> None:
-        """Write all frames that hold, up to the last commit, into a copy of the database, and tell
-        what is left out, in bytes."""
-        wrong = int((~self.holds[: self.committed]).sum())
-        frame = FRAME_HEAD + self.size
-        if not self.head_holds:
+    size = log.stat().st_size
+    with log.open("rb") as source, copy.open("r+b") as target:
+        head = np.frombuffer(source.read(HEAD_BYTES).ljust(HEAD_BYTES, b"\0"), np.uint8)
+        magic, _, page, *_ = words = head.view(">u4").tolist()
+        own_sums = _sums(head[None, :24], magic, (0, 0))[0].tolist()
+        head_holds = magic in (LITTLE, BIG) and words[6:] == own_sums
+        page = _page(page) if head_holds else page_bytes(copy)
+        frames = _frames(source, head, page, head_holds)
+        count = int(frames.own.nonzero()[0].max(initial=-1)) + 1
+        committed = frames.holds & (frames.pages > 0)
+        used = int(committed.nonzero()[0].max(initial=-1)) + 1
+        frame = FRAME_HEAD + page
+        # Behind frames of another salt nothing is of this log.
+        rest = max(size - HEAD_BYTES, 0) % frame if count == len(frames.own) else 0
+        if not head_holds and count + rest:
             findings.note("the header of the database's write-ahead log is damaged")
-        if wrong:
+        if wrong := int((~frames.holds[:used]).sum()):
             findings.note(
                 f"{several(wrong, 'page')} ({wrong * frame} bytes) of the database's write-ahead "
                 "log damaged; what follows is used"
             )
-        left = (len(self.page) - self.committed) * frame + self.rest
-        if left:
+        if left := (count - used) * frame + rest:
             findings.note(f"the last {left} bytes of the database's write-ahead log are no whole")
             findings.faults[CUT] = 1
-        log = self.log
-        most = (self.path.stat().st_size + log.stat().st_size) // self.size
-        with log.open("rb") as source, copy.open("r+b") as target:
-            for k in np.flatnonzero(self.holds[: self.committed]).tolist():
-                if 0 < self.page[k] <= most:
-                    source.seek(HEAD_BYTES + k * (FRAME_HEAD + self.size) + FRAME_HEAD)
-                    target.seek((int(self.page[k]) - 1) * self.size)
-                    target.write(source.read(self.size))
-
-
-def log_of(path: Path) -> Path | None:
-    """The write-ahead log beside a database, if there is one that holds any change."""
-    log = path.with_name(path.name + "-wal")
-    return log if log.is_file() and log.stat().st_size > HEAD_BYTES else None
+        most = (copy.stat().st_size + size) // page
+        for k in frames.holds[:used].nonzero()[0].tolist():
+            if 0 < frames.page[k] <= most:
+                source.seek(HEAD_BYTES + k * frame + FRAME_HEAD)
+                target.seek((int(frames.page[k]) - 1) * page)
+                target.write(source.read(page))
 
 
 def page_bytes(path: Path) -> int:
@@ -96,35 +73,9 @@ def _page(size: int) -> int:
     return size if 512 <= size < 1 << 16 and size & (size - 1) == 0 else 1 << 16
 
 
-def read_write_ahead(path: Path) -> WriteAhead | None:
-    """The write-ahead log beside a database, None if there is none or it has no whole frame.
-
-    What a log held before it was begun anew stands behind its frames, under another salt.
-    """
-    log = log_of(path)
-    if log is None:
-        return None
-    with log.open("rb") as file:
-        head = np.frombuffer(file.read(HEAD_BYTES), np.uint8)
-        magic, _, size, *_ = words = head.view(">u4").tolist()
-        head_holds = (
-            magic in (LITTLE, BIG)
-            and words[6:] == _sums(head[None, :24], magic, (0, 0))[0].tolist()
-        )
-        size = _page(size) if head_holds else page_bytes(path)
-        frames = _frames(file, head, size, head_holds)
-        rest = (log.stat().st_size - HEAD_BYTES) % (FRAME_HEAD + size)
-    own = frames.own.nonzero()[0]
-    count = int(own[-1]) + 1 if len(own) else 0
-    rest = rest if count == len(frames.own) else 0
-    if count == rest == 0:
-        return None
-    page, pages, holds = frames.page[:count], frames.pages[:count], frames.holds[:count]
-    return WriteAhead(path, log, page, pages, holds, size, bool(head_holds), rest)
-
-
 class _Frames(NamedTuple):
-    """Columns of frames; own: whether they have the salt of this log."""
+    """Columns of frames: the page that each holds; pages of the database after a commit, else 0;
+    whether its checksum holds, and whether it has the salt of this log."""
 
     page: IntArray
     pages: IntArray

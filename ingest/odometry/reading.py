@@ -9,8 +9,8 @@ import numpy as np
 
 from ...topology.errors import LogError
 from ...topology.odometry import Odometry
-from ..logs.intake import no_columns
 from ..logs.messages import several_that
+from ..logs.poses import no_poses
 from ..logs.topics import ODOMETRY_KINDS, Choice, choose_odometry, decoded_alike, listing
 from ..survey import LogRead
 from ..topic_poses import (
@@ -113,7 +113,7 @@ def _track(topic: OdometryTopic, clock: Clock) -> Track:
         time_ns = poses.time_ns(clock)
     pose = poses.columns.pose
     # Nothing else is needed of the columns: with a million poses they take 48 MB.
-    poses.columns = no_columns()
+    poses.columns = no_poses()
     track = sane_track(time_ns, pose, frame or "odom", child or "base_link")
     return replace(track, warnings=(*warnings, *track.warnings))
 

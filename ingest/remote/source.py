@@ -6,7 +6,7 @@ Blocks that were read are kept within a limit of memory, since logs are read mor
 from __future__ import annotations
 
 import threading
-from bisect import bisect_left, bisect_right
+from bisect import bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -36,34 +36,6 @@ Ask = Callable[[tuple[int, int]], Future[Got]]
 """Starts a request for a range of bytes: the first one, and the one after the last."""
 
 
-class ReadAhead:
-    """Parts of an object (ranges of bytes) that are read in order, the next few of them ahead."""
-
-    def __init__(self, parts: Ranges, ask: Ask) -> None:
-        self._parts = parts
-        self._ask = ask
-        self._begun: dict[int, Future[Got]] = {}
-        self._fresh = 0
-
-    def at(self, offset: int) -> Got | None:
-        """The part that holds the byte at `offset`, None if none does; requests for the following
-        ones are started."""
-        k = bisect_right(self._parts, offset, key=lambda part: part[0]) - 1
-        if k < 0 or offset >= self._parts[k][1]:
-            return None
-        left = AHEAD_BYTES
-        for n, (start, stop) in enumerate(self._parts[k : k + AHEAD], k):
-            left -= stop - start
-            if n > k and left < 0:
-                break
-            # Threads may read out of order: parts read after this one are not requested twice.
-            if n not in self._begun and (n == k or n >= self._fresh):
-                self._begun[n] = self._ask((start, stop))
-                self._fresh = max(self._fresh, n + 1)
-        # Dropped parts are requested again when needed.
-        return self._begun.pop(k).result()
-
-
 class RemoteFile:
     """One object for reading; thread-safe. Raises LogError on server errors.
 
@@ -75,34 +47,24 @@ class RemoteFile:
         self._ask = ask
         self._lock = threading.Lock()
         self._held: OrderedDict[int, bytes] = OrderedDict()
-        self._ahead: ReadAhead | None = None
+        self._parts: Ranges = []
+        self._begun: dict[int, Future[Got]] = {}
+        self._fresh = 0
         if known is not None:
             self._keep(known)
 
-    def _planned(self, ranges: Ranges) -> Ranges:
-        """Requests for the blocks of some ranges that are not held."""
-        with self._lock:
-            held = sorted(self._held)
-        out: list[tuple[int, int]] = []
-        for first, stop in _joined(ranges):
-            at = first
-            while at < stop:
-                k = bisect_left(held, at)
-                until = min(stop, at + PART_BYTES // BLOCK_BYTES, *held[k : k + 1])
-                if until > at:
-                    out.append(self._bytes(at, until))
-                at = max(until, at + 1)  # a block that is held is passed over
-        return out
-
-    def _bytes(self, first: int, stop: int) -> tuple[int, int]:
-        return first * BLOCK_BYTES, min(stop * BLOCK_BYTES, self.size)
-
     @contextmanager
     def ahead(self, ranges: Ranges) -> Iterator[None]:
-        """Context in which these ranges are read, in order; they are requested ahead."""
-        self._ahead = ReadAhead(self._planned(ranges), self._ask)
+        """Context in which these ranges of bytes are read, in order; the next few parts of them are
+        requested ahead."""
+        self._parts = [
+            (at, min(at + PART_BYTES // BLOCK_BYTES, stop))
+            for first, stop in _joined(ranges)
+            for at in range(first, stop, PART_BYTES // BLOCK_BYTES)
+        ]
+        self._begun, self._fresh = {}, 0
         yield
-        self._ahead = None
+        self._parts = []
 
     def read(self, offset: int, length: int) -> bytes:
         """The bytes [offset, offset + length), fewer at the object's end."""
@@ -113,16 +75,38 @@ class RemoteFile:
         return b"".join(blocks)[at : at + length]
 
     def _block(self, k: int, stop: int) -> bytes:
-        """A block; if it is not held, it is read with those behind it up to `stop`."""
+        """A block; if it is not held, it is read with its part, or with those behind it up to
+        `stop`."""
         if k not in self._held:
-            got = self._ahead.at(k * BLOCK_BYTES) if self._ahead is not None else None
-            if got is None:
-                most = min(stop, k + PART_BYTES // BLOCK_BYTES)
-                end = next((n for n in range(k + 1, most) if n in self._held), most)
-                got = self._ask(self._bytes(k, end)).result()
-            self._keep(got)
+            n = bisect_right(self._parts, k, key=lambda part: part[0]) - 1
+            until = min(stop, k + PART_BYTES // BLOCK_BYTES)
+            if n >= 0 and k < self._parts[n][1]:
+                until = self._parts[n][1]
+                self._begin(n)
+            if n in self._begun:
+                self._keep(self._begun.pop(n).result())
+            if k not in self._held:
+                self._keep(self._requested(k, until).result())
         self._held.move_to_end(k)
         return self._held[k]
+
+    def _begin(self, n: int) -> None:
+        """Start the requests for a part and the next ones."""
+        left = AHEAD_BYTES
+        for m, (first, stop) in enumerate(self._parts[n : n + AHEAD], n):
+            left -= (stop - first) * BLOCK_BYTES
+            if m > n and left < 0:
+                break
+            # Threads may read out of order: parts read after this one are not requested twice.
+            fresh = m == n or m >= self._fresh
+            if fresh and m not in self._begun and first not in self._held:
+                self._begun[m] = self._requested(first, stop)
+                self._fresh = max(self._fresh, m + 1)
+
+    def _requested(self, first: int, stop: int) -> Future[Got]:
+        """A request for blocks that are not held, up to the first that is."""
+        until = next((k for k in range(first + 1, stop) if k in self._held), stop)
+        return self._ask((first * BLOCK_BYTES, min(until * BLOCK_BYTES, self.size)))
 
     def _keep(self, got: Got) -> None:
         """Keep the whole blocks among some bytes, within the limit."""

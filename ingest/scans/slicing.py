@@ -10,7 +10,7 @@ from ...topology.arrays import FloatArray
 from ...topology.errors import UsageError
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
-from ..logs.lasers import Geometry, RawScans
+from ..logs.lasers import Geometry, RawScans, one_scan
 from .surfaces import SURFACES
 
 FARTHEST_M = 1000.0
@@ -99,13 +99,8 @@ def sliced(cloud: Cloud, T_body_sensor: FloatArray, settings: SliceSettings) -> 
     ranges[np.isinf(ranges)] = np.nan
     step = 2 * np.pi / len(ranges)
     geometry = Geometry(cloud.frame, -np.pi + step / 2, step, level=True)
-    return RawScans(
-        np.zeros(1, np.int64),
-        np.array([cloud.stamp_ns], np.int64),
-        ranges[None].astype(np.float32),
-        geometry,
-        blind=True,
-    )
+    one = one_scan(cloud.stamp_ns, ranges.astype(np.float32), geometry)
+    return one._replace(blind=True)
 
 
 def _in_a_row(ranges: FloatArray, turns: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -14,8 +14,8 @@ from ...topology.arrays import BoolArray, Float32Array, FloatArray, IntArray
 from ...topology.se2 import compose, wrap, yaw_from_quaternion
 from ..frames import NOWHERE_ELSE
 from ..logs.clouds import Cloud
-from ..logs.lasers import Geometry, RawScans, ScanIntake, TimedScans
-from ..logs.messages import LATEST_NS, Channel, Findings, several, several_that
+from ..logs.lasers import Geometry, RawScans, ScanIntake
+from ..logs.messages import LATEST_NS, Channel, several, several_that
 from ..logs.recording import Recording
 from .scan import ScanBatch
 from .slicing import DEFAULT_SLICES, FARTHEST_M, SliceSettings, sliced
@@ -107,9 +107,8 @@ class ScanStream:
     """The scans of one topic; every iteration reads the log anew.
 
     topic: of scans or point clouds; clock: header or log time; stamp: the beam that a header stamp
-    refers to (log time is that of a finished sweep). `tally` is that of the last iteration;
-    on_walked is called with what was found in the log after every complete one. Memory depends on
-    the largest chunk of the log, not on its length.
+    refers to (log time is that of a finished sweep). `tally` is that of the last iteration. Memory
+    depends on the largest chunk of the log, not on its length.
     """
 
     def __init__(
@@ -122,29 +121,28 @@ class ScanStream:
         stamp: Stamp = "begin",
         slices: SliceSettings = DEFAULT_SLICES,
         on_bytes: Callable[[int], None] | None = None,
-        on_walked: Callable[[Findings], object] = lambda _: None,
     ) -> None:
         self._recording, self.topic, self._mounting = recording, topic, mounting
         self._clock, self._stamp, self._slices = clock, stamp, slices
-        self._on_bytes, self._on_walked = on_bytes, on_walked
+        self._on_bytes = on_bytes
         self.tally = Tally()
 
     def __iter__(self) -> Iterator[ScanBatch]:
         self.tally = tally = Tally()
         lasers, last_ns = list[tuple[str, float]](), dict[int, int]()
-        for timed in self._decoded():
-            batch = self._batch(timed, lasers, last_ns)
+        for raw in self._decoded():
+            batch = self._batch(raw, lasers, last_ns)
             if batch is not None:
                 last_ns[batch.laser] = int(batch.times_ns[-1])
                 tally.scans += len(batch)
                 yield batch
 
-    def raw(self) -> Iterator[TimedScans]:
+    def raw(self) -> Iterator[RawScans]:
         """The scans as decoded, not validated."""
         self.tally = Tally()
         yield from self._decoded()
 
-    def _decoded(self) -> Iterator[TimedScans]:
+    def _decoded(self) -> Iterator[RawScans]:
         intakes: list[ScanIntake] = []
         numbers: dict[Channel, int] = {}
 
@@ -156,28 +154,23 @@ class ScanStream:
                 intakes.append(ScanIntake(channel, self._slice))
             return numbers[channel]
 
-        findings = Findings()
-        for file in self._recording.files:
-            progress = None if file.packed else self._on_bytes
-            with file.opened() as log:
-                for block in log.blocks(want, findings, progress):
-                    yield from intakes[block.sink].take(block)
+        for block in self._recording.blocks(want, self._on_bytes):
+            yield from intakes[block.sink].take(block)
         tally = self.tally
         tally.messages = sum(intake.messages for intake in intakes)
         tally.failed = sum(intake.failed for intake in intakes)
         tally.reason = next((i.reason for i in intakes if i.reason), "")
-        self._on_walked(findings)
 
     def _slice(self, cloud: Cloud) -> RawScans:
         mount = self._mounting.of(cloud.frame)
         return sliced(cloud, UNMOUNTED if mount is None else mount, self._slices)
 
     def _batch(
-        self, timed: TimedScans, lasers: list[tuple[str, float]], last_ns: Mapping[int, int]
+        self, raw: RawScans, lasers: list[tuple[str, float]], last_ns: Mapping[int, int]
     ) -> ScanBatch | None:
         """The usable scans of a batch, None if there are none; lasers: see `_number`; last_ns: each
         laser's last time."""
-        raw, tally = timed.scans, self.tally
+        tally = self.tally
         try:
             T_body_laser, angles, backwards = self._placed(raw)
         except _UnusableError as error:
@@ -186,7 +179,7 @@ class ScanStream:
         laser = _number(raw, angles, lasers)
         after_ns = last_ns.get(laser, -1)
         sweep_s = _sweep_s(raw.geometry, len(angles))
-        times_ns = self._times(timed, sweep_s)
+        times_ns = self._times(raw, sweep_s)
         unstamped = (raw.stamp_ns <= 0) | (raw.stamp_ns >= LATEST_NS)
         good = np.ones(len(times_ns), bool)
         for why, bad in (
@@ -238,13 +231,13 @@ class ScanStream:
         seen = sign * angles
         return T_body_laser, *((seen[::-1], True) if seen[0] > seen[-1] else (seen, False))
 
-    def _times(self, timed: TimedScans, sweep_s: float) -> IntArray:
+    def _times(self, raw: RawScans, sweep_s: float) -> IntArray:
         """(n,) times of the middle beams [ns]."""
         half = round(0.5e9 * sweep_s)
         if self._clock == "log":
-            return timed.log_ns - half
+            return raw.log_ns - half
         shift = {"begin": half, "middle": 0, "end": -half}[self._stamp]
-        return timed.scans.stamp_ns + shift
+        return raw.stamp_ns + shift
 
 
 def _number(raw: RawScans, angles: FloatArray, lasers: list[tuple[str, float]]) -> int:

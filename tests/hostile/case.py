@@ -59,21 +59,18 @@ def writers() -> ModuleType:
 def read_of(path: Path) -> tuple[int, int, Findings]:
     """How many messages of the wanted types decode, how many do not; and what was met."""
     from topobatch.ingest.logs.intake import Intake, decoder_for
-    from topobatch.ingest.logs.messages import Findings
     from topobatch.ingest.logs.recording import recording_at
     from topobatch.ingest.logs.topics import JUNCTION_KINDS, ODOMETRY_KINDS
 
-    findings = Findings()
     types = {*ODOMETRY_KINDS, *JUNCTION_KINDS}
     intake = Intake(lambda channel: channel.type_name in types, decoder_for)
-    for file in recording_at(path).files:
-        with file.opened() as log:
-            for block in log.blocks(intake.want, findings):
-                intake.take(block)
+    recording = recording_at(path)
+    for block in recording.blocks(intake.want):
+        intake.take(block)
     for sink in intake.sinks:
         sink.flush()
     failed = sum(sink.failed for sink in intake.sinks)
-    return sum(sink.messages for sink in intake.sinks) - failed, failed, findings
+    return sum(sink.messages for sink in intake.sinks) - failed, failed, recording.passes[-1]
 
 
 def without_index(bag: bytes) -> bytes:

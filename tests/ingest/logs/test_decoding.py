@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.ingest.logs.messages import Channel
+from topobatch.ingest.logs.messages import Block, Channel
 from topobatch.ingest.logs.poses import WireDecoder
 from topobatch.ingest.logs.schema import as_expected
 
@@ -59,10 +59,10 @@ def test_columns_equal_the_library_bit_for_bit(logs, kind, encoding, data):
     joined = b"\xff".join(payloads)
     size = np.array([len(p) for p in payloads])
     start = np.cumsum(size + 1) - size - 1
-    found = decoder.decode(np.frombuffer(joined, np.uint8), start, size)
+    found = decoder.decode(Block(np.frombuffer(joined, np.uint8), 0, 7 * start, start, size))
     assert decoder.failed == 0
     assert len(found.message) == len(expected)
-    rows = zip(found.message, found.stamp_ns, found.frame, found.value, strict=True)
+    rows = zip(found.message, found.stamp_ns, found.frame, found.pose, strict=True)
     for (message, stamp, frame, value), want in zip(rows, expected, strict=True):
         assert (message, stamp, decoder.frames.pairs[frame]) == want[:3]
         assert value.tobytes() == np.array(want[3]).tobytes()

@@ -23,5 +23,5 @@ def test_messages_that_ros_2_compressed_one_by_one(sensors: ModuleType) -> None:
     data = np.frombuffer(b"".join(payloads), np.uint8)
     block = Block(data, 0, np.arange(4, dtype=np.int64), np.cumsum(size) - size, size)
     found = list(intake.take(block))
-    assert [row[0] for timed in found for row in timed.scans.ranges_m.tolist()] == [1, 2, 3]
+    assert [row[0] for raw in found for row in raw.ranges_m.tolist()] == [1, 2, 3]
     assert (intake.messages, intake.failed) == (4, 1)

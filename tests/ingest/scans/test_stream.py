@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from topobatch.ingest.logs.foxglove import PROTOBUF, load_json, protobuf_object
 from topobatch.ingest.logs.lasers import object_scan, scan_decoder
-from topobatch.ingest.logs.messages import Channel
+from topobatch.ingest.logs.messages import Block, Channel
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.slicing import DEFAULT_SLICES, SliceSettings, sliced
@@ -103,7 +103,7 @@ def no_cloud(_: Any) -> Any:
 def decoded(decoder: Any, payloads: list[bytes]) -> list[Any]:
     size = np.array([len(p) for p in payloads], np.int64)
     data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
-    return list(decoder.decode(data, np.cumsum(size) - size, size))
+    return list(decoder.decode(Block(data, 0, size, np.cumsum(size) - size, size)))
 
 
 @pytest.mark.parametrize("encoding", ["cdr", "ros1"])
@@ -122,7 +122,8 @@ def test_columns_are_what_rosbags_decodes(sensors: ModuleType, encoding: str) ->
     read = store.deserialize_ros1 if encoding == "ros1" else store.deserialize_cdr
     for scans in found:
         for row, number in enumerate(scans.message.tolist()):
-            _, (stamp,), (ranges,), geometry, _ = object_scan(read(payloads[number], sensors.SCAN))
+            scan = object_scan(read(payloads[number], sensors.SCAN))
+            _, _, (stamp,), (ranges,), geometry, _ = scan
             assert stamp == scans.stamp_ns[row]
             assert ranges.tolist() == scans.ranges_m[row].tolist()
             assert geometry == scans.geometry
@@ -156,13 +157,13 @@ def test_of_echoes_the_strongest_else_the_first(sensors: ModuleType, encoding: s
 def test_foxglove_scans_in_json_and_protobuf(sensors: ModuleType) -> None:
     ranges = [1.0, 2.5, 3.0, INF, 5.0]
     for raw in (sensors.foxglove_protobuf(ranges), sensors.foxglove_protobuf(ranges, whole=False)):
-        _, (stamp,), (found,), geometry, _ = object_scan(
+        _, _, (stamp,), (found,), geometry, _ = object_scan(
             protobuf_object(PROTOBUF["foxglove.LaserScan"], raw)
         )
         assert (stamp, found.tolist()) == (sensors.START_NS, ranges)
         assert (geometry.angle_min, geometry.angle_increment) == (-1.0, 0.5)
         assert geometry.pose == (0.5, 0.0, 0.0)
-    _, (stamp,), (found,), geometry, _ = object_scan(
+    _, _, (stamp,), (found,), geometry, _ = object_scan(
         load_json(sensors.foxglove_json([1.0, NAN, 3.0, 4.0, 5.0]))
     )
     np.testing.assert_array_equal(found, [1, NAN, 3, 4, 5])
