@@ -38,7 +38,9 @@ from topobatch.merge.document import merged_to_document
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
-from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import Truth, true_vertex_of_nodes
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.odometry import Odometry

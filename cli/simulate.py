@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -110,7 +111,12 @@ def simulate(
     ] = False,
     corridor_m: Annotated[
         float | None,
-        typer.Option(metavar="METRES", help="With --laser: width of the corridors; default 1.4."),
+        typer.Option(
+            metavar="METRES",
+            min=0.5,
+            max=2.2,  # corridors of most worlds lie at least 2.5 m apart
+            help="With --laser: width of the corridors; default 1.4.",
+        ),
     ] = None,
     formats: Annotated[
         list[str] | None,
@@ -149,8 +155,15 @@ def simulate(
         raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
     if not laser and (detections or corridor_m is not None):
         raise UsageError("--detections and --corridor-m are of runs with a laser; give --laser too")
-    from ..simulation import DRIFTS, LASERS, ScenarioSettings, simulate_scenario
-    from ..simulation.writing import write_scenario
+    sizes = (overlap, jump_m, jump_deg, days, corridor_m)
+    if not all(size is None or isfinite(size) for size in sizes):
+        raise UsageError("nan and inf are no sizes of what is simulated")
+    from ..simulation.scenario import simulate_scenario
+    from ..simulation.settings import DRIFTS, LASERS, ScenarioSettings
+    from ..simulation.writing import FORMATS, write_scenario
+
+    if unknown := [name for name in formats or () if name not in FORMATS]:
+        raise UsageError(f"no format {unknown[0]!r}: choose one of {', '.join(FORMATS)}")
 
     screen = Screen(quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
