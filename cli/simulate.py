@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isfinite
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -71,13 +70,19 @@ def simulate(
     jump_m: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES", min=0, help="How far it jumps; default 0.5. Goes with --jumps."
+            metavar="METRES",
+            min=0,
+            max=1000,  # more than most buildings measure
+            help="How far it jumps; default 0.5. Goes with --jumps.",
         ),
     ] = None,
     jump_deg: Annotated[
         float | None,
         typer.Option(
-            metavar="DEGREES", min=0, help="How far it turns; default 30. Goes with --jumps."
+            metavar="DEGREES",
+            min=0,
+            max=180,
+            help="How far it turns; default 30. Goes with --jumps.",
         ),
     ] = None,
     changes: Annotated[
@@ -155,16 +160,12 @@ def simulate(
         raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
     if not laser and (detections or corridor_m is not None):
         raise UsageError("--detections and --corridor-m are of runs with a laser; give --laser too")
-    sizes = (overlap, jump_m, jump_deg, days, corridor_m)
-    if not all(size is None or isfinite(size) for size in sizes):
-        raise UsageError("nan and inf are no sizes of what is simulated")
     from ..simulation.scenario import simulate_scenario
     from ..simulation.settings import DRIFTS, LASERS, ScenarioSettings
     from ..simulation.writing import FORMATS, write_scenario
 
     if unknown := [name for name in formats or () if name not in FORMATS]:
         raise UsageError(f"no format {unknown[0]!r}: choose one of {', '.join(FORMATS)}")
-
     screen = Screen(quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
     asked = {name: value for name, value in how_far.items() if value is not None}

@@ -63,6 +63,9 @@ LETTER = 0.62
 TALLEST = 1.6
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
 
+MOST_TOLD = 3000
+"""More corridors or junctions than this are drawn in one piece, without tooltips."""
+
 PNG_DPI = 150
 """Resolution of a PNG [pixels per inch]."""
 
@@ -140,9 +143,14 @@ class Canvas:
         width_pt: float,
         *,
         order: Order = Order.CORRIDOR,
-        told: str = "",
+        told: Sequence[str] = (),
     ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour. told: their tooltip in an SVG."""
+        """Draw polylines, (k, 2) each [m], in one colour. told: the tooltip in an SVG of each, or
+        one of all."""
+        if _each(told):
+            for path, own in zip(paths, told, strict=True):
+                self.lines([path], colour, width_pt, order=order, told=[own])
+            return
         if not paths:
             return
         codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
@@ -164,11 +172,17 @@ class Canvas:
         size_pt: float,
         *,
         order: Order = Order.JUNCTION,
-        told: str = "",
+        told: Sequence[str] = (),
         ring: bool = False,
         marker: Marker = "circle",
     ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]. told: their tooltip in an SVG."""
+        """Draw filled marks, or rings, at xy (n, 2) [m]. told: as of `lines`."""
+        if _each(told):
+            for at, own in zip(xy, told, strict=True):
+                self.dots(
+                    at[None], colour, size_pt, order=order, told=[own], ring=ring, marker=marker
+                )
+            return
         if len(xy) == 0:
             return
         line = self._markers(xy, colour, size_pt, marker, ring=ring)
@@ -208,19 +222,11 @@ class Canvas:
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
     def words(
-        self,
-        at: tuple[float, float],
-        text: str,
-        *,
-        size_pt: float = TEXT_PT,
-        room_m: float | None = None,
-        bold: bool = False,
+        self, at: FloatArray, text: str, *, size_pt: float = TEXT_PT, bold: bool = False
     ) -> None:
-        """Write a text centred at a point [m], shortened to `room_m` if given."""
-        if room_m is not None:
-            text = short(text, letters(room_m * self.points_per_m, size_pt))
+        """Write a text centred at a point (2,) [m]."""
         self._axes.text(
-            *at, legible(text), ha="center", va="center", **self._font(size_pt, bold=bold)
+            *at.tolist(), legible(text), ha="center", va="center", **self._font(size_pt, bold=bold)
         )
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:
@@ -233,12 +239,12 @@ class Canvas:
             "parse_math": False,  # run names may hold dollar signs
         }
 
-    def _add(self, artist: Any, told: str) -> None:
+    def _add(self, artist: Any, told: Sequence[str] = ()) -> None:
         artist.set_clip_on(False)
-        if told:
+        if len(told) == 1:
             gid = f"{self.name}-{len(self._titles)}"
             artist.set_gid(gid)
-            self._titles[gid] = told
+            (self._titles[gid],) = told
         self._axes.add_artist(artist)
 
     def finish(self, heading: Sequence[str], keys: Sequence[Sequence[Key]]) -> None:
@@ -268,7 +274,7 @@ class Canvas:
                 bbox_to_anchor=(0.0, 0.0),
                 bbox_transform=self._below(4.0),
             )
-            self._add(bar, "")
+            self._add(bar)
             below = BAR_PT
             for group in filter(None, keys):
                 columns = max(1, floor(self._room_pt / _widest_pt(group)))
@@ -289,7 +295,7 @@ class Canvas:
                 )
                 for key, text in zip(group, legend.get_texts(), strict=True):
                     text.set_fontweight("bold" if key.form == "title" else "normal")
-                self._add(legend, "")
+                self._add(legend)
                 below += LINE_PT * ceil(len(group) / columns) + 6.0
 
     def _below(self, down_pt: float) -> Any:
@@ -358,6 +364,11 @@ def _styled() -> Iterator[None]:
         rcdefaults()
         rcParams.update(_STYLE)
         yield
+
+
+def _each(told: Sequence[str]) -> bool:
+    """Whether marks are drawn one by one, each with its tooltip."""
+    return 1 < len(told) <= MOST_TOLD
 
 
 def letters(room_pt: float, size_pt: float) -> int:

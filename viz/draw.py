@@ -34,17 +34,14 @@ from .drawing import (
     extent,
     strands,
 )
-from .pages import map_told
+from .pages import corridor_told, map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
 from .placements import VIEWS, Mark, decision_picture
-from .sheet import Cell, corners_of, outline, upright_rad
+from .sheet import Cell, corners_of, fitting, outline, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
-
-MOST_TOLD = 3000
-"""Above this many corridors or junctions they are drawn in groups, without tooltips."""
 
 WIDTH_PT, WIDEST_PT = 720.0, 1440.0
 COMPONENT_PT = 110.0
@@ -54,6 +51,9 @@ LINE_PT, THINNEST_PT = 2.2, 0.7
 LINE_SHARE = 0.12
 """Width of a corridor's line in a merge over the median corridor length, within THINNEST_PT and
 LINE_PT."""
+
+MOST_TIMES = 4
+"""Corridors driven more often than this are drawn no wider."""
 
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
 
@@ -93,26 +93,14 @@ def _walls(
 
 def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     """Draw the corridors, wider the more often they were driven, with tooltips."""
-    colour = canvas.theme["corridor"]
-    if len(m.source) > MOST_TOLD:
-        for times in (1, 2, 3, 4):
-            rows = np.flatnonzero(np.clip(m.traversals, 1, 4) == times).tolist()
-            canvas.lines([apply(T, m.paths[i]) for i in rows], colour, LINE_PT * _widening(times))
-    for i, path in enumerate(m.paths if len(m.source) <= MOST_TOLD else ()):
-        times = int(m.traversals[i])
-        told = (
-            f"corridor {m.source[i]} to {m.target[i]}: "
-            f"{m.length[i]:.2f} ± {m.length_sigma[i]:.2f} m, "
-            f"driven {counted(times, 'time')}"
-        )
-        canvas.lines([apply(T, path)], colour, LINE_PT * _widening(times), told=told)
-    most = int(m.traversals.max()) if len(m.traversals) else 0
+    colour, times = canvas.theme["corridor"], np.clip(m.traversals, 1, MOST_TIMES)
+    for often in range(1, MOST_TIMES + 1):
+        rows = np.flatnonzero(times == often).tolist()
+        paths, told = [apply(T, m.paths[i]) for i in rows], [corridor_told(m, i) for i in rows]
+        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), told=told)
+    most = m.traversals.max(initial=0)
     keys = [Key("line", colour, "corridor")] if most else []
     return [*keys, Key("wide line", colour, "driven more often")] if most > 1 else keys
-
-
-def _widening(times: int) -> float:
-    return 0.8 + 0.4 * min(max(times, 1) - 1, 3)
 
 
 def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> list[Key]:
@@ -126,27 +114,26 @@ def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> list[Key]:
 
 
 def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
-    xy = apply(T, m.xy) if len(m) else np.zeros((0, 2))
+    xy = apply(T, m.xy)
     group = np.minimum(m.degree, len(_KINDS) - 1)
-    passes = m.passes.tolist()
     keys = []
     for degree, label in enumerate(_KINDS):
-        rows = np.flatnonzero(group == degree)
-        if len(rows) == 0:
-            continue
-        colour, size = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
-        if len(m) > MOST_TOLD:
-            canvas.dots(xy[rows], colour, size)
-        for i in rows.tolist() if len(m) <= MOST_TOLD else ():
-            sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
-            times = counted(passes[i], "pass", "passes")
-            sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
-            told = f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {times}{sigma}{sure}"
-            canvas.dots(xy[i : i + 1], colour, size, told=told)
-        keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
+        rows = np.flatnonzero(group == degree).tolist()
+        if rows:
+            colour, large = canvas.theme[f"degree {degree}"], degree >= 3
+            told = [_junction_told(m, i) for i in rows]
+            canvas.dots(xy[rows], colour, 6.5 if large else 5.0, told=told)
+            keys.append(Key("big dot" if large else "dot", colour, label))
     if len(m) <= MOST_NUMBERED:
-        _numbered(canvas, m, T, dict(enumerate(map(str, range(len(m))))))
+        _numbered(canvas, m, T, {k: str(k) for k in range(len(m))})
     return keys
+
+
+def _junction_told(m: TopoMap, i: int) -> str:
+    sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
+    sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
+    passes = counted(int(m.passes[i]), "pass", "passes")
+    return f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {passes}{sigma}{sure}"
 
 
 def _size_told(m: TopoMap, vertex: int) -> str:
@@ -160,11 +147,15 @@ def _size_told(m: TopoMap, vertex: int) -> str:
 
 def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
     """Draw where the robot turned round and where the log begins or ends between junctions."""
-    points, colour = m.turning_points, canvas.theme["degree 1"]
-    xy = apply(T, points.xy)
-    for k, kind in enumerate(points.kind):
-        told = f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
-        canvas.dots(xy[k : k + 1], colour, 4.0, told=told, marker=TURNED_MARKERS[kind])
+    points = m.turning_points
+    for kind, marker in TURNED_MARKERS.items():
+        rows = [k for k, own in enumerate(points.kind) if own == kind]
+        told = [
+            f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
+            for k in rows
+        ]
+        xy = apply(T, points.xy[rows])
+        canvas.dots(xy, canvas.theme["degree 1"], 4.0, told=told, marker=marker)
     return _turned_keys(points.kind, canvas.theme)
 
 
@@ -184,8 +175,8 @@ def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str
             gaps = np.diff(np.r_[heading, heading[0] + 2 * np.pi])
             k = int(gaps.argmax())
             middle = heading[k] + gaps[k] / 2
-        x, y = apply(T, m.xy[i : i + 1])[0] + away_m * np.array([np.cos(middle), np.sin(middle)])
-        canvas.words((float(x), float(y)), number, size_pt=SMALL_PT)
+        aside = away_m * np.array([np.cos(middle), np.sin(middle)])
+        canvas.words(apply(T, m.xy[i]) + aside, number, size_pt=SMALL_PT)
 
 
 def draw_sites(
@@ -229,7 +220,7 @@ def draw_merged(
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = _sheet(cells, theme, width, "merged")
     rank = ranks(result)
-    _frames(canvas, cells, [_title(canvas, part) for part in parts])
+    _frames(canvas, cells, [part.titles for part in parts])
     pen = _pen_pt(canvas, result.fused)
     walled: list[Key] = []
     planned: dict[Key, None] = {}
@@ -278,26 +269,17 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
     for k, drive in enumerate(drives, 1):
         if drive.component != part.component.id:
             continue
-        told = f"drive {k}: {drive.words[0]}"
-        path = [apply(T, drive.path)]
+        path, told = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
         canvas.lines(path, canvas.theme["planned"], DRIVE_PT, order=Order.EVIDENCE, told=told)
         begins.setdefault(drive.stops[0].xy, []).append(str(k))
         others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
         for xy, junction in others.items():
-            x, y = apply(T, np.array([xy]))[0].tolist()
-            canvas.words((x - away_m, y + away_m / 2), str(junction), size_pt=SMALL_PT)
+            at = apply(T, np.array(xy)) + away_m * np.array([-1.0, 0.5])
+            canvas.words(at, str(junction), size_pt=SMALL_PT)
     for xy, numbers in begins.items():
-        at = apply(T, np.array([xy]))
-        canvas.dots(at, canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
-        x, y = at[0].tolist()
-        canvas.words((x, y + away_m), ", ".join(numbers), bold=True)
-
-
-def _title(canvas: Canvas, part: Part) -> str:
-    """The longest of the component's titles that fits its cell."""
-    room = float(part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
-    fitting = (title for title in part.titles if len(title) < letters(room, TEXT_PT))
-    return next(fitting, part.titles[-1])
+        at = apply(T, np.array(xy))
+        canvas.dots(at[None], canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
+        canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
 
 
 def _merged_keys(
@@ -329,16 +311,17 @@ def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> C
     return Canvas(*bounds([corners_of(cells)], margin=SHEET_MARGIN), theme, width_pt, name)
 
 
-def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
-    """With more than one cell, draw each one's frame and title."""
+def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
+    """With more than one cell, draw each one's frame and title, in the longest form that fits."""
     if len(cells) < 2:
         return
-    for cell, title in zip(cells, titles, strict=True):
-        (x0, _), (x1, y1) = cell.low, cell.high
+    size = TEXT_PT if len(cells) < 12 else SMALL_PT
+    for cell, forms in zip(cells, titles, strict=True):
+        (x0, _), (x1, top) = cell.low, cell.high
         canvas.lines([outline(cell.low, cell.high)], canvas.theme["card"], 0.8, order=Order.CARD)
-        size = TEXT_PT if len(cells) < 12 else SMALL_PT
-        at = (float(x0 + x1) / 2, float(y1) - 0.8 * size / canvas.points_per_m)
-        canvas.words(at, title, size_pt=size, room_m=0.96 * float(x1 - x0))
+        title = fitting(forms, letters(0.96 * (x1 - x0) * canvas.points_per_m, size))
+        at = np.array([(x0 + x1) / 2, top - 0.8 * size / canvas.points_per_m])
+        canvas.words(at, title, size_pt=size)
 
 
 def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
@@ -356,11 +339,11 @@ def _fused(
         drawn.setdefault((strand.run, strand.share), []).append(apply(T, strand.path))
     for (run, share), paths in sorted(drawn.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
-        canvas.lines(paths, colour, pen_pt * share, told=run)
+        canvas.lines(paths, colour, pen_pt * share, told=[run])
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     kinds = np.array([fused.kind[i] for i in part.vertices.tolist()], object)
     turned = np.array([kind in TURNED for kind in kinds], bool)
-    xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
+    xy = apply(T, fused.xy[part.vertices])
     for kind, marker in TURNED_MARKERS.items():
         canvas.dots(xy[kinds == kind], canvas.theme["degree 1"], 1.2 * pen_pt, marker=marker)
     shared, single = shared & ~turned, ~shared & ~turned
@@ -375,7 +358,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     seen = [wall_points(walls_of([m.views], m.frame)) for m in (a, b)]
     picture = decision_picture(a, b, decision, (seen[0], seen[1]))
     canvas = _sheet(picture.cells, theme, WIDTH_PT, "pair")
-    _frames(canvas, picture.cells, picture.titles)
+    _frames(canvas, picture.cells, [(title,) for title in picture.titles])
     for mark in picture.marks:
         _mark(canvas, mark)
     for T_sheet_a, T_sheet_b in picture.laid:
@@ -397,25 +380,28 @@ TINY_M = 1e-3
 
 def _mark(canvas: Canvas, mark: Mark) -> None:
     """Draw a mark: in one piece, or one by one if something is said of each."""
-    colour, order = canvas.theme[mark.ink], mark.order
+    colour, order, told = canvas.theme[mark.ink], mark.order, mark.told
     if mark.form == "cell":
         at = np.stack(mark.xy)
         width_pt = float(np.max(mark.pens)) * canvas.points_per_m
         canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt)
-        return
-    each = len(mark.told) > 1
-    pens = np.broadcast_to(mark.pens, len(mark.xy)).tolist()
-    for k in range(len(mark.xy)) if each else [0]:
-        xy, told = mark.xy[k : k + 1] if each else mark.xy, mark.told[k] if mark.told else ""
-        if mark.form == "line":
-            canvas.lines(xy, colour, PEN_PT * (pens[k] if pens else 1.0), order=order, told=told)
-        elif mark.form == "number":
-            x, y = (xy[0] + 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])).tolist()
-            canvas.words((x, y), told, size_pt=SMALL_PT)
-        else:
-            ring = mark.form == "ring"
-            size_pt = RING_PT if ring else DOT_PT
-            canvas.dots(np.stack(xy), colour, size_pt, order=order, told=told, ring=ring)
+    elif mark.form == "line" and len(told) > 1:
+        pens = PEN_PT * np.broadcast_to(mark.pens, len(mark.xy))
+        for path, own, pen_pt in zip(mark.xy, told, pens.tolist(), strict=True):
+            canvas.lines([path], colour, pen_pt, order=order, told=[own])
+    elif mark.form == "line":
+        canvas.lines(mark.xy, colour, PEN_PT * float(np.max(mark.pens)), order=order, told=told)
+    elif mark.form == "number":
+        for xy, number in zip(mark.xy, told, strict=True):
+            canvas.words(xy + 7.0 / canvas.points_per_m * ASIDE, number, size_pt=SMALL_PT)
+    else:
+        ring = mark.form == "ring"
+        size_pt = RING_PT if ring else DOT_PT
+        canvas.dots(np.stack(mark.xy), colour, size_pt, order=order, told=told, ring=ring)
+
+
+ASIDE = np.array([-1.0, 1.0])
+"""Where a number stands from its junction."""
 
 
 def _pair_keys(theme: Theme, maps: tuple[TopoMap, TopoMap], names: Collection[str]) -> list[Key]:

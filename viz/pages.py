@@ -7,9 +7,10 @@ from typing import Any
 
 from ..merge.result import MergeResult, Standing, pairs_of, shown_bits
 from ..topology.driven_branches import driven_branches
-from ..topology.topomap import TopoMap
+from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
+from .drawing import TURNED
 from .questions import Question
 
 MOST_LINES = 40
@@ -57,6 +58,19 @@ def map_told(topomap: TopoMap) -> str:
         f"{counted(len(topomap), 'junction')}, {counted(len(topomap.source), 'corridor')}, "
         f"{topomap.length.sum():,.0f} m{to_turning_points(len(ways), ways.length.sum())}; "
         f"{counted(len(topomap.observation_vertex), 'pass', 'passes')}"
+    )
+
+
+def corridor_told(graph: Graph, edge: int) -> str:
+    """A corridor, or the way to a turning point, in a line."""
+    ends = (int(graph.source[edge]), int(graph.target[edge]))
+    turned = next((graph.kind[v] for v in ends if graph.kind[v] in TURNED), None)
+    what = f"corridor {ends[0]} to {ends[1]}"
+    if turned is not None:
+        what = f"way from junction {min(ends)} to where {TURNED[turned]}"
+    return (
+        f"{what}: {graph.length[edge]:.2f} ± {graph.length_sigma[edge]:.2f} m, "
+        f"driven {counted(int(graph.traversals[edge]), 'time')}"
     )
 
 

@@ -48,14 +48,16 @@ class Part:
         return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
 
 
-def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
-    """All components on one sheet, those of most runs first.
+def in_order(result: MergeResult) -> list[Component]:
+    """The components, those of most runs first."""
+    return sorted(result.components, key=lambda c: (-len(c.poses), c.id))
 
-    walls: points (k, 2) of the walls of a component, by
-    its id, that its cell is to hold as well [m].
-    """
+
+def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
+    """All components on one sheet, `in_order`. walls: points (k, 2) of the walls of a component, by
+    its id, that its cell is to hold as well [m]."""
     fused = result.fused
-    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    order = in_order(result)
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
     vertices, edges = (rows_of(own, [c.id for c in order]) for own in (fused.component, of_edge))
     paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]

@@ -30,7 +30,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
 from .palette import LIGHT
-from .parts import ranks
+from .parts import in_order, ranks
 from .report_maps import INK, SiteLayers, blank_figure, described_change, site_map
 from .report_pairs import (
     STANDING_COLOURS,
@@ -80,16 +80,12 @@ def report_page(report: Report) -> str:
     result = report.result
     runs = runs_in_order(result) if result is not None else []
     runs += sorted(set(report.maps) - set(runs))
-    items: dict[str, Any] = {
-        "runs": page_data(result, runs, report.maps, report.decisions, report.where)
-    }
-    items["pair-a"] = _item("pair-a", pair_figure())
-    items["pair-b"] = _item("pair-b", pair_figure())
+    told = page_data(result, runs, report.maps, report.decisions, report.where)
+    items: dict[str, Any] = {"runs": told}
+    items |= {name: _item(name, pair_figure()) for name in ("pair-a", "pair-b")}
     sites = _sites(report, items)
     if result is not None and len(runs) > 1:
-        items["matrix"] = _item(
-            "matrix", matrix_figure(result, [run for run in runs if _in(result, run)])
-        )
+        items["matrix"] = _item("matrix", matrix_figure(result))
     rows = _time_line(report, runs, items)
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
@@ -113,10 +109,6 @@ def report_page(report: Report) -> str:
         items={name: _json(item) for name, item in items.items()},
     )
     return page
-
-
-def _in(result: MergeResult, run: str) -> bool:
-    return any(run in c.poses for c in result.components)
 
 
 def _file(name: str) -> str:
@@ -206,7 +198,7 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
 
 def _groups(result: MergeResult) -> tuple[list[Component], list[Component]]:
     """Components of several runs, those of most first, and those of one."""
-    ordered = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    ordered = in_order(result)
     several = [c for c in ordered if len(c.poses) > 1]
     return several, sorted(ordered[len(several) :], key=lambda c: c.name)
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..merge.result import MergeResult, PairVerdict, Standing
+from .parts import in_order
 
 DIAGONAL = 0
 CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
@@ -16,8 +18,14 @@ CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
 
 def runs_in_order(result: MergeResult) -> list[str]:
     """All runs by component, components of most runs first."""
-    components = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
-    return [run for component in components for run in sorted(component.poses)]
+    return [run for component in in_order(result) for run in sorted(component.poses)]
+
+
+def spans_of(result: MergeResult) -> list[tuple[str, int, int]]:
+    """The name of every site, its first row by `runs_in_order`, and the row after its last."""
+    order = in_order(result)
+    stops = np.cumsum([0, *(len(c.poses) for c in order)]).tolist()
+    return [(c.name, *ends) for c, ends in zip(order, pairwise(stops), strict=True)]
 
 
 def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:

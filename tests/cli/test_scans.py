@@ -34,10 +34,9 @@ def test_simulated_lasers(topobatch, tmp_path):
     assert "shows the walls around places; --junctions-from scan finds" in out
     out = topobatch("info", tmp_path / "b", "--junctions-from", "scan").out
     assert "scans: default name; asked for in place of detections" in out
-    wrong = (("--corridor-m", 9), ("--corridor-m", "nan"), ("--format", "rar"))
-    for told, value in wrong:
-        call = ("simulate", tmp_path / "c", "--laser", told, value)
-        assert str(value) in topobatch(*call).error(2)
+    for option, value in (("--corridor-m", 9), ("--corridor-m", "nan"), ("--format", "rar")):
+        error = topobatch("simulate", tmp_path / "c", "--laser", option, value).error(2)
+        assert option in error or "choose one of mcap" in error
     assert not (tmp_path / "c").exists()
 
 
