@@ -211,10 +211,7 @@ def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray
 
 
 def cast_at_segments(
-    origin: FloatArray,
-    direction: FloatArray,
-    segments: Segments,
-    present: BoolArray | None = None,
+    origin: FloatArray, direction: FloatArray, segments: Segments, present: BoolArray | None = None
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """The first hit of each beam on a set of segments. O(r s), vectorised.
 

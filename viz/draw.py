@@ -10,12 +10,7 @@ import numpy as np
 from ..merge.decision import Decision
 from ..merge.decision_text import advice, because, headline
 from ..merge.drive import Drive
-from ..merge.result import (
-    FusedMap,
-    MergeResult,
-    of_sites,
-    site_views,
-)
+from ..merge.result import FusedMap, MergeResult, of_sites, site_views
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply
@@ -23,7 +18,7 @@ from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, to_turning_points
-from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, letters
+from .canvas import SMALL_PT, TEXT_PT, Canvas, letters
 from .drawing import (
     MOST_NUMBERED,
     SHEET_MARGIN,
@@ -37,7 +32,7 @@ from .drawing import (
 from .pages import corridor_told, map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import VIEWS, Mark, decision_picture
+from .placements import Mark, decision_picture
 from .sheet import Cell, corners_of, fitting, outline, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
@@ -65,10 +60,12 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     seen = wall_points(walls_of([topomap.views], topomap.frame))
     low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
-    keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
-    keys += _walls(canvas, [topomap.views], turn, theme["wall"])
-    keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
-    canvas.finish([topomap.run, map_told(topomap)], [keys])
+    _corridors_of(canvas, whole, turn)
+    _unexplored(canvas, whole, turn)
+    _walls(canvas, [topomap.views], turn, theme["wall"])
+    _junctions_of(canvas, topomap, turn)
+    _turned_of(canvas, topomap, turn)
+    canvas.finish([topomap.run, map_told(topomap)])
     return canvas
 
 
@@ -78,55 +75,51 @@ the file than the page has room for."""
 
 
 def _walls(
-    canvas: Canvas, views: Sequence[Views], T: FloatArray, colour: str, alpha: float = 1.0
-) -> list[Key]:
+    canvas: Canvas,
+    views: Sequence[Views],
+    T: FloatArray,
+    colour: str,
+    *,
+    alpha: float = 1.0,
+    key: str = "wall",
+) -> None:
     """Draw the walls that views show, moved onto the sheet by T."""
     cell_m = FINE_M
     while cell_m * canvas.points_per_m < LEAST_CELL_PT:
         cell_m *= 2
     grid = walls_of([v.moved(T) for v in views], "", cell_m)
-    if grid is None:
-        return []
-    canvas.cells(grid, colour, alpha)
-    return [Key("wide line", colour, "wall")]
+    if grid is not None:
+        canvas.cells(grid, colour, alpha, key)
 
 
-def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     """Draw the corridors, wider the more often they were driven, with tooltips."""
     colour, times = canvas.theme["corridor"], np.clip(m.traversals, 1, MOST_TIMES)
     for often in range(1, MOST_TIMES + 1):
         rows = np.flatnonzero(times == often).tolist()
         paths, told = [apply(T, m.paths[i]) for i in rows], [corridor_told(m, i) for i in rows]
-        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), told=told)
-    most = m.traversals.max(initial=0)
-    keys = [Key("line", colour, "corridor")] if most else []
-    return [*keys, Key("wide line", colour, "driven more often")] if most > 1 else keys
+        key = "corridor" if often == 1 else "corridor, driven more often"
+        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), told=told, key=key)
 
 
-def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> list[Key]:
+def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> None:
     free = ~driven_branches(m)
-    if not free.any():
-        return []
     origin, vector = branch_arrows(m, 8.0 / canvas.points_per_m)
     ends = [apply(T, np.stack([o, o + v])) for o, v in zip(origin[free], vector[free], strict=True)]
-    canvas.lines(ends, canvas.theme["unexplored"], 1.5, order=Order.UNEXPLORED)
-    return [Key("stub", canvas.theme["unexplored"], "branch never driven")]
+    colour, key = canvas.theme["unexplored"], "branch never driven"
+    canvas.lines(ends, colour, 1.5, order=Order.UNEXPLORED, key=key)
 
 
-def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     xy = apply(T, m.xy)
     group = np.minimum(m.degree, len(_KINDS) - 1)
-    keys = []
     for degree, label in enumerate(_KINDS):
         rows = np.flatnonzero(group == degree).tolist()
-        if rows:
-            colour, large = canvas.theme[f"degree {degree}"], degree >= 3
-            told = [_junction_told(m, i) for i in rows]
-            canvas.dots(xy[rows], colour, 6.5 if large else 5.0, told=told)
-            keys.append(Key("big dot" if large else "dot", colour, label))
+        colour, size_pt = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
+        told = [_junction_told(m, i) for i in rows]
+        canvas.dots(xy[rows], colour, size_pt, told=told, key=label)
     if len(m) <= MOST_NUMBERED:
         _numbered(canvas, m, T, {k: str(k) for k in range(len(m))})
-    return keys
 
 
 def _junction_told(m: TopoMap, i: int) -> str:
@@ -145,7 +138,7 @@ def _size_told(m: TopoMap, vertex: int) -> str:
     return ""
 
 
-def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     """Draw where the robot turned round and where the log begins or ends between junctions."""
     points = m.turning_points
     for kind, marker in TURNED_MARKERS.items():
@@ -154,15 +147,8 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
             f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
             for k in rows
         ]
-        xy = apply(T, points.xy[rows])
-        canvas.dots(xy, canvas.theme["degree 1"], 4.0, told=told, marker=marker)
-    return _turned_keys(points.kind, canvas.theme)
-
-
-def _turned_keys(kinds: Collection[str], theme: Theme) -> list[Key]:
-    colour = theme["degree 1"]
-    found = {kind: label for kind, label in TURNED.items() if kind in kinds}
-    return [Key("dot", colour, label, TURNED_MARKERS[kind]) for kind, label in found.items()]
+        xy, colour = apply(T, points.xy[rows]), canvas.theme["degree 1"]
+        canvas.dots(xy, colour, 4.0, told=told, marker=marker, key=TURNED[kind])
 
 
 def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str]) -> None:
@@ -220,10 +206,14 @@ def draw_merged(
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = _sheet(cells, theme, width, "merged")
     rank = ranks(result)
+    several = [part.component for part in parts if len(part.component.poses) > 1]
+    for component in several:
+        if len(several) > 1:
+            canvas.run(component.name, None)
+        for run in sorted(component.poses):
+            canvas.run(run, theme.run(rank[run]))
     _frames(canvas, cells, [part.titles for part in parts])
     pen = _pen_pt(canvas, result.fused)
-    walled: list[Key] = []
-    planned: dict[Key, None] = {}
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers and result.fused.junctions <= MOST_NUMBERED:
@@ -231,11 +221,10 @@ def draw_merged(
             _numbered(
                 canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
             )
-        own = views[part.component.id]
-        walled = [*walled, *_walls(canvas, own, part.cell.T_sheet_map, theme["wall"])]
+        _walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
         if drives is not None:
             site = of_sites(result, [part.component.id]).fused
-            planned |= dict.fromkeys(_unexplored(canvas, site, part.cell.T_sheet_map))
+            _unexplored(canvas, site, part.cell.T_sheet_map)
             _drives(canvas, part, drives)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
@@ -250,10 +239,7 @@ def draw_merged(
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     title = title if drives is None else f"What to record next: {title}"
     told_drives = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
-    if told_drives:
-        planned[Key("wide line", theme["planned"], "drive to record, from its number on")] = None
-    marks, runs_told = _merged_keys(result, parts, rank, theme)
-    canvas.finish([title, told, *told_drives], [[*marks, *walled[:1], *planned], runs_told])
+    canvas.finish([title, told, *told_drives])
     return canvas
 
 
@@ -270,7 +256,8 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         if drive.component != part.component.id:
             continue
         path, told = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
-        canvas.lines(path, canvas.theme["planned"], DRIVE_PT, order=Order.EVIDENCE, told=told)
+        colour, key = canvas.theme["planned"], "drive to record, from its number on"
+        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, told=told, key=key)
         begins.setdefault(drive.stops[0].xy, []).append(str(k))
         others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
         for xy, junction in others.items():
@@ -280,31 +267,6 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         at = apply(T, np.array(xy))
         canvas.dots(at[None], canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
         canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
-
-
-def _merged_keys(
-    result: MergeResult, parts: list[Part], rank: Mapping[str, int], theme: Theme
-) -> list[list[Key]]:
-    """The entries for marks, then those for the runs of every component of several runs."""
-    several = [part for part in parts if len(part.component.poses) > 1]
-    fused = result.fused
-    places = fused.members[: fused.junctions]
-    shared, single = any(len(m) > 1 for m in places), any(len(m) == 1 for m in places)
-    marks: list[Key] = []
-    if shared:
-        marks.append(Key("big dot", theme["shared"], "junction seen by several runs"))
-    if single:
-        marks.append(Key("dot", theme["single"], "junction seen by one run"))
-    marks += _turned_keys(fused.kind, theme)
-    if len(several) < len(parts):
-        marks.append(Key("line", theme["single"], "run that is merged with none"))
-    runs: list[Key] = []
-    for part in several:
-        if len(several) > 1:
-            runs.append(Key("title", theme["ink"], part.component.name))
-        names = sorted(part.component.poses)
-        runs += [Key("line", theme.run(rank[run]), run) for run in names]
-    return [marks, runs]
 
 
 def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
@@ -339,16 +301,20 @@ def _fused(
         drawn.setdefault((strand.run, strand.share), []).append(apply(T, strand.path))
     for (run, share), paths in sorted(drawn.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
-        canvas.lines(paths, colour, pen_pt * share, told=[run])
+        key = "run that is merged with none" if alone else ""
+        canvas.lines(paths, colour, pen_pt * share, told=[run], key=key)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     kinds = np.array([fused.kind[i] for i in part.vertices.tolist()], object)
     turned = np.array([kind in TURNED for kind in kinds], bool)
     xy = apply(T, fused.xy[part.vertices])
     for kind, marker in TURNED_MARKERS.items():
-        canvas.dots(xy[kinds == kind], canvas.theme["degree 1"], 1.2 * pen_pt, marker=marker)
-    shared, single = shared & ~turned, ~shared & ~turned
-    canvas.dots(xy[single], canvas.theme["single"], 1.4 * pen_pt)
-    canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=Order.TIE)
+        own, colour = xy[kinds == kind], canvas.theme["degree 1"]
+        canvas.dots(own, colour, 1.2 * pen_pt, marker=marker, key=TURNED[kind])
+    for which, ink, pens, order, key in (
+        (~shared, "single", 1.4, Order.JUNCTION, "junction seen by one run"),
+        (shared, "shared", 2.1, Order.TIE, "junction seen by several runs"),
+    ):
+        canvas.dots(xy[which & ~turned], canvas.theme[ink], pens * pen_pt, order=order, key=key)
 
 
 def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
@@ -362,12 +328,13 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     for mark in picture.marks:
         _mark(canvas, mark)
     for T_sheet_a, T_sheet_b in picture.laid:
-        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"])
+        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"], key=f"walls of {a.run}")
         # Those of a show through.
-        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75)
+        key = f"walls of {b.run}"
+        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75, key=key)
     heading = [headline(decision), because(decision), advice(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
-    canvas.finish(heading, [_pair_keys(theme, (a, b), {n for m in picture.marks for n in m.name})])
+    canvas.finish(heading)
     return canvas
 
 
@@ -380,41 +347,27 @@ TINY_M = 1e-3
 
 def _mark(canvas: Canvas, mark: Mark) -> None:
     """Draw a mark: in one piece, or one by one if something is said of each."""
-    colour, order, told = canvas.theme[mark.ink], mark.order, mark.told
+    colour, order, told, key = canvas.theme[mark.ink], mark.order, mark.told, mark.key
     if mark.form == "cell":
         at = np.stack(mark.xy)
         width_pt = float(np.max(mark.pens)) * canvas.points_per_m
-        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt)
+        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt, key=key)
     elif mark.form == "line" and len(told) > 1:
         pens = PEN_PT * np.broadcast_to(mark.pens, len(mark.xy))
         for path, own, pen_pt in zip(mark.xy, told, pens.tolist(), strict=True):
-            canvas.lines([path], colour, pen_pt, order=order, told=[own])
+            canvas.lines([path], colour, pen_pt, order=order, told=[own], key=key)
     elif mark.form == "line":
-        canvas.lines(mark.xy, colour, PEN_PT * float(np.max(mark.pens)), order=order, told=told)
+        pen_pt = PEN_PT * float(np.max(mark.pens))
+        canvas.lines(mark.xy, colour, pen_pt, order=order, told=told, key=key)
     elif mark.form == "number":
         for xy, number in zip(mark.xy, told, strict=True):
             canvas.words(xy + 7.0 / canvas.points_per_m * ASIDE, number, size_pt=SMALL_PT)
     else:
         ring = mark.form == "ring"
         size_pt = RING_PT if ring else DOT_PT
-        canvas.dots(np.stack(mark.xy), colour, size_pt, order=order, told=told, ring=ring)
+        xy = np.stack(mark.xy)
+        canvas.dots(xy, colour, size_pt, order=order, told=told, ring=ring, key=key)
 
 
 ASIDE = np.array([-1.0, 1.0])
 """Where a number stands from its junction."""
-
-
-def _pair_keys(theme: Theme, maps: tuple[TopoMap, TopoMap], names: Collection[str]) -> list[Key]:
-    """names: of the marks that there are."""
-    keys = [Key("line", theme.run(k), m.run) for k, m in enumerate(maps)]
-    if all(len(m.views) for m in maps):
-        keys += [
-            Key("wide line", theme[f"pale {k}"], f"walls of {m.run}") for k, m in enumerate(maps)
-        ]
-    known = {
-        "matched": Key("ring", theme["ink"], "matched junctions, tied"),
-        "links": Key("wide line", theme["agrees"], "link that speaks for it"),
-        "contradictions": Key("ring", theme["against"], "what speaks against it"),
-        VIEWS: Key("ring", theme["against"], "what speaks against it"),
-    }
-    return list(dict.fromkeys([*keys, *(key for name, key in known.items() if name in names)]))

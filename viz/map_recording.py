@@ -21,17 +21,8 @@ from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .drawing import MOST_NUMBERED, branch_arrows, pen_m
 from .map_blueprint import MAP, map_blueprint
-from .pages import map_page
-from .questions import Question, questions, visits
-from .recording import (
-    HAIR,
-    UP,
-    Recording,
-    corridors_told,
-    markdown,
-    write_grid,
-    write_recording,
-)
+from .pages import Question, map_page, questions, visits
+from .recording import HAIR, UP, Recording, corridors_told, markdown, write_grid, write_recording
 from .robot_track import RobotTrack, robot_track
 from .walls import walls_of
 
@@ -195,10 +186,7 @@ def _closures(recording: Recording, topomap: TopoMap, asked: Sequence[Question])
 
 
 def _events(
-    recording: Recording,
-    topomap: TopoMap,
-    asked: Sequence[Question],
-    odometry: Odometry | None,
+    recording: Recording, topomap: TopoMap, asked: Sequence[Question], odometry: Odometry | None
 ) -> None:
     """Write a log of passes, closures, and what is wrong with the odometry."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex

@@ -10,9 +10,9 @@ import rerun as rr
 from ..merge.result import MergeResult, Standing
 from ..topology.arrays import FloatArray
 from . import palette
+from .parts import CLASS, DIAGONAL, spans_of, verdict_matrix
 from .recording import HAIR, Recording
 from .sheet import outline
-from .verdicts import CLASS, DIAGONAL, spans_of, verdict_matrix
 
 MATRIX = "verdicts"
 """Its entity root."""

@@ -11,7 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.result import FusedMap, MergeResult, site_views
-from ..topology.arrays import IntArray
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.columns import take
 from ..topology.driven_branches import driven_branches
 from ..topology.run import Grid
@@ -23,8 +23,8 @@ from . import palette
 from .drawing import SHEET_MARGIN, Strand, bounds, branch_arrows, pen_m, strands
 from .matrix_layer import MATRIX, matrix_bounds, write_matrix
 from .pages import merge_page
-from .parts import Part, colours_of, lay_out, rows_of
-from .placements import Spot, contradiction_spots
+from .parts import Part, colours_of, lay_out, rows_of, runs_in_order
+from .placements import contradiction_spots
 from .recording import (
     UP,
     PathParts,
@@ -40,7 +40,6 @@ from .recording import (
     write_recording,
 )
 from .sheet import Cell, corners_of
-from .verdicts import runs_in_order
 from .walls import FINE_M, wall_points, walls_of
 
 RECORDING_ID = "merged"
@@ -246,7 +245,7 @@ def _contradictions(
     pen: float,
 ) -> None:
     """Write a red dot where merged runs contradict each other; its text is shown on selection."""
-    found: dict[str, list[Spot]] = {}
+    found: dict[str, list[tuple[FloatArray, str]]] = {}
     home = {run: part for part in parts for run in part.component.poses}
     for pair in result.verdicts:
         if pair.accepted and pair.best is not None and pair.best.contradicting:
@@ -258,12 +257,12 @@ def _contradictions(
     for name, spots in found.items():
         if spots:
             dots = rr.Points2D(
-                [spot.xy for spot in spots],
+                [xy for xy, _ in spots],
                 radii=2.0 * pen,
                 colors=palette.REFUSED,
                 draw_order=palette.Order.CONTRADICTION,
             )
-            told = rr.AnyValues(contradiction=[spot.told for spot in spots])
+            told = rr.AnyValues(contradiction=[told for _, told in spots])
             recording.static((FUSED, name, "contradictions"), dots, told)
 
 

@@ -179,6 +179,5 @@ def _light_run(rank: int) -> str:
 
 LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, _light_run)
 DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()},
-    lambda rank: _hex(of_rank(rank)),
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, lambda rank: _hex(of_rank(rank))
 )

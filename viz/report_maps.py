@@ -32,10 +32,9 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, legible, listed
 from .drawing import TURNED, TURNED_MARKERS, bounds, strands
-from .pages import corridor_told
+from .pages import corridor_told, questions
 from .palette import LIGHT
 from .parts import ranks, rows_of
-from .questions import questions
 from .sheet import upright_rad
 from .walls import wall_points, walls_of
 

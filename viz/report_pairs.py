@@ -15,8 +15,8 @@ from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
 from .palette import LIGHT
+from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
 from .report_maps import BAD, CHOSEN, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
-from .verdicts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
 
 STANDING_COLOURS = {
     Standing.MERGED: "#37b26c",

@@ -101,11 +101,7 @@ def _placed(topomap: TopoMap, seen: IntArray, stretch: Odometry, spacing: float)
 
 
 def _bent(
-    time_ns: IntArray,
-    raw: FloatArray,
-    pass_ns: IntArray,
-    passed: FloatArray,
-    seen_at: FloatArray,
+    time_ns: IntArray, raw: FloatArray, pass_ns: IntArray, passed: FloatArray, seen_at: FloatArray
 ) -> FloatArray:
     """Corrected poses (n, 3): between two passes the raw track is rotated by the angle between the
     raw chord and the map's, and the remaining offset at its end is distributed linearly in time.
