@@ -47,8 +47,8 @@ from topobatch.ingest.odometry.heading_evidence import Rows
 from topobatch.ingest.scans import detection
 from topobatch.ingest.scans import views as scan_views
 from topobatch.ingest.scans.views import closed_by_views
-from topobatch.simulation import DRIFTS, FAULTS, true_vertex_of_passes
-from topobatch.simulation.truth import Truth
+from topobatch.simulation.settings import DRIFTS, FAULTS
+from topobatch.simulation.truth import Truth, true_vertex_of_passes
 from topobatch.topology.arrays import BoolArray, FloatArray, IntArray
 from topobatch.topology.closure import (
     alternatives,

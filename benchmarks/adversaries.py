@@ -40,8 +40,8 @@ from plans import (
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust import DEFAULT_ROBUST
 from topobatch.merge.robust.mirror import mirrored
-from topobatch.simulation import make_world
 from topobatch.simulation.regions import grown
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import wrap
 from topobatch.topology.topomap import TopoMap

@@ -32,7 +32,7 @@ from topobatch.merge.robust import (
 from topobatch.merge.robust.alignment import best_of
 from topobatch.merge.robust.links import Seed
 from topobatch.merge.robust.settings import MATCH
-from topobatch.simulation import make_world
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.se2 import fit_rigid
 
 KINDS = {"tiles": 90, "office": 120, "rows": 70, "maze": 110, "organic": 90, "city": 90}

@@ -22,8 +22,8 @@ from scipy.spatial import cKDTree
 
 from topobatch.merge.robust import DEFAULT_ROBUST
 from topobatch.merge.robust.verdict import needed_bits
-from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.se2 import wrap
 
 KINDS = {"rows": 80, "office": 120, "tiles": 90, "maze": 110}

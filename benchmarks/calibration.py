@@ -21,7 +21,7 @@ from observed import scattered_maps
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies, sameness_of
 from topobatch.merge.robust.verdict import counted_bits
-from topobatch.simulation import make_world
+from topobatch.simulation.worlds import make_world
 
 COPIES = default_copies(DEFAULT_ROBUST)
 WORLD_SIZE, MAP_SIZE, RUNS = 320, 28, 16

@@ -19,13 +19,9 @@ import numpy as np
 
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import (
-    MIXED,
-    ScenarioSettings,
-    placement_error,
-    simulate_scenario,
-    true_vertex_of_nodes,
-)
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import MIXED, placement_error, true_vertex_of_nodes
 from topobatch.topology.se2 import between
 
 LEVELS = (("low", "none"), ("mid", "mild"), ("high", "harsh"), ("real", "mild"))

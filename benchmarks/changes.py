@@ -22,16 +22,10 @@ import numpy as np
 from topobatch.ingest.mapping import build_map
 from topobatch.merge.changes import changes
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import (
-    DRIFTS,
-    FAULTS,
-    RunSettings,
-    Truth,
-    make_world,
-    simulate_run,
-    true_vertex_of_nodes,
-)
-from topobatch.simulation.scenario import EPOCH_NS
+from topobatch.simulation.scenario import EPOCH_NS, simulate_run
+from topobatch.simulation.settings import DRIFTS, FAULTS, RunSettings
+from topobatch.simulation.truth import Truth, true_vertex_of_nodes
+from topobatch.simulation.worlds import make_world
 
 KINDS = ("maze", "office", "organic", "city")
 DAY_NS = 86_400 * 10**9

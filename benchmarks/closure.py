@@ -34,12 +34,9 @@ from topobatch.ingest.odometry.noise import estimate_noise
 from topobatch.ingest.odometry.track import sane_track
 from topobatch.ingest.passes import fuse_passes
 from topobatch.merge.pieces import joined_pieces
-from topobatch.simulation import (
-    ScenarioSettings,
-    simulate_scenario,
-    true_vertex_of_passes,
-)
-from topobatch.simulation.settings import DRIFTS
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import DRIFTS, ScenarioSettings
+from topobatch.simulation.truth import true_vertex_of_passes
 from topobatch.topology.closure.alternatives import most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.incremental import RoundSettings, full_closure

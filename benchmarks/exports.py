@@ -36,7 +36,9 @@ from topobatch.ingest.reading import find_logs, read_run
 from topobatch.merge.component_map import component_map, component_pose_graph
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
-from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import Truth, true_vertex_of_nodes
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.map_pose_graph import map_pose_graph
 from topobatch.topology.odometry import Odometry

@@ -42,8 +42,8 @@ from topobatch.merge.robust.alignment import match_all
 from topobatch.merge.robust.pairing import in_tiles
 from topobatch.merge.robust.screening import pairs_to_match
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
-from topobatch.simulation import make_world
 from topobatch.simulation.chance import Chance
+from topobatch.simulation.worlds import make_world
 
 KINDS = ("maze", "office", "organic", "city")
 SAMPLE = 2000

@@ -44,8 +44,9 @@ from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
 from topobatch.ingest.logs.saved_map import read_saved_map
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import World, make_world
 from topobatch.simulation.walls import free_space
+from topobatch.simulation.world import World
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.arrays import BoolArray, FloatArray
 from topobatch.topology.errors import TopobatchError
 from topobatch.topology.run import Grid

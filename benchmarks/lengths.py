@@ -25,15 +25,9 @@ import numpy as np
 
 from topobatch.ingest.mapping import build_map, close_loops, dead_reckoned
 from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
-from topobatch.simulation import (
-    DRIFTS,
-    FAULTS,
-    ScenarioSettings,
-    Truth,
-    simulate_scenario,
-    true_vertex_of_nodes,
-    true_vertex_of_passes,
-)
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import DRIFTS, FAULTS, ScenarioSettings
+from topobatch.simulation.truth import Truth, true_vertex_of_nodes, true_vertex_of_passes
 from topobatch.topology.closure.certainty import place_errors
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise

@@ -23,9 +23,9 @@ from topobatch.merge.drive import Drive
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.pieces import joined_pieces
 from topobatch.merge.result import MergeResult
-from topobatch.simulation import ScenarioSettings, simulate_scenario
 from topobatch.simulation.chance import Chance
-from topobatch.simulation.scenario import Scenario, simulate_run
+from topobatch.simulation.scenario import Scenario, simulate_run, simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.truth import Truth, true_vertex_of_nodes
 from topobatch.simulation.walk import Leg
 from topobatch.topology.errors import UsageError

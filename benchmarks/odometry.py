@@ -20,7 +20,8 @@ from topobatch.ingest.mapping import dead_reckoned
 from topobatch.ingest.odometry.calibration import apply_calibration, calibrate
 from topobatch.ingest.odometry.noise import estimate_noise
 from topobatch.ingest.passes import fuse_passes
-from topobatch.simulation import DRIFTS, FAULTS, ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import DRIFTS, FAULTS, ScenarioSettings
 from topobatch.topology.run import Detections
 from topobatch.topology.se2 import apply, fit_rigid
 

@@ -22,7 +22,8 @@ from baselines import icp_from_many_starts, largest_common_subgraph, single_vert
 from mazes import Noise, explored_map, overlapping_regions, random_maze, separate_regions
 
 from topobatch.merge.paper.method import PaperSettings, judge, match, prepare_map
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.truth import best_transform
 from topobatch.simulation.writing import write_scenario
 from topobatch.topology.document import read_map

@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
-from topobatch.simulation import make_world
 from topobatch.simulation.world import straight, without_bends, world_of_links
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.se2 import wrap
 
 

@@ -28,7 +28,8 @@ import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.writing import write_run
 
 SERVERS = Path(__file__).parents[1] / "tests" / "ingest" / "servers.py"

@@ -15,7 +15,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.writing import write_run
 
 ROWS = 10

@@ -35,8 +35,9 @@ from topobatch.merge.transfer import (
     junctions_of_runs,
     transfer,
 )
-from topobatch.simulation import ScenarioSettings, Truth, simulate_scenario, true_vertex_of_nodes
-from topobatch.simulation.settings import MotionSettings
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import MotionSettings, ScenarioSettings
+from topobatch.simulation.truth import Truth, true_vertex_of_nodes
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.polyline import way_of
 from topobatch.topology.se2 import apply, fit_rigid

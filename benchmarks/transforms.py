@@ -37,7 +37,8 @@ from topobatch.merge.fusion.joint_graph import (
 from topobatch.merge.fusion.uncertainty import Landmarks
 from topobatch.merge.fusion.vertex_partition import Pool, identify
 from topobatch.merge.result import Alignment, PairVerdict, Verdict
-from topobatch.simulation import DRIFTS, FAULTS, true_vertex_of_nodes
+from topobatch.simulation.settings import DRIFTS, FAULTS
+from topobatch.simulation.truth import true_vertex_of_nodes
 from topobatch.topology.posegraph.graph import edge_errors
 from topobatch.topology.se2 import apply, between, fit_rigid, wrap
 

@@ -58,14 +58,9 @@ from scipy.stats import chi2
 from topobatch.ingest.mapping import build_map_with_errors
 from topobatch.ingest.reading import read_run
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import (
-    DRIFTS,
-    FAULTS,
-    ScenarioSettings,
-    simulate_scenario,
-    true_vertex_of_nodes,
-)
-from topobatch.simulation.truth import RunTruth, Truth
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import DRIFTS, FAULTS, ScenarioSettings
+from topobatch.simulation.truth import RunTruth, Truth, true_vertex_of_nodes
 from topobatch.simulation.world import World
 from topobatch.simulation.worlds import WORLDS
 from topobatch.simulation.writing import write_run

@@ -70,13 +70,19 @@ def simulate(
     jump_m: Annotated[
         float | None,
         typer.Option(
-            metavar="METRES", min=0, help="How far it jumps; default 0.5. Goes with --jumps."
+            metavar="METRES",
+            min=0,
+            max=1000,  # more than most buildings measure
+            help="How far it jumps; default 0.5. Goes with --jumps.",
         ),
     ] = None,
     jump_deg: Annotated[
         float | None,
         typer.Option(
-            metavar="DEGREES", min=0, help="How far it turns; default 30. Goes with --jumps."
+            metavar="DEGREES",
+            min=0,
+            max=180,
+            help="How far it turns; default 30. Goes with --jumps.",
         ),
     ] = None,
     changes: Annotated[
@@ -110,7 +116,12 @@ def simulate(
     ] = False,
     corridor_m: Annotated[
         float | None,
-        typer.Option(metavar="METRES", help="With --laser: width of the corridors; default 1.4."),
+        typer.Option(
+            metavar="METRES",
+            min=0.5,
+            max=2.2,  # corridors of most worlds lie at least 2.5 m apart
+            help="With --laser: width of the corridors; default 1.4.",
+        ),
     ] = None,
     formats: Annotated[
         list[str] | None,
@@ -149,9 +160,12 @@ def simulate(
         raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
     if not laser and (detections or corridor_m is not None):
         raise UsageError("--detections and --corridor-m are of runs with a laser; give --laser too")
-    from ..simulation import DRIFTS, LASERS, ScenarioSettings, simulate_scenario
-    from ..simulation.writing import write_scenario
+    from ..simulation.scenario import simulate_scenario
+    from ..simulation.settings import DRIFTS, LASERS, ScenarioSettings
+    from ..simulation.writing import FORMATS, write_scenario
 
+    if unknown := [name for name in formats or () if name not in FORMATS]:
+        raise UsageError(f"no format {unknown[0]!r}: choose one of {', '.join(FORMATS)}")
     screen = Screen(quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
     asked = {name: value for name, value in how_far.items() if value is not None}

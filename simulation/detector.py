@@ -57,13 +57,7 @@ class _Pass:
 
 
 def sightings(
-    world: World,
-    drive: Drive,
-    closed: set[int],
-    faults: Faults,
-    *,
-    rate_hz: float,
-    chance: Chance,
+    world: World, drive: Drive, closed: set[int], faults: Faults, *, rate_hz: float, chance: Chance
 ) -> Sightings:
     """The detector's messages during a drive, and the truth about its passes."""
     passes = _visits(world, drive, closed, faults, chance) + _phantoms(drive, faults, chance)

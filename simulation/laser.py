@@ -128,16 +128,8 @@ def scans(
     angles: FloatArray = np.linspace(-half, half, settings.beams).round(9)
     count = int((float(drive.time_s[-1]) - settings.sweep_s) * settings.rate_hz)
     start = quantised((np.arange(count) + chance.uniform(0.0, 0.2, count)) / settings.rate_hz, 20)
-    beam_s = np.linspace(0.0, settings.sweep_s, settings.beams)
     rows = [
-        _cast(
-            drive,
-            start[k : k + SCANS_AT_ONCE],
-            beam_s,
-            angles,
-            settings=settings,
-            scene=scene,
-        )
+        _cast(drive, start[k : k + SCANS_AT_ONCE], angles, settings, scene)
         for k in range(0, count, SCANS_AT_ONCE)
     ]
     ranges = np.concatenate(rows) if rows else np.zeros((0, settings.beams))
@@ -156,28 +148,20 @@ def _scene(
     walls = walls_of(world, settings.corridor_m)
     panels = np.floor(walls.length / PANEL_M).astype(np.int64) + 1
     hinges = doorways(world, settings.corridor_m)
+    glass = chance.happens(settings.glass_share, int(panels.sum()))
+    doors = hang_doors(hinges, drive, closed, settings.door_share, chance)
     crowd = round(settings.people_per_100_m * float(world.length.sum()) / 100)
-    return _Scene(
-        walls,
-        chance.happens(settings.glass_share, int(panels.sum())),
-        np.cumsum(panels) - panels,
-        hang_doors(hinges, drive, closed, settings.door_share, chance),
-        walk_about(world, closed, crowd, float(drive.time_s[-1]) + 1.0, chance),
-    )
+    end_s = float(drive.time_s[-1]) + 1.0
+    people = [_wander(world, closed, end_s, chance) for _ in range(crowd)]
+    return _Scene(walls, glass, np.cumsum(panels) - panels, doors, people)
 
 
 def _cast(
-    drive: Drive,
-    start_s: FloatArray,
-    beam_s: FloatArray,
-    angles: FloatArray,
-    *,
-    settings: LaserSettings,
-    scene: _Scene,
+    drive: Drive, start_s: FloatArray, angles: FloatArray, settings: LaserSettings, scene: _Scene
 ) -> FloatArray:
     """(n, m) true ranges of a few consecutive scans, inf without a hit."""
-    time_s = (start_s[:, None] + beam_s).ravel()
-    robot = drive.at(time_s)
+    beam_s = np.linspace(0.0, settings.sweep_s, settings.beams)
+    robot = drive.at((start_s[:, None] + beam_s).ravel())
     laser = compose(robot, np.array(settings.mount))
     turn = -angles if settings.upside_down else angles
     heading = laser[:, 2] + np.tile(turn, len(start_s))
@@ -227,10 +211,7 @@ def _people_seen(people: People, time_s: FloatArray, drive: Drive) -> FloatArray
 
 
 def cast_at_segments(
-    origin: FloatArray,
-    direction: FloatArray,
-    segments: Segments,
-    present: BoolArray | None = None,
+    origin: FloatArray, direction: FloatArray, segments: Segments, present: BoolArray | None = None
 ) -> tuple[FloatArray, IntArray, FloatArray]:
     """The first hit of each beam on a set of segments. O(r s), vectorised.
 
@@ -329,11 +310,6 @@ def _shut_spans(passing: BoolArray, end_s: float, chance: Chance) -> list[tuple[
     return [(TICK_S * b, TICK_S * e) for b, e in zip(begins.tolist(), ends.tolist(), strict=True)]
 
 
-def walk_about(world: World, closed: set[int], count: int, end_s: float, chance: Chance) -> People:
-    """`count` people on random walks from junction to junction, each with a speed of its own."""
-    return [_wander(world, closed, end_s, chance) for _ in range(count)]
-
-
 def positions(people: People, time_s: FloatArray) -> FloatArray:
     """(n, p, 2) where people are at each time, interpolated linearly."""
     out = np.empty((len(time_s), len(people), 2))
@@ -346,6 +322,8 @@ def positions(people: People, time_s: FloatArray) -> FloatArray:
 def _wander(
     world: World, closed: set[int], end_s: float, chance: Chance
 ) -> tuple[FloatArray, FloatArray]:
+    """The random walk of a person from junction to junction, with a speed of its own: times (k,)
+    [s] and points (k, 2)."""
     here, came_by = chance.index(len(world)), -1
     speed = chance.one_uniform(*WALKING_M_PER_S)
     time_s, points, now = [], [], 0.0

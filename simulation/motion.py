@@ -76,12 +76,12 @@ def drive(world: World, legs: list[Leg], settings: MotionSettings, chance: Chanc
     plan = _planned(world, legs)
     ways, points = _sampled(plan)
     parts = [_smoothed(p, settings, chance) for p in points]
-    way, xy, theta = _joined(ways, parts, chance)
-    time = _clock(way, xy, theta, plan, settings=settings, chance=chance)
+    way, pose = _joined(ways, parts, chance)
+    time = _clock(way, pose, np.array(plan.visit_way_m), settings, chance)
     edges, starts, ends = zip(*plan.legs, strict=True)
     return Drive(
         time_s=time,
-        pose=np.column_stack([xy, theta]),
+        pose=pose,
         way_m=way,
         visit_vertex=np.array(plan.visit_vertex, np.int64),
         visit_way_m=np.array(plan.visit_way_m),
@@ -168,8 +168,9 @@ def _smoothed(xy: FloatArray, settings: MotionSettings, chance: Chance) -> Float
 
 def _joined(
     ways: list[FloatArray], parts: list[FloatArray], chance: Chance
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The pieces one after another, with turns on the spot between them.
+) -> tuple[FloatArray, FloatArray]:
+    """The pieces one after another, with turns on the spot between them: ways (k,) and poses (k,
+    3).
 
     Within a piece the heading is that of the path; between two it turns in steps of 0.1 rad while
     the position moves to the next piece's start.
@@ -195,26 +196,20 @@ def _joined(
         out_theta.append(theta)
         theta_end = float(theta[-1])
     way = np.concatenate(out_way)
-    xy, theta = np.concatenate(out_xy), np.concatenate(out_theta)
-    return quantised(way, 20), quantised(xy, 20), quantised(theta, 20)
+    pose = np.column_stack([np.concatenate(out_xy), np.concatenate(out_theta)])
+    return quantised(way, 20), quantised(pose, 20)
 
 
 def _clock(
-    way: FloatArray,
-    xy: FloatArray,
-    theta: FloatArray,
-    plan: _Plan,
-    *,
-    settings: MotionSettings,
-    chance: Chance,
+    way: FloatArray, pose: FloatArray, visits: FloatArray, settings: MotionSettings, chance: Chance
 ) -> FloatArray:
-    """(k,) time of every sample [s]: varying cruising speed, limited turn rate, and stops."""
+    """(k,) time of every sample [s]: varying cruising speed, limited turn rate, and stops at some
+    of the visits, distances along the way (v,) [m]."""
     cruise = chance.one_uniform(settings.slowest_m_per_s, settings.fastest_m_per_s)
     pace = 1 + _wander(len(way) - 1, 0.12, 2.0 / STEP_M, chance)
     speed = np.clip(cruise * pace, 0.5 * cruise, 1.2 * cruise)
-    step, turn = np.hypot(*np.diff(xy, axis=0).T), np.abs(np.diff(theta))
+    step, turn = np.hypot(*np.diff(pose[:, :2], axis=0).T), np.abs(np.diff(pose[:, 2]))
     needed = np.maximum(step / speed, turn / settings.turn_rate_rad_per_s)
-    visits = np.array(plan.visit_way_m)
     stops = visits[chance.happens(settings.stop_rate, len(visits))]
     at = np.searchsorted(way, stops + chance.uniform(-2.0, 2.0, len(stops))) - 1
     np.add.at(needed, np.clip(at, 0, len(needed) - 1), chance.uniform(2.0, 8.0, len(stops)))

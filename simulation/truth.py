@@ -121,17 +121,6 @@ class Truth:
         return sorted(joined.subsets(), key=min)
 
 
-def truth_transform(truth: Truth, a: str, b: str) -> FloatArray:
-    """(3,) T_a_b between the odometry frames of two runs of one world, by their first poses.
-
-    ValueError if the runs belong to different worlds.
-    """
-    run_a, run_b = truth.runs[a], truth.runs[b]
-    if run_a.world != run_b.world:
-        raise ValueError(f"{a} and {b} belong to different worlds")
-    return between(run_a.T_world_odom, run_b.T_world_odom)
-
-
 def true_vertex_of_passes(truth: Truth, run: str, time_ns: Any) -> IntArray:
     """(k,) the world vertex that the run was passing at each time, NO_VERTEX for none.
 
@@ -290,8 +279,9 @@ def write_truth(path: Path, truth: Truth) -> None:
     """Write `truth.json`."""
     pairs = []
     for a, b in combinations(sorted(truth.runs), 2):
-        if truth.runs[a].world == truth.runs[b].world:
-            transform = _rounded(truth_transform(truth, a, b), 6)
+        run_a, run_b = truth.runs[a], truth.runs[b]
+        if run_a.world == run_b.world:
+            transform = _rounded(between(run_a.T_world_odom, run_b.T_world_odom), 6)
             pairs.append({"a": a, "b": b, "common": truth.common(a, b), "transform": transform})
     document = {
         "schema": TRUTH_SCHEMA,

@@ -12,7 +12,6 @@ import numpy as np
 from scipy.cluster.hierarchy import DisjointSet
 
 from ..topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from ..topology.errors import UsageError
 from ..topology.se2 import wrap
 from .chance import Chance
 from .tiles import tiles_world
@@ -113,67 +112,58 @@ def office_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
     plan = chance.happens(0.85, 4 * rooms).reshape(2, 2, rooms)
     plan[..., rooms // 2] = False  # where the two corridors are joined
     wings = max(1, round(junctions / (2 + 2 * rooms + plan.sum())))
-    xy: list[tuple[float, float]] = []
-    links: list[tuple[int, int]] = []
-
-    def vertex(x: float, y: float, joined_to: int | None) -> int:
-        xy.append((x, y))
-        if joined_to is not None:
-            links.append((joined_to, len(xy) - 1))
-        return len(xy) - 1
-
+    building = _Building(chance)
     last: int | None = None
     for pair in range((wings + 1) // 2):
         x_main = pair * 21.0 + np.cumsum([0.0, 9.0]) * (1 + chance.one_normal(0.02))
         feet = []
         for x in x_main.tolist():
-            last = vertex(x, 0.0, last)
+            last = building.vertex(x, 0.0, last)
             feet.append(last)
         for side in (1.0, -1.0)[: min(2, wings - 2 * pair)]:
             doors = plan ^ chance.happens(1 / 16, plan.size).reshape(plan.shape)
             doors[..., rooms // 2] = False
-            _add_wing(
-                vertex,
-                links,
-                feet=feet,
-                x_main=x_main,
-                side=side,
-                doors=doors,
-                chance=chance,
-            )
-    return _straight_world("office", junctions, seed, np.array(xy), links)
+            building.add_wing(feet, x_main, side, doors)
+    return _straight_world("office", junctions, seed, np.array(building.xy), building.links)
 
 
-def _add_wing(
-    vertex: Callable[[float, float, int | None], int],
-    links: list[tuple[int, int]],
-    *,
-    feet: list[int],
-    x_main: FloatArray,
-    side: float,
-    doors: BoolArray,
-    chance: Chance,
-) -> None:
-    """Add a wing: a corridor from each foot with rooms on both sides, connected twice.
+class _Building:
+    """The vertices (x, y) [m] and the corridors of a building in the making."""
 
-    The wing on the other side is rotated by 180°, so that its corridors are swapped.
-    """
-    room = 3.0
-    along = side * np.cumsum(4.2 * (1 + chance.normal(0.02, doors.shape[2] + 1)))
-    joins: list[list[int]] = []
-    for corridor in (0, 1):
-        foot = corridor if side > 0 else 1 - corridor
-        x, here = float(x_main[foot]), feet[foot]
-        joins.append([])
-        for number, y in enumerate(along[:-1].tolist()):
-            here = vertex(x, y, here)
-            if number == doors.shape[2] // 2:
-                joins[-1].append(here)
-            for wall, direction in enumerate((-side, side)):
-                if doors[corridor, wall, number]:
-                    vertex(x + direction * room * (1 + chance.one_normal(0.02)), y, here)
-        joins[-1].append(vertex(x, float(along[-1]), here))
-    links.extend(zip(*joins, strict=True))
+    def __init__(self, chance: Chance) -> None:
+        self.chance = chance
+        self.xy: list[tuple[float, float]] = []
+        self.links: list[tuple[int, int]] = []
+
+    def vertex(self, x: float, y: float, joined_to: int | None) -> int:
+        """Add a vertex, with a corridor to another one; returns its number."""
+        self.xy.append((x, y))
+        if joined_to is not None:
+            self.links.append((joined_to, len(self.xy) - 1))
+        return len(self.xy) - 1
+
+    def add_wing(self, feet: list[int], x_main: FloatArray, side: float, doors: BoolArray) -> None:
+        """Add a wing: a corridor from each foot with rooms on both sides, connected twice.
+
+        The wing on the other side is rotated by 180°, so that its corridors are swapped.
+        """
+        room = 3.0
+        along = side * np.cumsum(4.2 * (1 + self.chance.normal(0.02, doors.shape[2] + 1)))
+        joins: list[list[int]] = []
+        for corridor in (0, 1):
+            foot = corridor if side > 0 else 1 - corridor
+            x, here = float(x_main[foot]), feet[foot]
+            joins.append([])
+            for number, y in enumerate(along[:-1].tolist()):
+                here = self.vertex(x, y, here)
+                if number == doors.shape[2] // 2:
+                    joins[-1].append(here)
+                for wall, direction in enumerate((-side, side)):
+                    if doors[corridor, wall, number]:
+                        away = direction * room * (1 + self.chance.one_normal(0.02))
+                        self.vertex(x + away, y, here)
+            joins[-1].append(self.vertex(x, float(along[-1]), here))
+        self.links.extend(zip(*joins, strict=True))
 
 
 def organic_world(junctions: int, seed: int, aspect: float = 1.0) -> World:
@@ -353,7 +343,5 @@ WORLDS: Mapping[str, Callable[[int, int, float], World]] = {
 
 
 def make_world(kind: str, junctions: int, seed: int, aspect: float = 1.0) -> World:
-    """A world of a kind; UsageError if there is no such kind."""
-    if kind not in WORLDS:
-        raise UsageError(f"no world {kind!r}: choose one of {', '.join(WORLDS)}")
+    """A world of a kind of WORLDS."""
     return WORLDS[kind](junctions, seed, aspect)

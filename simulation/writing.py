@@ -16,6 +16,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache, partial
+from itertools import cycle
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType, SimpleNamespace
@@ -24,7 +25,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from ..topology.arrays import FloatArray, IntArray
-from ..topology.errors import UsageError
 from ..topology.run import Run
 from .chance import Chance, quantised
 from .laser import Scans
@@ -246,43 +246,41 @@ def _write_rosbag(path: Path, simulated: SimulatedRun, storage: str | None) -> N
             writer.write(links[topic], log_ns, payload)
 
 
-FORMATS: Mapping[str, tuple[str, Callable[[Path, SimulatedRun], None]]] = MappingProxyType(
-    {
-        "mcap": (".mcap", _write_mcap),
-        "bag": (".bag", partial(_write_rosbag, storage=None)),
-        "db3": ("", partial(_write_rosbag, storage="SQLITE3")),
-        "ros2-mcap": ("", partial(_write_rosbag, storage="MCAP")),
-    }
+FORMATS: Mapping[str, tuple[tuple[str, ...], Callable[[Path, SimulatedRun], None]]] = (
+    MappingProxyType(
+        {
+            "mcap": (("{0}.mcap",), _write_mcap),
+            "bag": (("{0}.bag",), partial(_write_rosbag, storage=None)),
+            "db3": (
+                ("{0}/{0}.db3", "{0}/metadata.yaml"),
+                partial(_write_rosbag, storage="SQLITE3"),
+            ),
+            "ros2-mcap": (
+                ("{0}/{0}.mcap", "{0}/metadata.yaml"),
+                partial(_write_rosbag, storage="MCAP"),
+            ),
+        }
+    )
 )
-"""Containers by name: suffix of the log's path, and writer. "db3" and "ros2-mcap" are folders."""
-
-_FILES: Mapping[str, tuple[str, ...]] = {
-    "mcap": ("{0}.mcap",),
-    "bag": ("{0}.bag",),
-    "db3": ("{0}/{0}.db3", "{0}/metadata.yaml"),
-    "ros2-mcap": ("{0}/{0}.mcap", "{0}/metadata.yaml"),
-}
-"""What a run's log consists of, by container."""
+"""Containers by name: the files of a run's log, and the writer of that file or of their folder."""
 
 
 def write_run(folder: Path, simulated: SimulatedRun, container: str = "mcap") -> Path:
     """Write the log of one run into `folder`, named after the run; returns its path.
 
-    An existing log of that name is replaced. Raises UsageError for an unknown container, OSError
-    with the log's path if it cannot be written.
+    An existing log of that name is replaced. container: of FORMATS. Raises OSError with the log's
+    path if it cannot be written.
     """
-    if container not in FORMATS:
-        raise UsageError(f"no format {container!r}: choose one of {', '.join(FORMATS)}")
-    suffix, write = FORMATS[container]
-    path = folder / f"{simulated.run.name}{suffix}"
+    run, (files, write) = simulated.run.name, FORMATS[container]
+    path = folder / Path(files[0].format(run)).parts[0]
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with TemporaryDirectory(prefix=".topobatch-", suffix=".tmp", dir=folder) as made:
             write(Path(made, path.name), simulated)
-            for file in [p for p in Path(made).rglob("*") if p.is_file()]:
-                target = folder / file.relative_to(made)
+            for file in files:
+                target = folder / file.format(run)
                 target.parent.mkdir(exist_ok=True)
-                os.replace(file, target)
+                os.replace(Path(made, file.format(run)), target)
     except OSError as error:
         raise OSError(error.errno, error.strerror, str(path)) from error
     except sqlite3.Error as error:
@@ -294,7 +292,9 @@ def _remove_others(folder: Path, run: str, container: str) -> None:
     """Remove what `write_run` left of a run in other containers; links and whatever else a folder
     of that name holds stay."""
     bag = folder / run
-    for file in {file for files in _FILES.values() for file in files} - {*_FILES[container]}:
+    for file in {file for files, _ in FORMATS.values() for file in files} - {
+        *FORMATS[container][0]
+    }:
         path = folder / file.format(run)
         if path.is_file() and not path.is_symlink() and not bag.is_symlink():
             path.unlink()
@@ -313,16 +313,10 @@ def write_scenario(
     """Write every run's log and `truth.json` into the folder `out`; returns the paths of the logs.
 
     Several formats are assigned to the runs in turn. `progress` is called with each finished log.
-    alone: remove logs of these runs in other formats that were written there before. Raises
-    UsageError if a format is missing or unknown.
+    alone: remove logs of these runs in other formats that were written there before.
     """
-    unknown = [name for name in formats if name not in FORMATS]
-    if unknown or not formats:
-        wrong = f"no format {unknown[0]!r}" if unknown else "no format given"
-        raise UsageError(f"{wrong}: choose one of {', '.join(FORMATS)}")
     paths = []
-    for k, simulated in enumerate(scenario.simulated):
-        container = formats[k % len(formats)]
+    for simulated, container in zip(scenario.simulated, cycle(formats), strict=False):
         paths.append(write_run(out, simulated, container))
         if alone:
             _remove_others(out, simulated.run.name, container)

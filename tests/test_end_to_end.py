@@ -18,16 +18,16 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import MergeResult, Verdict
 from topobatch.merge.robust.explained import Merge, explain
 from topobatch.merge.wording import told_placement
-from topobatch.simulation import (
+from topobatch.simulation.samples import sample_scenario
+from topobatch.simulation.truth import (
     MIXED,
     Truth,
     placement_error,
     read_truth,
     true_vertex_of_nodes,
     true_vertex_of_passes,
-    write_run,
 )
-from topobatch.simulation.samples import sample_scenario
+from topobatch.simulation.writing import write_run
 from topobatch.topology.document import map_from_document, map_to_document, read_map
 from topobatch.topology.se2 import between
 from topobatch.topology.topomap import TopoMap

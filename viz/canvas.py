@@ -35,7 +35,6 @@ from ..topology.wording import legible
 from .drawing import Marker
 from .palette import Order, Theme
 
-Form = Literal["title", "line", "wide line", "dot", "big dot", "ring", "stub"]
 Format = Literal["svg", "png"]
 
 MARKERS: Mapping[Marker, str] = MappingProxyType(
@@ -63,6 +62,12 @@ LETTER = 0.62
 TALLEST = 1.6
 """Largest ratio of height to width of the drawing; a taller one is scaled down to it."""
 
+MOST_TOLD = 3000
+"""More corridors or junctions than this are drawn in one piece, without tooltips."""
+
+SAMPLE_LINE_PT, SAMPLE_DOT_PT = (2.0, 4.0), (4.0, 7.5)
+"""Least and largest width of a line and of a mark in the key."""
+
 PNG_DPI = 150
 """Resolution of a PNG [pixels per inch]."""
 
@@ -81,23 +86,13 @@ _NUMBERS = ("d", "x", "y", "transform", "width", "height")
 """SVG attributes whose numbers are rounded."""
 
 
-@dataclass(frozen=True, slots=True)
-class Key:
-    """One entry of the key: a sample of a mark and its label. A "title" heads the entries that
-    follow. marker: of a dot."""
-
-    form: Form
-    colour: str
-    label: str
-    marker: Marker = "circle"
-
-
 @dataclass(slots=True)
 class Canvas:
     """A drawing of the rectangle between two corners, `low` and `high`, (2,) each [m].
 
     width_pt: width of the whole page. Text may hold any characters: `legible` replaces unprintable
-    ones, and what is too long is shortened.
+    ones, and what is too long is shortened. What is drawn with a `key` is an entry of the key below
+    the drawing: a sample of the mark, and this label.
     """
 
     low: FloatArray
@@ -108,6 +103,8 @@ class Canvas:
     figure: Figure = field(init=False)
     _axes: Any = field(init=False)
     _titles: dict[str, str] = field(init=False, default_factory=dict)
+    _marks: dict[str, Line2D] = field(init=False, default_factory=dict)
+    _runs: list[tuple[str, Line2D | None]] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         # The figure is the drawing; the page is what holds it with all texts around it.
@@ -140,11 +137,18 @@ class Canvas:
         width_pt: float,
         *,
         order: Order = Order.CORRIDOR,
-        told: str = "",
+        told: Sequence[str] = (),
+        key: str = "",
     ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour. told: their tooltip in an SVG."""
+        """Draw polylines, (k, 2) each [m], in one colour. told: the tooltip in an SVG of each, or
+        one of all."""
+        if _each(told):
+            for path, own in zip(paths, told, strict=True):
+                self.lines([path], colour, width_pt, order=order, told=[own], key=key)
+            return
         if not paths:
             return
+        self._note(key, _line(colour, float(np.clip(width_pt, *SAMPLE_LINE_PT))))
         codes = [np.r_[Outline.MOVETO, np.full(len(p) - 1, Outline.LINETO)] for p in paths]
         patch = PathPatch(
             Outline(np.concatenate(paths), np.concatenate(codes)),
@@ -164,16 +168,29 @@ class Canvas:
         size_pt: float,
         *,
         order: Order = Order.JUNCTION,
-        told: str = "",
+        told: Sequence[str] = (),
         ring: bool = False,
         marker: Marker = "circle",
+        key: str = "",
     ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]. told: their tooltip in an SVG."""
+        """Draw filled marks, or rings, at xy (n, 2) [m]. told: as of `lines`."""
         if len(xy) == 0:
             return
-        line = self._markers(xy, colour, size_pt, marker, ring=ring)
-        line.set_zorder(order)
-        self._add(line, told)
+        size = float(np.clip(size_pt, *SAMPLE_DOT_PT))
+        self._note(key, self._markers(xy[:0], colour, size, marker, ring=ring))
+        each = [([k], told[k : k + 1]) for k in range(len(xy))] if _each(told) else [(..., told)]
+        for rows, own in each:
+            line = self._markers(xy[rows], colour, size_pt, marker, ring=ring)
+            line.set_zorder(order)
+            self._add(line, own)
+
+    def run(self, name: str, colour: str | None) -> None:
+        """Add a run to the key, or without a colour the name of the site whose runs follow."""
+        self._runs.append((name, None if colour is None else _line(colour, SAMPLE_LINE_PT[0])))
+
+    def _note(self, key: str, sample: Line2D) -> None:
+        if key:
+            self._marks.setdefault(key, sample)
 
     def _markers(
         self, xy: FloatArray, colour: str, size_pt: float, marker: Marker, *, ring: bool
@@ -189,8 +206,9 @@ class Canvas:
             markeredgewidth=1.2 if ring else 0.5,
         )
 
-    def cells(self, grid: Grid, colour: str, alpha: float = 1.0) -> None:
+    def cells(self, grid: Grid, colour: str, alpha: float = 1.0, key: str = "") -> None:
         """Draw the occupied cells of a grid that lies along the axes."""
+        self._note(key, _line(colour, SAMPLE_LINE_PT[1]))
         pixels = np.zeros((*grid.free.shape, 4))
         pixels[~grid.free & ~grid.unknown] = (*to_rgb(colour), alpha)
         x, y, _ = grid.origin
@@ -208,19 +226,11 @@ class Canvas:
         self._axes.set(xlim=(self.low[0], self.high[0]), ylim=(self.low[1], self.high[1]))
 
     def words(
-        self,
-        at: tuple[float, float],
-        text: str,
-        *,
-        size_pt: float = TEXT_PT,
-        room_m: float | None = None,
-        bold: bool = False,
+        self, at: FloatArray, text: str, *, size_pt: float = TEXT_PT, bold: bool = False
     ) -> None:
-        """Write a text centred at a point [m], shortened to `room_m` if given."""
-        if room_m is not None:
-            text = short(text, letters(room_m * self.points_per_m, size_pt))
+        """Write a text centred at a point (2,) [m]."""
         self._axes.text(
-            *at, legible(text), ha="center", va="center", **self._font(size_pt, bold=bold)
+            *at.tolist(), legible(text), ha="center", va="center", **self._font(size_pt, bold=bold)
         )
 
     def _font(self, size_pt: float = TEXT_PT, *, bold: bool = False) -> dict[str, Any]:
@@ -233,17 +243,17 @@ class Canvas:
             "parse_math": False,  # run names may hold dollar signs
         }
 
-    def _add(self, artist: Any, told: str) -> None:
+    def _add(self, artist: Any, told: Sequence[str] = ()) -> None:
         artist.set_clip_on(False)
-        if told:
+        if len(told) == 1:
             gid = f"{self.name}-{len(self._titles)}"
             artist.set_gid(gid)
-            self._titles[gid] = told
+            (self._titles[gid],) = told
         self._axes.add_artist(artist)
 
-    def finish(self, heading: Sequence[str], keys: Sequence[Sequence[Key]]) -> None:
+    def finish(self, heading: Sequence[str]) -> None:
         """Write what stands around the drawing: heading lines above (empty ones are skipped; the
-        first one is larger), a scale bar and the groups of keys below."""
+        first one is larger), a scale bar and the key below, first of marks, then of runs."""
         with _styled():
             title, *others = map(legible, heading)
             room = letters(self._room_pt, TEXT_PT)
@@ -268,14 +278,17 @@ class Canvas:
                 bbox_to_anchor=(0.0, 0.0),
                 bbox_transform=self._below(4.0),
             )
-            self._add(bar, "")
+            self._add(bar)
             below = BAR_PT
-            for group in filter(None, keys):
-                columns = max(1, floor(self._room_pt / _widest_pt(group)))
+            groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
+            for group in filter(None, groups):
+                longest = max(len(label) for label, _ in group)
+                widest = LETTER * TEXT_PT * longest + HANDLE_PT + GAP_PT
+                columns = max(1, floor(self._room_pt / widest))
                 most = letters(self._room_pt / columns - HANDLE_PT - GAP_PT, TEXT_PT)
                 legend = self._axes.legend(
-                    [self._mark(key) for key in group],
-                    [short(legible(key.label), most) for key in group],
+                    [sample or _line("none", 0.0) for _, sample in group],
+                    [short(legible(label), most) for label, _ in group],
                     loc="upper left",
                     bbox_to_anchor=(0.0, 0.0),
                     bbox_transform=self._below(below),
@@ -287,24 +300,15 @@ class Canvas:
                     borderpad=0.0,
                     borderaxespad=0.0,
                 )
-                for key, text in zip(group, legend.get_texts(), strict=True):
-                    text.set_fontweight("bold" if key.form == "title" else "normal")
-                self._add(legend, "")
+                for (_, sample), text in zip(group, legend.get_texts(), strict=True):
+                    text.set_fontweight("normal" if sample else "bold")
+                self._add(legend)
                 below += LINE_PT * ceil(len(group) / columns) + 6.0
 
     def _below(self, down_pt: float) -> Any:
         """The transform of the drawing's fractions, moved down the page."""
         down = ScaledTranslation(0.0, -down_pt / POINTS_PER_INCH, self.figure.dpi_scale_trans)
         return self._axes.transAxes + down
-
-    def _mark(self, key: Key) -> Line2D:
-        """The sample of an entry."""
-        if key.form in ("line", "wide line", "stub", "title"):
-            width = {"line": 2.0, "wide line": 4.0, "stub": 1.5, "title": 0.0}[key.form]
-            return Line2D([], [], color=key.colour, linewidth=width)
-        size = {"dot": 5.0, "big dot": 7.5, "ring": 7.0}[key.form]
-        ring = key.form == "ring"
-        return self._markers(np.zeros((0, 2)), key.colour, size, key.marker, ring=ring)
 
     def as_bytes(self, form: Format) -> bytes:
         """The finished drawing as a file; deterministic."""
@@ -360,6 +364,16 @@ def _styled() -> Iterator[None]:
         yield
 
 
+def _line(colour: str, width_pt: float) -> Line2D:
+    """The sample of a line in the key."""
+    return Line2D([], [], color=colour, linewidth=width_pt)
+
+
+def _each(told: Sequence[str]) -> bool:
+    """Whether marks are drawn one by one, each with its tooltip."""
+    return 1 < len(told) <= MOST_TOLD
+
+
 def letters(room_pt: float, size_pt: float) -> int:
     """About how many letters have room, at least one."""
     return max(floor(room_pt / (LETTER * size_pt)), 1)
@@ -371,9 +385,3 @@ def round_length(most_m: float) -> float:
     return unit * max(
         step for step in (1.0, 2.0, 5.0) if step * unit <= most_m * (1 + 1e-9) or step == 1
     )
-
-
-def _widest_pt(keys: Sequence[Key]) -> float:
-    """Width of a column of entries."""
-    longest = max(len(key.label) for key in keys)
-    return LETTER * TEXT_PT * longest + HANDLE_PT + GAP_PT

@@ -15,10 +15,19 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .drawing import SHEET_MARGIN, bounds, pen_m
-from .map_sheet import write_cards, write_words
 from .pages import bulleted
 from .placements import PLACEMENTS, VIEWS, Mark, decision_picture
-from .recording import UP, Recording, blueprint, map_view, markdown, screen, write_recording
+from .recording import (
+    UP,
+    Recording,
+    blueprint,
+    map_view,
+    markdown,
+    screen,
+    write_cards,
+    write_recording,
+    write_words,
+)
 from .sheet import corners_of
 
 MOST_LINKS = 1000

@@ -10,12 +10,7 @@ import numpy as np
 from ..merge.decision import Decision
 from ..merge.decision_text import advice, because, headline
 from ..merge.drive import Drive
-from ..merge.result import (
-    FusedMap,
-    MergeResult,
-    of_sites,
-    site_views,
-)
+from ..merge.result import FusedMap, MergeResult, of_sites, site_views
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply
@@ -23,7 +18,7 @@ from ..topology.topomap import Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, to_turning_points
-from .canvas import SMALL_PT, TEXT_PT, Canvas, Key, letters
+from .canvas import SMALL_PT, TEXT_PT, Canvas, letters
 from .drawing import (
     MOST_NUMBERED,
     SHEET_MARGIN,
@@ -34,17 +29,14 @@ from .drawing import (
     extent,
     strands,
 )
-from .pages import map_told
+from .pages import corridor_told, map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import VIEWS, Mark, decision_picture
-from .sheet import Cell, corners_of, outline, upright_rad
+from .placements import Mark, decision_picture
+from .sheet import Cell, corners_of, fitting, outline, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
 NO_MAPS: Mapping[str, TopoMap] = MappingProxyType({})
-
-MOST_TOLD = 3000
-"""Above this many corridors or junctions they are drawn in groups, without tooltips."""
 
 WIDTH_PT, WIDEST_PT = 720.0, 1440.0
 COMPONENT_PT = 110.0
@@ -54,6 +46,9 @@ LINE_PT, THINNEST_PT = 2.2, 0.7
 LINE_SHARE = 0.12
 """Width of a corridor's line in a merge over the median corridor length, within THINNEST_PT and
 LINE_PT."""
+
+MOST_TIMES = 4
+"""Corridors driven more often than this are drawn no wider."""
 
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
 
@@ -65,10 +60,12 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     seen = wall_points(walls_of([topomap.views], topomap.frame))
     low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
-    keys = [*_corridors_of(canvas, whole, turn), *_unexplored(canvas, whole, turn)]
-    keys += _walls(canvas, [topomap.views], turn, theme["wall"])
-    keys += [*_junctions_of(canvas, topomap, turn), *_turned_of(canvas, topomap, turn)]
-    canvas.finish([topomap.run, map_told(topomap)], [keys])
+    _corridors_of(canvas, whole, turn)
+    _unexplored(canvas, whole, turn)
+    _walls(canvas, [topomap.views], turn, theme["wall"])
+    _junctions_of(canvas, topomap, turn)
+    _turned_of(canvas, topomap, turn)
+    canvas.finish([topomap.run, map_told(topomap)])
     return canvas
 
 
@@ -78,75 +75,58 @@ the file than the page has room for."""
 
 
 def _walls(
-    canvas: Canvas, views: Sequence[Views], T: FloatArray, colour: str, alpha: float = 1.0
-) -> list[Key]:
+    canvas: Canvas,
+    views: Sequence[Views],
+    T: FloatArray,
+    colour: str,
+    *,
+    alpha: float = 1.0,
+    key: str = "wall",
+) -> None:
     """Draw the walls that views show, moved onto the sheet by T."""
     cell_m = FINE_M
     while cell_m * canvas.points_per_m < LEAST_CELL_PT:
         cell_m *= 2
     grid = walls_of([v.moved(T) for v in views], "", cell_m)
-    if grid is None:
-        return []
-    canvas.cells(grid, colour, alpha)
-    return [Key("wide line", colour, "wall")]
+    if grid is not None:
+        canvas.cells(grid, colour, alpha, key)
 
 
-def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     """Draw the corridors, wider the more often they were driven, with tooltips."""
-    colour = canvas.theme["corridor"]
-    if len(m.source) > MOST_TOLD:
-        for times in (1, 2, 3, 4):
-            rows = np.flatnonzero(np.clip(m.traversals, 1, 4) == times).tolist()
-            canvas.lines([apply(T, m.paths[i]) for i in rows], colour, LINE_PT * _widening(times))
-    for i, path in enumerate(m.paths if len(m.source) <= MOST_TOLD else ()):
-        times = int(m.traversals[i])
-        told = (
-            f"corridor {m.source[i]} to {m.target[i]}: "
-            f"{m.length[i]:.2f} ± {m.length_sigma[i]:.2f} m, "
-            f"driven {counted(times, 'time')}"
-        )
-        canvas.lines([apply(T, path)], colour, LINE_PT * _widening(times), told=told)
-    most = int(m.traversals.max()) if len(m.traversals) else 0
-    keys = [Key("line", colour, "corridor")] if most else []
-    return [*keys, Key("wide line", colour, "driven more often")] if most > 1 else keys
+    colour, times = canvas.theme["corridor"], np.clip(m.traversals, 1, MOST_TIMES)
+    for often in range(1, MOST_TIMES + 1):
+        rows = np.flatnonzero(times == often).tolist()
+        paths, told = [apply(T, m.paths[i]) for i in rows], [corridor_told(m, i) for i in rows]
+        key = "corridor" if often == 1 else "corridor, driven more often"
+        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), told=told, key=key)
 
 
-def _widening(times: int) -> float:
-    return 0.8 + 0.4 * min(max(times, 1) - 1, 3)
-
-
-def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> list[Key]:
+def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> None:
     free = ~driven_branches(m)
-    if not free.any():
-        return []
     origin, vector = branch_arrows(m, 8.0 / canvas.points_per_m)
     ends = [apply(T, np.stack([o, o + v])) for o, v in zip(origin[free], vector[free], strict=True)]
-    canvas.lines(ends, canvas.theme["unexplored"], 1.5, order=Order.UNEXPLORED)
-    return [Key("stub", canvas.theme["unexplored"], "branch never driven")]
+    colour, key = canvas.theme["unexplored"], "branch never driven"
+    canvas.lines(ends, colour, 1.5, order=Order.UNEXPLORED, key=key)
 
 
-def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
-    xy = apply(T, m.xy) if len(m) else np.zeros((0, 2))
+def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
+    xy = apply(T, m.xy)
     group = np.minimum(m.degree, len(_KINDS) - 1)
-    passes = m.passes.tolist()
-    keys = []
     for degree, label in enumerate(_KINDS):
-        rows = np.flatnonzero(group == degree)
-        if len(rows) == 0:
-            continue
-        colour, size = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
-        if len(m) > MOST_TOLD:
-            canvas.dots(xy[rows], colour, size)
-        for i in rows.tolist() if len(m) <= MOST_TOLD else ():
-            sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
-            times = counted(passes[i], "pass", "passes")
-            sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
-            told = f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {times}{sigma}{sure}"
-            canvas.dots(xy[i : i + 1], colour, size, told=told)
-        keys.append(Key("big dot" if degree >= 3 else "dot", colour, label))
+        rows = np.flatnonzero(group == degree).tolist()
+        colour, size_pt = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
+        told = [_junction_told(m, i) for i in rows]
+        canvas.dots(xy[rows], colour, size_pt, told=told, key=label)
     if len(m) <= MOST_NUMBERED:
-        _numbered(canvas, m, T, dict(enumerate(map(str, range(len(m))))))
-    return keys
+        _numbered(canvas, m, T, {k: str(k) for k in range(len(m))})
+
+
+def _junction_told(m: TopoMap, i: int) -> str:
+    sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
+    sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
+    passes = counted(int(m.passes[i]), "pass", "passes")
+    return f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {passes}{sigma}{sure}"
 
 
 def _size_told(m: TopoMap, vertex: int) -> str:
@@ -158,20 +138,17 @@ def _size_told(m: TopoMap, vertex: int) -> str:
     return ""
 
 
-def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> list[Key]:
+def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     """Draw where the robot turned round and where the log begins or ends between junctions."""
-    points, colour = m.turning_points, canvas.theme["degree 1"]
-    xy = apply(T, points.xy)
-    for k, kind in enumerate(points.kind):
-        told = f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
-        canvas.dots(xy[k : k + 1], colour, 4.0, told=told, marker=TURNED_MARKERS[kind])
-    return _turned_keys(points.kind, canvas.theme)
-
-
-def _turned_keys(kinds: Collection[str], theme: Theme) -> list[Key]:
-    colour = theme["degree 1"]
-    found = {kind: label for kind, label in TURNED.items() if kind in kinds}
-    return [Key("dot", colour, label, TURNED_MARKERS[kind]) for kind, label in found.items()]
+    points = m.turning_points
+    for kind, marker in TURNED_MARKERS.items():
+        rows = [k for k, own in enumerate(points.kind) if own == kind]
+        told = [
+            f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
+            for k in rows
+        ]
+        xy, colour = apply(T, points.xy[rows]), canvas.theme["degree 1"]
+        canvas.dots(xy, colour, 4.0, told=told, marker=marker, key=TURNED[kind])
 
 
 def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str]) -> None:
@@ -184,8 +161,8 @@ def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str
             gaps = np.diff(np.r_[heading, heading[0] + 2 * np.pi])
             k = int(gaps.argmax())
             middle = heading[k] + gaps[k] / 2
-        x, y = apply(T, m.xy[i : i + 1])[0] + away_m * np.array([np.cos(middle), np.sin(middle)])
-        canvas.words((float(x), float(y)), number, size_pt=SMALL_PT)
+        aside = away_m * np.array([np.cos(middle), np.sin(middle)])
+        canvas.words(apply(T, m.xy[i]) + aside, number, size_pt=SMALL_PT)
 
 
 def draw_sites(
@@ -229,10 +206,14 @@ def draw_merged(
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
     canvas = _sheet(cells, theme, width, "merged")
     rank = ranks(result)
-    _frames(canvas, cells, [_title(canvas, part) for part in parts])
+    several = [part.component for part in parts if len(part.component.poses) > 1]
+    for component in several:
+        if len(several) > 1:
+            canvas.run(component.name, None)
+        for run in sorted(component.poses):
+            canvas.run(run, theme.run(rank[run]))
+    _frames(canvas, cells, [part.titles for part in parts])
     pen = _pen_pt(canvas, result.fused)
-    walled: list[Key] = []
-    planned: dict[Key, None] = {}
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers and result.fused.junctions <= MOST_NUMBERED:
@@ -240,11 +221,10 @@ def draw_merged(
             _numbered(
                 canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
             )
-        own = views[part.component.id]
-        walled = [*walled, *_walls(canvas, own, part.cell.T_sheet_map, theme["wall"])]
+        _walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
         if drives is not None:
             site = of_sites(result, [part.component.id]).fused
-            planned |= dict.fromkeys(_unexplored(canvas, site, part.cell.T_sheet_map))
+            _unexplored(canvas, site, part.cell.T_sheet_map)
             _drives(canvas, part, drives)
     pairs = sum(pair.accepted for pair in result.verdicts)
     runs = sum(len(c.poses) for c in result.components)
@@ -259,10 +239,7 @@ def draw_merged(
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     title = title if drives is None else f"What to record next: {title}"
     told_drives = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
-    if told_drives:
-        planned[Key("wide line", theme["planned"], "drive to record, from its number on")] = None
-    marks, runs_told = _merged_keys(result, parts, rank, theme)
-    canvas.finish([title, told, *told_drives], [[*marks, *walled[:1], *planned], runs_told])
+    canvas.finish([title, told, *told_drives])
     return canvas
 
 
@@ -278,67 +255,35 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
     for k, drive in enumerate(drives, 1):
         if drive.component != part.component.id:
             continue
-        told = f"drive {k}: {drive.words[0]}"
-        path = [apply(T, drive.path)]
-        canvas.lines(path, canvas.theme["planned"], DRIVE_PT, order=Order.EVIDENCE, told=told)
+        path, told = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
+        colour, key = canvas.theme["planned"], "drive to record, from its number on"
+        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, told=told, key=key)
         begins.setdefault(drive.stops[0].xy, []).append(str(k))
         others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
         for xy, junction in others.items():
-            x, y = apply(T, np.array([xy]))[0].tolist()
-            canvas.words((x - away_m, y + away_m / 2), str(junction), size_pt=SMALL_PT)
+            at = apply(T, np.array(xy)) + away_m * np.array([-1.0, 0.5])
+            canvas.words(at, str(junction), size_pt=SMALL_PT)
     for xy, numbers in begins.items():
-        at = apply(T, np.array([xy]))
-        canvas.dots(at, canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
-        x, y = at[0].tolist()
-        canvas.words((x, y + away_m), ", ".join(numbers), bold=True)
-
-
-def _title(canvas: Canvas, part: Part) -> str:
-    """The longest of the component's titles that fits its cell."""
-    room = float(part.cell.high[0] - part.cell.low[0]) * canvas.points_per_m
-    fitting = (title for title in part.titles if len(title) < letters(room, TEXT_PT))
-    return next(fitting, part.titles[-1])
-
-
-def _merged_keys(
-    result: MergeResult, parts: list[Part], rank: Mapping[str, int], theme: Theme
-) -> list[list[Key]]:
-    """The entries for marks, then those for the runs of every component of several runs."""
-    several = [part for part in parts if len(part.component.poses) > 1]
-    fused = result.fused
-    places = fused.members[: fused.junctions]
-    shared, single = any(len(m) > 1 for m in places), any(len(m) == 1 for m in places)
-    marks: list[Key] = []
-    if shared:
-        marks.append(Key("big dot", theme["shared"], "junction seen by several runs"))
-    if single:
-        marks.append(Key("dot", theme["single"], "junction seen by one run"))
-    marks += _turned_keys(fused.kind, theme)
-    if len(several) < len(parts):
-        marks.append(Key("line", theme["single"], "run that is merged with none"))
-    runs: list[Key] = []
-    for part in several:
-        if len(several) > 1:
-            runs.append(Key("title", theme["ink"], part.component.name))
-        names = sorted(part.component.poses)
-        runs += [Key("line", theme.run(rank[run]), run) for run in names]
-    return [marks, runs]
+        at = apply(T, np.array(xy))
+        canvas.dots(at[None], canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
+        canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
 
 
 def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
     return Canvas(*bounds([corners_of(cells)], margin=SHEET_MARGIN), theme, width_pt, name)
 
 
-def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[str]) -> None:
-    """With more than one cell, draw each one's frame and title."""
+def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
+    """With more than one cell, draw each one's frame and title, in the longest form that fits."""
     if len(cells) < 2:
         return
-    for cell, title in zip(cells, titles, strict=True):
-        (x0, _), (x1, y1) = cell.low, cell.high
+    size = TEXT_PT if len(cells) < 12 else SMALL_PT
+    for cell, forms in zip(cells, titles, strict=True):
+        (x0, _), (x1, top) = cell.low, cell.high
         canvas.lines([outline(cell.low, cell.high)], canvas.theme["card"], 0.8, order=Order.CARD)
-        size = TEXT_PT if len(cells) < 12 else SMALL_PT
-        at = (float(x0 + x1) / 2, float(y1) - 0.8 * size / canvas.points_per_m)
-        canvas.words(at, title, size_pt=size, room_m=0.96 * float(x1 - x0))
+        title = fitting(forms, letters(0.96 * (x1 - x0) * canvas.points_per_m, size))
+        at = np.array([(x0 + x1) / 2, top - 0.8 * size / canvas.points_per_m])
+        canvas.words(at, title, size_pt=size)
 
 
 def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
@@ -356,16 +301,20 @@ def _fused(
         drawn.setdefault((strand.run, strand.share), []).append(apply(T, strand.path))
     for (run, share), paths in sorted(drawn.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
-        canvas.lines(paths, colour, pen_pt * share, told=run)
+        key = "run that is merged with none" if alone else ""
+        canvas.lines(paths, colour, pen_pt * share, told=[run], key=key)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     kinds = np.array([fused.kind[i] for i in part.vertices.tolist()], object)
     turned = np.array([kind in TURNED for kind in kinds], bool)
-    xy = apply(T, fused.xy[part.vertices]) if len(part.vertices) else np.zeros((0, 2))
+    xy = apply(T, fused.xy[part.vertices])
     for kind, marker in TURNED_MARKERS.items():
-        canvas.dots(xy[kinds == kind], canvas.theme["degree 1"], 1.2 * pen_pt, marker=marker)
-    shared, single = shared & ~turned, ~shared & ~turned
-    canvas.dots(xy[single], canvas.theme["single"], 1.4 * pen_pt)
-    canvas.dots(xy[shared], canvas.theme["shared"], 2.1 * pen_pt, order=Order.TIE)
+        own, colour = xy[kinds == kind], canvas.theme["degree 1"]
+        canvas.dots(own, colour, 1.2 * pen_pt, marker=marker, key=TURNED[kind])
+    for which, ink, pens, order, key in (
+        (~shared, "single", 1.4, Order.JUNCTION, "junction seen by one run"),
+        (shared, "shared", 2.1, Order.TIE, "junction seen by several runs"),
+    ):
+        canvas.dots(xy[which & ~turned], canvas.theme[ink], pens * pen_pt, order=order, key=key)
 
 
 def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
@@ -375,16 +324,17 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
     seen = [wall_points(walls_of([m.views], m.frame)) for m in (a, b)]
     picture = decision_picture(a, b, decision, (seen[0], seen[1]))
     canvas = _sheet(picture.cells, theme, WIDTH_PT, "pair")
-    _frames(canvas, picture.cells, picture.titles)
+    _frames(canvas, picture.cells, [(title,) for title in picture.titles])
     for mark in picture.marks:
         _mark(canvas, mark)
     for T_sheet_a, T_sheet_b in picture.laid:
-        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"])
+        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"], key=f"walls of {a.run}")
         # Those of a show through.
-        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75)
+        key = f"walls of {b.run}"
+        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75, key=key)
     heading = [headline(decision), because(decision), advice(decision)]
     heading += [f"Note: {note}" for note in decision.notes]
-    canvas.finish(heading, [_pair_keys(theme, (a, b), {n for m in picture.marks for n in m.name})])
+    canvas.finish(heading)
     return canvas
 
 
@@ -397,38 +347,27 @@ TINY_M = 1e-3
 
 def _mark(canvas: Canvas, mark: Mark) -> None:
     """Draw a mark: in one piece, or one by one if something is said of each."""
-    colour, order = canvas.theme[mark.ink], mark.order
+    colour, order, told, key = canvas.theme[mark.ink], mark.order, mark.told, mark.key
     if mark.form == "cell":
         at = np.stack(mark.xy)
         width_pt = float(np.max(mark.pens)) * canvas.points_per_m
-        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt)
-        return
-    each = len(mark.told) > 1
-    pens = np.broadcast_to(mark.pens, len(mark.xy)).tolist()
-    for k in range(len(mark.xy)) if each else [0]:
-        xy, told = mark.xy[k : k + 1] if each else mark.xy, mark.told[k] if mark.told else ""
-        if mark.form == "line":
-            canvas.lines(xy, colour, PEN_PT * (pens[k] if pens else 1.0), order=order, told=told)
-        elif mark.form == "number":
-            x, y = (xy[0] + 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])).tolist()
-            canvas.words((x, y), told, size_pt=SMALL_PT)
-        else:
-            ring = mark.form == "ring"
-            size_pt = RING_PT if ring else DOT_PT
-            canvas.dots(np.stack(xy), colour, size_pt, order=order, told=told, ring=ring)
+        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt, key=key)
+    elif mark.form == "line" and len(told) > 1:
+        pens = PEN_PT * np.broadcast_to(mark.pens, len(mark.xy))
+        for path, own, pen_pt in zip(mark.xy, told, pens.tolist(), strict=True):
+            canvas.lines([path], colour, pen_pt, order=order, told=[own], key=key)
+    elif mark.form == "line":
+        pen_pt = PEN_PT * float(np.max(mark.pens))
+        canvas.lines(mark.xy, colour, pen_pt, order=order, told=told, key=key)
+    elif mark.form == "number":
+        for xy, number in zip(mark.xy, told, strict=True):
+            canvas.words(xy + 7.0 / canvas.points_per_m * ASIDE, number, size_pt=SMALL_PT)
+    else:
+        ring = mark.form == "ring"
+        size_pt = RING_PT if ring else DOT_PT
+        xy = np.stack(mark.xy)
+        canvas.dots(xy, colour, size_pt, order=order, told=told, ring=ring, key=key)
 
 
-def _pair_keys(theme: Theme, maps: tuple[TopoMap, TopoMap], names: Collection[str]) -> list[Key]:
-    """names: of the marks that there are."""
-    keys = [Key("line", theme.run(k), m.run) for k, m in enumerate(maps)]
-    if all(len(m.views) for m in maps):
-        keys += [
-            Key("wide line", theme[f"pale {k}"], f"walls of {m.run}") for k, m in enumerate(maps)
-        ]
-    known = {
-        "matched": Key("ring", theme["ink"], "matched junctions, tied"),
-        "links": Key("wide line", theme["agrees"], "link that speaks for it"),
-        "contradictions": Key("ring", theme["against"], "what speaks against it"),
-        VIEWS: Key("ring", theme["against"], "what speaks against it"),
-    }
-    return list(dict.fromkeys([*keys, *(key for name, key in known.items() if name in names)]))
+ASIDE = np.array([-1.0, 1.0])
+"""Where a number stands from its junction."""

@@ -79,7 +79,7 @@ def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
         entity((*MAP, "closures", "refused")): hidden,
     }
     if track is not None:
-        wide_low, wide_high = bounds([*shown, *track.stretches])
+        wide_low, wide_high = bounds([*shown, *track.stretches(track.raw)])
         if np.all(wide_high - wide_low <= WIDEST * (high - low)):
             low, high = wide_low, wide_high
         overrides[entity((*MAP, "detection"))] = _behind_cursor(DETECTION_S)

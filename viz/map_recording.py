@@ -20,12 +20,9 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .drawing import MOST_NUMBERED, branch_arrows, pen_m
-from .grid_layer import write_grid
 from .map_blueprint import MAP, map_blueprint
-from .map_sheet import corridors_told
-from .pages import map_page
-from .questions import Question, questions, visits
-from .recording import HAIR, UP, PathParts, Recording, markdown, write_recording
+from .pages import Question, map_page, questions, visits
+from .recording import HAIR, UP, Recording, corridors_told, markdown, write_grid, write_recording
 from .robot_track import RobotTrack, robot_track
 from .walls import walls_of
 
@@ -153,7 +150,8 @@ def _dot(topomap: TopoMap) -> FloatArray:
 def _closures(recording: Recording, topomap: TopoMap, asked: Sequence[Question]) -> None:
     """Write every closure as a line of its own: an accepted one as a ring round its junction, the
     first one innermost; a refused one between the two junctions."""
-    groups: dict[str, list[tuple[Question, FloatArray]]] = {"accepted": [], "refused": []}
+    colours = {"accepted": palette.CLOSED, "refused": palette.REFUSED}
+    groups: dict[str, list[tuple[Question, FloatArray]]] = {name: [] for name in colours}
     rings: Counter[int] = Counter()
     pen = pen_m([topomap])
     for question in asked:
@@ -168,41 +166,27 @@ def _closures(recording: Recording, topomap: TopoMap, asked: Sequence[Question])
         elif u != v:
             name = "accepted" if question.closure.accepted else "refused"
             groups[name].append((question, topomap.xy[[u, v]]))
-    for name, colour in (("accepted", palette.CLOSED), ("refused", palette.REFUSED)):
-        if drawn := groups[name]:
-            _closure_lines(recording, (*MAP, "closures", name), topomap, drawn, colour)
-
-
-def _closure_lines(
-    recording: Recording,
-    path: PathParts,
-    topomap: TopoMap,
-    drawn: Sequence[tuple[Question, FloatArray]],
-    colour: palette.Colour,
-) -> None:
-    ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
-    recording.static(
-        path,
-        rr.LineStrips2D(
+    for name, drawn in groups.items():
+        if not drawn:
+            continue
+        ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
+        lines = rr.LineStrips2D(
             [line for _, line in drawn],
             radii=HAIR,
-            colors=colour,
+            colors=colours[name],
             draw_order=palette.Order.CLOSURE,
-        ),
-        rr.AnyValues(
+        )
+        told = rr.AnyValues(
             closure=[q.told for q, _ in drawn],
             junctions=[", ".join(map(str, dict.fromkeys(pair))) for pair in ends],
             bits=np.array([q.closure.bits for q, _ in drawn]),
             reason=[q.closure.reason for q, _ in drawn],
-        ),
-    )
+        )
+        recording.static((*MAP, "closures", name), lines, told)
 
 
 def _events(
-    recording: Recording,
-    topomap: TopoMap,
-    asked: Sequence[Question],
-    odometry: Odometry | None,
+    recording: Recording, topomap: TopoMap, asked: Sequence[Question], odometry: Odometry | None
 ) -> None:
     """Write a log of passes, closures, and what is wrong with the odometry."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex
@@ -246,24 +230,22 @@ def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
 
 
 def _track(recording: Recording, track: RobotTrack) -> None:
-    for name, lines, colour, order in (
-        ("recorded", track.stretches, palette.RAW, palette.Order.RECORDED),
-        ("corrected", track.bent_stretches, palette.TRACK, palette.Order.CORRECTED),
+    for name, pose, colour, order in (
+        ("recorded", track.raw, palette.RAW, palette.Order.RECORDED),
+        ("corrected", track.bent, palette.TRACK, palette.Order.CORRECTED),
     ):
-        if lines:
+        if lines := track.stretches(pose):
             strips = rr.LineStrips2D(lines, radii=HAIR, colors=colour, draw_order=order)
             recording.static((*MAP, "odometry", name), strips)
     xy = track.bent[:, :2]
-    recording.over_time((*MAP, "robot"), track.time_ns, rr.Points2D.columns(positions=xy))
-    robot = rr.Points2D.from_fields(
-        radii=rr.Radius.ui_points(7.0), colors=palette.ROBOT, draw_order=palette.Order.ROBOT
-    )
-    recording.static((*MAP, "robot"), robot)
-    recording.over_time((*MAP, "trail"), track.time_ns, rr.Points2D.columns(positions=xy))
-    trail = rr.Points2D.from_fields(
-        radii=rr.Radius.ui_points(2.5), colors=palette.TRAIL, draw_order=palette.Order.TIE
-    )
-    recording.static((*MAP, "trail"), trail)
+    for name, size, colour, order in (
+        ("robot", 7.0, palette.ROBOT, palette.Order.ROBOT),
+        ("trail", 2.5, palette.TRAIL, palette.Order.TIE),
+    ):
+        recording.over_time((*MAP, name), track.time_ns, rr.Points2D.columns(positions=xy))
+        radii = rr.Radius.ui_points(size)
+        look = rr.Points2D.from_fields(radii=radii, colors=colour, draw_order=order)
+        recording.static((*MAP, name), look)
 
 
 MOST_DETECTIONS = 20_000

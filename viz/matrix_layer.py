@@ -10,9 +10,9 @@ import rerun as rr
 from ..merge.result import MergeResult, Standing
 from ..topology.arrays import FloatArray
 from . import palette
+from .parts import CLASS, DIAGONAL, spans_of, verdict_matrix
 from .recording import HAIR, Recording
 from .sheet import outline
-from .verdicts import CLASS, DIAGONAL, verdict_matrix
 
 MATRIX = "verdicts"
 """Its entity root."""
@@ -50,7 +50,7 @@ def write_matrix(
     recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
     matrix = verdict_matrix(result, runs)
     recording.static((MATRIX, "pairs"), rr.SegmentationImage(matrix, opacity=1.0))
-    frames = [outline((k, k), (k + n, k + n)) for k, n in _sites(result, runs)]
+    frames = [outline((k, k), (n, n)) for _, k, n in spans_of(result) if n - k > 1]
     lines = rr.LineStrips2D(frames, radii=HAIR, colors=palette.DIM, draw_order=palette.Order.RING)
     recording.static((MATRIX, "components"), lines)
     marks = rr.Points2D(
@@ -69,13 +69,6 @@ def write_matrix(
 def matrix_bounds(runs: list[str]) -> tuple[FloatArray, FloatArray]:
     """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
     return np.array([-_names_width(runs), -0.2]), np.full(2, 1.01 * len(runs) + 0.2)
-
-
-def _sites(result: MergeResult, runs: list[str]) -> list[tuple[int, int]]:
-    """(first row, rows) of every site of several runs."""
-    row = {run: i for i, run in enumerate(runs)}
-    several = [c for c in result.components if len(c.poses) > 1]
-    return [(min(row[run] for run in c.poses), len(c.poses)) for c in several]
 
 
 def _names_width(runs: list[str]) -> float:

@@ -1,16 +1,22 @@
-"""What a map or a merge holds in a line, and the summary pages of recordings, in Markdown."""
+"""Maps, merges, corridors and closures in words, and the summary pages of recordings, in
+Markdown."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+
 from ..merge.result import MergeResult, Standing, pairs_of, shown_bits
+from ..topology.arrays import IntArray
 from ..topology.driven_branches import driven_branches
-from ..topology.topomap import TopoMap
+from ..topology.ragged import numbered
+from ..topology.topomap import Closure, Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
-from .questions import Question
+from .drawing import TURNED
 
 MOST_LINES = 40
 """Longer lists are cut; the JSON document has all entries."""
@@ -60,6 +66,19 @@ def map_told(topomap: TopoMap) -> str:
     )
 
 
+def corridor_told(graph: Graph, edge: int) -> str:
+    """A corridor, or the way to a turning point, in a line."""
+    ends = (int(graph.source[edge]), int(graph.target[edge]))
+    turned = next((graph.kind[v] for v in ends if graph.kind[v] in TURNED), None)
+    what = f"corridor {ends[0]} to {ends[1]}"
+    if turned is not None:
+        what = f"way from junction {min(ends)} to where {TURNED[turned]}"
+    return (
+        f"{what}: {graph.length[edge]:.2f} ± {graph.length_sigma[edge]:.2f} m, "
+        f"driven {counted(int(graph.traversals[edge]), 'time')}"
+    )
+
+
 def pairs_told(result: MergeResult) -> str:
     """Counts of all pairs by verdict, in a line."""
     runs = sum(len(component.poses) for component in result.components)
@@ -73,6 +92,53 @@ def pairs_told(result: MergeResult) -> str:
         f"{f', {kept_out:,} kept out' if kept_out else ''}; "
         f"{counted(len(result.components), 'site')}"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A closure and the rows of its two observations (None: that pass belongs to no vertex), with
+    its text."""
+
+    closure: Closure
+    rows: tuple[int | None, int | None]
+    told: str
+
+
+def visits(topomap: TopoMap) -> IntArray:
+    """(k,) number of each observation among those of its vertex, from 1 on."""
+    out = np.zeros(len(topomap.observation_vertex), np.int64)
+    out[np.argsort(topomap.observation_vertex, kind="stable")] = numbered(topomap.passes)[1] + 1
+    return out
+
+
+def questions(topomap: TopoMap) -> list[Question]:
+    """Every closure that no later round revised, with its text."""
+    row = {t: k for k, t in enumerate(topomap.observation_time_ns.tolist())}
+    visit = visits(topomap)
+    out = []
+    for closure in topomap.closures:
+        if not closure.revised:
+            rows = (row.get(closure.time_a_ns), row.get(closure.time_b_ns))
+            out.append(Question(closure, rows, _told(topomap, visit, closure, rows)))
+    return out
+
+
+def _told(
+    topomap: TopoMap, visit: IntArray, closure: Closure, rows: tuple[int | None, int | None]
+) -> str:
+    names = [
+        "a pass that is no junction"
+        if k is None
+        else f"junction {topomap.observation_vertex[k]} (visit {visit[k]})"
+        for k in rows
+    ]
+    bits = f"{closure.bits:+.1f} bits"
+    if closure.accepted and None not in rows:
+        a, b = (int(visit[k]) for k in rows if k is not None)
+        at = int(topomap.observation_vertex[rows[1] or 0])
+        return f"junction {at}: visit {b} recognised as visit {a}, {bits}: {closure.reason}"
+    word = "recognised as" if closure.accepted else "not taken for"
+    return f"{names[1]} {word} {names[0]}, {bits}: {closure.reason}"
 
 
 def map_page(topomap: TopoMap, asked: Sequence[Question]) -> str:

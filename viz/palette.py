@@ -82,19 +82,19 @@ DEGREES = np.array(
     np.uint8,
 )
 
-_RUNS = (
-    (80, 165, 250),
-    (255, 134, 66),
-    (52, 205, 140),
-    (244, 110, 186),
-    (248, 230, 90),
-    (160, 128, 255),
-    (84, 226, 232),
-    (240, 82, 92),
-    (170, 215, 70),
-    (214, 178, 140),
+_RUNS: tuple[tuple[Colour, str], ...] = (
+    ((80, 165, 250), "#1f77d0"),
+    ((255, 134, 66), "#e8590c"),
+    ((52, 205, 140), "#12934f"),
+    ((244, 110, 186), "#d1359c"),
+    ((248, 230, 90), "#a88400"),
+    ((160, 128, 255), "#6741d9"),
+    ((84, 226, 232), "#0c8599"),
+    ((240, 82, 92), "#c92a2a"),
+    ((170, 215, 70), "#5c940d"),
+    ((214, 178, 140), "#8d6748"),
 )
-"""Colours of runs: ten that are easy to tell apart."""
+"""Colours of runs, on dark and on light paper: ten that are easy to tell apart."""
 
 
 def by_degree(degree: IntArray) -> Colours:
@@ -106,7 +106,7 @@ def of_rank(rank: int) -> Colour:
     """The colour of a rank, from 0: the first ten chosen by hand, later ones by steps of the golden
     angle in hue."""
     if rank < len(_RUNS):
-        return _RUNS[rank]
+        return _RUNS[rank][0]
     return stepped(rank - len(_RUNS), 0.45, 0.95)
 
 
@@ -138,19 +138,6 @@ _INKS = {
     "wall": ("#c9ced6", WALL),
 }
 """Named colours besides those of runs: in the light and in the dark theme."""
-
-_LIGHT_RUNS = (
-    "#1f77d0",
-    "#e8590c",
-    "#12934f",
-    "#d1359c",
-    "#a88400",
-    "#6741d9",
-    "#0c8599",
-    "#c92a2a",
-    "#5c940d",
-    "#8d6748",
-)
 
 
 def rgb(colour: str) -> Colour:
@@ -185,13 +172,12 @@ class Theme:
 
 def _light_run(rank: int) -> str:
     """The first ten chosen by hand, later ones by steps of the golden angle in hue."""
-    if rank < len(_LIGHT_RUNS):
-        return _LIGHT_RUNS[rank]
-    return _hex(stepped(rank - len(_LIGHT_RUNS), 0.65, 0.72))
+    if rank < len(_RUNS):
+        return _RUNS[rank][1]
+    return _hex(stepped(rank - len(_RUNS), 0.65, 0.72))
 
 
 LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, _light_run)
 DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()},
-    lambda rank: _hex(of_rank(rank)),
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, lambda rank: _hex(of_rank(rank))
 )

@@ -1,14 +1,17 @@
-"""The layout of a merge's components on a sheet."""
+"""A merge to be shown: its components in order and on a sheet, colours of runs, and the matrix of
+verdicts."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ..merge.result import Component, MergeResult
+from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
@@ -48,14 +51,16 @@ class Part:
         return (f"{short} merged, {counted(self.junctions, 'junction')}", short, site)
 
 
-def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
-    """All components on one sheet, those of most runs first.
+def in_order(result: MergeResult) -> list[Component]:
+    """The components, those of most runs first."""
+    return sorted(result.components, key=lambda c: (-len(c.poses), c.id))
 
-    walls: points (k, 2) of the walls of a component, by
-    its id, that its cell is to hold as well [m].
-    """
+
+def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
+    """All components on one sheet, `in_order`. walls: points (k, 2) of the walls of a component, by
+    its id, that its cell is to hold as well [m]."""
     fused = result.fused
-    order = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    order = in_order(result)
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
     vertices, edges = (rows_of(own, [c.id for c in order]) for own in (fused.component, of_edge))
     paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]
@@ -96,3 +101,41 @@ def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
         for c in result.components
         for run in c.poses
     }
+
+
+DIAGONAL = 0
+CLASS = {standing: k for k, standing in enumerate(Standing, start=DIAGONAL + 1)}
+"""Class of each standing in the verdict matrix."""
+
+
+def runs_in_order(result: MergeResult) -> list[str]:
+    """All runs by component, components of most runs first."""
+    return [run for component in in_order(result) for run in sorted(component.poses)]
+
+
+def spans_of(result: MergeResult) -> list[tuple[str, int, int]]:
+    """The name of every site, its first row by `runs_in_order`, and the row after its last."""
+    order = in_order(result)
+    stops = np.cumsum([0, *(len(c.poses) for c in order)]).tolist()
+    return [(c.name, *ends) for c, ends in zip(order, pairwise(stops), strict=True)]
+
+
+def verdict_matrix(result: MergeResult, runs: Sequence[str]) -> NDArray[np.uint8]:
+    """(n, n) classes of all pairs, symmetric, rows and columns in the given order."""
+    row = {run: i for i, run in enumerate(runs)}
+    matrix = np.full((len(runs), len(runs)), CLASS[Standing.UNRELATED], np.uint8)
+    if result.unlisted is not None:
+        for component in result.components:  # pairs that are not listed
+            rows = [row[run] for run in component.poses if run in row]
+            matrix[np.ix_(rows, rows)] = CLASS[Standing.JOINED]
+    np.fill_diagonal(matrix, DIAGONAL)
+    for pair in result.verdicts:
+        if pair.a in row and pair.b in row:
+            i, j = row[pair.a], row[pair.b]
+            matrix[i, j] = matrix[j, i] = CLASS[pair.standing]
+    return matrix
+
+
+def strongest(pairs: Iterable[PairVerdict]) -> list[PairVerdict]:
+    """Pairs in descending order of evidence, then by name."""
+    return sorted(pairs, key=lambda p: (-p.evidence_bits, p.a, p.b))

@@ -83,29 +83,24 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Spot:
-    """A contradiction: its position (2,) and text."""
-
-    xy: FloatArray
-    told: str
-
-
 def contradiction_spots(
     against: Iterable[tuple[str, tuple[Sequence[int], Sequence[int]]]],
     of_a: FloatArray,
     of_b: FloatArray,
     *,
     apart: bool = False,
-) -> list[Spot]:
-    """Contradictions, each with its text and the junctions of a and of b that it concerns, in the
-    frame of the given positions, (n, 2) each: at a junction that the other run did not see, or amid
-    two corridors that cross; of maps that are drawn apart on one of them."""
+) -> list[tuple[FloatArray, str]]:
+    """Where contradictions are drawn, (2,) each, and their texts. against: texts, and the junctions
+    of a and of b that each concerns; of_a, of_b: their positions, (n, 2) each, in one frame.
+
+    At a junction that the other run did not see, or amid two corridors that cross; of maps that are
+    drawn apart on one of them.
+    """
     spots = []
     for told, (a, b) in against:
         ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
         shown = [points for points in ends if len(points) == 1] or ends
-        spots.append(Spot(np.concatenate(shown[:1] if apart else shown).mean(axis=0), told))
+        spots.append((np.concatenate(shown[:1] if apart else shown).mean(axis=0), told))
     return spots
 
 
@@ -115,7 +110,7 @@ class Mark:
 
     name: of its entity; xy: polylines (k, 2), or points (2,) [m]; ink: of `Theme`; told: what is
     said of each, or of all together if there is one text; pens: widths of lines, over that of a
-    map's, or of cells [m].
+    map's, or of cells [m]; key: what they are in the key of a drawing.
     """
 
     name: tuple[str, ...]
@@ -125,6 +120,7 @@ class Mark:
     order: Order
     told: Sequence[str] = ()
     pens: float | FloatArray = 1.0
+    key: str = ""
 
     def moved(self, root: tuple[str, ...], T: FloatArray) -> Mark:
         """The mark moved by T, its entity below `root`."""
@@ -197,10 +193,13 @@ def _maps(picture: Picture, a: TopoMap, b: TopoMap) -> Iterator[Mark]:
     for k, (m, T) in enumerate(((a, np.zeros(3)), (b, picture.T_a_b))):
         own, ink = ("ab"[k], m.run), f"run {k}"
         paths = [apply(T, path) for path in m.paths]
-        yield Mark((*own, "corridors"), "line", paths, ink, Order.CORRIDOR, [m.run])
+        name = (*own, "corridors")
+        yield Mark(name, "line", paths, ink, Order.CORRIDOR, [m.run], key=m.run)
         if len(m):
             yield Mark((*own, "junctions"), "dot", [*apply(T, m.xy)], ink, Order.JUNCTION)
 
+
+CONTRADICTIONS = "what speaks against it"
 
 FULL_BITS = 6.0
 """A link of this many bits is drawn widest."""
@@ -222,13 +221,14 @@ def _evidence(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator
         tied = [*np.stack(ends, axis=1)]
         yield Mark(("ties",), "line", tied, "ink", Order.TIE, same, 0.5)
         for k, side in sides:
-            yield Mark(("matched", side), "ring", [*ends[k]], "ink", Order.RING, same)
+            key = "matched junctions, tied"
+            yield Mark(("matched", side), "ring", [*ends[k]], "ink", Order.RING, same, key=key)
         for k, side in sides[: 1 + picture.tied] if len(pairs) <= MOST_NUMBERED else ():
             told = [str(v) for v in pairs[:, k].tolist()]
             yield Mark(("numbers", side), "number", [*ends[k]], f"run {k}", Order.WORDS, told)
     links = itemised(placement, LINKS)
     for k, side in sides[: 1 + picture.tied]:
-        for ink in ("agrees", "against"):
+        for ink, key in (("agrees", "link that speaks for it"), ("against", CONTRADICTIONS)):
             shown = [
                 t for t in links if len((t.a, t.b)[k]) == 2 and (t.bits >= 0) == (ink == "agrees")
             ]
@@ -237,13 +237,14 @@ def _evidence(picture: Picture, a: TopoMap, b: TopoMap, digits: int) -> Iterator
                 told = [_bits_told(t, digits) for t in shown]
                 bits = np.abs([t.bits for t in shown])
                 pens = 1.2 + 1.8 * np.minimum(bits / FULL_BITS, 1.0)
-                yield Mark(("links", side, ink), "line", xy, ink, Order.EVIDENCE, told, pens)
+                yield Mark(("links", side, ink), "line", xy, ink, Order.EVIDENCE, told, pens, key)
     terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
     against = ((_bits_told(t, digits), (t.a, t.b)) for t in terms)
     spots = contradiction_spots(against, *at, apart=picture.tied)
     if spots:
-        told, where = [spot.told for spot in spots], [spot.xy for spot in spots]
-        yield Mark(("contradictions",), "ring", where, "against", Order.CONTRADICTION, told)
+        where, told = (list(column) for column in zip(*spots, strict=True))
+        name, order = ("contradictions",), Order.CONTRADICTION
+        yield Mark(name, "ring", where, "against", order, told, key=CONTRADICTIONS)
 
 
 def _bits_told(term: Term, digits: int) -> str:
@@ -264,7 +265,6 @@ def _seen(term: Term, name: str, cell: Cell, turn_rad: float) -> Iterator[Mark]:
             own = (term.seen.kind == kind) & (term.seen.of_second == (run == 1))
             if own.any():
                 ink = {SILENT: f"pale {run}", AGREES: f"run {run}"}.get(kind, "against")
-                side = WIDTHS[run] * CELL_M * scale
-                yield Mark(
-                    (VIEWS, name, "ab"[run], told), "cell", [*xy[own]], ink, Order.WALL, (), side
-                )
+                entity, side = (VIEWS, name, "ab"[run], told), WIDTHS[run] * CELL_M * scale
+                key = CONTRADICTIONS if kind == CONTRADICTS else ""
+                yield Mark(entity, "cell", [*xy[own]], ink, Order.WALL, (), side, key)

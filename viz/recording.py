@@ -1,9 +1,10 @@
-"""Opening, filling and closing rerun recordings."""
+"""Rerun recordings: opening and closing them, views, and what several of them hold."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,14 @@ import pyarrow as pa
 import rerun as rr
 import rerun.blueprint as rrb
 import rerun_bindings
+from PIL import Image
 
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.files import write_atomically
-from .palette import BACKGROUND
+from ..topology.run import Grid
+from ..topology.topomap import TopoMap
+from . import palette
+from .sheet import ASPECT, Cell, corners_of, fitting, outline
 
 APPLICATION_ID = "topobatch"
 
@@ -151,7 +156,7 @@ def map_view(
         origin="/",
         contents=[f"/{root}/**" for root in roots],
         name=name,
-        background=BACKGROUND,
+        background=palette.BACKGROUND,
         # The view's y points down, the map's up.
         visual_bounds=rrb.VisualBounds2D(x_range=[low[0], high[0]], y_range=[-high[1], -low[1]]),
         overrides=overrides or {},
@@ -167,4 +172,93 @@ def blueprint(root: rrb.Container, time: rrb.TimePanel) -> rrb.Blueprint:
         time,
         auto_layout=False,
         auto_views=False,
+    )
+
+
+TITLE_LETTERS = 150
+"""Letters across a view of typical width."""
+
+
+def write_words(
+    recording: Recording,
+    path: PathParts,
+    places: Any,
+    words: list[str],
+    *,
+    colours: Any = palette.TITLE,
+    order: palette.Order = palette.Order.WORDS,
+) -> None:
+    """Write a label below each of the places (n, 2)."""
+    shown = rr.Points2D(
+        places, radii=0.0, colors=colours, labels=words, show_labels=True, draw_order=order
+    )
+    recording.static(path, shown)
+
+
+def write_cards(
+    recording: Recording, root: str, cells: list[Cell], titles: Sequence[Sequence[str]]
+) -> None:
+    """Write a frame for each of several cells, and its title: the first that fits of the given
+    forms, longest first. `titles` may be empty."""
+    if len(cells) > 1:
+        frames = rr.LineStrips2D(
+            [outline(cell.low, cell.high) for cell in cells],
+            radii=HAIR,
+            colors=palette.CARD,
+            draw_order=palette.Order.CARD,
+        )
+        recording.static((root, "frames"), frames)
+    width, height = np.ptp(corners_of(cells), axis=0) if cells else np.zeros(2)
+    seen_m = max(float(width), ASPECT * float(height))
+    shown = []
+    for cell, forms in zip(cells, titles, strict=False):
+        (x0, _), (x1, top) = cell.low, cell.high
+        title = fitting(forms, int((x1 - x0) / seen_m * TITLE_LETTERS))
+        shown += [(((x0 + x1) / 2, top), title)] if title else []
+    if shown:
+        tops, words = zip(*shown, strict=True)
+        write_words(recording, (root, "titles"), tops, [*words])
+
+
+def corridors_told(m: TopoMap) -> rr.AnyValues:
+    """The attributes of the corridors of a map."""
+    return rr.AnyValues(
+        corridor=np.arange(len(m.source)),
+        between=[f"{u} - {v}" for u, v in zip(m.source.tolist(), m.target.tolist(), strict=True)],
+        length_m=m.length,
+        length_sigma_m=m.length_sigma,
+        traversals=m.traversals,
+    )
+
+
+MOST_PIXELS = 8192
+"""Largest image side that every graphics card takes; larger grids are reduced."""
+
+
+def write_grid(recording: Recording, path: PathParts, grid: Grid) -> None:
+    """Write a grid as occupied, free and unknown cells: as an image with a transform, since rerun's
+    `GridMap` is not drawn in 2D views."""
+    shade = np.full(grid.free.shape, 2, np.uint8)
+    shade[grid.unknown] = 0
+    shade[grid.free] = 1
+    step = -(-max(shade.shape) // MOST_PIXELS)
+    for axis in (0, 1):
+        # A reduced cell is occupied if any of its cells is.
+        starts = np.arange(0, shade.shape[axis], step)
+        shade = np.maximum.reduceat(shade, starts, axis=axis)
+    picture = Image.fromarray(shade)
+    picture.putpalette([*palette.BACKGROUND, *palette.UNLIT, *palette.WALL])
+    png = BytesIO()
+    picture.convert("RGB").save(png, "PNG")
+    x, y, yaw = grid.origin
+    recording.static(
+        path,
+        rr.Transform3D(
+            translation=[x, y, 0.0],
+            rotation=rr.RotationAxisAngle([0, 0, 1], radians=yaw),
+            scale=grid.resolution_m * step,
+        ),
+        rr.EncodedImage(
+            contents=png.getvalue(), media_type="image/png", draw_order=palette.Order.GRID
+        ),
     )

@@ -30,17 +30,10 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
 from .palette import LIGHT
-from .parts import ranks
+from .parts import in_order, ranks, runs_in_order
 from .report_maps import INK, SiteLayers, blank_figure, described_change, site_map
-from .report_pairs import (
-    STANDING_COLOURS,
-    matrix_figure,
-    named_axis,
-    page_data,
-    pair_figure,
-)
+from .report_pairs import STANDING_COLOURS, matrix_figure, named_axis, page_data, pair_figure
 from .sheet import upright_rad
-from .verdicts import runs_in_order
 
 MOST_MAPS = 60
 """Sites that have a map, those of most runs first; a run's own map is there for each."""
@@ -80,16 +73,12 @@ def report_page(report: Report) -> str:
     result = report.result
     runs = runs_in_order(result) if result is not None else []
     runs += sorted(set(report.maps) - set(runs))
-    items: dict[str, Any] = {
-        "runs": page_data(result, runs, report.maps, report.decisions, report.where)
-    }
-    items["pair-a"] = _item("pair-a", pair_figure())
-    items["pair-b"] = _item("pair-b", pair_figure())
+    told = page_data(result, runs, report.maps, report.decisions, report.where)
+    items: dict[str, Any] = {"runs": told}
+    items |= {name: _item(name, pair_figure()) for name in ("pair-a", "pair-b")}
     sites = _sites(report, items)
     if result is not None and len(runs) > 1:
-        items["matrix"] = _item(
-            "matrix", matrix_figure(result, [run for run in runs if _in(result, run)])
-        )
+        items["matrix"] = _item("matrix", matrix_figure(result))
     rows = _time_line(report, runs, items)
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
@@ -113,10 +102,6 @@ def report_page(report: Report) -> str:
         items={name: _json(item) for name, item in items.items()},
     )
     return page
-
-
-def _in(result: MergeResult, run: str) -> bool:
-    return any(run in c.poses for c in result.components)
 
 
 def _file(name: str) -> str:
@@ -206,7 +191,7 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
 
 def _groups(result: MergeResult) -> tuple[list[Component], list[Component]]:
     """Components of several runs, those of most first, and those of one."""
-    ordered = sorted(result.components, key=lambda c: (-len(c.poses), c.id))
+    ordered = in_order(result)
     several = [c for c in ordered if len(c.poses) > 1]
     return several, sorted(ordered[len(several) :], key=lambda c: c.name)
 
@@ -280,10 +265,10 @@ def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:
 
 def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> int:
     """Draw when each run was recorded, a row or more for each site; returns the number of rows."""
-    result = report.result
-    home: dict[str, Component] = {}
-    if result is not None:
-        home = {run: c for c in result.components for run in c.poses}
+    several, _ = _groups(report.result) if report.result is not None else ([], [])
+    groups = [(c.name, sorted(c.poses)) for c in several]
+    grouped = {run for _, own in groups for run in own}
+    groups.append(("alone", [run for run in runs if run not in grouped]))
     spans = {
         run: (int(m.observation_time_ns.min()), int(m.observation_time_ns.max()))
         for run, m in report.maps.items()
@@ -293,31 +278,26 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
         return 0
     low, high = min(a for a, _ in spans.values()), max(b for _, b in spans.values())
     least = max(int(SHORTEST * (high - low)), MS_NS)
-    rank = ranks(result) if result is not None else {}
     free: list[int] = []
     bars: dict[str, list[Any]] = {k: [] for k in ("left", "right", "top", "bottom", "ink", "told")}
     labels: dict[float, str] = {}
-    before: object = None
-    for run in runs:
-        if run not in spans:
-            continue
-        site = home.get(run)
-        group = site.id if site is not None and len(site.poses) > 1 else "alone"
-        if group != before:
-            first, before = len(free), group
-            labels[first + 0.5] = site.name if site is not None and group != "alone" else "alone"
-        begin, end = spans[run]
-        row = next((k for k in range(first, len(free)) if free[k] < begin), len(free))
-        if row == len(free):
-            free.append(0)
-        free[row] = max(end, begin + least) + least // 4
-        bars["left"].append(begin // MS_NS)
-        bars["right"].append(max(end, begin + least) // MS_NS)
-        bars["bottom"].append(row + 0.15)
-        bars["top"].append(row + 0.85)
-        several = site is not None and len(site.poses) > 1
-        bars["ink"].append(LIGHT.run(rank[run]) if several else INK)
-        bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
+    for name, own in groups:
+        first = len(free)
+        for rank, run in enumerate(own):
+            if run not in spans:
+                continue
+            labels[first + 0.5] = name
+            begin, end = spans[run]
+            row = next((k for k in range(first, len(free)) if free[k] < begin), len(free))
+            if row == len(free):
+                free.append(0)
+            free[row] = max(end, begin + least) + least // 4
+            bars["left"].append(begin // MS_NS)
+            bars["right"].append(max(end, begin + least) // MS_NS)
+            bars["bottom"].append(row + 0.15)
+            bars["top"].append(row + 0.85)
+            bars["ink"].append(LIGHT.run(rank) if run in grouped else INK)
+            bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
     spare = (high + least - low) / 50
     across = ((low - spare) / MS_NS, (high + least + spare) / MS_NS)
     plot = blank_figure(across, (len(free), 0), "xpan,tap", x_axis_type="datetime")

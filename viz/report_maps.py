@@ -32,9 +32,9 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, legible, listed
 from .drawing import TURNED, TURNED_MARKERS, bounds, strands
+from .pages import corridor_told, questions
 from .palette import LIGHT
 from .parts import ranks, rows_of
-from .questions import questions
 from .sheet import upright_rad
 from .walls import wall_points, walls_of
 
@@ -195,48 +195,27 @@ class _Site:
     def corridors(self, *, alone: bool) -> None:
         """Every corridor as one line, to be clicked; faint under the lines of several runs."""
         f, rows = self.fused, self.edges.tolist()
-        x, y = path_columns(apply(self.T, f.paths[e]) for e in rows)
-        self._lines(
-            x,
-            y,
-            [self._corridor_told(e) for e in rows],
-            FAINT,
-            "",
-            width=3.0,
-            alpha=0.9 if alone else 0.45,
-        )
-
-    def _corridor_told(self, e: int) -> str:
-        f = self.fused
-        ends = (int(f.source[e]), int(f.target[e]))
-        turned = next((f.kind[v] for v in ends if f.kind[v] in TURNED), None)
-        what = f"Corridor {ends[0]} to {ends[1]}"
-        if turned is not None:
-            what = f"Way from junction {min(ends)} to where {TURNED[turned]}"
-        runs = sorted({run for run, _ in f.edge_members[e]})
-        return (
-            f"{what}: {f.length[e]:.2f} ± {f.length_sigma[e]:.2f} m, driven "
-            f"{counted(int(f.traversals[e]), 'time')} by {listed(runs, MOST_RUNS)}"
-        )
+        told = []
+        for e in rows:
+            what, runs = corridor_told(f, e), sorted({run for run, _ in f.edge_members[e]})
+            told.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
+        paths, alpha = [f.paths[e] for e in rows], 0.9 if alone else 0.45
+        self._lines(paths, told, FAINT, "", line_width=3.0, line_alpha=alpha)
 
     def runs(self, rank: Mapping[str, int], count: int) -> None:
         """A line beside the others for each run that drove a corridor."""
         if count < 2:
             return
-        f = self.fused
         extent = self.plot.x_range.end - self.plot.x_range.start
-        pen = min(PEN_PX * extent / PICTURE_PX, PEN_SHARE * usual_m(f.length[self.edges]))
-        found = strands(f, self.edges, pen)
-        x, y = path_columns(apply(self.T, strand.path) for strand in found)
-        columns = {"xs": x, "ys": y, "ink": [LIGHT.run(rank[s.run]) for s in found]}
-        self.plot.multi_line(
-            "xs",
-            "ys",
-            source=ColumnDataSource(columns),
-            line_color="ink",
-            line_width=PEN_PX * 0.8,
-            name="runs",
+        usual = usual_m(self.fused.length[self.edges])
+        found = strands(
+            self.fused, self.edges, min(PEN_PX * extent / PICTURE_PX, PEN_SHARE * usual)
         )
+        x, y = self._path_columns(strand.path for strand in found)
+        inks = [LIGHT.run(rank[strand.run]) for strand in found]
+        source = ColumnDataSource({"xs": x, "ys": y, "ink": inks})
+        look = {"line_color": "ink", "line_width": PEN_PX * 0.8}
+        self.plot.multi_line("xs", "ys", source=source, name="runs", **look)
 
     def closures(self, maps: Mapping[str, TopoMap]) -> None:
         """Junctions that a run recognised when it came again, and passes that it did not take for
@@ -257,14 +236,12 @@ class _Site:
                 elif here[0] != here[1]:
                     apart.append((self.fused.xy[here], f"{run}: {asked.told}"))
         if apart:
-            x, y = path_columns(apply(self.T, ends) for ends, _ in apart)
-            told = [words for _, words in apart]
-            self._lines(x, y, told, BAD, "closures refused", width=1.5, dash="dashed")
+            ends, words = zip(*apart, strict=True)
+            look = {"line_width": 1.5, "line_dash": "dashed"}
+            self._lines(ends, words, BAD, "closures refused", **look)
         rows = sorted(again)
-        told = [
-            f"Junction {v} was recognised {counted(n, 'time')}" for v, n in sorted(again.items())
-        ]
-        self._dots(self.fused.xy[rows], told, GOOD, "closures", size=14.0, filled=False)
+        told = [f"Junction {v} was recognised {counted(again[v], 'time')}" for v in rows]
+        self._dots(self.fused.xy[rows], told, GOOD, "closures", 14.0, ring=True)
 
     def unexplored(self) -> None:
         """Branches that nobody drove."""
@@ -274,28 +251,19 @@ class _Site:
             return
         x, y = columns(apply(self.T, f.xy[branches.owner[free]]))
         heading = np.round(branches.values[free] + self.T[2], 3).tolist()
-        self.plot.ray(
-            "x",
-            "y",
-            source=ColumnDataSource({"x": x, "y": y, "angle": heading}),
-            angle="angle",
-            length=14,
-            length_units="screen",
-            line_color=PLANNED,
-            line_width=2,
-            name="branches never driven",
-        )
+        source = ColumnDataSource({"x": x, "y": y, "angle": heading})
+        look = {"length": 14, "length_units": "screen", "line_color": PLANNED, "line_width": 2}
+        name = "branches never driven"
+        self.plot.ray("x", "y", source=source, angle="angle", name=name, **look)
 
     def changes(self, home: str, found: Sequence[Change]) -> None:
         """What is gone, new, or there at times."""
         shown = [c for c in found if c.sure]
         if not shown:
             return
-        paths = [self._changed(c) for c in shown]
-        x, y = path_columns(apply(self.T, p) for p in paths)
-        told = [described_change(c, home) for c in shown]
-        self._lines(x, y, told, BAD, "changes", width=9.0, alpha=0.4)
-        self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", size=16.0, filled=False)
+        paths, told = [self._changed(c) for c in shown], [described_change(c, home) for c in shown]
+        self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
+        self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
 
     def _changed(self, change: Change) -> FloatArray:
         """The corridor that a change is about, or its junction alone."""
@@ -312,10 +280,11 @@ class _Site:
         """What to record next: the way, and a ring where it begins."""
         if not found:
             return
-        x, y = path_columns(apply(self.T, drive.path) for _, drive in found)
         told = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
-        self._lines(x, y, told, PLANNED, "drives to record", width=6.0, alpha=0.6)
+        paths = [drive.path for _, drive in found]
+        self._lines(paths, told, PLANNED, DRIVES, line_width=6.0, line_alpha=0.6)
         begins = np.array([drive.stops[0].xy for _, drive in found])
+        self._dots(begins, told, PLANNED, DRIVES, 18.0, ring=True)
         together: dict[int | None, list[int]] = {}
         for row, (_, drive) in enumerate(found):
             together.setdefault(drive.stops[0].junction, []).append(row)
@@ -324,19 +293,11 @@ class _Site:
             for rows in together.values()
         ]
         first = begins[[rows[0] for rows in together.values()]]
-        self._dots(begins, told, PLANNED, "drives to record", size=18.0, filled=False)
-        self._words(first, names, "drives to record", PLANNED, offset=(10, 22), bold=True)
-        beyond = [
-            (s.xy, str(s.junction))
-            for _, drive in found
-            for s in drive.stops
-            if s.junction is not None and s.site != home
-        ]
-        if beyond:
-            labels = [label for _, label in beyond]
-            self._words(
-                np.array([xy for xy, _ in beyond]), labels, NUMBERS, PLANNED, offset=(6, -12)
-            )
+        self._words(first, names, PLANNED, DRIVES, (10, -22), text_font_style="bold")
+        stops = [s for _, drive in found for s in drive.stops if s.site != home]
+        beyond = [s for s in stops if s.junction is not None]
+        at = np.array([s.xy for s in beyond])
+        self._words(at, [str(s.junction) for s in beyond], PLANNED, NUMBERS, (6, 12))
 
     def junctions(self) -> None:
         """Junctions, larger where several runs saw them, and their numbers; where a log ends or a
@@ -347,13 +308,13 @@ class _Site:
             rows = [v for v in self.vertices[turned].tolist() if f.kind[v] == kind]
             runs = [listed(sorted(f.members[v]), MOST_RUNS) for v in rows]
             told = [f"Here {TURNED[kind]} ({who})" for who in runs]
-            self._dots(f.xy[rows], told, LIGHT["degree 1"], "", size=6.0, marker=marker)
+            self._dots(f.xy[rows], told, LIGHT["degree 1"], "", 6.0, marker=marker)
         rows = self.vertices[~turned].tolist()
         for shared, size in ((False, 7.0), (True, 10.0)):
             some = [v for v in rows if (len(f.members[v]) > 1) == shared]
             told = [self._junction_told(v) for v in some]
-            self._dots(f.xy[some], told, INK, "", size=size, number=some)
-        self._words(f.xy[rows], list(map(str, rows)), NUMBERS, INK, offset=(6, 8))
+            self._dots(f.xy[some], told, INK, "", size, number=some)
+        self._words(f.xy[rows], list(map(str, rows)), INK, NUMBERS, (6, -8))
 
     def _junction_told(self, v: int) -> str:
         f = self.fused
@@ -374,38 +335,34 @@ class _Site:
         """The axes of the site's frame at its origin."""
         reach = 0.05 * (self.plot.x_range.end - self.plot.x_range.start)
         tips = np.array([(reach, 0.0), (0.0, reach)])
-        x, y = path_columns(apply(self.T, np.stack([np.zeros(2), tip])) for tip in tips)
+        x, y = self._path_columns(np.stack([np.zeros(2), tip]) for tip in tips)
         source = ColumnDataSource({"xs": x, "ys": y, "ink": [BAD, GOOD]})
         self.plot.multi_line("xs", "ys", source=source, line_color="ink", line_width=4, name="axes")
-        self._words(1.3 * tips, ["x", "y"], "axes", INK, offset=(0, 0), align="center")
+        self._words(1.3 * tips, ["x", "y"], INK, "axes", (0, 0), text_align="center")
+
+    def _path_columns(self, paths: Iterable[FloatArray]) -> tuple[Any, Any]:
+        """x and y of each polyline of the site's frame, in the figure."""
+        return path_columns(apply(self.T, path) for path in paths)
+
+    # ink: colour; layer: "" for what is always shown; look: of Bokeh's glyphs.
 
     def _lines(
-        self,
-        x: list[list[float]],
-        y: list[list[float]],
-        told: Sequence[str],
-        ink: str,
-        layer: str,
-        *,
-        width: float,
-        alpha: float = 1.0,
-        dash: str = "solid",
+        self, paths: Sequence[FloatArray], told: Sequence[str], ink: str, layer: str, **look: Any
     ) -> None:
-        source = ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, told))})
+        """Polylines, (k, 2) each in the site's frame, and what a click on one says."""
+        x, y = self._path_columns(paths)
         self.plot.multi_line(
             "xs",
             "ys",
-            source=source,
+            source=ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, told))}),
             line_color=ink,
-            line_width=width,
-            line_alpha=alpha,
-            line_dash=dash,
             line_cap="round",
             line_join="round",
             name=layer or None,
             visible=layer not in HIDDEN,
-            nonselection_line_alpha=alpha,
+            nonselection_line_alpha=look.get("line_alpha", 1.0),
             selection_line_color=CHOSEN,
+            **look,
         )
 
     def _dots(
@@ -414,12 +371,14 @@ class _Site:
         told: Sequence[str],
         ink: str,
         layer: str,
-        *,
         size: float,
-        filled: bool = True,
-        marker: str = "circle",
+        *,
+        ring: bool = False,
         number: Sequence[int] = (),
+        **look: Any,
     ) -> None:
+        """Marks or rings at xy (n, 2) in the site's frame, and what a click on one says; number: of
+        junctions, by which the page finds them."""
         if not len(told):
             return
         x, y = columns(apply(self.T, xy))
@@ -430,49 +389,51 @@ class _Site:
             "y",
             source=ColumnDataSource(given),
             size=size,
-            marker=marker,
-            fill_color=ink if filled else None,
+            fill_color=None if ring else ink,
             line_color=ink,
-            line_width=0 if filled else 2.5,
+            line_width=2.5 if ring else 0,
             name=layer or None,
             visible=layer not in HIDDEN,
             nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0,
             selection_fill_color=CHOSEN,
             selection_line_color=CHOSEN,
+            **look,
         )
 
     def _words(
         self,
         xy: FloatArray,
-        words: list[str],
-        layer: str,
+        words: Sequence[str],
         ink: str,
-        *,
+        layer: str,
         offset: tuple[int, int],
-        align: str = "left",
-        bold: bool = False,
+        **look: Any,
     ) -> None:
-        x, y = columns(apply(self.T, xy)) if len(xy) else ([], [])
+        """Words beside points xy (n, 2) of the site's frame. offset: to the right and down
+        [pixels]."""
+        if not len(words):
+            return
+        x, y = columns(apply(self.T, xy.reshape(-1, 2)))
+        source = ColumnDataSource({"x": x, "y": y, "text": list(map(legible, words))})
         self.plot.text(
             "x",
             "y",
             "text",
-            source=ColumnDataSource({"x": x, "y": y, "text": list(map(legible, words))}),
+            source=source,
             x_offset=offset[0],
-            y_offset=-offset[1],
+            y_offset=offset[1],
             text_color=ink,
-            text_align=align,
             text_baseline="middle",
             text_font_size="11px",
-            text_font_style="bold" if bold else "normal",
             name=layer,
+            **look,
         )
 
 
+DRIVES = "drives to record"
 NUMBERS = "junction numbers"
 """The page shows this layer where the map is large enough."""
-
 
 HIDDEN = ("closures", "closures refused")
 """Layers that are switched on by hand."""

@@ -15,8 +15,8 @@ from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
 from .palette import LIGHT
-from .report_maps import BAD, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
-from .verdicts import CLASS, strongest, verdict_matrix
+from .parts import CLASS, runs_in_order, spans_of, strongest, verdict_matrix
+from .report_maps import BAD, CHOSEN, GOOD, INK, NUMBERS, blank_figure, map_figure, own_map
 
 STANDING_COLOURS = {
     Standing.MERGED: "#37b26c",
@@ -39,35 +39,23 @@ MOST_LINKS = 12
 """Links of a placement that are listed one by one."""
 
 
-def matrix_figure(result: MergeResult, runs: Sequence[str]) -> Any:
+def matrix_figure(result: MergeResult) -> Any:
     """The standing of every pair as a coloured square, the runs of a site framed; row 0 on top."""
+    runs = runs_in_order(result)
     n = len(runs)
     plot: Any = blank_figure((0, n), (n, 0), "")
     plot.update(outline_line_color=INK)
     colours = [SAME_RUN, *(STANDING_COLOURS[s] for s in CLASS)]
     mapper = LinearColorMapper(palette=colours, low=-0.5, high=len(colours) - 0.5)
-    cells = verdict_matrix(result, runs)
-    plot.image(image=[cells], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
-    spans = _spans(result, runs)
-    framed = [(begin, end) for _, begin, end in spans if end - begin > 1]
-    ends = {"left": [b for b, _ in framed], "right": [e for _, e in framed]}
-    corners = ColumnDataSource(ends | {"top": ends["left"], "bottom": ends["right"]})
-    plot.quad(
-        "left", "right", "top", "bottom", source=corners, fill_color=None, line_color=INK,
-        line_width=2,
-    )  # fmt: skip
+    plot.image(image=[verdict_matrix(result, runs)], x=0, y=0, dw=n, dh=n, color_mapper=mapper)
+    spans = spans_of(result)
+    begins, ends = ([span[k] for span in spans if span[2] - span[1] > 1] for k in (1, 2))
+    sides = {"left": begins, "right": ends, "top": begins, "bottom": ends}
+    framed, look = ColumnDataSource(sides), {"fill_color": None, "line_color": INK, "line_width": 2}
+    plot.quad("left", "right", "top", "bottom", source=framed, **look)
     spot = ColumnDataSource({"x": [], "y": []}, name="spot")
-    plot.rect(
-        "x",
-        "y",
-        1,
-        1,
-        source=spot,
-        fill_color=None,
-        line_color="#c026d3",
-        line_width=3,
-        name="spot",
-    )
+    look = {"fill_color": None, "line_color": CHOSEN, "line_width": 3}
+    plot.rect("x", "y", 1, 1, source=spot, name="spot", **look)
     names = {k + 0.5: run for k, run in enumerate(runs)}
     if n > MOST_NAMES:
         names = {(b + e) / 2: site for site, b, e in spans if e - b >= n / MOST_NAMES}
@@ -95,16 +83,6 @@ def shortened(name: str) -> str:
     name = legible(name)
     half = LONGEST // 2
     return name if len(name) <= LONGEST else f"{name[:half]}…{name[len(name) - half + 1 :]}"
-
-
-def _spans(result: MergeResult, runs: Sequence[str]) -> list[tuple[str, int, int]]:
-    """The name of every site, its first row, and the row after its last."""
-    row = {run: k for k, run in enumerate(runs)}
-    out = []
-    for c in result.components:
-        at = [row[run] for run in c.poses]
-        out.append((c.name, min(at), max(at) + 1))
-    return sorted(out, key=lambda span: span[1])
 
 
 def pair_figure() -> Any:

@@ -3,7 +3,7 @@ vertices."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -41,19 +41,9 @@ class RobotTrack:
     starts: IntArray
     drift_m: FloatArray
 
-    @property
-    def stretches(self) -> list[FloatArray]:
-        """The raw track as polylines of at least two points."""
-        return self._polylines(self.raw)
-
-    @property
-    def bent_stretches(self) -> list[FloatArray]:
-        """The corrected track as polylines of at least two points."""
-        return self._polylines(self.bent)
-
-    def _polylines(self, pose: FloatArray) -> list[FloatArray]:
-        parts = np.split(pose[:, :2], self.starts)
-        return [part for part in parts if len(part) > 1]
+    def stretches(self, pose: FloatArray) -> list[FloatArray]:
+        """`raw` or `bent` as polylines of at least two points, one for each stretch."""
+        return [part for part in np.split(pose[:, :2], self.starts) if len(part) > 1]
 
     def at(self, time_ns: IntArray) -> FloatArray:
         """(m, 3) corrected poses at any times, interpolated linearly between the rows kept."""
@@ -75,22 +65,13 @@ def robot_track(
         return None
     edges = pairwise([0, *odometry.cuts.tolist(), len(odometry)])
     chain = stretch_of(odometry, topomap.observation_time_ns)
-    finest = max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
-    spacing = 0.0 if every_row else finest
+    spacing = 0.0 if every_row else max(FINEST_M, float(odometry.step_m.sum()) / MOST_POINTS)
     drift_m = np.zeros(len(chain))
     parts = []
     for number, (a, b) in enumerate(edges):
         seen = np.flatnonzero(chain == number)
         if len(seen):
-            stretch = replace(
-                odometry,
-                time_ns=odometry.time_ns[a:b],
-                pose=odometry.pose[a:b],
-                breaks=odometry.breaks[:0],
-                jumps=odometry.jumps[:0],
-                jump_sigma=odometry.jump_sigma[:0],
-                jump_other=odometry.jump_other[:0],
-            )
+            stretch = Odometry(odometry.time_ns[a:b], odometry.pose[a:b], odometry.breaks[:0])
             parts.append(_placed(topomap, seen, stretch, spacing))
             drift_m[seen] = parts[-1].drift_m
     if not parts:
@@ -120,11 +101,7 @@ def _placed(topomap: TopoMap, seen: IntArray, stretch: Odometry, spacing: float)
 
 
 def _bent(
-    time_ns: IntArray,
-    raw: FloatArray,
-    pass_ns: IntArray,
-    passed: FloatArray,
-    seen_at: FloatArray,
+    time_ns: IntArray, raw: FloatArray, pass_ns: IntArray, passed: FloatArray, seen_at: FloatArray
 ) -> FloatArray:
     """Corrected poses (n, 3): between two passes the raw track is rotated by the angle between the
     raw chord and the map's, and the remaining offset at its end is distributed linearly in time.

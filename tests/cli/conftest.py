@@ -14,7 +14,8 @@ import pytest
 
 from topobatch.cli.main import main
 from topobatch.ingest.mapping import build_map
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.writing import write_run
 from topobatch.topology.document import write_map
 from topobatch.topology.se2 import compose, inverse

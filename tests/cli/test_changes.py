@@ -10,7 +10,8 @@ import pytest
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import ScenarioSettings, read_truth
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import read_truth
 from topobatch.topology.document import write_map
 
 from .conftest import command, simulated_maps

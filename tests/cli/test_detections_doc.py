@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 
 PAGE = (Path(__file__).parents[2] / "docs" / "detections.md").read_text()
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from topobatch.simulation import ScenarioSettings
+from topobatch.simulation.settings import ScenarioSettings
 
 from .conftest import simulated_maps
 

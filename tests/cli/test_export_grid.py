@@ -12,7 +12,7 @@ from PIL import Image
 
 from topobatch.cli.workspace import Workspace
 from topobatch.ingest.logs.saved_map import read_saved_map
-from topobatch.simulation import make_world
+from topobatch.simulation.worlds import make_world
 
 from ..ingest.test_grid_map import grid_of
 

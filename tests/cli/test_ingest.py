@@ -21,7 +21,8 @@ from topobatch.cli.ingest_worker import IngestJob
 from topobatch.cli.workspace import Workspace
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.writing import write_run
 from topobatch.topology.document import read_map
 

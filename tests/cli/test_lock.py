@@ -12,7 +12,7 @@ import pytest
 
 from topobatch.merge.robust.entries import MAPS_ALONE
 from topobatch.merge.robust.verdict import MAYBE_COPY
-from topobatch.simulation import ScenarioSettings
+from topobatch.simulation.settings import ScenarioSettings
 
 from .conftest import simulated_maps
 

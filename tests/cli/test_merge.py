@@ -13,7 +13,7 @@ import pytest
 from topobatch.cli.merge import MOST_AMBIGUOUS, _show
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
-from topobatch.simulation import ScenarioSettings
+from topobatch.simulation.settings import ScenarioSettings
 
 from .conftest import simulated_maps
 

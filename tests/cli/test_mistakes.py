@@ -11,7 +11,8 @@ import shutil
 import pytest
 
 from topobatch.cli.main import COMMANDS
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.writing import write_run
 
 from ..conftest import command as call_topobatch

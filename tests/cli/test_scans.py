@@ -34,9 +34,10 @@ def test_simulated_lasers(topobatch, tmp_path):
     assert "shows the walls around places; --junctions-from scan finds" in out
     out = topobatch("info", tmp_path / "b", "--junctions-from", "scan").out
     assert "scans: default name; asked for in place of detections" in out
-    assert "corridor_m" in topobatch(
-        "simulate", tmp_path / "c", "--laser", "--corridor-m", 9
-    ).error(2)
+    for option, value in (("--corridor-m", 9), ("--corridor-m", "nan"), ("--format", "rar")):
+        error = topobatch("simulate", tmp_path / "c", "--laser", option, value).error(2)
+        assert option in error or "choose one of mcap" in error
+    assert not (tmp_path / "c").exists()
 
 
 def test_a_log_with_scans_becomes_a_map_and_says_how(samples):

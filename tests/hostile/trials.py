@@ -54,7 +54,8 @@ class Ground:
 
 def prepare(root: Path) -> Ground:
     """Write the sound logs and their workspace."""
-    from topobatch.simulation import ScenarioSettings, simulate_scenario
+    from topobatch.simulation.scenario import simulate_scenario
+    from topobatch.simulation.settings import ScenarioSettings
     from topobatch.simulation.writing import write_run
 
     ground = Ground(root)

@@ -14,9 +14,9 @@ from scipy.spatial import cKDTree
 from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import World, make_world
 from topobatch.simulation.walls import free_space
-from topobatch.simulation.world import polyline_at
+from topobatch.simulation.world import World, polyline_at
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.polyline import densely

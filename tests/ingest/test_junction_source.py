@@ -18,14 +18,9 @@ from topobatch.ingest.mapping import build_map
 from topobatch.ingest.mounting import known_mounting, mounting
 from topobatch.ingest.read_settings import ReadSettings
 from topobatch.ingest.reading import inspect_log, read_log, read_run
-from topobatch.simulation import (
-    LaserSettings,
-    MotionSettings,
-    Scenario,
-    ScenarioSettings,
-    simulate_scenario,
-    write_run,
-)
+from topobatch.simulation.scenario import Scenario, simulate_scenario
+from topobatch.simulation.settings import LaserSettings, MotionSettings, ScenarioSettings
+from topobatch.simulation.writing import write_run
 from topobatch.topology.errors import LogError, UsageError
 from topobatch.topology.run import Run
 from topobatch.topology.se2 import apply, fit_rigid

@@ -10,12 +10,9 @@ import pytest
 
 from topobatch.ingest.mapping import build_map
 from topobatch.ingest.mapping_settings import MappingSettings
-from topobatch.simulation import (
-    MIXED,
-    ScenarioSettings,
-    simulate_scenario,
-    true_vertex_of_nodes,
-)
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import MIXED, true_vertex_of_nodes
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DataError
 from topobatch.topology.odometry import Odometry

@@ -12,7 +12,9 @@ from rosbags.highlevel import AnyReader
 
 from topobatch.ingest.inspection import as_read
 from topobatch.ingest.reading import inspect_log, read_run
-from topobatch.simulation import LaserSettings, ScenarioSettings, simulate_scenario, write_run
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import LaserSettings, ScenarioSettings
+from topobatch.simulation.writing import write_run
 
 LASER = LaserSettings(beams=120, rate_hz=4.0, door_share=0.0, people_per_100_m=0.0)
 Row = tuple[str, str, int, bytes]

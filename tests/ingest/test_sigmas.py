@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
-from topobatch.simulation import (
-    ScenarioSettings,
-    simulate_scenario,
-    true_vertex_of_nodes,
-)
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import true_vertex_of_nodes
 from topobatch.topology.se2 import apply, fit_rigid, wrap
 from topobatch.topology.topomap import TopoMap
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from topobatch.simulation import make_world
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.se2 import apply, wrap
 

@@ -15,8 +15,9 @@ from topobatch.merge.document import merged_to_document, result_from_document
 from topobatch.merge.locks import Lock
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import merge_maps
-from topobatch.simulation import DRIFTS, FAULTS, RunSettings, make_world, simulate_run
-from topobatch.simulation.scenario import EPOCH_NS
+from topobatch.simulation.scenario import EPOCH_NS, simulate_run
+from topobatch.simulation.settings import DRIFTS, FAULTS, RunSettings
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.document import map_from_document, map_to_document
 
 DAY_NS = 86_400 * 10**9

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from topobatch.simulation import Scenario, ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import Scenario, simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 
 
 @pytest.fixture(scope="session")

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from topobatch.simulation import (
-    DRIFTS,
-    Drift,
-    Faults,
-    RunSettings,
-    SimulatedRun,
-    Truth,
-    World,
-    make_world,
-    simulate_run,
-)
+from topobatch.simulation.scenario import SimulatedRun, simulate_run
+from topobatch.simulation.settings import DRIFTS, Drift, Faults, RunSettings
+from topobatch.simulation.truth import Truth
+from topobatch.simulation.world import World
+from topobatch.simulation.worlds import make_world
 
 KINDS = ("maze", "office", "organic", "city", "rows", "tiles")
 PERFECT = RunSettings(drift=DRIFTS["none"], faults=Faults(0.0, 0.0, 0.0))

@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.simulation import Faults, make_world, simulate_run, true_vertex_of_passes
+from topobatch.simulation.scenario import simulate_run
+from topobatch.simulation.settings import Faults
+from topobatch.simulation.truth import true_vertex_of_passes
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.se2 import apply, compose, wrap
 
 from .driven import KINDS, PERFECT, truth_of

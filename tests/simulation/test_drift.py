@@ -5,21 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from topobatch.simulation import (
-    Drift,
-    make_world,
-    simulate_run,
-)
-from topobatch.topology.errors import UsageError
+from topobatch.simulation.scenario import simulate_run
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.se2 import between, compose, wrap
 
 from .driven import PERFECT, drifted
-
-
-@pytest.mark.parametrize("wrong", [{"scale_sigma": -1.0}, {"heading_jump_deg": float("nan")}])
-def test_nonsensical_drift_is_refused(wrong: dict[str, float]) -> None:
-    with pytest.raises(UsageError, match="drift"):
-        Drift(**wrong)
 
 
 def test_without_drift_odometry_is_the_true_path() -> None:

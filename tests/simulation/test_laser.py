@@ -9,22 +9,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.simulation import (
-    LASERS,
-    LaserSettings,
-    ScenarioSettings,
-    Truth,
-    World,
-    make_world,
-    read_truth,
-    simulate_scenario,
-    write_truth,
-)
 from topobatch.simulation.chance import Chance
 from topobatch.simulation.laser import cast_at_segments, scans
 from topobatch.simulation.motion import Drive
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import LASERS, ScenarioSettings
+from topobatch.simulation.truth import Truth, read_truth, write_truth
 from topobatch.simulation.walls import free_space, walls_of
-from topobatch.topology.errors import UsageError
+from topobatch.simulation.world import World
+from topobatch.simulation.worlds import make_world
 
 BARE = replace(LASERS["none"], noise_m=0.0)
 
@@ -112,21 +105,3 @@ def test_the_same_settings_give_the_same_scans_and_detections_stay_as_they_were(
         tmp_path / "truth.json", Truth({"w": make_world("maze", 5, 0)}, {"run1": first.truth})
     )
     assert read_truth(tmp_path / "truth.json").runs["run1"].doors == first.truth.doors
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"beams": 1},
-        {"rate_hz": 0.5},
-        {"sweep_s": 1.0},
-        {"view_deg": 360.0},
-        {"range_min_m": 20.0},
-        {"noise_m": -1.0},
-        {"corridor_m": 5.0},
-        {"door_share": float("nan")},
-    ],
-)
-def test_settings_that_make_no_sense(wrong: dict[str, Any]) -> None:
-    with pytest.raises(UsageError, match="laser"):
-        LaserSettings(**wrong)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from topobatch.simulation import make_world, simulate_run
+from topobatch.simulation.scenario import simulate_run
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.se2 import wrap
 
 from .driven import PERFECT

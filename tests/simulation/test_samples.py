@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 from rosbags.highlevel import AnyReader
 
-from topobatch.simulation import Truth, read_truth
 from topobatch.simulation.samples import sample_scenario
+from topobatch.simulation.truth import Truth, read_truth
 
 SAMPLES = Path(__file__).parents[2] / "sample_logs"
 LOGS = ("maze-1.mcap", "maze-2.bag", "maze-3", "office-1.mcap", "streets-1.mcap")

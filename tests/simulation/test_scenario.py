@@ -9,16 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from topobatch.simulation import (
-    DRIFTS,
-    FAULTS,
-    RunSettings,
-    Scenario,
-    ScenarioSettings,
-    make_world,
-    simulate_run,
-    simulate_scenario,
-)
+from topobatch.simulation.scenario import Scenario, simulate_run, simulate_scenario
+from topobatch.simulation.settings import DRIFTS, FAULTS, RunSettings, ScenarioSettings
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.errors import UsageError
 
 from .driven import KINDS
@@ -71,28 +64,6 @@ def test_the_same_settings_give_the_same_runs(scenario: Scenario) -> None:
         np.testing.assert_array_equal(run.odometry.pose, again.runs[name].odometry.pose)
         np.testing.assert_array_equal(run.detections.centre, again.runs[name].detections.centre)
         assert not np.array_equal(run.odometry.pose[:9], other.runs[name].odometry.pose[:9])
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"world": "castle"},
-        {"runs": 0},
-        {"overlap": 1.0},
-        {"overlap": -0.1},
-        {"drift": "huge"},
-        {"faults": "some"},
-        {"junctions_per_run": 2},
-        {"odometry_hz": 0.0},
-        {"detector_hz": 1e9},
-        {"prefix": "a/b"},
-        {"prefix": ""},
-        {"seed": -1},
-    ],
-)
-def test_nonsense_is_refused(wrong: dict[str, object]) -> None:
-    with pytest.raises(UsageError):
-        ScenarioSettings(**wrong)  # type: ignore[arg-type]
 
 
 @settings(max_examples=6)

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from topobatch.simulation import (
+from topobatch.simulation.scenario import Scenario
+from topobatch.simulation.truth import (
     MIXED,
-    Scenario,
+    WorldChange,
     read_truth,
     true_vertex_of_nodes,
     write_truth,
 )
-from topobatch.simulation.truth import WorldChange
 from topobatch.topology.topomap import TopoMap
 
 from ..maps import straight_map

@@ -7,9 +7,10 @@ import hashlib
 import numpy as np
 import pytest
 
-from topobatch.simulation import Faults, WalkSettings, make_world
 from topobatch.simulation.chance import Chance
+from topobatch.simulation.settings import Faults, WalkSettings
 from topobatch.simulation.walk import explore
+from topobatch.simulation.worlds import make_world
 
 from .driven import KINDS
 

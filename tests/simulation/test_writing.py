@@ -11,23 +11,24 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from topobatch.simulation import (
-    FORMATS,
+from topobatch.simulation.scenario import Scenario, SimulatedRun, simulate_run, simulate_scenario
+from topobatch.simulation.settings import (
     LaserSettings,
     MotionSettings,
     RunSettings,
-    Scenario,
     ScenarioSettings,
-    SimulatedRun,
-    make_world,
-    read_truth,
-    simulate_run,
-    simulate_scenario,
+)
+from topobatch.simulation.truth import read_truth
+from topobatch.simulation.worlds import make_world
+from topobatch.simulation.writing import (
+    FORMATS,
+    TOPICS,
+    messages_of,
+    topics_of,
+    typestore,
     write_run,
     write_scenario,
 )
-from topobatch.simulation.writing import TOPICS, messages_of, topics_of, typestore
-from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import wrap
 
 
@@ -148,14 +149,3 @@ def test_formats_are_dealt_out_and_files_repeat(scenario: Scenario, tmp_path: Pa
         *("run2/metadata.yaml", "run2/run2.db3"),
     }
     assert set(read_truth(tmp_path / "a" / "truth.json").runs) == {"run1", "run2"}
-
-
-@pytest.mark.parametrize("formats", [(), ("rar",), ("mcap", "zip")])
-def test_unknown_formats_are_refused(
-    scenario: Scenario, formats: tuple[str, ...], tmp_path: Path
-) -> None:
-    with pytest.raises(UsageError, match="choose one of mcap"):
-        write_scenario(scenario, tmp_path / "out", formats)
-    assert not (tmp_path / "out").exists()
-    with pytest.raises(UsageError):
-        write_run(tmp_path, scenario.simulated[0], "rar")

@@ -2,7 +2,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from topobatch.viz.canvas import Canvas, Key
+from topobatch.viz.canvas import Canvas
 from topobatch.viz.palette import DARK, LIGHT
 
 SVG = "{http://www.w3.org/2000/svg}"
@@ -11,10 +11,12 @@ HOSTILE = '<script>alert("1")</script> & $x_1$ --> _private \u202e\x1b[2J'
 
 def canvas(theme=LIGHT, name: str = HOSTILE) -> Canvas:
     drawn = Canvas(np.array([0.0, 0.0]), np.array([40.0, 20.0]), theme)
-    drawn.lines([np.array([(0.0, 0.0), (40.0, 20.0)])], theme.run(0), 2.0, told=name)
-    drawn.dots(np.array([(1.23456789, 2.0)]), theme["ink"], 4.0, told="a dot")
-    drawn.words((5.0, 5.0), name)
-    drawn.finish([name], [[Key("title", theme["ink"], "runs"), Key("line", theme.run(0), name)]])
+    drawn.lines([np.array([(0.0, 0.0), (40.0, 20.0)])], theme.run(0), 2.0, told=[name])
+    drawn.dots(np.array([(1.23456789, 2.0)]), theme["ink"], 4.0, told=["a dot"])
+    drawn.words(np.array((5.0, 5.0)), name)
+    drawn.run("runs", None)
+    drawn.run(name, theme.run(0))
+    drawn.finish([name])
     return drawn
 
 

@@ -33,7 +33,7 @@ def test_a_map_shows_and_tells_its_junctions_and_corridors(make_map, theme) -> N
     assert "dead end 4: 1 pass" in titles
     keys = {
         "corridor",
-        "driven more often",
+        "corridor, driven more often",
         "branch never driven",
         "dead end",
         "bend",

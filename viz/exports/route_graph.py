@@ -53,37 +53,28 @@ def route_graph(topomap: TopoMap, max_error_m: float = MAX_ERROR_M) -> RouteGrap
     """
     if not max_error_m > 0:
         raise ValueError(f"the largest error must be positive, not {max_error_m:g} m")
-    points, vertices = [topomap.xy], [np.arange(len(topomap))]
-    source, target, edge, length = [], [], [], []
-    count = len(topomap)
-    for e in range(len(topomap.source)):
-        way = corridor_line(topomap, e, max_error_m)
-        inner = np.arange(count, count + len(way) - 2)
-        row = np.concatenate([topomap.source[e : e + 1], inner, topomap.target[e : e + 1]])
-        points.append(way[1:-1])
-        vertices.append(np.full(len(inner), VIA))
-        source.append(row[:-1])
-        target.append(row[1:])
-        edge.append(np.full(len(row) - 1, e))
-        length.append(np.diff(way_of(way)))
-        count += len(inner)
-    vertex = np.concatenate(vertices).astype(np.int64)
+    n, m, none = len(topomap), len(topomap.source), np.zeros(0, np.int64)
+    ways = [corridor_line(topomap, e, max_error_m) for e in range(m)]
+    inner = np.array([len(way) - 2 for way in ways], np.int64)
+    stops = n + np.cumsum(inner)
+    ends = (topomap.source, topomap.target, stops - inner, stops)
+    rows = [np.r_[u, begin:stop, v] for u, v, begin, stop in zip(*ends, strict=True)]
+    vertex = np.concatenate([np.arange(n), np.full(inner.sum(), VIA)])
     known = topomap.info.get("numbers")  # of a document it could be anything but a tuple
     own = known if isinstance(known, tuple) else range(len(topomap))
     numbers = np.array([*own, VIA], np.int64)
-    none, some = np.zeros(0, np.int64), len(edge) > 0
-    of = np.concatenate(edge) if some else none
-    lengths = np.concatenate(length) if some else np.zeros(0)
-    whole = np.bincount(of, lengths, minlength=len(topomap.source))
+    of = np.arange(m).repeat(inner + 1)
+    lengths = np.concatenate([np.zeros(0), *(np.diff(way_of(way)) for way in ways)])
+    whole = np.bincount(of, lengths, minlength=m)
     share = lengths / np.maximum(whole[of], 1e-9)
     stretched = (topomap.measured.scale * topomap.length) ** 2
     by_itself = np.maximum(topomap.length_sigma**2 - stretched, 0.0)
     return RouteGraph(
-        xy=np.concatenate(points),
+        xy=np.concatenate([topomap.xy, *(way[1:-1] for way in ways)]),
         vertex=vertex,
         number=numbers[vertex],
-        source=np.concatenate(source) if some else none,
-        target=np.concatenate(target) if some else none,
+        source=np.concatenate([none, *(row[:-1] for row in rows)]),
+        target=np.concatenate([none, *(row[1:] for row in rows)]),
         edge=of,
         length=share * topomap.length[of],
         length_sigma=np.sqrt(share * by_itself[of] + share**2 * stretched[of]),

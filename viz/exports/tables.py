@@ -32,8 +32,8 @@ def junctions_csv(topomap: TopoMap) -> str:
                 "branches": " ".join(f"{b:g}" for b in node["branches"]),
                 "confidence": node.get("confidence", 1),
                 "passes": len(seen),
-                "first_pass_s": _seconds(min(seen)) if seen else "",
-                "last_pass_s": _seconds(max(seen)) if seen else "",
+                "first_pass_s": seconds_text(min(seen)) if seen else "",
+                "last_pass_s": seconds_text(max(seen)) if seen else "",
             }
         )
     return _table(rows, topomap, "nodes")
@@ -69,8 +69,10 @@ def _or_empty(value: int | None) -> int | str:
     return "" if value is None else value
 
 
-def _seconds(time_ns: int) -> str:
-    return f"{time_ns // 10**9}.{time_ns % 10**9:09d}"
+def seconds_text(time_ns: int) -> str:
+    """A time in seconds, to the nanosecond."""
+    sign = "-" if time_ns < 0 else ""
+    return f"{sign}{abs(time_ns) // 10**9}.{abs(time_ns) % 10**9:09d}"
 
 
 def _table(rows: list[dict[str, Any]], topomap: TopoMap, part: str) -> str:

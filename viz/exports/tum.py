@@ -9,6 +9,7 @@ from ...topology.odometry import Odometry
 from ...topology.se2 import compose
 from ...topology.topomap import TopoMap
 from ..robot_track import robot_track
+from .tables import seconds_text
 
 
 def recorded_tum(odometry: Odometry) -> str:
@@ -44,11 +45,8 @@ def _lines(time_ns: IntArray, pose: FloatArray) -> str:
         np.cos(half).tolist(),
         strict=True,
     )
-    return "".join(
-        f"{_stamp(t)} {x:.6f} {y:.6f} 0 0 0 {qz:.9f} {qw:.9f}\n" for t, x, y, qz, qw in columns
+    lines = (
+        f"{seconds_text(t)} {x:.6f} {y:.6f} 0 0 0 {qz:.9f} {qw:.9f}\n"
+        for t, x, y, qz, qw in columns
     )
-
-
-def _stamp(time_ns: int) -> str:
-    sign = "-" if time_ns < 0 else ""
-    return f"{sign}{abs(time_ns) // 10**9}.{abs(time_ns) % 10**9:09d}"
+    return "".join(lines)

@@ -10,8 +10,9 @@ import pytest
 from topobatch.ingest.mapping import build_map, dead_reckoned
 from topobatch.ingest.odometry.bridging import confirmed
 from topobatch.ingest.odometry.track import sane_track
-from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
-from topobatch.simulation.settings import DRIFTS
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import DRIFTS, ScenarioSettings
+from topobatch.simulation.truth import true_vertex_of_passes
 from topobatch.topology.se2 import between, compose
 
 

@@ -13,7 +13,8 @@ from topobatch.ingest.odometry.calibration import (
     apply_calibration,
     calibrate,
 )
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections

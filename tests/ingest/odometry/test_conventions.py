@@ -10,7 +10,8 @@ import pytest
 
 from topobatch.ingest.odometry.conventions import disagreements
 from topobatch.ingest.odometry.stationary import DriveBys
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections

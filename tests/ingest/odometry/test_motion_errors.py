@@ -10,7 +10,8 @@ from topobatch.ingest.odometry.calibration import MotionErrors
 from topobatch.ingest.odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from topobatch.ingest.odometry.noise import estimate_noise
 from topobatch.ingest.passes import fuse_passes
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.topology.odometry import Odometry
 from topobatch.topology.run import Detections, Run
 from topobatch.topology.topomap import RunNoise

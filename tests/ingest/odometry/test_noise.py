@@ -7,14 +7,9 @@ import pytest
 
 from topobatch.ingest.odometry.noise import estimate_noise, refine_noise
 from topobatch.ingest.passes import fuse_passes
-from topobatch.simulation import (
-    DRIFTS,
-    FAULTS,
-    Scenario,
-    ScenarioSettings,
-    simulate_scenario,
-    true_vertex_of_passes,
-)
+from topobatch.simulation.scenario import Scenario, simulate_scenario
+from topobatch.simulation.settings import DRIFTS, FAULTS, ScenarioSettings
+from topobatch.simulation.truth import true_vertex_of_passes
 from topobatch.topology.passes import Passes
 from topobatch.topology.topomap import RunNoise
 

@@ -18,14 +18,9 @@ from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.scans.scan import ScanBatch
 from topobatch.ingest.scans.slicing import DEFAULT_SLICES, SliceSettings, sliced
 from topobatch.ingest.scans.stream import Mounting, ScanStream
-from topobatch.simulation import (
-    LASERS,
-    MotionSettings,
-    ScenarioSettings,
-    SimulatedRun,
-    simulate_scenario,
-    write_run,
-)
+from topobatch.simulation.scenario import SimulatedRun, simulate_scenario
+from topobatch.simulation.settings import LASERS, MotionSettings, ScenarioSettings
+from topobatch.simulation.writing import write_run
 
 LEVEL = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 ANYWHERE = Mounting(otherwise=lambda _: LEVEL)

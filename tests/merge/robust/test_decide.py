@@ -9,7 +9,7 @@ from topobatch.merge.locks import Lock
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust import RobustSettings, decide
 from topobatch.merge.robust.mirror import mirrored
-from topobatch.simulation import make_world
+from topobatch.simulation.worlds import make_world
 from topobatch.topology.errors import UsageError
 from topobatch.topology.se2 import apply
 

@@ -5,7 +5,7 @@ import pytest
 
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust.screening import ScreeningSettings
-from topobatch.simulation import make_world
+from topobatch.simulation.worlds import make_world
 
 
 @pytest.fixture(scope="module")

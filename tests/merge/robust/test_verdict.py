@@ -23,8 +23,8 @@ from topobatch.merge.robust.verdict import (
     uniformity,
 )
 from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE
-from topobatch.simulation import make_world
 from topobatch.simulation.world import straight, world_of_links
+from topobatch.simulation.worlds import make_world
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
 

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
-from topobatch.simulation import ScenarioSettings, simulate_scenario, true_vertex_of_passes
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
+from topobatch.simulation.truth import true_vertex_of_passes
 from topobatch.topology.closure.alternatives import crossing_share, most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning, scale_noise
 from topobatch.topology.closure.estimate import optimise

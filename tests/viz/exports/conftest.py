@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from topobatch.ingest.mapping import build_map
-from topobatch.simulation import ScenarioSettings, simulate_scenario
+from topobatch.simulation.scenario import simulate_scenario
+from topobatch.simulation.settings import ScenarioSettings
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.polyline import way_of
 from topobatch.topology.ragged import Ragged

@@ -5,9 +5,8 @@ import numpy as np
 
 from topobatch.merge.result import MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.pages import map_page, merge_page
-from topobatch.viz.questions import questions
-from topobatch.viz.verdicts import (
+from topobatch.viz.pages import map_page, merge_page, questions
+from topobatch.viz.parts import (
     CLASS,
     DIAGONAL,
     runs_in_order,

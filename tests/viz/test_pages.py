@@ -1,7 +1,7 @@
 from dataclasses import replace
 
 from topobatch.topology.topomap import Closure
-from topobatch.viz.questions import questions, visits
+from topobatch.viz.pages import questions, visits
 
 S = 10**9
 
