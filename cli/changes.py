@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ..topology.errors import DocumentError
+from ..merge.change import Change, change_to_document
+from ..merge.changes import changes as changes_of
 from ..topology.wording import counted
 from .options import (
     DEFAULT_WORKSPACE,
@@ -15,14 +15,13 @@ from .options import (
     JsonOption,
     MergeOption,
     WorkspaceOption,
+    verb,
 )
-from .output import folded, say, say_lines
+from .output import say, say_folded, say_json
 from .workspace import MERGED, Workspace
 
-if TYPE_CHECKING:
-    from ..merge.change import Change
 
-
+@verb
 def changes(
     site: Annotated[
         str | None,
@@ -51,39 +50,33 @@ def changes(
       topobatch changes north
       topobatch changes --all --json
     """
-    from ..merge.change import change_to_document
-    from ..merge.changes import changes as changes_of
-
     place = Workspace(workspace, merge)
     document = place.read_merged()
     entries = {c.id: c for c in document.graph.components}
     names = {c.id: c.site or f"component {c.id}" for c in document.graph.components}
     component = place.component(document.graph, component, site)
     found: list[Change] = []
-    several = 0
-    for number, entry in entries.items():
-        if len(entry.runs) < 2 or component not in (None, number):
-            continue
-        several += 1
-        maps = place.maps_as_merged(document, number, sorted(entry.runs))
-        try:
+    several = [
+        number
+        for number, entry in entries.items()
+        if len(entry.runs) > 1 and component in (None, number)
+    ]
+    for number in several:
+        maps = place.maps_as_merged(document, number, sorted(entries[number].runs))
+        with place.document_at_fault():
             found += changes_of(document, number, maps)
-        except ValueError as error:
-            raise DocumentError(f"{place.merged_json}: component {number}: {error}") from error
     shown = [c for c in found if everything or c.sure]
     shown.sort(
         key=lambda c: (names[c.component], 0 if c.between is None else c.between[1].first_ns)
     )
     if as_json:
-        told = [change_to_document(c) | {"site": entries[c.component].site} for c in shown]
-        say_lines(json.dumps(told))
+        say_json([change_to_document(c) | {"site": entries[c.component].site} for c in shown])
         return
     for change in shown:
         what, *more_lines = change.words(names[change.component])
         say(what)
         for line in more_lines:
-            for part in folded(f"  {line}", indent="    "):
-                say(part)
+            say_folded(f"  {line}", indent="    ")
     unsure = sum(not c.sure for c in found)
     more = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ..merge.result import Component
 from ..topology.errors import UsageError
-from .export import write_files
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
-from .output import checked_output, say
+from ..topology.topomap import TopoMap
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
+from .output import checked_output, say, write_files
 from .workspace import Workspace
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from ..merge.result import Component
-    from ..topology.topomap import TopoMap
+if TYPE_CHECKING:  # which loads matplotlib
     from ..viz.canvas import Canvas, Format
     from ..viz.palette import Theme
 
 
+@verb
 def draw(
     what: Annotated[
         str,

@@ -100,14 +100,14 @@ def ingest(
     from ..topology.wording import listed
     from .log_paths import logs_of
     from .run_names import run_names
-    from .workspace import checked_run_name
+    from .workspace import checked_file_name
 
     several = not isinstance(log, str | os.PathLike)
     given = [
         log_path(os.fspath(each), allow_scan=allow_scan)
         for each in ([log] if isinstance(log, str | os.PathLike) else log)
     ]
-    logs, missing = logs_of(given, warn=lambda _: None, separate=separate)
+    logs, missing, _ = logs_of(given, separate=separate)
     for _, error in missing:
         raise error
     if len(logs) > 1 and not several:
@@ -115,7 +115,7 @@ def ingest(
         raise UsageError(f"{given[0]}: holds {len(logs)} logs; name one: {told}; or give a list")
     if len(logs) > 1 and name is not None:
         raise UsageError(f"name goes with one log; {len(logs)} are given")
-    names = run_names(logs) if name is None else dict.fromkeys(logs, checked_run_name(name))
+    names = run_names(logs) if name is None else dict.fromkeys(logs, checked_file_name(name))
     settings = ReadSettings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from ..ingest.logs.recording import METADATA
+from ..ingest.reading import find_logs, with_parts_joined
+from ..ingest.remote.path import LogPath
 from ..topology.errors import LogError
 from ..topology.wording import counted, listed
-
-if TYPE_CHECKING:
-    from ..ingest.remote.path import LogPath
 
 PACKED = {".gz": "gzip", ".zip": "zip", ".bz2": "bzip2", ".xz": "xz", ".7z": "7-Zip"}
 """Archives by their suffix; zstd, which rosbag2 writes, is read directly."""
@@ -21,43 +20,36 @@ _PACKED_LOG = re.compile(r"\.(mcap|bag|db3)(\.active)?\.(gz|zip|bz2|xz|7z)$", re
 
 
 def logs_of(
-    given: Sequence[LogPath], warn: Callable[[str], None], *, separate: bool = False
-) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
-    """The logs at some paths, each once, and the errors of paths without any; warns of packed ones.
+    given: Sequence[LogPath], *, separate: bool = False
+) -> tuple[list[LogPath], list[tuple[LogPath, LogError]], list[str]]:
+    """The logs at some paths, each once, the errors of paths without any, and warnings of packed
+    ones.
 
     separate: parts of split recordings are logs of their own.
     """
     logs: dict[LogPath, None] = {}
-    missing, files = [], []
+    missing, files, warnings = [], [], []
     for path in given:
         try:
-            found = logs_at(path, separate=separate)
+            found = _logs_at(path, separate=separate)
         except (LogError, OSError) as error:
             if isinstance(error, OSError):
                 error = LogError(f"{error.filename or path}: {error.strerror or error}")
             missing.append((path, error))
             continue
-        if passed_over := packed_below(path):
-            warn(f"{path}: {passed_over}")
+        if passed_over := _packed_below(path):
+            warnings.append(f"{path}: {passed_over}")
         logs |= dict.fromkeys(found)
         files += [path] if found == [path] else []
     if not separate and len(files) > 1:
-        from ..ingest.reading import with_parts_joined
-
         whole = dict.fromkeys(with_parts_joined(files))
         logs = {log: None for log in logs if log in whole or log not in files} | whole
-    return list(logs), missing
+    return list(logs), missing, warnings
 
 
-def logs_at(path: LogPath, *, separate: bool = False) -> list[LogPath]:
+def _logs_at(path: LogPath, *, separate: bool) -> list[LogPath]:
     """Every log at or below a path, as `find_logs`; metadata.yaml of a ROS 2 bag stands for its
-    folder.
-
-    Raises LogError, for archives with the hint to unpack them.
-    """
-    from ..ingest.logs.recording import METADATA
-    from ..ingest.reading import find_logs
-
+    folder. Raises LogError, for archives with the hint to unpack them."""
     try:
         return find_logs([path], separate=separate)
     except LogError as error:
@@ -70,22 +62,19 @@ def logs_at(path: LogPath, *, separate: bool = False) -> list[LogPath]:
         kind = PACKED.get(path.suffix.lower()) if path.is_file() else None
         if kind is not None:
             raise LogError(f"{path}: is packed ({kind}); unpack it, and name the log") from error
-        below = packed_below(path)
-        if below:
+        if below := _packed_below(path):
             raise LogError(f"{error}; {below}") from error
         raise
 
 
-def packed_below(path: LogPath) -> str | None:
-    """A hint about archived logs below a folder, which are skipped; None without any."""
+def _packed_below(path: LogPath) -> str:
+    """A hint about archived logs below a folder, which are skipped; "" without any."""
     if not isinstance(path, Path) or not path.is_dir():
-        return None
-    names = [os.path.relpath(file, path) for file in _files_below(path)]
-    names = [name for name in names if _PACKED_LOG.search(name)]
-    if not names:
-        return None
-    what = counted(len(names), "packed log")
-    return f"{what} passed over, to be unpacked first: {listed(sorted(names))}"
+        return ""
+    packed = [file for file in _files_below(path) if _PACKED_LOG.search(file)]
+    names = sorted(os.path.relpath(file, path) for file in packed)
+    what = f"{counted(len(names), 'packed log')} passed over, to be unpacked first"
+    return f"{what}: {listed(names)}" if names else ""
 
 
 def _files_below(folder: Path) -> Iterator[str]:

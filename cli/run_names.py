@@ -6,13 +6,13 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..ingest.reading import log_exists, log_fingerprint, run_name
 from ..ingest.remote.path import LogPath, RemotePath, log_path
-from ..topology.errors import TopobatchError, UsageError
-from .ingest_worker import called, origin
-from .workspace import Workspace, run_named_after
+from ..topology.errors import TopobatchError
+from .ingest_record import IngestRecord, origin
+from .workspace import Workspace
 
 
 class _Location(NamedTuple):
@@ -23,12 +23,12 @@ class _Location(NamedTuple):
     base: str
     file: str
 
-    def labels(self, depth: int = 0, *, whole: bool = False) -> Iterator[str]:
+    def labels(self, depth: int, *, whole: bool) -> Iterator[str]:
         """The names that its run can have with `depth` folders or more; whole: only those with
-        suffixes."""
+        suffixes. A run has - for colons."""
         for own in (self.base, self.file)[whole:]:
             for number in range(depth, len(self.folders) + 1):
-                yield run_named_after("-".join((*reversed(self.folders[:number]), own)))
+                yield "-".join((*reversed(self.folders[:number]), own)).replace(":", "-")
 
 
 def run_names(
@@ -39,15 +39,16 @@ def run_names(
     It is the log's name without suffixes. Where several logs of the call or of the workspace have
     that one, as many folders go before it as tell its path from theirs (`robot1-run01`); logs in
     one folder (`a.bag` beside `a/`) are told apart by suffixes. A log that became a run of the
-    workspace keeps that name, also if it was moved. Names are not checked (`checked_run_name`), and
-    equal where all that their paths differ in is lost in names.
+    workspace keeps that name, also if it was moved or the run renamed. Names are not checked
+    (`Workspace.check_run`), and equal where all that their paths differ in is lost in names.
 
     replace: runs that the workspace has from other logs do not count.
     """
     where = {log: _location(log, run_name(log)) for log in logs}
-    names = {} if place is None else _kept(where, place)
-    every = {*where.values(), *(() if place is None or replace else _known(where, place))}
-    beside = Counter((at.folders, at.base) for at in every)
+    records = {} if place is None else place.ingest_records()
+    names = _kept(where, records)
+    others = {run: r for run, r in records.items() if not replace and run not in names.values()}
+    beside = Counter((at.folders, at.base) for at in {*where.values(), *_locations(others)})
     # By name: in how many folders of a path there is a log of that name.
     shared = Counter(
         (base, folders[:depth]) for folders, base in beside for depth in range(len(folders) + 1)
@@ -58,13 +59,10 @@ def run_names(
             depths = range(len(at.folders) + 1)
             apart = (depth for depth in depths if shared[at.base, at.folders[:depth]] == 1)
             new.append((next(apart, len(at.folders)), beside[at.folders, at.base] > 1, at, log))
-    taken = set(names.values())
+    taken = {*names.values(), *others}
     for depth, whole, at, log in sorted(new, key=lambda each: each[:3]):
-        for name in at.labels(depth, whole=whole):
-            names[log] = name
-            other = None if place is None or replace else _record(place, name).get("log")
-            if name not in taken and other is None:
-                break
+        labels = [*at.labels(depth, whole=whole)]
+        names[log] = next((name for name in labels if name not in taken), labels[-1])
         taken.add(names[log])
     return {log: names[log] for log in where}
 
@@ -78,45 +76,37 @@ def _location(log: LogPath, base: str) -> _Location:
     return _Location(tuple(reversed(folders)), base, file)
 
 
-def _kept(where: Mapping[LogPath, _Location], place: Workspace) -> dict[LogPath, str]:
-    """The names of the runs that the workspace has from these logs."""
-    kept: dict[LogPath, str] = {}
-    for log, at in sorted(where.items(), key=lambda item: item[1]):
-        for name in at.labels():
-            if name not in kept.values() and _is_of(_record(place, name), log):
-                kept[log] = name
-                break
-    return kept
-
-
-def _known(where: Mapping[LogPath, _Location], place: Workspace) -> Iterator[_Location]:
-    """Where the logs of runs of the workspace lie that are named like these."""
-    ends = {run_named_after(name) for at in where.values() for name in (at.base, at.file)}
-    for path in sorted(place.ingest_record("x").parent.glob("*.json")):
-        run = path.stem
-        after = (k + 1 for k, letter in enumerate(run) if letter == "-")
-        if run in ends or any(run[k:] in ends for k in after):
-            log = _record(place, run).get("log")
+def _locations(records: Mapping[str, IngestRecord]) -> Iterator[_Location]:
+    """Where the logs of runs lie. Whether there is a folder in a bucket is not asked."""
+    for record in records.values():
+        if record.log is not None:
             with suppress(TopobatchError, OSError, ValueError):  # nothing of ours wrote that
-                if isinstance(log, str):
-                    # Whether there is a folder in a bucket is not asked.
-                    yield _location(log_path(log), run_name(Path(log)))
+                yield _location(log_path(record.log), run_name(Path(record.log)))
 
 
-def _record(place: Workspace, run: str) -> dict[str, Any]:
-    """The record of a run, also if it was renamed; empty without one."""
-    with suppress(UsageError):  # the name can be none of a run
-        return place.ingested(called(place, run)) or {}
-    return {}
-
-
-def _is_of(record: Mapping[str, Any], log: LogPath) -> bool:
-    """Whether a run was made from a log, wherever that was then."""
-    before = record.get("log")
-    if not isinstance(before, str) or before == origin(log):
-        return isinstance(before, str)
-    with suppress(TopobatchError, OSError, ValueError):
-        place = log_path(before)
-        if isinstance(place, Path) and not log_exists(place):
-            return record.get("content") in (None, log_fingerprint(log))
-    return False
+def _kept(
+    where: Mapping[LogPath, _Location], records: Mapping[str, IngestRecord]
+) -> dict[LogPath, str]:
+    """The names of the runs that the workspace has from these logs, or from logs of their names
+    and content that are not there any more."""
+    by_log = {record.log: run for run, record in reversed([*records.items()])}
+    kept: dict[LogPath, str] = {}
+    for log in where:
+        with suppress(OSError, RuntimeError):  # links in a circle: reading the log will say so
+            if (named := origin(log)) in by_log:
+                kept[log] = by_log[named]
+    gone: dict[str, list[str]] = {}
+    for run, record in records.items():
+        if run not in kept.values() and record.log is not None:
+            with suppress(TopobatchError, OSError, ValueError):  # nothing of ours wrote that
+                before = log_path(record.log)
+                if isinstance(before, Path) and not log_exists(before):
+                    gone.setdefault(run_name(before), []).append(run)
+    for log, at in where.items():
+        if log not in kept and at.base in gone:
+            with suppress(TopobatchError, OSError):  # reading the log will say why
+                content = log_fingerprint(log)
+                same = [run for run in gone[at.base] if records[run].content in (None, content)]
+                if same and same[0] not in kept.values():
+                    kept[log] = same[0]
+    return kept

@@ -10,10 +10,11 @@ import typer
 
 from ..topology.errors import UsageError
 from ..topology.wording import counted
-from .options import QuietOption
-from .output import Screen
+from .options import QuietOption, verb
+from .output import progress, say, show
 
 
+@verb
 def simulate(
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Folder to write; must be new or empty.")
@@ -152,7 +153,7 @@ def simulate(
     from ..simulation import DRIFTS, LASERS, ScenarioSettings, simulate_scenario
     from ..simulation.writing import write_scenario
 
-    screen = Screen(quiet)
+    show(quiet=quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
     asked = {name: value for name, value in how_far.items() if value is not None}
     scanner = LASERS[faults] if laser else None
@@ -173,7 +174,7 @@ def simulate(
         seed=seed,
     )
     scenario = simulate_scenario(settings)
-    with screen.progress("writing", runs + unrelated, "logs") as advance:
+    with progress("writing", runs + unrelated, "logs") as advance:
         written = 0
 
         def on_log(_: Path) -> None:
@@ -182,6 +183,4 @@ def simulate(
             advance(written)
 
         logs = write_scenario(scenario, out, formats or ["mcap"], on_log, alone=force)
-    screen.line(
-        f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}"
-    )
+    say(f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}")

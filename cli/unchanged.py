@@ -13,10 +13,11 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from ..merge.digests import program_digest
 from ..topology.errors import DocumentError
 from ..topology.files import encoded, opened, read_json, write_json
 from ..topology.wording import listed
-from .output import Screen
+from .output import warn
 from .workspace import Workspace
 
 FOLDERS = ("topology", "merge", "viz", "cli")
@@ -51,17 +52,14 @@ def told_changed(runs: Sequence[str]) -> str:
     return f"the map{'' if len(runs) == 1 else 's'} of {listed(runs, 3)} changed since the merge"
 
 
-def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
-    """A digest of everything that a merge depends on; documents: the runs' `contents`."""
-    from ..merge.digests import program_digest  # which loads large arrays
-
-    decisions = (place.locks_json, place.discards_json, place.sites_json)
+def made_from(place: Workspace, runs: Sequence[str], options: object) -> str:
+    """A digest of everything that a merge of runs depends on."""
     every = [
         program_digest(*FOLDERS).hex(),
         [sys.version, *map(version, LIBRARIES)],
         repr(options),
-        dict(documents),
-        [(os.path.lexists(path), _content(path)) for path in decisions],
+        contents(place, runs),
+        [(os.path.lexists(path), _content(path)) for path in place.decisions],
     ]
     return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
 
@@ -76,12 +74,12 @@ def stands(place: Workspace, asked: str) -> bool:
     return None not in files.values() and bool(found == {"made_from": asked, "files": files})
 
 
-def remember(place: Workspace, asked: str, screen: Screen) -> None:
+def remember(place: Workspace, asked: str) -> None:
     """Record what the current merge, all of whose maps were readable, was made from."""
     try:
         write_json(place.merge_record, {"made_from": asked, "files": _files(place)})
     except OSError as error:
-        screen.warn(f"{place.merge_record}: {error.strerror or error}; not kept")
+        warn(f"{place.merge_record}: {error.strerror or error}; not kept")
 
 
 def _files(place: Workspace) -> dict[str, str | None]:

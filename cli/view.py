@@ -16,7 +16,7 @@ from urllib.parse import quote
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
 from .output import say
 from .workspace import MERGED, Workspace
 
@@ -27,6 +27,7 @@ HOST = "127.0.0.1"
 """Where the viewer is served: to this machine alone."""
 
 
+@verb
 def view(
     what: Annotated[
         str,
