@@ -217,22 +217,16 @@ def _sorted_out(place: Workspace, what: list[str], undo: bool) -> tuple[list[str
         if not undo and (a, b) in same:
             first = place.call("lock", a, b, "--clear")
             raise UsageError(f"{a} and {b} are locked as the same; first: {first}")
-    for run in runs:
-        _check_own(place, run)
+    for path in map(place.map_json, runs):
+        try:
+            found = read_json(path)
+        except DocumentError:
+            found = None
+        # Of a damaged map the recording beside it tells that topobatch wrote it.
+        schema = str(found.get("schema") if isinstance(found, dict) else None)
+        if not schema.startswith("topobatch.map/") and not path.with_suffix(".rrd").is_file():
+            raise DataError(f"{path}: is no map of topobatch's; it is left where it is")
     return runs, pairs
-
-
-def _check_own(place: Workspace, run: str) -> None:
-    """DataError if topobatch did not write `maps/<run>.json`; of a damaged one the recording beside
-    it tells."""
-    path = place.map_json(run)
-    try:
-        found = read_json(path)
-    except DocumentError:
-        found = None
-    schema = found.get("schema") if isinstance(found, dict) else None
-    if not str(schema).startswith("topobatch.map/") and not place.map_rrd(run).is_file():
-        raise DataError(f"{path}: is no map of topobatch's; it is left where it is")
 
 
 def _discard_run(place: Workspace, run: str) -> None:

@@ -17,7 +17,7 @@ from .output import checked_output, say, write_files
 from .workspace import Workspace
 
 if TYPE_CHECKING:  # which loads matplotlib
-    from ..viz.canvas import Canvas, Format
+    from ..viz.canvas import Canvas
     from ..viz.palette import Theme
 
 
@@ -57,28 +57,20 @@ def draw(
       topobatch draw north north.svg
       topobatch draw run1:run2 why.svg
     """
-    form = format_of(checked_output(out))
-    quiet_fonts()
     from ..viz.palette import DARK, LIGHT
 
+    suffix = checked_output(out).suffix.lower()
+    if suffix not in (".svg", ".png"):
+        raise UsageError(f"{out}: a picture's name ends in .svg or .png")
+    quiet_fonts()
     canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
-    write_files({out: canvas.as_bytes(form)})
+    write_files({out: canvas.as_bytes("svg" if suffix == ".svg" else "png")})
     say(f"{out}")
 
 
 def quiet_fonts() -> None:
     """Silence matplotlib's log about its caches, for instance in a read-only home."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
-
-
-def format_of(out: Path) -> Format:
-    """The format by a file name's suffix."""
-    suffix = out.suffix.lower()
-    if suffix == ".svg":
-        return "svg"
-    if suffix == ".png":
-        return "png"
-    raise UsageError(f"{out}: a picture's name ends in .svg or .png")
 
 
 def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:

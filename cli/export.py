@@ -124,10 +124,13 @@ def export(
     if not texts:
         why = "nobody drove its maps, which are of grids: no trajectories"
         raise DataError(f"{what}: {why if form == 'tum' else f'no site has what {form} needs'}")
-    if output == STDOUT:
-        _to_stdout(texts, sources)
-        return
     one = len(texts) == 1
+    if output == STDOUT:
+        if not one:
+            why = "choose one by --site" if len(sources) > 1 else "write them to files"
+            raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
+        say_text(str(*texts.values()))
+        return
     paths = {_path(place, output, sources, name, alone=one): text for name, text in texts.items()}
     write_files(paths)
     for path in paths:
@@ -288,15 +291,6 @@ def _differs(topomap: TopoMap, found: Run) -> str | None:
     if passed.min() < begin - CLOCKS_APART_NS or passed.max() > end + CLOCKS_APART_NS:
         return f"driven {utc(begin)} to {utc(end)}, where the map begins {utc(int(passed.min()))}"
     return None
-
-
-def _to_stdout(texts: Mapping[str, str | bytes], sources: list[Exported]) -> None:
-    if len(texts) > 1:
-        why = "choose one by --site" if len(sources) > 1 else "write them to files"
-        raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
-    for text in texts.values():
-        assert isinstance(text, str)
-        say_text(text)
 
 
 def _path(

@@ -161,12 +161,6 @@ def _at(log: LogPath) -> LogPath:
         return log
 
 
-def _workers(asked: int, logs: int, total_bytes: int) -> int:
-    """Number of processes: as asked, or one per core as far as there is enough work."""
-    enough = asked or max(total_bytes // WORTH_A_PROCESS_BYTES, logs // WORTH_A_PROCESS_LOGS)
-    return max(1, min(asked or os.cpu_count() or 1, enough, logs))
-
-
 def _run_all(
     planned: list[IngestJob | IngestOutcome], asked: int, outcomes: list[IngestOutcome]
 ) -> None:
@@ -188,7 +182,9 @@ def _run_all(
             told = f"{finished}/{len(jobs)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
             advance(mapped + read, told, kept=kept)
 
-        with closing(outcomes_of(jobs, _workers(asked, len(jobs), total), on_bytes)) as known:
+        worth = max(total // WORTH_A_PROCESS_BYTES, len(jobs) // WORTH_A_PROCESS_LOGS)
+        workers = max(1, min(asked or os.cpu_count() or 1, asked or worth, len(jobs)))
+        with closing(outcomes_of(jobs, workers, on_bytes)) as known:
             for outcome in known:
                 outcomes.append(outcome)
                 finished += 1

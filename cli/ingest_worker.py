@@ -162,7 +162,9 @@ def ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome
 def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcome:
     started, place = time.monotonic(), job.place
     content, before = log_fingerprint(job.log), place.ingested(job.run)
-    key = _key(job, content)
+    parts = [VERSION, content, asdict(job.read), asdict(job.mapping)]
+    text = json.dumps(parts, sort_keys=True, default=str)
+    key = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     if not job.force and before.key == key and _whole(place, before, job.run):
         had = len(before.pieces(job.run))
         return IngestOutcome(job.run, "unchanged", "unchanged, kept", maps=had)
@@ -184,13 +186,19 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     _write(job, maps, drawn)
     runs = [m.run for m in maps]
     for gone in set(before.pieces(job.run)) - set(runs):
-        _clear_away(place, gone, before)
+        if place.ingested(gone).log == before.log:
+            made = (place.map_json(gone), place.map_views(gone), place.map_rrd(gone))
+            for file in (*made, place.ingest_record(gone)):
+                file.unlink(missing_ok=True)
+    # Of several files that of the one that is named, by which `list` tells that a log changed.
+    named = isinstance(job.log, Path) and job.log.is_file()
+    size = job.log.stat().st_size if named else job_size(job)
     # Written last: a run is finished only when all of its files exist.
     record = IngestRecord(
         log=origin(job.log),
         content=content,
         key=key,
-        bytes=_listed_size(job),
+        bytes=size,
         read=asdict(job.read),
         version=VERSION,
         runs=runs,
@@ -240,14 +248,6 @@ def _write(job: IngestJob, maps: Sequence[TopoMap], drawn: Mapping[str, Any]) ->
             place.map_views(m.run).unlink(missing_ok=True)  # of a map that was replaced
 
 
-def _clear_away(place: Workspace, run: str, before: IngestRecord) -> None:
-    """Remove the map of a piece that its log no longer gives."""
-    if place.ingested(run).log == before.log:
-        made = (place.map_json(run), place.map_views(run), place.map_rrd(run))
-        for file in (*made, place.ingest_record(run)):
-            file.unlink(missing_ok=True)
-
-
 def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
     """Raise unless the run's existing map was made from this log: others are not overwritten
     without --force."""
@@ -263,20 +263,6 @@ def _refuse_other_log(job: IngestJob, run: str, doc: dict[str, Any]) -> None:
             f"{job.log}: the workspace has a run {run!r} already, made from {other}; "
             "give this one another --name, or replace the map with --force"
         )
-
-
-def _listed_size(job: IngestJob) -> int:
-    """The size by which `list` tells that a log changed: of one of several files that of the file
-    that is named."""
-    own = isinstance(job.log, Path) and job.log.is_file()
-    return job.log.stat().st_size if own else job_size(job)
-
-
-def _key(job: IngestJob, content: str) -> str:
-    """A digest of the log's content (its fingerprint), the settings and the program."""
-    parts = [VERSION, content, asdict(job.read), asdict(job.mapping)]
-    text = json.dumps(parts, sort_keys=True, default=str)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _details(job: IngestJob, topomap: TopoMap) -> tuple[str, ...]:

@@ -24,6 +24,9 @@ from .workspace import Workspace
 
 ISO = "%Y-%m-%dT%H:%M:%S+00:00"
 
+BRIEF = 44
+"""Letters of a warning that a line of the list has room for."""
+
 
 @dataclass(frozen=True, slots=True)
 class Listed:
@@ -165,27 +168,19 @@ def _listed(
     except (DataError, OSError) as error:
         return replace(row, health=f"unreadable: {error}")
     times = m.observation_time_ns
-    warnings = m.info.get("warnings") or []
+    if warnings := m.info.get("warnings"):
+        # What the first is about, without its figures and what was done about it.
+        about = shorten(re.split(r"[;:(]", warnings[0])[0], BRIEF, placeholder=" …")
+        more = "; …" if len(warnings) > 1 else ""
+        row = replace(row, health=f"{counted(len(warnings), 'warning')}: {about}{more}")
     return replace(
         row,
         junctions=len(m),
         corridors=len(m.source),
         length_m=round(float(m.length.sum()), 3),
-        health=_brief(warnings) if warnings else "ok",
         recorded=utc(int(times.min()), ISO) if len(times) else None,
         stale=(*old, *_log_changes(place, run)),
     )
-
-
-BRIEF = 44
-"""Letters of a warning that a line of the list has room for."""
-
-
-def _brief(warnings: Sequence[str]) -> str:
-    """The number of warnings, and what the first is about, without its figures and what was done
-    about it."""
-    about = shorten(re.split(r"[;:(]", warnings[0])[0], BRIEF, placeholder=" …")
-    return f"{counted(len(warnings), 'warning')}: {about}{'; …' if len(warnings) > 1 else ''}"
 
 
 def _log_changes(place: Workspace, run: str) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gc
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -33,7 +32,7 @@ from .options import (
 )
 from .output import detail, is_verbose, say, say_folded, say_json, show, warn
 from .paper_options import PaperOptions
-from .unchanged import made_from, remember, stands
+from .unchanged import remember, stands, state_of
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
@@ -137,10 +136,10 @@ def merge(
         return
     broken: list[str] = []
     moved: list[str] = []
-    with place.held(), _seldom_collected():
+    gc.set_threshold(GARBAGE)
+    with place.held():
         chosen = place.chosen_runs(runs or [], everything)
-        key = made_from(place, chosen, (how, paper))
-        if stands(place, key):
+        if stands(place, state_of(place, chosen, (how, paper))):
             detail("nothing is new: the merge of these maps lies there")
             result = place.read_result()
         else:
@@ -151,7 +150,7 @@ def merge(
                 raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
             result, moved = made(place, maps, settings, before or sites_before(place), where)
             if not broken:
-                remember(place, key)
+                remember(place, state_of(place, chosen, (how, paper)))
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
         told = "; ".join([f"{place.merge}: {runs_of}, {pairs_told(result)}", *moved])
         note(place, "merge", f"{told}{by_settings(place)}")
@@ -162,16 +161,6 @@ def merge(
         say_json(_told(place, result))
     if broken:
         raise typer.Exit(1)
-
-
-@contextmanager
-def _seldom_collected() -> Iterator[None]:
-    before = gc.get_threshold()
-    gc.set_threshold(GARBAGE, *before[1:])
-    try:
-        yield
-    finally:
-        gc.set_threshold(*before)
 
 
 def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> dict[str, str]:

@@ -151,18 +151,17 @@ def _with_sites(
     """The merge with the names of its sites, and what became of those of the last one. before: the
     site of every run then."""
     known = {run: site for run, site in before.items() if site}
+    origins = {}
+    for m in maps:
+        # A log is known as long as the record of its ingest is there.
+        times, log = m.observation_time_ns, place.ingested(m.run).log
+        folder = (log or "").replace("\\", "/").split("/")[:-1]
+        origins[m.run] = Origin(tuple(folder), int(times.min()) if len(times) else None)
     names, moved = site_names(
         [sorted(c.poses) for c in result.components],
         SiteHistory(place.sites(), known),
-        {m.run: _origin(place, m) for m in maps},
+        origins,
         {MERGED, *place.runs(), *(each.merge for each in place.merges())},
     )
     named = zip(result.components, names, strict=True)
     return replace(result, components=tuple(replace(c, site=name) for c, name in named)), moved
-
-
-def _origin(place: Workspace, topomap: TopoMap) -> Origin:
-    """Where a run comes from; its log is known as long as the record of its ingest is there."""
-    times, log = topomap.observation_time_ns, place.ingested(topomap.run).log
-    parts = (log or "").replace("\\", "/").split("/")
-    return Origin(tuple(parts[:-1]), int(times.min()) if len(times) else None)

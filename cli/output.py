@@ -81,11 +81,10 @@ def plain(text: str, most: int = LONGEST_LINE) -> str:
         text = f"{text[:most]}… ({len(text) - most:,} more characters)"
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else _escaped(c) for c in text)
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for c in text
+    )
 
 
 def styled(text: str, **style: Any) -> str:
@@ -260,7 +259,11 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
     task = bar.add_task(label, total=total or None, told="")
 
     def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
-        known = words or (_amount(done, total, unit) if unit and not doing else "")
+        known = words
+        if unit == "bytes" and not known and not doing:
+            known = f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+        elif unit and not known and not doing:
+            known = f"{done:,} of {total:,} {unit}"
         known += f", {kept:,} of them kept" if kept and known and not words else ""
         # By the fresh work alone the time left is told.
         most = total - kept if total > kept else None
@@ -273,9 +276,3 @@ def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
             yield advance
         finally:
             _call.bar = None
-
-
-def _amount(done: int, total: int, unit: str) -> str:
-    if unit == "bytes":
-        return f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
-    return f"{done:,} of {total:,} {unit}"

@@ -20,15 +20,12 @@ ENDING = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasatt
 
 def open_closed_streams() -> None:
     """Open standard streams that were closed (`2>&-`, daemons) on the null device, so that no file
-    that is opened later takes their place. To be called first."""
-    for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+    that is opened later takes their place. To be called first: each gets the lowest free number,
+    which is its own."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            handle = os.open(os.devnull, os.O_RDWR)
-            os.dup2(handle, number)
-            if handle != number:
-                os.close(handle)
-            os.set_inheritable(number, True)
-            stream = os.fdopen(number, mode, encoding="utf-8", closefd=False)
+            stream = open(os.devnull, mode, encoding="utf-8")  # noqa: SIM115  for good
+            os.set_inheritable(stream.fileno(), True)
             setattr(sys, name, stream)
 
 

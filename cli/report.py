@@ -86,7 +86,11 @@ def report(
                 result,
                 notes,
                 [str(lock) for lock in place.locks()],
-                _versions(),
+                [
+                    ("topobatch", VERSION),
+                    ("Python", python_version()),
+                    *((name, version(name)) for name in STANDS_ON),
+                ],
                 drives(result, MOST_DRIVES) if result else (),
                 _changes(document, maps) if document else (),
                 decisions=decisions,
@@ -104,12 +108,9 @@ def report(
 
 def _changes(document: MergedDocument, maps: Mapping[str, TopoMap]) -> list[Change]:
     """What changed between the runs of every site."""
-    return [
-        change
-        for entry in document.graph.components
-        if len(entry.runs) > 1
-        for change in changes(document, entry.id, {run: maps[run] for run in entry.runs})
-    ]
+    several = [entry for entry in document.graph.components if len(entry.runs) > 1]
+    own = {entry.id: {run: maps[run] for run in entry.runs} for entry in several}
+    return [change for k, some in own.items() for change in changes(document, k, some)]
 
 
 def _decisions(
@@ -138,8 +139,3 @@ def _decisions(
         advance(done, f"{done} of {counted(len(chosen), 'pair')}", "explaining")
         out[v.a, v.b] = explain(merge, v.a, v.b)
     return out
-
-
-def _versions() -> list[tuple[str, str]]:
-    found = [(name, version(name)) for name in STANDS_ON]
-    return [("topobatch", VERSION), ("Python", python_version()), *found]

@@ -10,7 +10,7 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from math import isfinite
+from math import isnan, nan
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +18,6 @@ import numpy as np
 import typer
 
 from ..merge.component_map import component_map
-from ..merge.merged_schema import MergedDocument
 from ..merge.transfer import (
     WITHIN_SIGMAS,
     MatchedJunctions,
@@ -149,7 +148,7 @@ def _row(
         )
         return row
     row["x"], row["y"] = (f"{v:.3f}" for v in found.xy[k].tolist())
-    if place.theta is not None:
+    if not isnan(place.theta):
         row["theta"] = f"{float(wrap(place.theta + found.turn[k])):.4f}"
         row["sigma_rad"] = f"{found.sigma_rad[k]:.4f}"
     return row
@@ -167,7 +166,9 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
             place.chosen_runs([run])
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if len({home[run] for run in named}) > 1:
-        return None, f"{source} and {target} are not merged: {_verdict(document, source, target)}"
+        entry = document.entry(source, target)
+        said = "nothing is said of them" if entry is None else f"{entry.verdict}, {entry.reason}"
+        return None, f"{source} and {target} are not merged: {said}"
     maps = place.maps_as_merged(document, home[source], named)
     if len(named) == 2:
         matched = junctions_of_runs(document, maps, source, target)
@@ -180,11 +181,6 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     return matched, ""
 
 
-def _verdict(document: MergedDocument, a: str, b: str) -> str:
-    entry = document.entry(a, b)
-    return "nothing is said of them" if entry is None else f"{entry.verdict}, {entry.reason}"
-
-
 MOST_BYTES = 16 << 20
 """Largest table: a site has some hundreds of places."""
 MOST_VALUES = 1 << 20
@@ -193,13 +189,14 @@ MOST_VALUES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A named place in a map. line: number of its row; cells: texts of the row, by column."""
+    """A named place in a map, in metres and radians. line: number of its row; cells: texts of the
+    row, by column; theta: NaN where none is given."""
 
     line: int
     cells: Mapping[str, str]
     x: float
     y: float
-    theta: float | None
+    theta: float
 
 
 def read_places(path: Path) -> tuple[list[str], list[Place]]:
@@ -232,19 +229,19 @@ def _place(path: Path, line: int, row: Mapping[Any, Any]) -> Place:
     if None in row or None in row.values():
         raise DataError(f"{path}:{line}: has more or fewer values than the first line")
     cells = {name: _unquoted(cell) for name, cell in row.items()}
-    theta = cells.get("theta", "").strip()
-    x, y = (_number(path, line, name, cells[name]) for name in ("x", "y"))
-    return Place(line, cells, x, y, _number(path, line, "theta", theta) if theta else None)
-
-
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, not a number") from None
-    if not isfinite(value) or abs(value) > FARTHEST_M:
-        raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, which is nowhere")
-    return value
+    pose = []
+    for column in ("x", "y", "theta"):
+        text = cells.get(column, "").strip()
+        if column == "theta" and not text:
+            pose.append(nan)
+            continue
+        try:
+            pose.append(float(text))
+        except ValueError:
+            raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, not a number") from None
+        if not abs(pose[-1]) <= FARTHEST_M:  # nor NaN
+            raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, which is nowhere")
+    return Place(line, cells, *pose)
 
 
 def places_text(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> str:

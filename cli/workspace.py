@@ -425,18 +425,16 @@ class Workspace:
         sites: Mapping[str, Iterable[str]] | None = None,
     ) -> None:
         """Keep what is given in place of what was; nothing decided leaves no document."""
-        documents = (
-            locks and locks_to_document(locks),
-            discards and discards_to_document(discards),
-            sites and sites_to_document(sites),
-        )
-        for path, given, doc in zip(
-            self.decisions, (locks, discards, sites), documents, strict=True
-        ):
-            if doc:
-                write_json(path, doc)
+        documents: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+            "locks": (locks, locks_to_document),
+            "discards": (discards, discards_to_document),
+            "sites": (sites, sites_to_document),
+        }
+        for name, (given, to_document) in documents.items():
+            if given:
+                write_json(self.root / f"{name}.json", to_document(given))
             elif given is not None:
-                path.unlink(missing_ok=True)
+                self.root.joinpath(f"{name}.json").unlink(missing_ok=True)
 
     def rename_decided(self, names: Mapping[str, str | None]) -> None:
         """Give runs new names in what a person decided; what is about a run that gets None goes."""
