@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from dataclasses import asdict, replace
 from typing import Annotated
 
@@ -19,7 +20,7 @@ from ..viz.exports import ENDINGS
 from .ingest_record import PIECE
 from .journal import note
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run, verb
-from .output import confirmed, say, show, warn
+from .output import say, show, warn
 from .workspace import MERGED, Workspace, checked_file_name, pair_named
 
 Pair = tuple[str, str]
@@ -135,7 +136,8 @@ def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
         return True
     see = place.call("explain", lock.a, lock.b)
     warn(f"by the maps of {lock.a} and {lock.b}, {why}; see: {see}")
-    return yes or confirmed("lock them as the same?")
+    asked = not yes and sys.stdin.isatty() and sys.stderr.isatty()
+    return not asked or typer.confirm("lock them as the same?", err=True)
 
 
 def _show_locks(locks: tuple[Lock, ...]) -> None:

@@ -129,7 +129,8 @@ def export(
         if not one:
             why = "choose one by --site" if len(sources) > 1 else "write them to files"
             raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
-        say_text(str(*texts.values()))
+        for text in texts.values():
+            say_text(str(text))
         return
     paths = {_path(place, output, sources, name, alone=one): text for name, text in texts.items()}
     write_files(paths)
@@ -325,14 +326,9 @@ def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> li
         found = None  # a cache: without it old files are left
     record = dict(found) if isinstance(found, dict) else {}
     last = record.get(form)
+    old = set(map(str, last)) if isinstance(last, list) else set()
     write_json(place.export_record, record | {form: sorted(path.name for path in written)})
     named = (*place.runs(), *(each.merge for each in place.merges()))
     others = tuple(f"{name}." for name in named if name != place.merge)
-    return [
-        path
-        for path in place.exports.iterdir()
-        if path not in written
-        and not path.name.startswith(others)
-        and isinstance(last, list)
-        and path.name in last
-    ]
+    there = [path for path in place.exports.iterdir() if path.name in old]
+    return [p for p in there if p not in written and not p.name.startswith(others)]

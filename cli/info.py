@@ -22,9 +22,9 @@ from .options import (
     told_settings,
     verb,
 )
-from .output import complain, progress, say, say_json, table
+from .output import complain, counting, progress, say, say_json, table
 from .read_options import ReadOptions
-from .run_names import run_names
+from .run_logs import run_names
 from .workspace import Workspace
 
 WHOLE_BYTES = 64_000_000
@@ -112,16 +112,9 @@ def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSetting
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
     """The contents of a log with why ingest with these settings would reject it, or warn of it,
     beyond the problems that are known."""
-    done = 0
     with progress("trying to read it", log_size(log), "bytes") as advance:
-
-        def on_bytes(more: int) -> None:
-            nonlocal done
-            done += more
-            advance(done)
-
         try:
-            run = read_log(log, settings, on_bytes=on_bytes)
+            run = read_log(log, settings, on_bytes=counting(advance))
             require_junctions(run)
         except (DataError, UsageError) as error:
             told = str(error)

@@ -27,7 +27,7 @@ from .options import (
 )
 from .output import complain, detail, progress, say, say_json, show, tell, warn
 from .read_options import MapOptions, ReadOptions
-from .run_names import run_names
+from .run_logs import run_names
 from .workspace import Workspace
 
 # A process takes about as long to start as reading this takes.

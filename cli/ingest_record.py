@@ -52,12 +52,8 @@ class IngestRecord:
             return DEFAULT_READ
 
 
-def record_from_document(doc: Any) -> IngestRecord:
-    """The record of a parsed document; an empty one if it is none."""
-    try:
-        return TypeAdapter(IngestRecord).validate_python(doc)
-    except ValidationError:
-        return IngestRecord()  # a cache: without it the run is just done again
+RECORD = TypeAdapter(IngestRecord)
+"""Reads a record from a parsed document."""
 
 
 def origin(log: LogPath) -> str:

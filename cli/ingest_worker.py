@@ -27,6 +27,7 @@ from ..topology.topomap import TopoMap
 from ..topology.view_file import view_writes
 from ..topology.wording import counted, to_turning_points
 from .ingest_record import IngestRecord, origin
+from .output import counting
 from .process import forking_server, lack_of_memory, processes
 from .version import VERSION
 from .workspace import Workspace
@@ -71,13 +72,7 @@ def outcomes_of(
     """Outcomes as they are completed, in this process or in several; `advance` is called with the
     bytes read so far over all logs."""
     if workers == 1:
-        done = 0
-
-        def on_bytes(more: int) -> None:
-            nonlocal done
-            done += more
-            advance(done)
-
+        on_bytes = counting(advance)
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
     lost = []

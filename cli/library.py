@@ -42,8 +42,7 @@ from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from ..viz.exports import MAP_FORMATS, map_texts
 from .draw import quiet_fonts
-from .log_paths import logs_of
-from .run_names import run_names
+from .run_logs import logs_of, run_names
 from .workspace import Workspace, checked_file_name  # noqa: F401  offered as functions are
 
 

@@ -155,20 +155,15 @@ def matching(place: Workspace, pairs: int, kept: Kept, where: MatchOptions) -> I
             kept.flush()
 
 
-def share_of(text: str) -> tuple[int, int]:
-    """(i, n) of "i/n", i from 1 to n."""
-    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise UsageError(f'--shard is {text!r}; "2/8" is the second of eight shares')
-    return int(found[1]), int(found[2])
-
-
 def match_share(place: Workspace, settings: RobustSettings, where: MatchOptions) -> None:
     """Match a share of all pairs and keep the results in the cache. Other shares may run at the
     same time: the workspace is locked only to write."""
     from ..merge.robust import match_shard
 
-    number, of_all = share_of(where.shard or "")
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", where.shard or "")
+    number, of_all = map(int, found.groups()) if found is not None else (0, 0)
+    if not 1 <= number <= of_all:
+        raise UsageError(f'--shard is {where.shard!r}; "2/8" is the second of eight shares')
     kept = kept_results(place, settings, place.held)
     maps, broken = read_maps(place, place.chosen_runs([], True))
     with matching(place, pairs_of(len(maps)) // of_all, kept, where) as means:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import tomllib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
 from difflib import get_close_matches
 from functools import wraps
@@ -40,23 +40,18 @@ def verb(command: Command) -> Command:
             given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
         command(**given)
 
-    parameters = list(_parameters(command, hints, groups))
+    parameters = []
+    for name, own in signature(command).parameters.items():
+        kinds = get_type_hints(groups.get(name, object), include_extras=True)
+        for field in fields(groups[name]) if name in groups else ():
+            kind, default = kinds[field.name], field.default
+            one = Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+            parameters.append(one)
+        if name not in groups:
+            parameters.append(own.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name]))
     called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     called.__annotations__ = {each.name: each.annotation for each in parameters}
     return called
-
-
-def _parameters(
-    command: Command, hints: dict[str, Any], groups: dict[str, Any]
-) -> Iterator[Parameter]:
-    for name, own in signature(command).parameters.items():
-        if name not in groups:
-            yield own.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
-            continue
-        kinds = get_type_hints(groups[name], include_extras=True)
-        for field in fields(groups[name]):
-            kind, default = kinds[field.name], field.default
-            yield Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:

@@ -15,7 +15,7 @@ import re
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -216,19 +216,24 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
         raise DataError(f"{error.filename}: {error.strerror}; name another file") from error
 
 
-def confirmed(question: str) -> bool:
-    """Whether the user agrees, if there is one to ask: a terminal for question and answer."""
-    if sys.stdin.isatty() and sys.stderr.isatty():
-        return typer.confirm(plain(question), err=True)
-    return True
-
-
 class Advance(Protocol):
     """Sets how much is done; words: in words, instead of counts; doing: what is done now; kept: how
     much of that was done before, and says nothing of the speed."""
 
     def __call__(self, done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
         """Show it."""
+
+
+def counting(advance: Callable[[int], object]) -> Callable[[int], None]:
+    """A function that is told how much more is done, from one that is told how much is."""
+    done = 0
+
+    def more(amount: int) -> None:
+        nonlocal done
+        done += amount
+        advance(done)
+
+    return more
 
 
 @contextmanager

@@ -123,7 +123,7 @@ class ReadOptions:
     def logs(self, named: Sequence[str]) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
         """The logs at the named places, and the places without any, each with the reason. Warns of
         logs that are to be unpacked first."""
-        from .log_paths import logs_of
+        from .run_logs import logs_of
 
         places = [log_path(name, allow_scan=self.allow_scan) for name in named]
         logs, missing, warnings = logs_of(places, separate=self.separate)

@@ -11,7 +11,7 @@ import typer
 from ..topology.errors import UsageError
 from ..topology.wording import counted
 from .options import QuietOption, verb
-from .output import progress, say, show
+from .output import counting, progress, say, show
 
 
 @verb
@@ -175,12 +175,8 @@ def simulate(
     )
     scenario = simulate_scenario(settings)
     with progress("writing", runs + unrelated, "logs") as advance:
-        written = 0
-
-        def on_log(_: Path) -> None:
-            nonlocal written
-            written += 1
-            advance(written)
-
-        logs = write_scenario(scenario, out, formats or ["mcap"], on_log, alone=force)
+        one_more = counting(advance)
+        logs = write_scenario(
+            scenario, out, formats or ["mcap"], lambda _: one_more(1), alone=force
+        )
     say(f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}")

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from filelock import FileLock, Timeout
+from pydantic import ValidationError
 
 from ..merge.discards import discards_from_document, discards_to_document
 from ..merge.document import read_merged, result_from_document
@@ -28,7 +29,7 @@ from ..topology.files import LEFT_OVER, kind_of, read_json, write_json
 from ..topology.map_schema import with_way_out
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
-from .ingest_record import IngestRecord, record_from_document
+from .ingest_record import RECORD, IngestRecord
 from .output import warn
 
 T = TypeVar("T")
@@ -323,10 +324,10 @@ class Workspace:
     def ingested(self, run: str) -> IngestRecord:
         """The record of the log that a run's map was made from; an empty one if there is none."""
         try:
-            found = read_json(self.ingest_record(run))
-        except (DocumentError, UsageError):  # UsageError: a name that nothing of ours gave a file
-            found = None
-        return record_from_document(found)
+            return RECORD.validate_python(read_json(self.ingest_record(run)))
+        except (DocumentError, UsageError, ValidationError):
+            # A cache: without it a log is just read again. No run of ours has a name that is none.
+            return IngestRecord()
 
     def ingest_records(self) -> dict[str, IngestRecord]:
         """The records of all runs, without those of further pieces, by run."""
