@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ..topology.errors import DocumentError
+from ..merge.change import Change, change_to_document
+from ..merge.changes import changes as changes_of
 from ..topology.wording import counted
 from .options import (
     DEFAULT_WORKSPACE,
@@ -15,14 +15,13 @@ from .options import (
     JsonOption,
     MergeOption,
     WorkspaceOption,
+    verb,
 )
-from .output import folded, say, say_lines
+from .output import say, say_folded, say_json
 from .workspace import MERGED, Workspace
 
-if TYPE_CHECKING:
-    from ..merge.change import Change
 
-
+@verb
 def changes(
     site: Annotated[
         str | None,
@@ -51,9 +50,6 @@ def changes(
       topobatch changes north
       topobatch changes --all --json
     """
-    from ..merge.change import change_to_document
-    from ..merge.changes import changes as changes_of
-
     place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}
@@ -62,25 +58,21 @@ def changes(
     several = [c for c in result.components if len(c.poses) > 1 and component in (None, c.id)]
     for one in several:
         maps = place.maps_as_merged(result, one.id, sorted(one.poses))
-        try:
+        with place.document_at_fault():
             found += changes_of(result, one.id, maps)
-        except ValueError as error:
-            raise DocumentError(f"{place.merged_json}: component {one.id}: {error}") from error
     shown = [c for c in found if everything or c.sure]
     shown.sort(
         key=lambda c: (names[c.component], 0 if c.between is None else c.between[1].first_ns)
     )
     if as_json:
         sites = {c.id: c.site or None for c in result.components}
-        told = [change_to_document(c) | {"site": sites[c.component]} for c in shown]
-        say_lines(json.dumps(told))
+        say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
         return
     for change in shown:
         what, *more_lines = change.words(names[change.component])
         say(what)
         for line in more_lines:
-            for part in folded(f"  {line}", indent="    "):
-                say(part)
+            say_folded(f"  {line}", indent="    ")
     unsure = sum(not c.sure for c in found)
     more = f", and {counted(unsure, 'difference')} that may be due to chance" if unsure else ""
     hint = " (--all shows them)" if unsure and not everything else ""

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from ..merge.result import Component
 from ..topology.errors import UsageError
-from .export import write_files
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
-from .output import checked_output, say
+from ..topology.topomap import TopoMap
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
+from .output import checked_output, say, write_files
 from .workspace import Workspace
 
-if TYPE_CHECKING:
-    from collections.abc import Iterable
-
-    from ..merge.result import Component
-    from ..topology.topomap import TopoMap
-    from ..viz.canvas import Canvas, Format
+if TYPE_CHECKING:  # which loads matplotlib
+    from ..viz.canvas import Canvas
     from ..viz.palette import Theme
 
 
+@verb
 def draw(
     what: Annotated[
         str,
@@ -58,28 +57,20 @@ def draw(
       topobatch draw north north.svg
       topobatch draw run1:run2 why.svg
     """
-    form = format_of(checked_output(out))
-    quiet_fonts()
     from ..viz.palette import DARK, LIGHT
 
+    suffix = checked_output(out).suffix.lower()
+    if suffix not in (".svg", ".png"):
+        raise UsageError(f"{out}: a picture's name ends in .svg or .png")
+    quiet_fonts()
     canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
-    write_files({out: canvas.as_bytes(form)})
+    write_files({out: canvas.as_bytes("svg" if suffix == ".svg" else "png")})
     say(f"{out}")
 
 
 def quiet_fonts() -> None:
     """Silence matplotlib's log about its caches, for instance in a read-only home."""
     logging.getLogger("matplotlib").setLevel(logging.ERROR)
-
-
-def format_of(out: Path) -> Format:
-    """The format by a file name's suffix."""
-    suffix = out.suffix.lower()
-    if suffix == ".svg":
-        return "svg"
-    if suffix == ".png":
-        return "png"
-    raise UsageError(f"{out}: a picture's name ends in .svg or .png")
 
 
 def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:

@@ -2,39 +2,38 @@
 
 from __future__ import annotations
 
-import json
+from dataclasses import replace
 from functools import cache
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
 
-from ..topology.errors import DocumentError, UsageError
+from ..merge.decision import Decision, to_document
+from ..merge.decision_text import lines
+from ..merge.merged_schema import MergedDocument
+from ..merge.result import shown_bits
+from ..topology.errors import UsageError
+from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from .matching import kept_results
+from .matching import kept_results, settings_of
 from .options import (
     DEFAULT_WORKSPACE,
     JsonOption,
     MergeOption,
     WorkspaceOption,
     complete_run,
-    grouped,
+    verb,
 )
-from .output import say, say_lines, warn, width
+from .output import say, say_json, say_lines, warn, width
 from .paper_options import PaperOptions
+from .unchanged import changed_since, told_changed
 from .workspace import MERGED, Workspace
-
-if TYPE_CHECKING:
-    from ..merge.decision import Decision
-    from ..merge.merged_schema import MergedDocument
-    from ..merge.paper.method import PaperSettings
-    from ..merge.robust.settings import RobustSettings
-    from ..topology.topomap import TopoMap
 
 TO_MERGE = "topobatch merge --all"
 """What gives runs a verdict."""
 
 
-@grouped
+@verb
 def explain(
     a: Annotated[
         str,
@@ -90,7 +89,7 @@ def explain(
             raise UsageError("two runs are needed: topobatch explain A B")
     if a == b:
         raise UsageError(f"two runs are needed, got {a!r} twice")
-    first, second = place.chosen_runs([a, b], False)
+    first, second = place.chosen_runs([a, b])
     if method == "paper":
         _by_paper(place, (first, second), paper, as_json, rows)
     else:
@@ -100,15 +99,11 @@ def explain(
 
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
     """Explain the decision of the robust method."""
-    from dataclasses import replace
-
-    from ..merge.decision import to_document
-    from ..merge.decision_text import lines
-    from ..viz.decision_recording import write_decision_recording
+    from ..viz.decision_recording import write_decision_recording  # which loads rerun
 
     a, b, decision = decided(place, pair)
     if as_json:
-        say_lines(json.dumps(to_document(decision)))
+        say_json(to_document(decision))
     else:
         # Pictures and recordings, which may be moved, have the call without the workspace.
         notes = [n.replace(TO_MERGE, place.call("merge", "--all")) for n in decision.notes]
@@ -127,15 +122,12 @@ def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: i
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:
     """The maps of a pair and the decision on it, with the settings and runs of the merge that had
     both. Without such a merge the decision is that of the two by themselves."""
-    from dataclasses import replace
-
     from ..merge.robust.explained import Merge, explain
-    from .unchanged import changed_since, told_changed
 
     document = _last_merge(place)
     why_not = _not_merged(place, document, pair)
-    settings, read = settings_of(place, document), cache(place.read_map)
-    kept = kept_results(place, settings, warn)
+    settings, read = settings_of(place, document).robust, cache(place.read_map)
+    kept = kept_results(place, settings)
     if document is None or why_not:
         held = document is not None and _holds(document, pair)
         runs = sorted(document.graph.home) if document is not None and held else place.runs()
@@ -158,21 +150,6 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
     a, b = map(read, pair)
     notes += decision.notes
     return a, b, replace(decision, notes=tuple(notes), of_merge=decision.of_merge and not why_not)
-
-
-def settings_of(place: Workspace, document: MergedDocument | None) -> RobustSettings:
-    """The settings of the selected merge; of one by the paper's method its rate."""
-    from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
-
-    if document is None:
-        return DEFAULT_ROBUST
-    values = document.graph.settings or {}
-    if document.graph.method == "paper":
-        values = {k: v for k, v in values.items() if k == "false_merge_rate"}
-    try:
-        return settings_from_document(values)
-    except ValueError as error:
-        raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
 
 
 def _last_merge(place: Workspace) -> MergedDocument | None:
@@ -205,33 +182,18 @@ def _by_paper(
     """Show the result of the paper's method."""
     from ..merge.paper.explain import explain as explained
     from ..merge.paper.explain import lines, to_document
-    from ..merge.paper.method import DEFAULT_PAPER
-    from ..merge.result import shown_bits
 
     map_a, map_b = (place.read_map(run) for run in pair)
     document = _last_merge(place)
-    settings = options.over(_merged_with(place, document) or DEFAULT_PAPER)
-    found = explained(map_a, map_b, settings)
+    settings = settings_of(place, document).paper
+    found = explained(map_a, map_b, options.over(settings))
     said = None if document is None else document.entry(*pair)
     if as_json:
-        say_lines(json.dumps(to_document(found) | {"verdict": said and said.model_dump()}))
+        say_json(to_document(found) | {"verdict": said and said.model_dump()})
         return
     for line in lines(found, rows or 20):
         say_lines(line)
     if document is not None and said is not None:
         by = f"{place.merged_json.name}, by the {document.graph.method} method"
-        say(
-            f"verdict of {by}: {said.verdict}, {shown_bits(said.evidence_bits)} bits: {said.reason}"
-        )
-
-
-def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSettings | None:
-    """The settings of the last merge by the paper's method; None if it was another one."""
-    from ..merge.paper.method import settings_from_document
-
-    if document is None or document.graph.method != "paper":
-        return None
-    try:
-        return settings_from_document(document.graph.settings or {})
-    except ValueError as error:
-        raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
+        bits = f"{shown_bits(said.evidence_bits)} bits: {said.reason}"
+        say(f"verdict of {by}: {said.verdict}, {bits}")

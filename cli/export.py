@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
+from ..ingest.reading import read_run
+from ..merge.component_map import component_map, component_pose_graph, stale_runs
+from ..merge.result import Component, MergeResult
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.files import read_json, write_json
+from ..topology.map_pose_graph import map_pose_graph
+from ..topology.odometry import Odometry
+from ..topology.run import Run
+from ..topology.topomap import TopoMap
 from ..topology.wording import listed, utc
-from .export_grid import PICTURE, Exported, grid_texts
+from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
+from .export_grid import PICTURE, Exported, grid_texts, log_of
+from .ingest_record import origin
 from .options import (
     DEFAULT_WORKSPACE,
     ComponentOption,
@@ -21,16 +30,10 @@ from .options import (
     SiteOption,
     WorkspaceOption,
     complete_run,
+    verb,
 )
-from .output import Screen, checked_output, say_lines, say_text
+from .output import checked_output, say, say_json, say_text, show, warn, write_files
 from .workspace import MERGED, Named, Workspace
-
-if TYPE_CHECKING:
-    from ..ingest.remote.path import LogPath
-    from ..merge.result import Component, MergeResult
-    from ..topology.odometry import Odometry
-    from ..topology.run import Run
-    from ..topology.topomap import TopoMap
 
 STDOUT = Path("-")
 
@@ -41,6 +44,7 @@ CLOCKS_APART_NS = 10**9
 Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum", "csv"]
 
 
+@verb
 def export(
     form: Annotated[
         Format,
@@ -107,49 +111,39 @@ def export(
       topobatch export --site north --format nav2 --output north.geojson
       topobatch export run1 --format tum
     """
-    place, screen = Workspace(workspace), Screen(quiet or as_json)
+    show(quiet=quiet or as_json)
+    place = Workspace(workspace)
     if output not in (None, STDOUT):
         checked_output(output)
+    if as_json and output == STDOUT:
+        raise UsageError("--json tells of files; with --output - the map itself is printed")
     found = place.named(what)
-    sources = _sources(found, component, site, screen)
-    texts: dict[str, str | bytes] = {}
-    for source in sources:
-        if form == "grid":
-            picture = _path(place, output, f"{source.name}.pgm", sources, alone=False)
-            texts |= grid_texts(place, source, log, picture.name, screen)
-            continue
-        try:
-            files = _texts(place, source, form, tolerance, log, screen)
-        except DataError as error:
-            if len(sources) == 1:
-                raise
-            screen.warn(f"{error}; left out")
-            continue
-        texts |= {f"{source.name}{ending}": text for ending, text in files.items()}
+    sources = _sources(found, component, site)
+    texts = _texts(place, sources, form, tolerance, log, partial(_path, place, output, sources))
     if not texts:
         why = "nobody drove its maps, which are of grids: no trajectories"
         raise DataError(f"{what}: {why if form == 'tum' else f'no site has what {form} needs'}")
-    if output == STDOUT:
-        if as_json:
-            raise UsageError("--json tells of files; with --output - the map itself is printed")
-        _to_stdout(texts, sources)
-        return
     one = len(texts) == 1
-    paths = {_path(place, output, name, sources, alone=one): text for name, text in texts.items()}
+    if output == STDOUT:
+        if not one:
+            why = "choose one by --site" if len(sources) > 1 else "write them to files"
+            raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
+        for text in texts.values():
+            say_text(str(text))
+        return
+    paths = {_path(place, output, sources, name, alone=one): text for name, text in texts.items()}
     write_files(paths)
     for path in paths:
-        screen.line(str(path))
+        say(str(path))
     whole = (found.run, found.site, site, component) == (None,) * 4
     if whole and output is None:
         for path in _superseded(found.place, form, paths):
             path.unlink(missing_ok=True)
     if as_json:
-        say_lines(json.dumps({"format": form, "files": sorted(map(str, paths))}))
+        say_json({"format": form, "files": sorted(map(str, paths))})
 
 
-def _sources(
-    found: Named, component: int | None, site: str | None, screen: Screen
-) -> list[Exported]:
+def _sources(found: Named, component: int | None, site: str | None) -> list[Exported]:
     """The maps to export: a run's, or one for each chosen component of a merge."""
     place = found.place
     if found.pair is not None:
@@ -165,57 +159,62 @@ def _sources(
     chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
     names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
-    return [_component(place, result, c, names[c.id], screen) for c in chosen]
+    return [_component(place, result, c, names[c.id]) for c in chosen]
 
 
-def _component(
-    place: Workspace, result: MergeResult, component: Component, name: str, screen: Screen
-) -> Exported:
-    from ..merge.component_map import component_map, stale_runs
-
+def _component(place: Workspace, result: MergeResult, component: Component, name: str) -> Exported:
     maps, errors = place.read_maps(sorted(component.poses))
     for error in errors.values():
-        screen.warn(f"{error}; exported without it")
+        warn(f"{error}; exported without it")
     stale = stale_runs(result, component.id, maps)
     if stale:
         told = ", ".join(f"{run} {why}" for run, why in list(stale.items())[:3])
-        screen.warn(
+        warn(
             f"component {component.id}: times are left out: not all maps are those that were "
             f"merged ({told}); merge again"
         )
-    try:
+    with place.document_at_fault():
         topomap = component_map(result, component.id, name, maps)
-    except ValueError as error:
-        raise DocumentError(f"{place.merged_json}: component {component.id}: {error}") from error
     kept = {run: m for run, m in maps.items() if run not in stale}
     return Exported(name, topomap, kept, result, component)
 
 
 def _texts(
     place: Workspace,
-    source: Exported,
+    sources: list[Exported],
     form: Format,
     tolerance: float,
     log: Path | None,
-    screen: Screen,
-) -> dict[str, str]:
-    """The texts to write by the suffix of their files."""
-    from ..viz.exports import map_texts
-
-    if form == "tum":
-        return _trajectories(place, source, log, screen)
-    if log is not None:
+    path_of: Callable[[str], Path],
+) -> dict[str, str | bytes]:
+    """The contents to write by the names of their files; a site that cannot be exported so costs no
+    other. path_of: gives the path of a name."""
+    if log is not None and form not in ("tum", "grid"):
         raise UsageError("--log goes with --format tum or grid")
-    if form == "g2o":
-        return {".g2o": _pose_graph(source)}
-    return map_texts(source.topomap, form, tolerance)
+    texts: dict[str, str | bytes] = {}
+    for source in sources:
+        if log is not None and len(source.maps) != 1:
+            raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
+        if form == "grid":
+            texts |= grid_texts(place, source, log, path_of(f"{source.name}{PICTURE}").name)
+            continue
+        try:
+            if form == "tum":
+                files = _trajectories(place, source, log)
+            elif form == "g2o":
+                files = {".g2o": _pose_graph(source)}
+            else:
+                files = map_texts(source.topomap, form, tolerance)
+        except DataError as error:
+            if len(sources) == 1:
+                raise
+            warn(f"{error}; left out")
+            continue
+        texts |= {f"{source.name}{ending}": text for ending, text in files.items()}
+    return texts
 
 
 def _pose_graph(source: Exported) -> str:
-    from ..merge.component_map import component_pose_graph
-    from ..topology.map_pose_graph import map_pose_graph
-    from ..viz.exports import pose_graph_g2o
-
     if source.result is None or source.component is None:
         return pose_graph_g2o(map_pose_graph(source.topomap))
     gone = sorted(source.component.poses.keys() - source.maps.keys())
@@ -227,21 +226,15 @@ def _pose_graph(source: Exported) -> str:
     return pose_graph_g2o(component_pose_graph(source.result, source.component.id, source.maps))
 
 
-def _trajectories(
-    place: Workspace, source: Exported, log: Path | None, screen: Screen
-) -> dict[str, str]:
+def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[str, str]:
     """The odometry of every run, as recorded and corrected, from its log; maps of grids have
     none."""
-    from ..viz.exports import corrected_tum, recorded_tum
-
-    if log is not None and len(source.maps) != 1:
-        raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
     poses = {} if source.component is None else source.component.poses
     out = {}
     for run, topomap in sorted(source.maps.items()):
         if len(topomap.observation_time_ns) == 0:
             if source.component is not None:
-                screen.warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
+                warn(f"{run}: is the map of a grid, which nobody drove: no trajectory")
             continue
         odometry = _odometry(place, topomap, log)
         corrected = corrected_tum(topomap, odometry, poses.get(run))
@@ -255,30 +248,26 @@ def _trajectories(
     return out
 
 
-def _odometry(place: Workspace, topomap: TopoMap, log: LogPath | None) -> Odometry:
+def _odometry(place: Workspace, topomap: TopoMap, log: Path | None) -> Odometry:
     """A run's odometry from its log, with the recorded settings of its ingest, if any.
 
     UsageError if another log was named than the one that the map was made from, DataError if that
     one changed.
     """
-    from ..ingest.reading import read_run
-    from .ingest_worker import origin, read_again
-
-    run, record = topomap.run, place.ingested(topomap.run) or {}
-    at = log or place.log_of(run)
-    found = read_run(at, read_again(record))
+    run, record = topomap.run, place.ingested(topomap.run)
+    at = log or log_of(place, run)
+    found = read_run(at, record.settings())
     why = _differs(topomap, found)
     if why is None:
         return found.odometry
-    made_from = record.get("log")
-    if log is None or made_from == origin(at):
+    if log is None or record.log == origin(at):
         raise DataError(
             f"{at}: changed since the map of run {run} was made from it ({why}); ingest it again"
         )
-    was = made_from if isinstance(made_from, str) else "it is not recorded which that was"
     raise UsageError(
-        f"{at}: is not the log that the map of run {run} was made from ({was}): {why}; name that "
-        "log, wherever it is now"
+        f"{at}: is not the log that the map of run {run} was made from "
+        f"({record.log or 'it is not recorded which that was'}): {why}; name that log, wherever it "
+        "is now"
     )
 
 
@@ -303,17 +292,13 @@ def _differs(topomap: TopoMap, found: Run) -> str | None:
     return None
 
 
-def _to_stdout(texts: Mapping[str, str | bytes], sources: list[Exported]) -> None:
-    if len(texts) > 1:
-        why = "choose one by --site" if len(sources) > 1 else "write them to files"
-        raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
-    for text in texts.values():
-        assert isinstance(text, str)
-        say_text(text)
-
-
 def _path(
-    place: Workspace, output: Path | None, name: str, sources: list[Exported], *, alone: bool
+    place: Workspace,
+    output: Path | None,
+    sources: list[Exported],
+    name: str,
+    *,
+    alone: bool = False,
 ) -> Path:
     """The file of a text by its name; alone: there is no other.
 
@@ -333,33 +318,15 @@ def _path(
 def _superseded(place: Workspace, form: Format, written: Collection[Path]) -> list[Path]:
     """What exports of a merge wrote and this one did not, as the sites are others; records what
     this one wrote. place: with the merge."""
-    from ..topology.files import read_json, write_json
-
     try:
         found = read_json(place.export_record)
     except DocumentError:
         found = None  # a cache: without it old files are left
     record = dict(found) if isinstance(found, dict) else {}
     last = record.get(form)
+    old = set(map(str, last)) if isinstance(last, list) else set()
     write_json(place.export_record, record | {form: sorted(path.name for path in written)})
     named = (*place.runs(), *(each.merge for each in place.merges()))
     others = tuple(f"{name}." for name in named if name != place.merge)
-    return [
-        path
-        for path in place.exports.iterdir()
-        if path not in written
-        and not path.name.startswith(others)
-        and isinstance(last, list)
-        and path.name in last
-    ]
-
-
-def write_files(files: Mapping[Path, str | bytes]) -> None:
-    """Write files, all of them or none."""
-    from ..topology.files import write_together
-
-    data = {path: t.encode() if isinstance(t, str) else t for path, t in files.items()}
-    try:
-        write_together({path: partial(Path.write_bytes, data=d) for path, d in data.items()})
-    except PermissionError as error:
-        raise DataError(f"{error.filename}: {error.strerror}; name another --output") from error
+    there = [path for path in place.exports.iterdir() if path.name in old]
+    return [p for p in there if p not in written and not p.name.startswith(others)]

@@ -2,27 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TypeVar
 
-from ..topology.errors import DataError, TopobatchError, UsageError
+import numpy as np
+
+from ..ingest.grid_log import GridLog
+from ..ingest.reading import log_exists, log_fingerprint, log_size, read_log
+from ..ingest.remote.path import LogPath, log_path
+from ..ingest.run_scans import LaidScans, Occupancy, scans_on_map
+from ..merge.result import Component, MergeResult, placed_at
+from ..topology.arrays import FloatArray
+from ..topology.errors import DataError, TopobatchError
+from ..topology.grids import cell_for, layered, resampled
+from ..topology.run import Grid
+from ..topology.se2 import apply, compose
+from ..topology.topomap import TopoMap
+from ..topology.views import CELL_M as VIEW_CELL_M
+from ..topology.views import REACH_M
 from ..topology.wording import counted, listed
-from .output import Advance, Screen
+from ..viz.exports import map_picture, map_yaml
+from ..viz.walls import walls_of
+from .output import Advance, begin, progress, warn
 from .workspace import Workspace
 
-if TYPE_CHECKING:
-    from ..ingest.read_settings import ReadSettings
-    from ..ingest.remote.path import LogPath
-    from ..ingest.run_scans import LaidScans
-    from ..merge.result import Component, MergeResult
-    from ..topology.arrays import FloatArray
-    from ..topology.run import Grid
-    from ..topology.topomap import TopoMap
-
-    Placed = Callable[[FloatArray], FloatArray]
+T = TypeVar("T")
+Placed = Callable[[FloatArray], FloatArray]
+OnBytes = Callable[[int], None]
 
 CELL_M = 0.05
 """Side of a cell, as map savers write them."""
@@ -44,33 +53,26 @@ class Exported:
 
 
 def grid_texts(
-    place: Workspace, source: Exported, log: LogPath | None, picture: str, screen: Screen
+    place: Workspace, source: Exported, log: LogPath | None, picture: str
 ) -> dict[str, str | bytes]:
     """The two files of the grid of a run or of all runs of a site, by their names. picture: name of
     the one that the other refers to.
 
     Raises DataError where no run has scans, views or a saved map.
     """
-    from ..topology.views import CELL_M as VIEW_CELL_M
-    from ..viz.exports import map_picture, map_yaml
-
-    if log is not None and len(source.maps) != 1:
-        raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
     bare = sorted(run for run, m in source.maps.items() if not len(m.views))
     if len(bare) == len(source.maps):
         raise DataError(f"{source.name}: {_why_bare(place, source)}")
     if bare:
-        screen.warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
+        warn(f"{listed(bare, 3)}: no laser shows walls; the grid is without")
     logs = _Logs(place, source, log)
     size = sum(logs.bytes.values())
     if size > LARGE_BYTES:
-        screen.begin(f"{source.name}: reading {counted(len(logs.bytes), 'log')} again")
-    with screen.progress(f"{source.name}: reading", size, "bytes") as advance:
+        begin(f"{source.name}: reading {counted(len(logs.bytes), 'log')} again")
+    with progress(f"{source.name}: reading", size, "bytes") as advance:
         grid, told = _grid(source, logs, advance)
     for run, why in sorted(logs.gone.items()):
-        screen.warn(
-            f"{why}; the walls of {run} are those of its views, in cells of {VIEW_CELL_M:g} m"
-        )
+        warn(f"{why}; the walls of {run} are those of its views, in cells of {VIEW_CELL_M:g} m")
     if grid is None:
         raise DataError(f"{source.name}: nothing is known of its walls")
     frame = f"{source.name}, in the frame {source.topomap.frame} of its other exports"
@@ -78,6 +80,18 @@ def grid_texts(
         f"{source.name}{PICTURE}": map_picture(grid),
         f"{source.name}.yaml": map_yaml(grid, picture, [frame, *told]),
     }
+
+
+def log_of(place: Workspace, run: str) -> LogPath:
+    """The log that a run's map was made from; remote ones are not checked to exist. DataError if it
+    is not recorded or does not exist."""
+    log = place.ingested(run).log
+    if log is None:
+        raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
+    at = log_path(log)
+    if isinstance(at, Path) and not log_exists(at):
+        raise DataError(f"{log}: the log of run {run} is not there any more; name it by --log")
+    return at
 
 
 def _why_bare(place: Workspace, source: Exported) -> str:
@@ -94,60 +108,47 @@ def _why_bare(place: Workspace, source: Exported) -> str:
 
 
 class _Logs:
-    """The logs of runs, read again; gone: runs whose log cannot be, and why."""
+    """The logs of runs with views, read again. bytes: their sizes; gone: runs whose log cannot be
+    read, and why; one that the user named has to be."""
 
     def __init__(self, place: Workspace, source: Exported, log: LogPath | None) -> None:
-        from ..ingest.reading import log_size
-
+        self._place, self._named = place, log
         self.gone: dict[str, str] = {}
-        self._at: dict[str, LogPath] = {}
-        self._named, self._place = log is not None, place
-        self.bytes: dict[str, int] = {}
-        for run, topomap in sorted(source.maps.items()):
-            if len(topomap.views):
-                with self._failing(run):
-                    self._at[run] = log or place.log_of(run)
-                    self.bytes[run] = log_size(self._at[run])
+        self.bytes = {
+            run: size
+            for run, topomap in sorted(source.maps.items())
+            if len(topomap.views) and (size := self._read(run, log_size)) is not None
+        }
 
-    @contextmanager
-    def _failing(self, run: str) -> Iterator[None]:
-        """What cannot be read is gone, unless the user named it."""
+    def _read(self, run: str, read: Callable[[LogPath], T]) -> T | None:
         try:
-            yield
+            if run in self.gone:
+                return None
+            return read(self._named or log_of(self._place, run))
         except (TopobatchError, OSError) as error:
-            if self._named:
+            if self._named is not None:
                 raise
             self.gone[run] = str(error)
+            return None
 
-    def scans(self, topomap: TopoMap, on_bytes: Callable[[int], None]) -> LaidScans | None:
+    def scans(self, topomap: TopoMap, on_bytes: OnBytes) -> LaidScans | None:
         """The scans of a run on its map."""
-        from ..ingest.run_scans import scans_on_map
+        settings = self._place.ingested(topomap.run).settings()
+        return self._read(
+            topomap.run, lambda at: scans_on_map(at, settings, topomap, on_bytes=on_bytes)
+        )
 
-        with self._failing(topomap.run):
-            at, settings = self._how(topomap.run)
-            return scans_on_map(at, settings, topomap, on_bytes=on_bytes)
-        return None
-
-    def saved(self, topomap: TopoMap, on_bytes: Callable[[int], None]) -> Grid | None:
+    def saved(self, topomap: TopoMap, on_bytes: OnBytes) -> Grid | None:
         """The grid that a map was made from."""
-        from ..ingest.grid_log import GridLog
-        from ..ingest.reading import log_fingerprint, read_log
+        record = self._place.ingested(topomap.run)
 
-        with self._failing(topomap.run):
-            at, settings = self._how(topomap.run)
-            made_from = (self._place.ingested(topomap.run) or {}).get("content")
-            found = read_log(at, settings, on_bytes=on_bytes)
-            if made_from != log_fingerprint(at) or not isinstance(found, GridLog):
+        def read(at: LogPath) -> Grid:
+            found = read_log(at, record.settings(), on_bytes=on_bytes)
+            if record.content != log_fingerprint(at) or not isinstance(found, GridLog):
                 raise DataError(f"{at}: changed since the map of {topomap.run} was made from it")
             return found.grid
-        return None
 
-    def _how(self, run: str) -> tuple[LogPath, ReadSettings]:
-        from .ingest_worker import read_again
-
-        if run not in self._at:
-            raise DataError(self.gone[run])
-        return self._at[run], read_again(self._place.ingested(run) or {})
+        return self._read(topomap.run, read)
 
 
 def _grid(source: Exported, logs: _Logs, advance: Advance) -> tuple[Grid | None, list[str]]:
@@ -156,13 +157,6 @@ def _grid(source: Exported, logs: _Logs, advance: Advance) -> tuple[Grid | None,
     Scans of all runs are laid together; what these do not know is told by saved maps, the largest
     first, and what these do not know by views.
     """
-    import numpy as np
-
-    from ..ingest.run_scans import Occupancy
-    from ..topology.grids import layered, resampled
-    from ..topology.se2 import compose
-    from ..viz.walls import walls_of
-
     done = 0
 
     def on_bytes(more: int) -> None:
@@ -201,12 +195,6 @@ def _grid(source: Exported, logs: _Logs, advance: Advance) -> tuple[Grid | None,
 
 def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Placed]) -> float:
     """The side of a cell, by what the grid has to hold."""
-    import numpy as np
-
-    from ..topology.grids import cell_for
-    from ..topology.se2 import apply
-    from ..topology.views import REACH_M
-
     points = [source.topomap.xy, *source.topomap.paths]
     for run, m in source.maps.items():
         points.append(apply(placed[run](m.views.pose[:, :2]), m.views.pose[:, :2]))
@@ -221,10 +209,6 @@ def _cell_m(source: Exported, saved: Mapping[str, Grid], placed: Mapping[str, Pl
 def _placements(source: Exported) -> dict[str, Placed]:
     """For each run the transforms (k, 3) from its map's frame to that of the export at points (k,
     2) of its map."""
-    import numpy as np
-
-    from ..merge.result import placed_at
-
     result, component = source.result, source.component
     if result is None or component is None:
         return {run: lambda xy: np.zeros((len(xy), 3)) for run in source.maps}

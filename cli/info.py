@@ -2,30 +2,36 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 import typer
 
+from ..ingest.inspection import as_read
+from ..ingest.mapping import require_junctions
+from ..ingest.reading import LogInfo, ReadSettings, inspect_log, log_size, read_log
+from ..ingest.remote.path import LogPath
 from ..topology.errors import DataError, LogError, UsageError
 from ..topology.wording import counted, utc
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, grouped
-from .output import Screen, complain, say, say_lines, table, warn
+from .options import (
+    DEFAULT_WORKSPACE,
+    JsonOption,
+    WorkspaceOption,
+    settings_of,
+    told_settings,
+    verb,
+)
+from .output import complain, counting, progress, say, say_json, table
 from .read_options import ReadOptions
-from .settings_file import settings_of, told_settings
+from .run_logs import run_names
 from .workspace import Workspace
-
-if TYPE_CHECKING:
-    from ..ingest.reading import LogInfo, ReadSettings
-    from ..ingest.remote.path import LogPath
 
 WHOLE_BYTES = 64_000_000
 """Logs up to this size are read whole, without their scans: a fraction of a second."""
 
 
-@grouped
+@verb
 def info(
     logs: Annotated[
         list[str] | None,
@@ -60,15 +66,12 @@ def info(
       topobatch info run1.mcap
       topobatch info logs/ --json
     """
-    from ..ingest.reading import inspect_log
-    from .run_names import run_names
-
     settings, place = read.settings(), Workspace(workspace)
     if (remembered := settings_of(place)) and not as_json:
         say(f"{place.settings_toml}: {told_settings(remembered)}")
     if not logs and not remembered:
         raise UsageError("name a log: topobatch info LOG")
-    known, missing = read.logs(logs or (), warn)
+    known, missing = read.logs(logs or ())
     for _, error in missing:
         complain(str(error))
     failed, told = bool(missing), []
@@ -83,33 +86,16 @@ def info(
         if how is not None:
             found = _tried(found, each, replace(how, strict=not found.problems))
         if as_json:
-            told.append(_as_json(found))
+            path = str(found.path).encode("utf-8", "backslashreplace").decode()
+            told.append(asdict(found) | {"path": path})
         else:
-            for line in described(found):
+            for line in [*_described(found), *_faults(found, tried=how is not None)]:
                 say(line)
-            _show_faults(found, tried=how is not None)
         failed |= bool(found.problems)
     if as_json:
-        say_lines(json.dumps(told))
+        say_json(told)
     if failed:
         raise typer.Exit(1)
-
-
-def _as_json(found: LogInfo) -> dict[str, Any]:
-    """The content of `described` as JSON values."""
-    path = str(found.path).encode("utf-8", "backslashreplace").decode()
-    return asdict(found) | {"path": path}
-
-
-def _show_faults(found: LogInfo, *, tried: bool) -> None:
-    for problem in found.problems:
-        say(f"problem: {problem}")
-    for warning in found.warnings:
-        say(f"warning: {warning}")
-    if found.usable and not (tried and not found.problems):
-        what = "ingest takes what could be read" if found.problems else "by its topics"
-        scans = "" if tried else "; not read whole yet (--try does, and takes as long as ingest)"
-        say(f"usable: {what}{scans}")
 
 
 def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSettings | None:
@@ -126,20 +112,9 @@ def _trial(found: LogInfo, settings: ReadSettings, try_all: bool) -> ReadSetting
 def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
     """The contents of a log with why ingest with these settings would reject it, or warn of it,
     beyond the problems that are known."""
-    from ..ingest.inspection import as_read
-    from ..ingest.mapping import require_junctions
-    from ..ingest.reading import log_size, read_log
-
-    done = 0
-    with Screen(quiet=False).progress("trying to read it", log_size(log), "bytes") as advance:
-
-        def on_bytes(more: int) -> None:
-            nonlocal done
-            done += more
-            advance(done)
-
+    with progress("trying to read it", log_size(log), "bytes") as advance:
         try:
-            run = read_log(log, settings, on_bytes=on_bytes)
+            run = read_log(log, settings, on_bytes=counting(advance))
             require_junctions(run)
         except (DataError, UsageError) as error:
             told = str(error)
@@ -151,7 +126,7 @@ def _tried(found: LogInfo, log: LogPath, settings: ReadSettings) -> LogInfo:
     return replace(found, warnings=tuple(w for w in run.warnings if w not in found.problems))
 
 
-def described(found: LogInfo) -> list[str]:
+def _described(found: LogInfo) -> list[str]:
     """The lines that describe a log, without its problems."""
     head = f"{found.path}: run {found.name}, {found.format}, {found.bytes / 1e6:,.1f} MB"
     if not any(topic.messages for topic in found.topics):
@@ -159,18 +134,24 @@ def described(found: LogInfo) -> list[str]:
     elif found.start_ns is not None:
         begin = utc(found.start_ns, "%Y-%m-%d %H:%M:%S UTC")
         head += f", {found.duration_s:,.1f} s from {begin}"
+    if not found.topics:
+        return [head, f"  {counted(0, 'topic')}"]
     rows = [
-        (topic.topic, topic.type_name, f"{topic.messages:,}", _use(topic.use, topic.why))
-        for topic in found.topics
+        (t.topic, t.type_name, f"{t.messages:,}", ": ".join(filter(None, (t.use, t.why))))
+        for t in found.topics
     ]
     lines = [head, *table(("topic", "type", "messages", "used as"), rows)]
     uses = {topic.use for topic in found.topics}
     if uses & {"scans", "clouds"} and "odometry" not in uses:
         lines.append("  no odometry: each scan will be matched to the one before")
-    if not rows:
-        lines = [head, f"  {counted(0, 'topic')}"]
     return lines
 
 
-def _use(use: str, why: str) -> str:
-    return f"{use}: {why}" if use and why else use or why
+def _faults(found: LogInfo, *, tried: bool) -> list[str]:
+    lines = [f"problem: {problem}" for problem in found.problems]
+    lines += [f"warning: {warning}" for warning in found.warnings]
+    if found.usable and (found.problems or not tried):
+        what = "ingest takes what could be read" if found.problems else "by its topics"
+        scans = "" if tried else "; not read whole yet (--try does, and takes as long as ingest)"
+        lines.append(f"usable: {what}{scans}")
+    return lines

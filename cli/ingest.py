@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from ..topology.errors import UsageError
+from ..ingest.remote.path import LogPath
+from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
+from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
 from .journal import note
 from .options import (
     DEFAULT_WORKSPACE,
@@ -21,24 +22,20 @@ from .options import (
     QuietOption,
     VerboseOption,
     WorkspaceOption,
-    grouped,
+    by_settings,
+    verb,
 )
-from .output import Screen, say_lines
+from .output import complain, detail, progress, say, say_json, show, tell, warn
 from .read_options import MapOptions, ReadOptions
-from .settings_file import by_settings
-from .workspace import Workspace, checked_run_name
-
-if TYPE_CHECKING:
-    from ..ingest.remote.path import LogPath
-    from ..topology.errors import LogError
-    from .ingest_worker import IngestJob, IngestOutcome
+from .run_logs import run_names
+from .workspace import Workspace
 
 # A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
 WORTH_A_PROCESS_LOGS = 8
 
 
-@grouped
+@verb
 def ingest(
     logs: Annotated[
         list[str],
@@ -96,31 +93,27 @@ def ingest(
       topobatch ingest run1.mcap run2.bag rosbag2_folder/
       topobatch ingest logs/ --odometry-topic /odom --workspace ws
     """
-    from .ingest_worker import IngestJob
-
-    settings = read.settings(strict=strict)
-    place, screen = Workspace(workspace), Screen(quiet or as_json, verbose)
-    found, missing = read.logs(logs, screen.warn)
-    planned = _plan(
-        found, missing, name, IngestJob(Path(), "", place, settings, mapping.settings(), force)
-    )
-    with place.held(screen.warn):
+    show(quiet=quiet or as_json, verbose=verbose)
+    place, settings = Workspace(workspace), read.settings(strict=strict)
+    found, missing = read.logs(logs)
+    like = IngestJob(Path(), "", place, settings, mapping.settings(), force)
+    planned = _plan(found, missing, name, like)
+    with place.held(make=True):
         outcomes: list[IngestOutcome] = []
         try:
-            _run_all(planned, jobs, screen, outcomes)
+            _run_all(planned, jobs, outcomes)
         except (KeyboardInterrupt, SystemExit):
-            done = f"{len(outcomes)} of {counted(len(planned), 'log')} finished"
-            screen.stopped(f"{done}; run again to go on")
+            tell(f"{len(outcomes)} of {counted(len(planned), 'log')} finished; run again to go on")
             raise
         finally:
             new = sorted(outcome.run for outcome in outcomes if outcome.status == "done")
             if new:
                 text = f"{counted(len(new), 'log')}: {listed(new)}"
-                note(place, "ingest", f"{text}{by_settings(place)}", screen.warn)
+                note(place, "ingest", f"{text}{by_settings(place)}")
     if as_json:
         fields = ("run", "status", "text", "maps", "warnings")
-        say_lines(json.dumps([{name: getattr(o, name) for name in fields} for o in outcomes]))
-    _summarise(outcomes, place, screen)
+        say_json([{name: getattr(o, name) for name in fields} for o in outcomes])
+    _summarise(outcomes, place)
     failed = [outcome for outcome in outcomes if outcome.status == "failed"]
     if failed:
         raise typer.Exit(2 if all(outcome.needs_option for outcome in failed) else 1)
@@ -136,9 +129,6 @@ def _plan(
 
     missing: paths without logs, and why.
     """
-    from .ingest_worker import IngestOutcome
-    from .run_names import run_names
-
     planned: list[IngestJob | IngestOutcome] = [
         IngestOutcome(path.name, "failed", str(error)) for path, error in missing
     ]
@@ -149,10 +139,9 @@ def _plan(
     names = dict.fromkeys(logs, name) if name is not None else {}
     names = names or run_names(logs, like.place, replace=like.force)
     used: dict[str, LogPath] = {}
-
     for log, run in names.items():
         try:
-            like.place.check_run(checked_run_name(run))
+            like.place.check_run(run)
             if run in used:
                 raise UsageError(f"{used[run]} would become run {run!r} as well")
         except UsageError as error:
@@ -172,87 +161,64 @@ def _at(log: LogPath) -> LogPath:
         return log
 
 
-def _workers(asked: int, logs: int, total_bytes: int) -> int:
-    """Number of processes: as asked, or one per core as far as there is enough work."""
-    enough = asked or max(total_bytes // WORTH_A_PROCESS_BYTES, logs // WORTH_A_PROCESS_LOGS)
-    return max(1, min(asked or os.cpu_count() or 1, enough, logs))
-
-
 def _run_all(
-    planned: list[IngestJob | IngestOutcome],
-    asked: int,
-    screen: Screen,
-    outcomes: list[IngestOutcome],
+    planned: list[IngestJob | IngestOutcome], asked: int, outcomes: list[IngestOutcome]
 ) -> None:
     """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
     the list as they are known."""
-    from .ingest_pool import outcomes_of
-    from .ingest_worker import IngestJob, IngestOutcome, job_size
-
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:
-        _show(outcome, screen)
+        _show(outcome)
     sizes = {job.run: job_size(job) for job in jobs}
     total = sum(sizes.values())
-    with screen.progress("ingesting", 2 * total) as advance:
-        finished: list[str] = []
-        so_far = 0
+    # Reading a log is half of the work, making its map the other half, also of those not read.
+    with progress("ingesting", 2 * total) as advance:
+        read = mapped = kept = finished = 0
 
-        def on_bytes(read: int) -> None:
-            nonlocal so_far
-            so_far = max(so_far, read)
-            kept = sum(2 * sizes.get(o.run, 0) for o in outcomes if o.status == "unchanged")
-            advance(*_done(so_far, finished, sizes), kept=kept)
+        def on_bytes(so_far: int) -> None:
+            nonlocal read
+            read = min(max(read, so_far, mapped), total)
+            told = f"{finished}/{len(jobs)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+            advance(mapped + read, told, kept=kept)
 
-        workers = _workers(asked, len(jobs), total)
+        worth = max(total // WORTH_A_PROCESS_BYTES, len(jobs) // WORTH_A_PROCESS_LOGS)
+        workers = max(1, min(asked or os.cpu_count() or 1, asked or worth, len(jobs)))
         with closing(outcomes_of(jobs, workers, on_bytes)) as known:
             for outcome in known:
                 outcomes.append(outcome)
-                finished.append(outcome.run)
+                finished += 1
+                mapped += sizes[outcome.run]
+                kept += 2 * sizes[outcome.run] if outcome.status == "unchanged" else 0
                 on_bytes(0)
-                _show(outcome, screen)
+                _show(outcome)
 
 
-def _done(read: int, finished: Sequence[str], sizes: Mapping[str, int]) -> tuple[int, str]:
-    """How much of twice the bytes is done, and in words: reading a log is half of the work, making
-    its map the other half. read: bytes of all logs; finished: runs, also those that were not
-    read."""
-    total = sum(sizes.values())
-    mapped = sum(sizes.get(run, 0) for run in finished)
-    read = min(max(read, mapped), total)
-    told = f"{len(finished)}/{len(sizes)} logs, {read / 1e6:,.0f} of {total / 1e6:,.0f} MB"
-    return mapped + read, told
-
-
-def _show(outcome: IngestOutcome, screen: Screen) -> None:
+def _show(outcome: IngestOutcome) -> None:
     if outcome.status == "failed":
-        screen.complain(outcome.text)
+        complain(outcome.text)
         return
-    screen.line(f"{outcome.run}: {outcome.text}")
-    for detail in outcome.details:
-        screen.detail(f"{outcome.run}: {detail}")
+    say(f"{outcome.run}: {outcome.text}")
+    for each in outcome.details:
+        detail(f"{outcome.run}: {each}")
     for warning in outcome.warnings:
-        screen.warn(f"{outcome.run}: {warning}")
+        warn(f"{outcome.run}: {warning}")
 
 
-def _summarise(outcomes: list[IngestOutcome], place: Workspace, screen: Screen) -> None:
+def _summarise(outcomes: list[IngestOutcome], place: Workspace) -> None:
     failed = sorted(outcome.run for outcome in outcomes if outcome.status == "failed")
     unchanged = sum(outcome.maps for outcome in outcomes if outcome.status == "unchanged")
     good = sum(outcome.maps for outcome in outcomes if outcome.status != "failed")
     done = [outcome.size for outcome in outcomes if outcome.status == "done"]
+    logs = counted(len(outcomes), "log")
     if len(done) > 1:
-        length_m = sum(length for length, _, _ in done)
+        length_m, junctions, corridors = map(sum, zip(*done, strict=True))
         way = f", {length_m:,.0f} m" if length_m else ""
-        junctions = counted(sum(number for _, number, _ in done), "junction")
-        corridors = counted(sum(number for _, _, number in done), "corridor")
-        screen.line(f"{counted(len(done), 'log')}{way} → {junctions}, {corridors}")
+        found = f"{counted(junctions, 'junction')}, {counted(corridors, 'corridor')}"
+        say(f"{counted(len(done), 'log')}{way} → {found}")
     if good:
         same = f" ({unchanged} unchanged)" if unchanged else ""
-        logs = counted(len(outcomes), "log")
         told = f"{counted(good, 'map')} of {logs} in {place.maps}{same}"
-        screen.line(f"{told}; next: {place.call('merge', '--all')}")
+        say(f"{told}; next: {place.call('merge', '--all')}")
     if failed and len(outcomes) > 1:
-        screen.complain(
-            f"{len(failed)} of {counted(len(outcomes), 'log')} failed: {listed(failed)}"
-        )
+        complain(f"{len(failed)} of {logs} failed: {listed(failed)}")

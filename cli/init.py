@@ -7,15 +7,23 @@ from typing import Annotated
 import typer
 
 from ..topology.errors import UsageError
+from ..topology.files import write_text
 from .journal import note
-from .options import DEFAULT_WORKSPACE, FalseMergeRate, WorkspaceOption, grouped
-from .output import say, warn
+from .options import (
+    DEFAULT_WORKSPACE,
+    NAMES,
+    FalseMergeRate,
+    WorkspaceOption,
+    settings_text,
+    told_settings,
+    verb,
+)
+from .output import say_lines
 from .read_options import MapOptions, ReadOptions
-from .settings_file import NAMES, settings_text, told_settings
 from .workspace import Workspace
 
 
-@grouped
+@verb
 def init(
     context: typer.Context,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
@@ -36,26 +44,20 @@ def init(
       topobatch init --odometry-topic /odom --laser-pose 0.2,0,0
       topobatch init --false-merge-rate 0.0001
     """
-    from ..topology.files import write_text
-
     place = Workspace(workspace)
+    remembered = ("COMMANDLINE",) if forget else ("COMMANDLINE", "DEFAULT_MAP")
     given = {
         name: value
         for name, value in context.params.items()
-        if name in NAMES and context.get_parameter_source(name).name in _SAID[forget]  # type: ignore[union-attr]
+        if name in NAMES and context.get_parameter_source(name).name in remembered  # type: ignore[union-attr]
     }
     for name, value in given.items():
         if isinstance(value, str) and not value.isprintable():
             raise UsageError(f"--{name.replace('_', '-')} is {value!r}, which is no name")
     # Numbers that make no sense are refused here, not by the next call.
     read.settings()
-    with place.held(warn):
-        write_text(place.settings_toml, settings_text(given))
-        note(place, "init", told_settings({k: str(v) for k, v in given.items()}) or "nothing", warn)
-    for line in settings_text(given).splitlines():
-        say(line)
-    say(f"{place.settings_toml}")
-
-
-_SAID = {False: ("COMMANDLINE", "DEFAULT_MAP"), True: ("COMMANDLINE",)}
-"""Where a value comes from that is remembered."""
+    text = settings_text(given)
+    with place.held(make=True):
+        write_text(place.settings_toml, text)
+        note(place, "init", told_settings(given) or "nothing")
+    say_lines(f"{text}{place.settings_toml}")

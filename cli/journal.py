@@ -4,26 +4,24 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
 import typer
 
 from ..topology.errors import DataError
+from ..topology.files import read_bytes, write_text
 from ..topology.wording import counted
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
-from .output import say, table, warn
+from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, verb
+from .output import say, say_json, table, warn
 from .workspace import Workspace
 
 MOST_BYTES = 4 << 20
 """Of a longer journal the older half is dropped: about 40,000 lines."""
 
 
-def note(place: Workspace, what: str, text: str, say: Callable[[str], None]) -> None:
+def note(place: Workspace, what: str, text: str) -> None:
     """Append a line; the caller holds the workspace's lock. A failure to write is only reported."""
-    from ..topology.files import write_text
-
     now = datetime.now(UTC).isoformat(timespec="seconds")
     line = json.dumps({"time": now, "what": what, "text": text}, ensure_ascii=True)
     try:
@@ -32,12 +30,10 @@ def note(place: Workspace, what: str, text: str, say: Callable[[str], None]) -> 
             lines = lines[len(lines) // 2 :]
         write_text(place.history, "".join(f"{each}\n" for each in lines))
     except (OSError, DataError) as error:
-        say(f"{place.history}: {error}; not noted")
+        warn(f"{place.history}: {error}; not noted")
 
 
 def _lines(place: Workspace) -> list[str]:
-    from ..topology.files import read_bytes
-
     if not os.path.lexists(place.history):
         return []
     return read_bytes(place.history).decode("utf-8", "replace").splitlines()
@@ -54,6 +50,7 @@ def _entry(line: str) -> dict[str, Any] | None:
     return {name: found[name] for name in names} if good else None
 
 
+@verb
 def history(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     most: Annotated[
@@ -80,7 +77,7 @@ def history(
         unread = counted(len(lines) - len(known), "line")
         warn(f"{place.history}: {unread} not written by topobatch, passed over")
     if as_json:
-        say(json.dumps(entries))
+        say_json(entries)
         return
     if not entries:
         say("nothing was done here yet")

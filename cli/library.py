@@ -5,23 +5,46 @@ Nothing here prints, exits, or writes a file. All deliberate errors are Topobatc
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
-from .workspace import Workspace  # noqa: F401  offered as the functions are
-
-if TYPE_CHECKING:
-    from ..ingest.logs.topics import Way
-    from ..ingest.read_settings import Stamp
-    from ..merge.change import Change
-    from ..merge.drive import Drive
-    from ..merge.locks import Lock
-    from ..merge.result import Component, MergeResult
-    from ..topology.topomap import TopoMap
+from ..ingest.mapping import map_of_log
+from ..ingest.mapping_settings import MappingSettings
+from ..ingest.logs.topics import Way
+from ..ingest.read_settings import ReadSettings, Stamp
+from ..ingest.reading import read_log
+from ..ingest.remote.path import log_path
+from ..ingest.scans.slicing import SliceSettings
+from ..merge.change import Change
+from ..merge.changes import changes as changes_of
+from ..merge.component_map import component_map
+from ..merge.decision_text import lines
+from ..merge.document import merged_to_document
+from ..merge.drive import Drive
+from ..merge.drives import drives
+from ..merge.locks import Lock
+from ..merge.merged_schema import MergedDocument
+from ..merge.merging import MergeSettings, merge_maps
+from ..merge.pieces import joined_pieces
+from ..merge.result import Component, MergeResult
+from ..merge.robust.explained import Merge
+from ..merge.robust.explained import explain as decision_of
+from ..topology.document import map_to_document
+from ..topology.document import read_map as map_at
+from ..topology.errors import UsageError
+from ..topology.map_schema import validated
+from ..topology.topomap import TopoMap
+from ..topology.wording import listed
+from ..viz.exports import MAP_FORMATS, map_texts
+from .draw import quiet_fonts
+from .run_logs import logs_of, run_names
+from .workspace import Workspace, checked_file_name  # noqa: F401  offered as functions are
 
 
 def ingest(
@@ -90,32 +113,18 @@ def ingest(
     >>> len(maze), len(maze.source)
     (26, 29)
     """
-    from ..ingest.mapping import map_of_log
-    from ..ingest.mapping_settings import MappingSettings
-    from ..ingest.reading import ReadSettings, read_log
-    from ..ingest.remote.path import log_path
-    from ..ingest.scans.slicing import SliceSettings
-    from ..merge.pieces import joined_pieces
-    from ..topology.errors import UsageError
-    from ..topology.wording import listed
-    from .log_paths import logs_of
-    from .run_names import run_names
-    from .workspace import checked_run_name
-
-    several = not isinstance(log, str | os.PathLike)
-    given = [
-        log_path(os.fspath(each), allow_scan=allow_scan)
-        for each in ([log] if isinstance(log, str | os.PathLike) else log)
-    ]
-    logs, missing = logs_of(given, warn=lambda _: None, separate=separate)
+    alone = isinstance(log, str | os.PathLike)
+    named = [log] if isinstance(log, str | os.PathLike) else log
+    given = [log_path(os.fspath(each), allow_scan=allow_scan) for each in named]
+    logs, missing, _ = logs_of(given, separate=separate)
     for _, error in missing:
         raise error
-    if len(logs) > 1 and not several:
+    if len(logs) > 1 and alone:
         told = listed([str(each) for each in logs], 3)
         raise UsageError(f"{given[0]}: holds {len(logs)} logs; name one: {told}; or give a list")
     if len(logs) > 1 and name is not None:
         raise UsageError(f"name goes with one log; {len(logs)} are given")
-    names = run_names(logs) if name is None else dict.fromkeys(logs, checked_run_name(name))
+    names = run_names(logs) if name is None else dict.fromkeys(logs, checked_file_name(name))
     settings = ReadSettings(
         odometry_topic=odometry_topic,
         junction_topic=junction_topic,
@@ -137,31 +146,15 @@ def ingest(
 
 
 def read_map(path: str | Path) -> TopoMap:
-    """Read the map of a run, ``maps/RUN.json`` of a workspace.
+    """The map of a run by its document, ``maps/RUN.json`` of a workspace.
 
-    Parameters
-    ----------
-    path
-        The document.
+    Its arrays are read-only; their shapes and units stand in its docstring. Raises DocumentError if
+    it cannot be read, or is no such document; the message names the place of the first fault.
 
-    Returns
-    -------
-    TopoMap
-        Its arrays are read-only; their shapes and units stand in its docstring.
-
-    Raises
-    ------
-    DocumentError
-        It cannot be read, or is no such document; the message names the place of the first fault.
-
-    Examples
-    --------
     >>> import topobatch
     >>> topomap = topobatch.read_map("topobatch-workspace/maps/maze-1.json")  # doctest: +SKIP
     """
-    from ..topology.document import read_map as read
-
-    return read(Path(path))
+    return map_at(Path(path))
 
 
 def merge(
@@ -203,9 +196,6 @@ def merge(
     >>> str(pair.verdict), len(pair.best.matched)
     ('merged', 12)
     """
-    from ..merge.merging import MergeSettings, merge_maps
-    from ..topology.errors import UsageError
-
     settings = MergeSettings()
     if false_merge_rate is not None:
         if not 0 < false_merge_rate <= 0.5:
@@ -217,22 +207,12 @@ def merge(
 
 
 def to_networkx(graph: TopoMap | MergeResult) -> Any:
-    """A map, or the fused maps of a merge, as a graph of networkx.
+    """A map, or the fused maps of a merge, as a ``networkx.MultiGraph``.
 
-    Parameters
-    ----------
-    graph
-        A map, or the result of a merge.
+    Its nodes and edges have the attributes of the documents (``topobatch schema``): ``x``, ``y``,
+    ``branches``, ``observations``; ``length``, ``path``, ``traversals``. Of a merge it has the
+    components apart, each node with its ``component`` and ``members``.
 
-    Returns
-    -------
-    networkx.MultiGraph
-        Nodes and edges with the attributes of the documents (``topobatch schema``): ``x``, ``y``,
-        ``branches``, ``observations``; ``length``, ``path``, ``traversals``. Of a merge it has the
-        components apart, each node with its ``component`` and ``members``.
-
-    Examples
-    --------
     >>> import topobatch
     >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
     >>> graph = topobatch.to_networkx(maze)
@@ -241,67 +221,29 @@ def to_networkx(graph: TopoMap | MergeResult) -> Any:
     """
     import networkx as nx
 
-    from ..merge.document import merged_to_document
-    from ..merge.result import MergeResult
-    from ..topology.document import map_to_document
-
     if isinstance(graph, MergeResult):
         return nx.node_link_graph(merged_to_document(graph), edges="edges")
-    document = map_to_document(graph)
-    return nx.node_link_graph(document, edges="edges")
+    return nx.node_link_graph(map_to_document(graph), edges="edges")
 
 
 def site_map(result: MergeResult, maps: Iterable[TopoMap], run: str) -> TopoMap:
-    """The merged map of the site that a run is part of, as one map.
+    """The merged map of the site that a run is part of, as one map in the frame of the site, called
+    like it.
 
-    Parameters
-    ----------
-    result, maps
-        A merge, and the maps that it merged.
-    run
-        Any run of the site.
-
-    Returns
-    -------
-    TopoMap
-        In the frame of the site, called like it.
-
-    Raises
-    ------
-    UsageError
-        The run was not merged.
+    result, maps: a merge, and the maps that it merged; run: any run of the site. Raises UsageError
+    if the run was not merged.
     """
-    from ..merge.component_map import component_map
-
     component = _component_of(result, run)
     own = {m.run: m for m in maps if m.run in component.poses}
     return component_map(result, component.id, component.name, own)
 
 
 def explain(result: MergeResult, maps: Iterable[TopoMap], a: str, b: str) -> str:
-    """Why two runs were merged or not: the evidence line by line, as ``topobatch explain``.
+    """Why two runs were merged or not: the evidence as ``topobatch explain``, in several lines.
 
-    Parameters
-    ----------
-    result, maps
-        A merge by the default settings, and the maps that it merged.
-    a, b
-        Two of its runs.
-
-    Returns
-    -------
-    str
-        Several lines.
-
-    Raises
-    ------
-    UsageError
-        One of the runs was not merged.
+    result, maps: a merge by the default settings, and the maps that it merged; a, b: two of its
+    runs. Raises UsageError if one of them was not merged.
     """
-    from ..merge.decision_text import lines
-    from ..merge.robust.explained import Merge
-    from ..merge.robust.explained import explain as decision_of
-
     for run in (a, b):
         _component_of(result, run)
     by_run = {m.run: m for m in maps}
@@ -312,18 +254,9 @@ def explain(result: MergeResult, maps: Iterable[TopoMap], a: str, b: str) -> str
 def changes(result: MergeResult, maps: Iterable[TopoMap]) -> tuple[Change, ...]:
     """What is there in some runs of a site and not in others, beyond chance.
 
-    Parameters
-    ----------
-    result, maps
-        A merge, and the maps that it merged.
-
-    Returns
-    -------
-    tuple of Change
-        Site by site, by decreasing evidence; ``words(site)`` of each are its description.
+    result, maps: a merge, and the maps that it merged. The changes are given site by site, by
+    decreasing evidence; ``words(site)`` of each are its description.
     """
-    from ..merge.changes import changes as changes_of
-
     by_run = {m.run: m for m in maps}
     several = [c for c in result.components if len(c.poses) > 1]
     found = [changes_of(result, c.id, {run: by_run[run] for run in c.poses}) for c in several]
@@ -331,22 +264,10 @@ def changes(result: MergeResult, maps: Iterable[TopoMap]) -> tuple[Change, ...]:
 
 
 def next_drives(result: MergeResult, most: int = 5) -> tuple[Drive, ...]:
-    """What to record next, so that more runs come together, best first.
+    """What to record next, so that more runs of a merge come together: `most` drives, best first.
 
-    Parameters
-    ----------
-    result
-        A merge.
-    most
-        How many drives to propose.
-
-    Returns
-    -------
-    tuple of Drive
-        ``words`` of each are where it is and what it would settle, ``path`` is its way.
+    ``words`` of each are where it is and what it would settle, ``path`` is its way.
     """
-    from ..merge.drives import drives
-
     return drives(result, most)
 
 
@@ -363,33 +284,18 @@ def draw(
     *,
     theme: Literal["light", "dark"] = "light",
 ) -> Picture:
-    """A map, or all sites of a merge, as a picture.
+    """A map, or all sites of a merge, as the text of an SVG, for light paper or a dark screen.
 
-    Parameters
-    ----------
-    graph
-        A map, or the result of a merge.
-    maps
-        The maps that were merged: their walls are drawn below, where lasers saw any.
-    theme
-        For light paper or a dark screen.
+    maps: those that were merged: their walls are drawn below, where lasers saw any. Notebooks show
+    the picture; ``Path("maze.svg").write_text(...)`` keeps it.
 
-    Returns
-    -------
-    Picture
-        The text of an SVG. Notebooks show it; ``Path("maze.svg").write_text(...)`` keeps it.
-
-    Examples
-    --------
     >>> import topobatch
     >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
     >>> topobatch.draw(maze)[:5]
     '<?xml'
     """
-    from ..merge.result import MergeResult
-    from ..viz import draw as drawings
+    from ..viz import draw as drawings  # which loads matplotlib
     from ..viz.palette import DARK, LIGHT
-    from .draw import quiet_fonts
 
     quiet_fonts()
     colours = DARK if theme == "dark" else LIGHT
@@ -401,58 +307,28 @@ def draw(
 
 
 def export(topomap: TopoMap, form: str) -> dict[str, str]:
-    """A map in a format that others load (docs/exports.md).
+    """A map in a format that others load (docs/exports.md): the text of each file, by its ending.
 
-    Parameters
-    ----------
-    topomap
-        The map of a run, or of a site (`site_map`).
-    form
-        ``"nav2"``, ``"lif"``, ``"rmf"``, ``"tmap2"``, ``"graphml"`` or ``"csv"``.
-
-    Returns
-    -------
-    dict
-        The text of each file, by its ending.
-
-    Raises
-    ------
-    UsageError
-        There is no such format, or it needs more than a map.
+    topomap: of a run, or of a site (`site_map`); form: ``"nav2"``, ``"lif"``, ``"rmf"``,
+    ``"tmap2"``, ``"graphml"`` or ``"csv"``. Raises UsageError if there is no such format, or if it
+    needs more than a map.
     """
-    from ..topology.errors import UsageError
-    from ..viz.exports import MAP_FORMATS, map_texts
-
     if form not in MAP_FORMATS:
         raise UsageError(f"no map is exported as {form!r}: {', '.join(MAP_FORMATS)}")
     return map_texts(topomap, form)
 
 
 def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junctions") -> Any:
-    """The junctions or the corridors of a map as a table.
+    """The junctions or the corridors of a map, of a run or of a site (`site_map`), as a table.
 
-    Parameters
-    ----------
-    topomap
-        The map of a run, or of a site (`site_map`).
-    of
-        Which of the two.
+    A ``pandas.DataFrame`` or, where pandas is not installed, a ``pyarrow.Table``, with the columns
+    of ``topobatch export --format csv``.
 
-    Returns
-    -------
-    pandas.DataFrame, or pyarrow.Table where pandas is not installed
-        The columns of ``topobatch export --format csv``.
-
-    Examples
-    --------
     >>> import topobatch
     >>> (maze,) = topobatch.ingest("sample_logs/maze-1.mcap")
     >>> len(topobatch.to_dataframe(maze, "corridors"))
     29
     """
-    import io
-    from importlib.util import find_spec
-
     from pyarrow import csv
 
     text = export(topomap, "csv")[f".{of}.csv"]
@@ -462,9 +338,6 @@ def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junc
 
 def _component_of(result: MergeResult, run: str) -> Component:
     """The component that a run is part of."""
-    from ..topology.errors import UsageError
-    from ..topology.wording import listed
-
     for component in result.components:
         if run in component.poses:
             return component

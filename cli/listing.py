@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import os
 import re
 import stat
-from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from textwrap import shorten
-from typing import TYPE_CHECKING
 
 import typer
 
-from ..topology.errors import DataError, UsageError
+from ..ingest.remote.path import is_remote
+from ..merge.merged_schema import ComponentEntry, MergedDocument
+from ..topology.errors import DataError
+from ..topology.turning_points import KINDS
 from ..topology.wording import counted, utc
-from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption
-from .output import complain, say, say_lines, table, warn
+from .options import DEFAULT_WORKSPACE, JsonOption, WorkspaceOption, verb
+from .output import complain, say, say_json, table, warn
 from .unchanged import changed_since
 from .version import VERSION
 from .workspace import Workspace
 
-if TYPE_CHECKING:
-    from ..merge.merged_schema import ComponentEntry, MergedDocument
-
 ISO = "%Y-%m-%dT%H:%M:%S+00:00"
+
+BRIEF = 44
+"""Letters of a warning that a line of the list has room for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,18 +35,19 @@ class Listed:
     its first junction pass, ingested: when its map was made, in UTC; stale: what changed since."""
 
     run: str
-    junctions: int | None
-    corridors: int | None
-    length_m: float | None
-    health: str
-    component: int | None
-    runs: int | None
-    recorded: str | None
-    ingested: str
-    stale: tuple[str, ...]
-    site: str | None
+    junctions: int | None = None
+    corridors: int | None = None
+    length_m: float | None = None
+    health: str = "ok"
+    component: int | None = None
+    runs: int | None = None
+    recorded: str | None = None
+    ingested: str = ""
+    stale: tuple[str, ...] = ()
+    site: str | None = None
 
 
+@verb
 def list_runs(
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
     as_json: JsonOption = False,
@@ -70,29 +71,29 @@ def list_runs(
     if not rows:
         raise place.no_maps()
     if as_json:
-        say_lines(json.dumps([asdict(row) for row in rows]))
-        _fail_if_unreadable(rows)
-        return
-    head = ("run", "junctions", "corridors", "first pass (UTC)", "health", "stale")
-    first, *lines = table(head, [_row(row) for row in rows])
-    say(first)
-    for title, own in _by_site(rows, _sizes(merged) if merged else {}):
-        say(title)
-        for k in own:
-            say(lines[k])
-    gone = home.keys() - {row.run for row in rows}
-    if gone:
-        say(f"in the last merge, but not here any more: {counted(len(gone), 'run')}")
-    stale = sum(bool(row.stale) for row in rows)
-    say(f"{counted(len(rows), 'run')}{f', {stale} stale' if stale else ''}")
-    _fail_if_unreadable(rows)
-
-
-def _fail_if_unreadable(rows: Sequence[Listed]) -> None:
+        say_json([asdict(row) for row in rows])
+    else:
+        _show(rows, _sizes(merged) if merged else {}, gone=len(home.keys() - {r.run for r in rows}))
     unreadable = sum(row.junctions is None for row in rows)
     if unreadable:
         complain(f"{counted(unreadable, 'map')} cannot be read")
         raise typer.Exit(1)
+
+
+def _show(rows: Sequence[Listed], sizes: Mapping[int, str], gone: int) -> None:
+    """Print the runs below their sites. sizes: of components, in words; gone: merged runs that are
+    not here any more."""
+    head = ("run", "junctions", "corridors", "first pass (UTC)", "health", "stale")
+    first, *lines = table(head, [_row(row) for row in rows])
+    say(first)
+    for title, own in _by_site(rows, sizes):
+        say(title)
+        for k in own:
+            say(lines[k])
+    if gone:
+        say(f"in the last merge, but not here any more: {counted(gone, 'run')}")
+    stale = sum(bool(row.stale) for row in rows)
+    say(f"{counted(len(rows), 'run')}{f', {stale} stale' if stale else ''}")
 
 
 def _row(row: Listed) -> tuple[str, ...]:
@@ -132,23 +133,20 @@ def _last_merge(place: Workspace) -> MergedDocument | None:
 def _sizes(document: MergedDocument) -> dict[int, str]:
     """Junctions and corridors of every component; of several, the numbers of its junctions, which
     follow each other."""
-    from ..topology.turning_points import KINDS
-
     home = {node.id: node.component for node in document.nodes if node.kind not in KINDS}
-    junctions = Counter(home.values())
-    corridors: Counter[int] = Counter()
-    length: dict[int, float] = {}
+    junctions: dict[int, list[int]] = {}
+    lengths: dict[int, list[float]] = {component: [] for component in home.values()}
+    for node, component in home.items():
+        junctions.setdefault(component, []).append(node)
     for edge in document.edges:
-        at = home.get(edge.source)
-        if at is not None and edge.target in home:
-            corridors[at] += 1
-            length[at] = length.get(at, 0.0) + edge.length
+        if edge.source in home and edge.target in home:
+            lengths[home[edge.source]].append(edge.length)
     out = {}
-    for c, n in junctions.items():
-        ways = f"{counted(corridors[c], 'corridor')} ({length.get(c, 0):,.0f} m)"
-        own = [node for node, at in home.items() if at == c]
-        between = f" (numbers {min(own)} to {max(own)})" if len(junctions) > 1 and n > 1 else ""
-        out[c] = f", {counted(n, 'junction')}{between}, {ways}"
+    for c, own in junctions.items():
+        ways = f"{counted(len(lengths[c]), 'corridor')} ({sum(lengths[c]):,.0f} m)"
+        many = len(junctions) > 1 and len(own) > 1
+        between = f" (numbers {min(own)} to {max(own)})" if many else ""
+        out[c] = f", {counted(len(own), 'junction')}{between}, {ways}"
     return out
 
 
@@ -162,71 +160,46 @@ def _listed(
         old.append("not merged")
     elif merged is not None and changed_since(place, merged.graph.maps or {}, [run]):
         old.append("map changed since the merge")
-    component, runs, site = (home.id, len(home.runs), home.site) if home else (None, None, None)
+    row = Listed(run, ingested=utc(made_ns, ISO), stale=tuple(old))
+    if home is not None:
+        row = replace(row, component=home.id, runs=len(home.runs), site=home.site)
     try:
         m = place.read_map(run)
     except (DataError, OSError) as error:
-        return Listed(
-            run, None, None, None, f"unreadable: {error}", component, runs, None,
-            utc(made_ns, ISO), tuple(old), site,
-        )  # fmt: skip
+        return replace(row, health=f"unreadable: {error}")
     times = m.observation_time_ns
-    warnings = m.info.get("warnings") or []
-    return Listed(
-        run=run,
+    if warnings := m.info.get("warnings"):
+        # What the first is about, without its figures and what was done about it.
+        about = shorten(re.split(r"[;:(]", warnings[0])[0], BRIEF, placeholder=" …")
+        more = "; …" if len(warnings) > 1 else ""
+        row = replace(row, health=f"{counted(len(warnings), 'warning')}: {about}{more}")
+    return replace(
+        row,
         junctions=len(m),
         corridors=len(m.source),
         length_m=round(float(m.length.sum()), 3),
-        health=_brief(warnings) if warnings else "ok",
-        component=component,
-        runs=runs,
         recorded=utc(int(times.min()), ISO) if len(times) else None,
-        ingested=utc(made_ns, ISO),
         stale=(*old, *_log_changes(place, run)),
-        site=site,
     )
-
-
-BRIEF = 44
-"""Letters of a warning that a line of the list has room for."""
-
-
-def _brief(warnings: Sequence[str]) -> str:
-    """The number of warnings, and what the first is about, without its figures and what was done
-    about it."""
-    about = shorten(re.split(r"[;:(]", warnings[0])[0], BRIEF, placeholder=" …")
-    return f"{counted(len(warnings), 'warning')}: {about}{'; …' if len(warnings) > 1 else ''}"
 
 
 def _log_changes(place: Workspace, run: str) -> list[str]:
     """How a run's log changed since it was read, by its record."""
-    try:
-        record = place.ingested(run)
-    except UsageError:  # a name that a file has, but that nothing of ours gave it
-        record = None
-    if record is None:
-        return []
-    out = []
-    if record.get("version", VERSION) != VERSION:
+    record, out = place.ingested(run), []
+    if record.version not in (None, VERSION):
         out.append("made by another version")
-    log, size = record.get("log"), record.get("bytes")
-    if isinstance(log, str) and isinstance(size, int) and not _still_there(log, size):
+    if record.log is not None and record.bytes not in (None, _size(record.log, record.bytes)):
         out.append("log changed, or gone")
     return out
 
 
-def _still_there(log: str, size: int) -> bool:
-    """Whether there is a file of this size, or a folder. It is not opened, since a record can name
-    any file.
-
-    Remote logs are assumed to exist: a list does not wait for servers.
-    """
-    from ..ingest.remote.path import is_remote
-
+def _size(log: str, known: int | None) -> int | None:
+    """The size of a log's file, None without any; the known one of folders, and of remote logs: a
+    list does not wait for servers. It is not opened, since a record can name any file."""
     if is_remote(log):
-        return True
+        return known
     try:
         found = os.stat(log)
     except (OSError, ValueError):
-        return False
-    return not stat.S_ISREG(found.st_mode) or found.st_size == size
+        return None
+    return found.st_size if stat.S_ISREG(found.st_mode) else known

@@ -9,39 +9,20 @@ from __future__ import annotations
 import os
 import re
 import sys
-from collections.abc import Callable
 from difflib import get_close_matches
+from importlib import import_module
 from io import TextIOWrapper
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
+import typer.main
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from ..topology.errors import TopobatchError, UsageError
-from .changes import changes
-from .discard import discard
-from .draw import draw
-from .explain import explain
-from .export import export
-from .info import info
-from .ingest import ingest
-from .init import init
-from .journal import history
-from .listing import list_runs
-from .lock import lock
-from .merge import merge
-from .next_drives import next_drives
-from .output import complain, say, say_lines
+from .output import complain, say, say_lines, show
 from .process import lack_of_memory
-from .rename import rename
-from .report import report
-from .schema import schema
-from .simulate import simulate
-from .site import site
-from .transfer import transfer
 from .version import VERSION
-from .view import view
 
 EXIT_DATA, EXIT_USAGE, EXIT_SOFTWARE = 1, 2, 70
 """Invalid data; invalid call (as click); a bug (EX_SOFTWARE of sysexits.h)."""
@@ -50,37 +31,30 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 """Linear algebra runs on one thread: matrices are small, and the number of threads changes the last
 bits of results. Several cores are used by several processes."""
 
-# Plain help: rich's boxes would double the time that `--help` takes.
-app = typer.Typer(
-    name="topobatch",
-    no_args_is_help=True,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
-)
-COMMANDS: tuple[tuple[str, Callable[..., None]], ...] = (
-    ("init", init),
-    ("ingest", ingest),
-    ("merge", merge),
-    ("view", view),
-    ("draw", draw),
-    ("report", report),
-    ("list", list_runs),
-    ("info", info),
-    ("explain", explain),
-    ("export", export),
-    ("transfer", transfer),
-    ("changes", changes),
-    ("next", next_drives),
-    ("site", site),
-    ("lock", lock),
-    ("discard", discard),
-    ("rename", rename),
-    ("history", history),
-    ("simulate", simulate),
-    ("schema", schema),
-)
+COMMANDS = {
+    "init": ("init.init", "Have a workspace remember options."),
+    "ingest": ("ingest.ingest", "Turn logs into topological maps, one per run."),
+    "merge": ("merge.merge", "Merge the maps of many runs, where they overlap."),
+    "view": ("view.view", "Open a map, or why a pair was merged, in the rerun viewer."),
+    "draw": ("draw.draw", "Draw a map, the merged map, or the decision on a pair of runs."),
+    "report": ("report.report", "Write a page about all runs and their merge, for a browser."),
+    "list": ("listing.list_runs", "List the runs of the workspace, by site."),
+    "info": ("info.info", "Show what logs hold and what ingest would use."),
+    "explain": ("explain.explain", "Explain why two runs were merged, or not."),
+    "export": ("export.export", "Write a map in a format that others load."),
+    "transfer": ("transfer.transfer", "Carry named places from one map to another."),
+    "changes": ("changes.changes", "Tell what changed between the runs that were merged."),
+    "next": ("next_drives.next_drives", "Tell what to record next, to join more runs."),
+    "site": ("decisions.site", "Name sites: the places where merged runs were recorded."),
+    "lock": ("decisions.lock", "Say that two runs belong together, or never do."),
+    "discard": ("decisions.discard", "Take back runs, or matches of two runs."),
+    "rename": ("decisions.rename", "Give a run another name."),
+    "history": ("journal.history", "Show what was done to the workspace."),
+    "simulate": ("simulate.simulate", "Write logs of simulated robots, to try things out on."),
+    "schema": ("schema.schema", "Print the JSON Schema of a document."),
+}  # fmt: skip
+"""Where each command is, and what it does in short: its module is loaded when it is called, so that
+`--help` answers at once."""
 
 
 class Sectioned(TyperCommand):
@@ -101,8 +75,41 @@ class Sectioned(TyperCommand):
                     formatter.write_dl(records)
 
 
-for name, command in COMMANDS:
-    app.command(name, cls=Sectioned)(command)
+# Plain help: rich's boxes would double the time that `--help` takes.
+STYLE: dict[str, Any] = {
+    "rich_markup_mode": None,
+    "pretty_exceptions_enable": False,
+    "add_completion": False,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+
+
+def command_named(name: str) -> Any:
+    """A command by its name."""
+    home, _, function = COMMANDS[name][0].partition(".")
+    alone = typer.Typer(**STYLE)
+    alone.command(name, cls=Sectioned)(getattr(import_module(f".{home}", __package__), function))
+    return typer.main.get_command(alone)
+
+
+class Commands(TyperGroup):
+    """All commands: their names and summaries, and each itself when it is called."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
+        """The command that the first argument names, and the further arguments."""
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, command and command_named(str(name)), rest
+
+
+app = typer.Typer(
+    name="topobatch",
+    cls=Commands,
+    no_args_is_help=True,
+    epilog="Start with: topobatch ingest run1.mcap run2.bag; topobatch merge --all; topobatch view",
+    **STYLE | {"add_completion": True},
+)
+for each, (_, summary) in COMMANDS.items():
+    app.command(each, help=summary)(lambda: None)
 
 
 def _version(wanted: bool) -> None:
@@ -133,17 +140,14 @@ def _say_what_is_wrong(error: TyperException) -> None:
         say_lines(text.rstrip("\n"), err=True)
         return
     context = getattr(error, "ctx", None)
-    named = [word for word in sys.argv[1:2] if word in dict(COMMANDS)]  # where click does not say
+    named = [word for word in sys.argv[1:2] if word in COMMANDS]  # where click does not say
     command = getattr(context, "command_path", " ".join(("topobatch", *named)))
     line = " ".join(text.split()).removesuffix(".")
     line = line.replace(": Value error, ", ": ").replace(": Input should be ", ": must be ")
     if line.startswith("No such command") and os.path.exists(sys.argv[1]):
         line += f"; did you mean `topobatch ingest {sys.argv[1]}`?"
     if choice := re.search(r"'([^']*)' is not one of ('.+')$", line):
-        options = choice[2][1:-1].split("', '")
-        near = get_close_matches(choice[1], options, 1, 0.7)
-        if choice[1].lower() == "geojson" and "nav2" in options:
-            near = ["nav2"]  # whose file is GeoJSON
+        near = get_close_matches(choice[1], choice[2][1:-1].split("', '"), 1, 0.7)
         line += "".join(f"; did you mean {each!r}?" for each in near)
     see = "" if line.endswith("?") else ";"
     complain(f"{line[:1].lower()}{line[1:]}{see} see `{command} --help`")
@@ -156,6 +160,7 @@ def main() -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")  # names and arrows in an encoding without them
+    show()
     try:
         sys.exit(app(prog_name="topobatch", standalone_mode=False))
     except TyperException as error:

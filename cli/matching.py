@@ -16,21 +16,22 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from ..merge.kept import Kept
+from ..merge.merged_schema import MergedDocument
+from ..merge.result import pairs_of
 from ..topology.errors import DataError, UsageError
+from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from .output import Screen
-from .process import start_worker
+from .output import complain, detail, progress, say, tell, warn
+from .process import processes
 from .workspace import Workspace
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what takes a second to load
     from concurrent.futures import Executor
 
-    from ..merge.kept import Kept
     from ..merge.merging import MergeSettings
     from ..merge.robust import Means, RobustSettings
     from ..merge.workers import Workers
-    from ..topology.topomap import TopoMap
-
 
 WORTH_PROCESSES = 4000
 """Pairs of maps without views to match from which on processes are started, each of which reads the
@@ -65,9 +66,10 @@ class MatchOptions:
     ] = None
 
     def check(self) -> None:
-        """UsageError if there can be no such cluster."""
+        """UsageError or DataError if there is no such cluster, also where nothing would need it."""
         if self.cluster is not None:
-            require_cluster(self.cluster)
+            with cluster(self.cluster):
+                pass
 
     def workers(self, pairs: int) -> Workers | None:
         """What so many pairs are matched by: None for this process, else processes or a cluster."""
@@ -78,49 +80,56 @@ class MatchOptions:
         count = min(self.jobs or os.cpu_count() or 1, pairs)
         # An explicit number of processes is used as it is.
         worth = 0 if self.jobs else WORTH_PROCESSES
-        return Workers(partial(_executor, count), worth) if count > 1 else None
+        return Workers(partial(processes, count), worth) if count > 1 else None
 
 
-def read_maps(
-    place: Workspace, names: list[str], screen: Screen
-) -> tuple[list[TopoMap], list[str]]:
+def read_maps(place: Workspace, names: list[str]) -> tuple[list[TopoMap], list[str]]:
     """The readable maps, and the names of the others."""
     maps, errors = place.read_maps(names)
     for error in errors.values():
-        screen.complain(f"{error}; left out")
+        complain(f"{error}; left out")
     if not maps:
         raise DataError(f"{place.maps}: none of the {counted(len(names), 'map')} can be read")
     return list(maps.values()), list(errors)
 
 
+def settings_of(place: Workspace, document: MergedDocument | None) -> MergeSettings:
+    """The settings of a merge, by default the usual ones; those of the method that it is not by
+    have its rate at most. DocumentError if they are invalid."""
+    from ..merge.merging import MergeSettings
+    from ..merge.paper.method import settings_from_document as of_paper
+    from ..merge.robust.settings import settings_from_document as of_robust
+
+    if document is None:
+        return MergeSettings()
+    values = document.graph.settings or {}
+    rate = {name: value for name, value in values.items() if name == "false_merge_rate"}
+    with place.document_at_fault("graph.settings: "):
+        if document.graph.method == "paper":
+            return MergeSettings("paper", of_robust(rate), of_paper(values))
+        return MergeSettings(robust=of_robust(values))
+
+
 def kept_results(
     place: Workspace,
     settings: RobustSettings,
-    say: Callable[[str], None],
     held: Callable[[], AbstractContextManager[object]] = nullcontext,
 ) -> Kept:
-    """The results of earlier merges of a workspace, as by these settings; parameters as `Kept`."""
-    from ..merge.kept import Kept
+    """The results of earlier merges of a workspace, as by these settings; held: as of `Kept`."""
     from ..merge.robust import era_of
 
-    return Kept(place.kept, era_of(settings), say, held)
+    return Kept(place.kept, era_of(settings), warn, held)
 
 
 @contextmanager
-def matching(
-    place: Workspace,
-    pairs: int,
-    kept: Kept,
-    workers: Callable[[int], Workers | None],
-    screen: Screen,
-) -> Iterator[Means]:
+def matching(place: Workspace, pairs: int, kept: Kept, where: MatchOptions) -> Iterator[Means]:
     """The means to match `pairs` pairs, with progress on the screen; results are kept, also if
     the command is interrupted."""
     from ..merge.robust import Means
 
     kept_before: int | None = None
     all_done = False
-    with screen.progress("matching", pairs, "pairs") as advance:
+    with progress("matching", pairs, "pairs") as advance:
 
         def on_pair(done: int, total: int) -> None:
             nonlocal kept_before, all_done
@@ -128,74 +137,40 @@ def matching(
             all_done = done == total
             advance(done, doing="joining" if all_done else "", kept=kept_before)
 
-        def tell(text: str) -> None:
-            screen.detail(text)
+        def on_event(text: str) -> None:
+            detail(text)
             step, *_ = text.partition(", of which")
             if all_done:
                 advance(pairs, doing=f"joining: {step}")
             elif kept_before is None:
                 advance(0, doing=step)
 
-        means = Means(
-            workers=workers(pairs),
-            read=replace(place, root=place.root.resolve()).read_map,
-            kept=kept,
-            on_pair=on_pair,
-            tell=tell,
-        )
+        root = place.root.resolve()
+        read = replace(place, root=root).read_map
         try:
-            yield means
+            yield Means(where.workers(pairs), read, kept, on_pair, on_event)
         except KeyboardInterrupt:
-            screen.stopped("not merged; what was matched is kept: run again to go on")
+            tell("not merged; what was matched is kept: run again to go on")
             raise
         finally:
             kept.flush()
 
 
-@contextmanager
-def _executor(workers: int) -> Iterator[Executor]:
-    """A pool of processes, started as needed."""
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    with ProcessPoolExecutor(workers, initializer=start_worker) as pool:
-        try:
-            yield pool
-        except BaseException:  # Ctrl-C: nobody waits for the pairs that are left
-            for process in multiprocessing.active_children():
-                process.terminate()
-            pool.shutdown(wait=True, cancel_futures=True)
-            raise
-
-
-def share_of(text: str) -> tuple[int, int]:
-    """(i, n) of "i/n", i from 1 to n."""
-    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", text)
-    if found is None or not 1 <= int(found[1]) <= int(found[2]):
-        raise UsageError(f'--shard is {text!r}; "2/8" is the second of eight shares')
-    return int(found[1]), int(found[2])
-
-
-def match_share(
-    place: Workspace,
-    settings: MergeSettings,
-    share: tuple[int, int],
-    workers: Callable[[int], Workers | None],
-    screen: Screen,
-) -> None:
+def match_share(place: Workspace, settings: RobustSettings, where: MatchOptions) -> None:
     """Match a share of all pairs and keep the results in the cache. Other shares may run at the
     same time: the workspace is locked only to write."""
-    from ..merge.result import pairs_of
     from ..merge.robust import match_shard
 
-    held = partial(place.held, lambda _: None, make=False)
-    kept = kept_results(place, settings.robust, screen.warn, held)
-    maps, broken = read_maps(place, place.chosen_runs([], True), screen)
-    pairs = pairs_of(len(maps)) // share[1]
-    with matching(place, pairs, kept, workers, screen) as means:
-        done = match_shard(maps, settings.robust, share, means)
-    screen.line(
-        f"share {share[0]} of {share[1]}: {counted(done, 'pair')} in {place.kept}; "
+    found = re.fullmatch(r"([0-9]{1,6})/([0-9]{1,6})", where.shard or "")
+    number, of_all = map(int, found.groups()) if found is not None else (0, 0)
+    if not 1 <= number <= of_all:
+        raise UsageError(f'--shard is {where.shard!r}; "2/8" is the second of eight shares')
+    kept = kept_results(place, settings, place.held)
+    maps, broken = read_maps(place, place.chosen_runs([], True))
+    with matching(place, pairs_of(len(maps)) // of_all, kept, where) as means:
+        done = match_shard(maps, settings, (number, of_all), means)
+    say(
+        f"share {number} of {of_all}: {counted(done, 'pair')} in {place.kept}; "
         f"when all shares are done: {place.call('merge', '--all')}"
     )
     if broken:
@@ -232,9 +207,3 @@ def cluster(address: str) -> Iterator[Executor]:
                 f"--cluster {address}: the workers that match die again and again (out of "
                 "memory?); what they had done is kept: call again"
             ) from error
-
-
-def require_cluster(address: str) -> None:
-    """Raise as `cluster` if none is there, also where nothing would need it."""
-    with cluster(address):
-        pass

@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from ..merge.drive import Drive, drive_to_document
+from ..merge.drives import drives, never_driven
+from ..merge.result import MergeResult, Standing
 from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
+from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .export import write_files
-from .options import (
-    DEFAULT_WORKSPACE,
-    JsonOption,
-    MergeOption,
-    WorkspaceOption,
-)
-from .output import checked_output, folded, say, say_lines
+from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, verb
+from .output import checked_output, folded, say, say_json, write_files
 from .workspace import MERGED, Workspace
-
-if TYPE_CHECKING:
-    from ..merge.drive import Drive
-    from ..merge.result import MergeResult
 
 PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 """Suffixes of files of waypoints, and of pictures."""
@@ -33,6 +26,7 @@ MOST_JUNCTIONS = 12
 """Up to so many junctions with a branch that nobody drove are named for each site."""
 
 
+@verb
 def next_drives(
     site: Annotated[
         str | None,
@@ -77,8 +71,6 @@ def next_drives(
             raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
     place = Workspace(workspace, merge)
     result = place.read_result()
-    from ..merge.drives import drives
-
     names = {c.name: c.id for c in result.components}
     if site is not None and site not in names:
         raise place.no_site(site, list(names))
@@ -86,9 +78,7 @@ def next_drives(
     shown = {*names} if site is None else {site}
     write_files({path: _plan(path, found, result, shown, place) for path in output or ()})
     if as_json:
-        from ..merge.drive import drive_to_document
-
-        say_lines(json.dumps([drive_to_document(d) for d in found]))
+        say_json([drive_to_document(d) for d in found])
         return
     for line in _lines(found, result, place) if found else _nothing(result, shown, place):
         say(line)
@@ -97,8 +87,6 @@ def next_drives(
 
 
 def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
-    from ..merge.result import Standing
-
     out = []
     if not result.standings()[Standing.AMBIGUOUS]:
         out.append("no pair is open; these drives lead to branches that nobody drove")
@@ -115,9 +103,6 @@ def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> lis
 
 def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
     """That no drive is worth it, why, and where the map is not complete."""
-    from ..merge.drives import never_driven
-    from ..merge.result import Standing
-
     open_ = result.standings()[Standing.AMBIGUOUS]
     out = ["nothing to record would join sites: no pair of runs is open"]
     if open_:
@@ -147,8 +132,6 @@ def _plan(
 ) -> str | bytes:
     """The contents of a file of the plan. A picture without drives shows the branches that nobody
     drove."""
-    from ..viz.exports.drives import drives_csv, drives_geojson
-
     suffix = path.suffix.lower()
     if suffix in PLANS:
         return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found)

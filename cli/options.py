@@ -1,27 +1,74 @@
-"""Options that several commands share."""
+"""Options that several commands share, and `settings.toml` of a workspace: options that its
+commands take where a call does not give them.
+
+A call's own options come first, then environment variables, then that file, then the defaults.
+"""
 
 from __future__ import annotations
 
+import json
 import os
-from collections.abc import Callable, Iterator
+import tomllib
+from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from functools import wraps
 from inspect import Parameter, Signature, signature
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
 import typer
+from typer.exceptions import TyperException
 
-from ..topology.errors import TopobatchError
+from ..topology.errors import DocumentError, TopobatchError
+from ..topology.files import read_bytes
+from .read_options import MapOptions, ReadOptions
 from .workspace import USUAL, Workspace
+
+Command = Callable[..., None]
+
+
+def verb(command: Command) -> Command:
+    """The command with the fields of parameters that are dataclasses in place of these, as typer
+    takes them: each an option, annotated and with its default."""
+    hints = get_type_hints(command, include_extras=True)
+    groups: dict[str, Any] = {k: hint for k, hint in hints.items() if is_dataclass(hint)}
+
+    @wraps(command)
+    def called(**given: Any) -> None:
+        for name, group in groups.items():
+            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
+        command(**given)
+
+    parameters = []
+    for name, own in signature(command).parameters.items():
+        kinds = get_type_hints(groups.get(name, object), include_extras=True)
+        for field in fields(groups[name]) if name in groups else ():
+            kind, default = kinds[field.name], field.default
+            one = Parameter(field.name, Parameter.KEYWORD_ONLY, default=default, annotation=kind)
+            parameters.append(one)
+        if name not in groups:
+            parameters.append(own.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name]))
+    called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
+    called.__annotations__ = {each.name: each.annotation for each in parameters}
+    return called
 
 
 def _with_settings(context: typer.Context, workspace: Path) -> Path:
-    """The workspace, with what it remembers as the defaults of the command's other options."""
-    if not context.resilient_parsing:
-        from .settings_file import use_settings
-
-        use_settings(context, Workspace(workspace))
+    """The workspace, with what it remembers as the defaults of the command's other options.
+    DocumentError if one of them does not take its value."""
+    if context.resilient_parsing:
+        return workspace
+    place = Workspace(workspace)
+    own = {param.name: param for param in context.command.params}
+    settings = {name: value for name, value in settings_of(place).items() if name in own}
+    for name, value in settings.items():
+        try:
+            own[name].process_value(context, value)
+        except TyperException as error:
+            why = f"{_option(name)}: {error.format_message()}"
+            raise DocumentError(f"{place.settings_toml}: {why}") from error
+    context.default_map = settings
     return workspace
 
 
@@ -85,39 +132,62 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
     return [run for run in runs if run.startswith(incomplete) and run.isprintable()]
 
 
-Command = Callable[..., None]
+NAMES = (
+    *(field.name for group in (ReadOptions, MapOptions) for field in fields(group)),
+    "false_merge_rate",
+)
+"""Parameters of commands that a workspace may remember: what the robots are like, and how sure a
+merge has to be. In the file they are called like the options."""
 
 
-def grouped(command: Command) -> Command:
-    """The command with the fields of parameters that are dataclasses in place of these, as typer
-    takes them: each an option, annotated and with its default."""
-    hints = get_type_hints(command, include_extras=True)
-    groups: dict[str, Any] = {k: hint for k, hint in hints.items() if is_dataclass(hint)}
+def settings_of(place: Workspace) -> dict[str, str]:
+    """What a workspace remembers, by parameter, as its options take it; DocumentError with the
+    place of the first fault if the file cannot be used."""
+    path = place.settings_toml
+    try:
+        found = tomllib.loads(read_bytes(path).decode())
+    except (FileNotFoundError, NotADirectoryError):
+        return {}
+    except (ValueError, RecursionError) as error:
+        raise DocumentError(f"{path}: is no TOML: {error}") from error
+    known = {_option(name): name for name in NAMES}
+    for key in found:
+        if key not in known:
+            near = "".join(f"; did you mean {k!r}?" for k in get_close_matches(key, known, 1))
+            there = near or f"; there are: {', '.join(known)}"
+            raise DocumentError(f"{path}: knows no {key!r}{there}")
+    return {known[key]: _text(value, f"{path}: {key}") for key, value in found.items()}
 
-    @wraps(command)
-    def called(**given: Any) -> None:
-        for name, group in groups.items():
-            given[name] = group(**{field.name: given.pop(field.name) for field in fields(group)})
-        command(**given)
 
-    parameters = list(_parameters(command, hints, groups))
-    called.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
-    called.__annotations__ = {each.name: each.annotation for each in parameters}
-    return called
+def _option(name: str) -> str:
+    return name.replace("_", "-")
 
 
-def _parameters(
-    command: Command, hints: dict[str, Any], groups: dict[str, Any]
-) -> Iterator[Parameter]:
-    for name, own in signature(command).parameters.items():
-        if name not in groups:
-            yield own.replace(kind=Parameter.KEYWORD_ONLY, annotation=hints[name])
-            continue
-        of_group = get_type_hints(groups[name], include_extras=True)
-        for field in fields(groups[name]):
-            yield Parameter(
-                field.name,
-                Parameter.KEYWORD_ONLY,
-                default=field.default,
-                annotation=of_group[field.name],
-            )
+def _text(value: Any, where: str) -> str:
+    """A value as its option takes it: several numbers are joined by commas."""
+    several = value if isinstance(value, list) else [value]
+    if not all(type(part) in (str, int, float, bool) for part in several):
+        raise DocumentError(f"{where}: text, number, true, false or a list of numbers expected")
+    return ",".join(str(part) for part in several)
+
+
+def settings_text(settings: Mapping[str, Any]) -> str:
+    """The file that states these settings; inverse of `settings_of`. Texts and numbers are in TOML
+    as in JSON, but that DEL is escaped."""
+    texts = {
+        name: json.dumps(settings[name], ensure_ascii=False).replace("\x7f", "\\u007f")
+        for name in NAMES
+        if name in settings
+    }
+    return "".join(f"{_option(name)} = {text}\n" for name, text in texts.items())
+
+
+def told_settings(settings: Mapping[str, Any]) -> str:
+    """The settings in one line; "" without any."""
+    return ", ".join(f"{_option(name)} = {value}" for name, value in settings.items())
+
+
+def by_settings(place: Workspace) -> str:
+    """What follows the line of a call in the journal: the settings that it could take."""
+    told = told_settings(settings_of(place))
+    return f"; {place.settings_toml.name}: {told}" if told else ""

@@ -1,28 +1,31 @@
-"""The command's output: lines, tables, errors and progress bars.
+"""The command's output: lines, tables, errors and a progress bar.
 
 Results go to standard output; progress, warnings and errors to standard error. Without a terminal
 there are no bars and no colours, and with NO_COLOR (no-color.org) no colours.
 
-All output passes through `say`, and no other module writes to a stream: names of files, topics and
+All output passes through this module, and no other writes to a stream: names of files, topics and
 types are untrusted, and control characters are escaped.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shutil
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, Protocol
 
 import typer
 
-from ..topology.errors import UsageError
+from ..topology.errors import DataError, UsageError
 
 WIDTH, NARROWEST, WIDEST = 79, 40, 120
 """Line width of sentences where no terminal tells its own, and its limits: longer lines are hard to
@@ -44,6 +47,30 @@ LONGEST_CELL = 200
 """Characters; names can have millions, and a table's cells pad every row."""
 
 
+@dataclass(slots=True)
+class _Call:
+    """How the running command shows what it does. bar: rich's, below which lines are printed."""
+
+    quiet: bool = False
+    verbose: bool = False
+    started_s: float = 0.0
+    bar: Any = None
+
+
+_call = _Call()
+
+
+def show(*, quiet: bool = False, verbose: bool = False) -> None:
+    """Begin the output of a command. quiet: errors, and what it prints for other programs, alone;
+    verbose: details as well."""
+    _call.quiet, _call.verbose, _call.started_s = quiet, verbose, time.monotonic()
+
+
+def is_verbose() -> bool:
+    """Whether details are shown."""
+    return _call.verbose
+
+
 def plain(text: str, most: int = LONGEST_LINE) -> str:
     r"""The text on one line in printable characters, cut at `most`.
 
@@ -54,11 +81,10 @@ def plain(text: str, most: int = LONGEST_LINE) -> str:
         text = f"{text[:most]}… ({len(text) - most:,} more characters)"
     if text.isprintable():
         return text
-    return "".join(c if c.isprintable() else _escaped(c) for c in text)
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
+    return "".join(
+        c if c.isprintable() else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for c in text
+    )
 
 
 def styled(text: str, **style: Any) -> str:
@@ -78,15 +104,16 @@ def width() -> int:
     return min(max(shutil.get_terminal_size((WIDTH + 1, 24)).columns - 1, NARROWEST), WIDEST)
 
 
-def say(text: str = "", *, err: bool = False) -> None:
-    """Print one line on standard output or standard error."""
-    typer.echo(painted(plain(text)), err=err)
+def say(text: str = "") -> None:
+    """Print a line of the result, unless --quiet."""
+    if not _call.quiet:
+        _emit(painted(plain(text)))
 
 
-def say_lines(text: str, *, err: bool = False) -> None:
-    """Print a text of several lines, of any length."""
-    for line in text.split("\n"):
-        typer.echo(plain(line, len(line)), err=err)
+def say_folded(text: str, indent: str = "      ") -> None:
+    """Print a long line of the result as several."""
+    for line in folded(text, indent):
+        say(line)
 
 
 def folded(text: str, indent: str = "      ") -> list[str]:
@@ -101,14 +128,53 @@ def folded(text: str, indent: str = "      ") -> list[str]:
     )
 
 
-def complain(message: str) -> None:
-    """Print an error."""
-    typer.echo(styled("error: ", fg="red", bold=True) + plain(message), err=True)
+def detail(text: str) -> None:
+    """Print what is being done, with the seconds since the start; with --verbose only."""
+    if _call.verbose:
+        tell(f"[{time.monotonic() - _call.started_s:.1f} s] {text}")
+
+
+def tell(text: str) -> None:
+    """Print what happens meanwhile, on standard error, unless --quiet."""
+    if not _call.quiet:
+        _emit(painted(plain(text)), err=True)
+
+
+def begin(text: str) -> None:
+    """Print that a long task begins, where no bar shows it."""
+    if not sys.stderr.isatty():
+        tell(text)
 
 
 def warn(message: str) -> None:
-    """Print a warning."""
-    typer.echo(styled("warning: ", fg="yellow") + plain(message), err=True)
+    """Print a warning, unless --quiet: it is in the documents too."""
+    if not _call.quiet:
+        _emit(styled("warning: ", fg="yellow") + plain(message), err=True)
+
+
+def complain(message: str) -> None:
+    """Print an error."""
+    _emit(styled("error: ", fg="red", bold=True) + plain(message), err=True)
+
+
+def _emit(line: str, *, err: bool = False) -> None:
+    if _call.bar is not None and (err or sys.stdout.isatty()):
+        from rich.text import Text
+
+        _call.bar.console.print(Text.from_ansi(line), highlight=False, soft_wrap=True)
+    else:
+        typer.echo(line, err=err)
+
+
+def say_lines(text: str, *, err: bool = False) -> None:
+    """Print what was asked for as several lines of any length, also with --quiet."""
+    for line in text.split("\n"):
+        typer.echo(plain(line, len(line)), err=err)
+
+
+def say_json(value: Any) -> None:
+    """Print a value as JSON on one line, also with --quiet."""
+    say_lines(json.dumps(value))
 
 
 def say_text(text: str) -> None:
@@ -117,23 +183,6 @@ def say_text(text: str) -> None:
         say_lines(text.removesuffix("\n"))
     else:
         typer.echo(text.encode(), nl=False)
-
-
-def checked_output(path: Path) -> Path:
-    """The path of a file to write; UsageError for what is none: a device, a FIFO or a socket, also
-    by a link, which a file would take the place of."""
-    folder = path.parent.resolve()
-    system = folder == Path("/dev") or Path("/proc") in (folder, *folder.parents)
-    if system or (os.path.exists(path) and not path.is_file() and not path.is_dir()):
-        raise UsageError(f"{path}: is no file that could be written; name another")
-    return path
-
-
-def confirmed(question: str) -> bool:
-    """Whether the user agrees, if there is one to ask: a terminal for question and answer."""
-    if sys.stdin.isatty() and sys.stderr.isatty():
-        return typer.confirm(plain(question), err=True)
-    return True
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = "  ") -> list[str]:
@@ -146,99 +195,25 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], indent: str = " 
     ]
 
 
-class Screen:
-    """Output of lines, with one progress bar below them on a terminal."""
+def checked_output(path: Path) -> Path:
+    """The path of a file to write; UsageError for what is none: a device, a FIFO or a socket, also
+    by a link, which a file would take the place of."""
+    folder = path.parent.resolve()
+    system = folder == Path("/dev") or Path("/proc") in (folder, *folder.parents)
+    if system or (os.path.exists(path) and not path.is_file() and not path.is_dir()):
+        raise UsageError(f"{path}: is no file that could be written; name another")
+    return path
 
-    def __init__(self, quiet: bool, verbose: bool = False) -> None:
-        self.quiet = quiet
-        self.verbose = verbose
-        self._started = time.monotonic()
-        self._progress: Any = None
 
-    def line(self, text: str) -> None:
-        """Print a line of the result, above the bar."""
-        if not self.quiet:
-            self._emit(text, err=False)
+def write_files(files: Mapping[Path, str | bytes]) -> None:
+    """Write files that the user named, all of them or none."""
+    from ..topology.files import write_together
 
-    def folded(self, text: str) -> None:
-        """Print a long line of the result as several."""
-        for line in folded(text):
-            self.line(line)
-
-    def detail(self, text: str) -> None:
-        """Print what is being done, with the seconds since the start; with --verbose only."""
-        if self.verbose:
-            self._emit(f"[{time.monotonic() - self._started:.1f} s] {text}", err=True)
-
-    def warn(self, message: str) -> None:
-        """Print a warning, unless --quiet: it is in the documents too."""
-        if not self.quiet:
-            self._emit(f"warning: {message}", err=True)
-
-    def complain(self, message: str) -> None:
-        """Print an error, also with --quiet."""
-        self._emit(f"error: {message}", err=True)
-
-    def begin(self, text: str) -> None:
-        """Print that a long task begins, where no bar shows it."""
-        if not self.quiet and not sys.stderr.isatty():
-            say(text, err=True)
-
-    def stopped(self, message: str) -> None:
-        """Print what is done when the user stops the command."""
-        if not self.quiet:
-            self._emit(message, err=True)
-
-    def _emit(self, text: str, *, err: bool) -> None:
-        if self._progress is not None and (err or sys.stdout.isatty()):
-            from rich.text import Text
-
-            line = Text.from_ansi(painted(plain(text)))
-            self._progress.console.print(line, highlight=False, soft_wrap=True)
-        else:
-            say(text, err=err)
-
-    @contextmanager
-    def progress(self, label: str, total: int, unit: str = "") -> Iterator[Advance]:
-        """Context with a progress bar; the yielded function sets the progress so far.
-
-        total: 0 where nobody knows; unit: "bytes" or a plural noun, of what is counted. Nothing is
-        drawn with --quiet or without a terminal.
-        """
-        if self.quiet or not sys.stderr.isatty():
-            yield lambda done, words="", doing="", kept=0: None
-            return
-        from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            Progress,
-            TextColumn,
-            TimeElapsedColumn,
-            TimeRemainingColumn,
-        )
-
-        what, told = (
-            TextColumn(f"{{task.{name}}}", markup=False) for name in ("description", "fields[told]")
-        )
-        clock = TimeRemainingColumn(elapsed_when_finished=True) if total else TimeElapsedColumn()
-        columns = (what, BarColumn(), told, TextColumn("left:" if total else ""), clock)
-        bar = Progress(*columns, console=Console(stderr=True), transient=True)
-        task = bar.add_task(label, total=total or None, told="")
-
-        def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
-            known = words or (_amount(done, total, unit) if unit and not doing else "")
-            known += f", {kept:,} of them kept" if kept and known and not words else ""
-            # By the fresh work alone the time left is told.
-            most = total - kept if total > kept else None
-            doing = doing or label
-            bar.update(task, total=most, completed=done - kept, told=known, description=doing)
-
-        with bar:
-            self._progress = bar
-            try:
-                yield advance
-            finally:
-                self._progress = None
+    data = {path: t.encode() if isinstance(t, str) else t for path, t in files.items()}
+    try:
+        write_together({path: partial(Path.write_bytes, data=d) for path, d in data.items()})
+    except PermissionError as error:
+        raise DataError(f"{error.filename}: {error.strerror}; name another file") from error
 
 
 class Advance(Protocol):
@@ -249,7 +224,60 @@ class Advance(Protocol):
         """Show it."""
 
 
-def _amount(done: int, total: int, unit: str) -> str:
-    if unit == "bytes":
-        return f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
-    return f"{done:,} of {total:,} {unit}"
+def counting(advance: Callable[[int], object]) -> Callable[[int], None]:
+    """A function that is told how much more is done, from one that is told how much is."""
+    done = 0
+
+    def more(amount: int) -> None:
+        nonlocal done
+        done += amount
+        advance(done)
+
+    return more
+
+
+@contextmanager
+def progress(label: str, total: int, unit: str = "") -> Iterator[Advance]:
+    """Context with a progress bar, below all lines; the yielded function sets the progress so far.
+
+    total: 0 where nobody knows; unit: "bytes" or a plural noun, of what is counted. Nothing is
+    drawn with --quiet or without a terminal.
+    """
+    if _call.quiet or not sys.stderr.isatty():
+        yield lambda done, words="", doing="", kept=0: None
+        return
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        Progress,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+
+    what, told = (
+        TextColumn(f"{{task.{name}}}", markup=False) for name in ("description", "fields[told]")
+    )
+    clock = TimeRemainingColumn(elapsed_when_finished=True) if total else TimeElapsedColumn()
+    columns = (what, BarColumn(), told, TextColumn("left:" if total else ""), clock)
+    bar = Progress(*columns, console=Console(stderr=True), transient=True)
+    task = bar.add_task(label, total=total or None, told="")
+
+    def advance(done: int, words: str = "", doing: str = "", kept: int = 0) -> None:
+        known = words
+        if unit == "bytes" and not known and not doing:
+            known = f"{done / 1e6:,.0f} of {total / 1e6:,.0f} MB"
+        elif unit and not known and not doing:
+            known = f"{done:,} of {total:,} {unit}"
+        known += f", {kept:,} of them kept" if kept and known and not words else ""
+        # By the fresh work alone the time left is told.
+        most = total - kept if total > kept else None
+        doing = doing or label
+        bar.update(task, total=most, completed=done - kept, told=known, description=doing)
+
+    with bar:
+        _call.bar = bar
+        try:
+            yield advance
+        finally:
+            _call.bar = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -11,13 +11,6 @@ from ..topology.errors import UsageError
 
 if TYPE_CHECKING:
     from ..merge.paper.method import PaperSettings
-
-T = TypeVar("T")
-
-Degree = Literal["exact", "inexact"]
-ConfidenceOf = Literal["match", "corridor"]
-Weights = Literal["equal", "reweighted"]
-
 
 PANEL = "Options of --method paper"
 """The section of a command's help that they are in."""
@@ -28,7 +21,7 @@ class PaperOptions:
     """The options given; None for others."""
 
     degree: Annotated[
-        Degree | None,
+        Literal["exact", "inexact"] | None,
         typer.Option(
             rich_help_panel=PANEL,
             help="Must matched junctions have equally many branches (exact: a "
@@ -47,7 +40,7 @@ class PaperOptions:
         ),
     ] = None
     confidence_of: Annotated[
-        ConfidenceOf | None,
+        Literal["match", "corridor"] | None,
         typer.Option(
             rich_help_panel=PANEL,
             help="What --confidence applies to. match, the default: all corridors "
@@ -56,7 +49,7 @@ class PaperOptions:
         ),
     ] = None
     weights: Annotated[
-        Weights | None,
+        Literal["equal", "reweighted"] | None,
         typer.Option(
             rich_help_panel=PANEL,
             help="Weights of matched junctions when one map is fitted to the "
@@ -101,23 +94,13 @@ class PaperOptions:
         """The settings with the given options replaced; UsageError if they are invalid."""
         from ..merge.paper.meeting import parse_meeting
 
-        growth, clusters = settings.growth, settings.clusters
+        def given(*names: str) -> dict[str, Any]:
+            return {k: v for k in names if (v := getattr(self, k)) is not None}
+
+        growth = given("degree", "confidence", "confidence_of")
         return replace(
             settings,
-            growth=replace(
-                growth,
-                degree=_or(self.degree, growth.degree),
-                confidence=_or(self.confidence, growth.confidence),
-                confidence_of=_or(self.confidence_of, growth.confidence_of),
-            ),
-            clusters=replace(
-                clusters,
-                weights=_or(self.weights, clusters.weights),
-                iterative=_or(self.iterative, clusters.iterative),
-            ),
+            growth=replace(settings.growth, **growth),
+            clusters=replace(settings.clusters, **given("weights", "iterative")),
             meetings=tuple(map(parse_meeting, self.met or ())) or settings.meetings,
         )
-
-
-def _or(given: T | None, default: T) -> T:
-    return default if given is None else given

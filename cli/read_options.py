@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from ..topology.errors import UsageError
+from ..ingest.remote.path import LogPath, log_path
+from ..topology.errors import LogError, UsageError
+from .output import warn
 
 if TYPE_CHECKING:
     from ..ingest.mapping_settings import MappingSettings
     from ..ingest.reading import ReadSettings
-    from ..ingest.remote.path import LogPath
-    from ..topology.errors import LogError
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,15 +120,16 @@ class ReadOptions:
         band: Any = numbers(self.cloud_band, "--cloud-band", "low,high")
         return ReadSettings(laser_pose=pose, slices=SliceSettings(band), strict=strict, **plain)
 
-    def logs(
-        self, named: Sequence[str], warn: Callable[[str], None]
-    ) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
-        """The logs at the named places, and the places without any, each with the reason."""
-        from ..ingest.remote.path import log_path
-        from .log_paths import logs_of
+    def logs(self, named: Sequence[str]) -> tuple[list[LogPath], list[tuple[LogPath, LogError]]]:
+        """The logs at the named places, and the places without any, each with the reason. Warns of
+        logs that are to be unpacked first."""
+        from .run_logs import logs_of
 
         places = [log_path(name, allow_scan=self.allow_scan) for name in named]
-        return logs_of(places, warn, separate=self.separate)
+        logs, missing, warnings = logs_of(places, separate=self.separate)
+        for each in warnings:
+            warn(each)
+        return logs, missing
 
 
 @dataclass(frozen=True, slots=True)

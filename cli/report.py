@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from platform import python_version
+from typing import Annotated
 
 import typer
 
-from ..topology.errors import DataError, UsageError
+from ..merge.change import Change
+from ..merge.changes import changes
+from ..merge.decision import Decision
+from ..merge.drives import drives
+from ..merge.merged_schema import MergedDocument
+from ..merge.result import MergeResult, Standing
+from ..topology.errors import UsageError
+from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from .explain import settings_of
-from .matching import kept_results
-from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption
-from .output import Screen, checked_output, complain, say
+from .matching import kept_results, settings_of
+from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption, verb
+from .output import Advance, begin, checked_output, complain, progress, say, write_files
+from .unchanged import changed_since, told_changed
 from .version import VERSION
 from .workspace import MERGED, Workspace
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from ..merge.change import Change
-    from ..merge.decision import Decision
-    from ..merge.result import MergeResult
-    from ..topology.topomap import TopoMap
-    from .output import Advance
 
 MOST_DRIVES = 3
 """Drives to record next: after one of them all others are worth another look."""
@@ -36,6 +37,7 @@ the verdict, its reason and the call that explains it."""
 STANDS_ON = ("numpy", "scipy", "pydantic", "rosbags", "bokeh", "rerun-sdk")
 
 
+@verb
 def report(
     out: Annotated[
         Path | None,
@@ -63,76 +65,74 @@ def report(
         place.require_merge()
     if not place.runs():
         raise place.no_maps()
-    from ..merge.drives import drives
-    from ..topology.files import write_text
-    from ..viz.report import Report, report_page
-    from .unchanged import changed_since, told_changed
+    from ..viz.report import Report, report_page  # which loads bokeh
 
     result = place.read_result() if place.merged_json.is_file() else None
-    screen = Screen(quiet=False)
-    screen.begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
-    with screen.progress("reading maps", 0) as advance:
+    begin(f"reading {counted(len(place.runs()), 'map')} for {page}")
+    with progress("reading maps", 0) as advance:
         maps, errors = place.read_maps(place.runs())
         for error in errors.values():
             complain(f"{error}; left out")
         told = "The map of {} cannot be read and is left out: {}"
-        unread = [told.format(run, error) for run, error in errors.items()]
+        notes = [told.format(run, error) for run, error in errors.items()]
         new = changed_since(place, result.info.get("maps") or {}, list(maps)) if result else []
-        same = result is not None and not new and not unread
-        decisions = _decisions(place, result, maps, advance) if result and same else {}
+        notes += [f"Merge again: {told_changed(new)}"] if new else []
+        # What is worked out again from the maps that were merged.
+        document = place.read_merged() if result is not None and not notes else None
+        decisions = _decisions(place, result, document, maps, advance) if result else {}
         advance(0, doing="drawing the page")
         html = report_page(
             Report(
                 maps,
                 result,
-                [*unread, *([f"Merge again: {told_changed(new)}"] if new else [])],
+                notes,
                 [str(lock) for lock in place.locks()],
-                _versions(),
+                [
+                    ("topobatch", VERSION),
+                    ("Python", python_version()),
+                    *((name, version(name)) for name in STANDS_ON),
+                ],
                 drives(result, MOST_DRIVES) if result else (),
-                _changes(result, maps) if result and same else (),
+                _changes(result, maps) if result and document else (),
                 decisions=decisions,
                 where=place.where,
-                as_merged=same,
+                as_merged=document is not None,
             )
         )
-    try:
-        write_text(page, html)
-    except PermissionError as error:
-        raise DataError(f"{page}: {error.strerror}; name another OUT.html") from error
+    write_files({page: html})
     say(f"{page}")
     if result is None:
         say(f"not merged yet: {place.call('merge', '--all')}")
-    if unread:
+    if errors:
         raise typer.Exit(1)
 
 
 def _changes(result: MergeResult, maps: Mapping[str, TopoMap]) -> list[Change]:
     """What changed between the runs of every site."""
-    from ..merge.changes import changes
-
     several = (c for c in result.components if len(c.poses) > 1)
     found = (changes(result, c.id, {run: maps[run] for run in c.poses}) for c in several)
     return list(chain.from_iterable(found))
 
 
 def _decisions(
-    place: Workspace, result: MergeResult, maps: Mapping[str, TopoMap], advance: Advance
+    place: Workspace,
+    result: MergeResult,
+    document: MergedDocument | None,
+    maps: Mapping[str, TopoMap],
+    advance: Advance,
 ) -> dict[tuple[str, str], Decision]:
     """The evidence term by term of the pairs that a reader asks about first: undecided ones, then
     the merged ones with the least evidence."""
-    from ..merge.result import Standing
     from ..merge.robust.explained import Merge, explain
 
-    document = place.read_merged()
-    if document.graph.method == "paper":
+    if document is None or document.graph.method == "paper":
         return {}
-    first = (Standing.AMBIGUOUS, Standing.KEPT_OUT)
-    open_ = [v for v in result.verdicts if v.standing in first]
+    open_ = [v for v in result.verdicts if v.standing in (Standing.AMBIGUOUS, Standing.KEPT_OUT)]
     merged = [v for v in result.verdicts if v.standing is Standing.MERGED]
     open_.sort(key=lambda v: (-v.evidence_bits, v.a, v.b))
     merged.sort(key=lambda v: (v.evidence_bits, v.a, v.b))
-    settings = settings_of(place, document)
-    kept = kept_results(place, settings, complain)
+    settings = settings_of(place, document).robust
+    kept = kept_results(place, settings)
     merge = Merge.of(result, maps.__getitem__, settings, place.locks(), kept)
     chosen = [*open_, *merged][:MOST_EXPLAINED]
     out = {}
@@ -140,11 +140,3 @@ def _decisions(
         advance(done, f"{done} of {counted(len(chosen), 'pair')}", "explaining")
         out[v.a, v.b] = explain(merge, v.a, v.b)
     return out
-
-
-def _versions() -> list[tuple[str, str]]:
-    from importlib.metadata import version
-    from platform import python_version
-
-    found = [(name, version(name)) for name in STANDS_ON]
-    return [("topobatch", VERSION), ("Python", python_version()), *found]

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 from typing import Annotated, Literal
 
 import typer
 
+from ..merge.merged_schema import MergedDocument
+from ..topology.map_schema import MapDocument
+from .options import verb
 from .output import say_lines
 
 
+@verb
 def schema(
     document: Annotated[
         Literal["map", "merged"], typer.Argument(metavar="map|merged", help="Which document.")
@@ -21,10 +26,5 @@ def schema(
     \b
       topobatch schema map
     """
-    import json
-
-    from ..merge.merged_schema import MergedDocument
-    from ..topology.map_schema import MapDocument
-
     model = MapDocument if document == "map" else MergedDocument
     say_lines(json.dumps(model.model_json_schema(by_alias=True), indent=2))

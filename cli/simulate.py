@@ -10,10 +10,11 @@ import typer
 
 from ..topology.errors import UsageError
 from ..topology.wording import counted
-from .options import QuietOption
-from .output import Screen
+from .options import QuietOption, verb
+from .output import counting, progress, say, show
 
 
+@verb
 def simulate(
     out: Annotated[
         Path, typer.Argument(metavar="OUT", help="Folder to write; must be new or empty.")
@@ -166,7 +167,7 @@ def simulate(
 
     if unknown := [name for name in formats or () if name not in FORMATS]:
         raise UsageError(f"no format {unknown[0]!r}: choose one of {', '.join(FORMATS)}")
-    screen = Screen(quiet)
+    show(quiet=quiet)
     how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
     asked = {name: value for name, value in how_far.items() if value is not None}
     scanner = LASERS[faults] if laser else None
@@ -187,15 +188,9 @@ def simulate(
         seed=seed,
     )
     scenario = simulate_scenario(settings)
-    with screen.progress("writing", runs + unrelated, "logs") as advance:
-        written = 0
-
-        def on_log(_: Path) -> None:
-            nonlocal written
-            written += 1
-            advance(written)
-
-        logs = write_scenario(scenario, out, formats or ["mcap"], on_log, alone=force)
-    screen.line(
-        f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}"
-    )
+    with progress("writing", runs + unrelated, "logs") as advance:
+        one_more = counting(advance)
+        logs = write_scenario(
+            scenario, out, formats or ["mcap"], lambda _: one_more(1), alone=force
+        )
+    say(f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}")

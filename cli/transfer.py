@@ -10,13 +10,26 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from math import isfinite
+from math import isnan, nan
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
+import numpy as np
 import typer
 
-from ..topology.errors import DataError, DocumentError, UsageError
+from ..merge.component_map import component_map
+from ..merge.result import MergeResult
+from ..merge.transfer import (
+    WITHIN_SIGMAS,
+    MatchedJunctions,
+    Transferred,
+    junctions_of_merged,
+    junctions_of_runs,
+)
+from ..merge.transfer import transfer as carried
+from ..topology.errors import DataError, UsageError
+from ..topology.map_schema import FARTHEST_M
+from ..topology.se2 import wrap
 from ..topology.wording import quoted_formula
 from .options import (
     DEFAULT_WORKSPACE,
@@ -24,18 +37,16 @@ from .options import (
     QuietOption,
     WorkspaceOption,
     complete_run,
+    verb,
 )
-from .output import Screen, checked_output, say_text
+from .output import checked_output, complain, say, say_text, show, write_files
 from .workspace import MERGED, Workspace
-
-if TYPE_CHECKING:
-    from ..merge.result import MergeResult
-    from ..merge.transfer import MatchedJunctions, Transferred
 
 MOST_LINES = 20
 """Lines that are printed at most."""
 
 
+@verb
 def transfer(
     places: Annotated[
         Path,
@@ -89,28 +100,27 @@ def transfer(
       topobatch transfer docks.csv --from run1 --to run2
       topobatch transfer docks.csv --from run1 --to merged --output site.csv
     """
-    screen = Screen(quiet)
+    show(quiet=quiet)
     place = Workspace(workspace, merge)
     out = None if output is None or str(output) == "-" else checked_output(output)
     columns, known = read_places(places)
-    found, why = _carried(place, known, source, target)
+    matched, why = _matched(place, source, target)
+    found = None if matched is None else carried(np.array([(p.x, p.y) for p in known]), matched)
     rows = [_row(p, found, k, within, why) for k, p in enumerate(known)]
     text = places_text(_header(columns), rows)
     if out is None:
         say_text(text)
     else:
-        from ..topology.files import write_text
-
-        write_text(out, text)
-        screen.line(str(out))
+        write_files({out: text})
+        say(str(out))
     if found is None:
-        screen.complain(f"{places}: nothing was carried: {why}")
+        complain(f"{places}: nothing was carried: {why}")
         raise typer.Exit(1)
     left = [(p, row["note"]) for p, row in zip(known, rows, strict=True) if row["note"]]
     for p, note in left[:MOST_LINES]:
-        screen.complain(f"{places}:{p.line}: {p.cells['name']}: not carried: {note}")
+        complain(f"{places}:{p.line}: {p.cells['name']}: not carried: {note}")
     if len(left) > MOST_LINES:
-        screen.complain(f"… and {len(left) - MOST_LINES} more places, by their notes")
+        complain(f"… and {len(left) - MOST_LINES} more places, by their notes")
     if left:
         raise typer.Exit(1)
 
@@ -125,9 +135,6 @@ def _row(
     place: Place, found: Transferred | None, k: int, within: float, why: str
 ) -> dict[str, str]:
     """The row of the k-th place: with new coordinates, or with a note."""
-    from ..merge.transfer import WITHIN_SIGMAS
-    from ..topology.se2 import wrap
-
     gone = dict.fromkeys(("x", "y", "theta", "sigma_m", "sigma_rad", "nearest_m"), "")
     row = {**place.cells, **gone, "note": why}
     if found is None:
@@ -142,30 +149,14 @@ def _row(
         )
         return row
     row["x"], row["y"] = (f"{v:.3f}" for v in found.xy[k].tolist())
-    if place.theta is not None:
+    if not isnan(place.theta):
         row["theta"] = f"{float(wrap(place.theta + found.turn[k])):.4f}"
         row["sigma_rad"] = f"{found.sigma_rad[k]:.4f}"
     return row
 
 
-def _carried(
-    place: Workspace, known: Sequence[Place], source: str, target: str
-) -> tuple[Transferred | None, str]:
-    """The transferred places, or why there are none."""
-    import numpy as np
-
-    from ..merge.transfer import transfer as carry
-
-    matched, why = _matched(place, source, target)
-    if matched is None or len(matched) == 0:
-        return None, why or f"no junction of {source} is matched to one of {target}"
-    return carry(np.array([(p.x, p.y) for p in known]), matched), ""
-
-
 def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctions | None, str]:
     """The common junctions of source and target, or why there are none."""
-    from ..merge.transfer import junctions_of_merged, junctions_of_runs
-
     if source == target:
         raise UsageError(f"the places are in {source} already")
     result = place.read_result()
@@ -173,20 +164,20 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
     named = [source] if target in (MERGED, place.merge) else [source, target]
     for run in named:
         if run not in home:
-            place.chosen_runs([run], False)
+            place.chosen_runs([run])
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
     if len({home[run] for run in named}) > 1:
         return None, f"{source} and {target} are not merged: {_verdict(result, source, target)}"
     maps = place.maps_as_merged(result, home[source], named)
     if len(named) == 2:
-        return junctions_of_runs(result, maps, source, target), ""
-    from ..merge.component_map import component_map
-
-    try:
-        fused = component_map(result, home[source], MERGED)
-    except ValueError as error:
-        raise DocumentError(f"{place.merged_json}: {error}") from error
-    return junctions_of_merged(result, maps[source], fused), ""
+        matched = junctions_of_runs(result, maps, source, target)
+    else:
+        with place.document_at_fault():
+            fused = component_map(result, home[source], MERGED)
+        matched = junctions_of_merged(result, maps[source], fused)
+    if not len(matched):
+        return None, f"no junction of {source} is matched to one of {target}"
+    return matched, ""
 
 
 def _verdict(result: MergeResult, a: str, b: str) -> str:
@@ -202,13 +193,14 @@ MOST_VALUES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """A named place in a map. line: number of its row; cells: texts of the row, by column."""
+    """A named place in a map, in metres and radians. line: number of its row; cells: texts of the
+    row, by column; theta: NaN where none is given."""
 
     line: int
     cells: Mapping[str, str]
     x: float
     y: float
-    theta: float | None
+    theta: float
 
 
 def read_places(path: Path) -> tuple[list[str], list[Place]]:
@@ -241,21 +233,19 @@ def _place(path: Path, line: int, row: Mapping[Any, Any]) -> Place:
     if None in row or None in row.values():
         raise DataError(f"{path}:{line}: has more or fewer values than the first line")
     cells = {name: _unquoted(cell) for name, cell in row.items()}
-    theta = cells.get("theta", "").strip()
-    x, y = (_number(path, line, name, cells[name]) for name in ("x", "y"))
-    return Place(line, cells, x, y, _number(path, line, "theta", theta) if theta else None)
-
-
-def _number(path: Path, line: int, column: str, text: str) -> float:
-    from ..topology.map_schema import FARTHEST_M
-
-    try:
-        value = float(text)
-    except ValueError:
-        raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, not a number") from None
-    if not isfinite(value) or abs(value) > FARTHEST_M:
-        raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, which is nowhere")
-    return value
+    pose = []
+    for column in ("x", "y", "theta"):
+        text = cells.get(column, "").strip()
+        if column == "theta" and not text:
+            pose.append(nan)
+            continue
+        try:
+            pose.append(float(text))
+        except ValueError:
+            raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, not a number") from None
+        if not abs(pose[-1]) <= FARTHEST_M:  # nor NaN
+            raise DataError(f"{path}:{line}: {column} is {text[:40]!r}, which is nowhere")
+    return Place(line, cells, *pose)
 
 
 def places_text(header: Sequence[str], rows: Sequence[Mapping[str, str]]) -> str:

@@ -13,10 +13,11 @@ from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 
+from ..merge.kept import program_digest
 from ..topology.errors import DocumentError
 from ..topology.files import encoded, opened, read_json, write_json
 from ..topology.wording import listed
-from .output import Screen
+from .output import warn
 from .workspace import Workspace
 
 FOLDERS = ("topology", "merge", "viz", "cli")
@@ -27,14 +28,11 @@ LIBRARIES = ("numpy", "scipy", "pydantic", "rerun-sdk", "pyarrow")
 def contents(place: Workspace, runs: Sequence[str]) -> dict[str, str | None]:
     """A digest of each run's map document, and of its views if there are any; None if the document
     cannot be read."""
-    return {run: _content_of(place, run) for run in runs}
-
-
-def _content_of(place: Workspace, run: str) -> str | None:
-    document, views = (_content(place.maps / f"{run}.{kind}") for kind in ("json", "views"))
-    if document is None or views is None:
-        return document
-    return hashlib.blake2b(encoded([document, views]), digest_size=16).hexdigest()
+    found: dict[str, str | None] = {}
+    for run in runs:
+        document, views = (_content(place.maps / f"{run}.{kind}") for kind in ("json", "views"))
+        found[run] = document if None in (document, views) else _digest([document, views])
+    return found
 
 
 def changed_since(place: Workspace, merged: Mapping[str, str], runs: Sequence[str]) -> list[str]:
@@ -51,41 +49,38 @@ def told_changed(runs: Sequence[str]) -> str:
     return f"the map{'' if len(runs) == 1 else 's'} of {listed(runs, 3)} changed since the merge"
 
 
-def made_from(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
-    """A digest of everything that a merge depends on; documents: the runs' `contents`."""
-    from ..merge.kept import program_digest  # which loads large arrays
+def state_of(place: Workspace, runs: Sequence[str], options: object) -> str:
+    """A digest of everything that a merge of runs depends on, and of its files."""
+    files = (*place.decisions, place.merged_json, place.merged_rrd)
+    return _digest(
+        [
+            program_digest(*FOLDERS).hex(),
+            [sys.version, *map(version, LIBRARIES)],
+            repr(options),
+            contents(place, runs),
+            [(os.path.lexists(path), _content(path)) for path in files],
+        ]
+    )
 
-    decisions = (place.locks_json, place.discards_json, place.sites_json)
-    every = [
-        program_digest(*FOLDERS).hex(),
-        [sys.version, *map(version, LIBRARIES)],
-        repr(options),
-        dict(documents),
-        [(os.path.lexists(path), _content(path)) for path in decisions],
-    ]
-    return hashlib.blake2b(encoded(every), digest_size=16).hexdigest()
 
-
-def stands(place: Workspace, asked: str) -> bool:
-    """Whether the last merge was made from the same digest and its files are unchanged."""
-    files = _files(place)
+def stands(place: Workspace, state: str) -> bool:
+    """Whether this state is that after the last merge."""
     try:
-        found = read_json(place.merge_record)
+        return bool(read_json(place.merge_record) == {"state": state})
     except DocumentError:
         return False  # a cache: without it the merge is made
-    return None not in files.values() and bool(found == {"made_from": asked, "files": files})
 
 
-def remember(place: Workspace, asked: str, screen: Screen) -> None:
-    """Record what the current merge, all of whose maps were readable, was made from."""
+def remember(place: Workspace, state: str) -> None:
+    """Record the state after a merge, all of whose maps were readable."""
     try:
-        write_json(place.merge_record, {"made_from": asked, "files": _files(place)})
+        write_json(place.merge_record, {"state": state})
     except OSError as error:
-        screen.warn(f"{place.merge_record}: {error.strerror or error}; not kept")
+        warn(f"{place.merge_record}: {error.strerror or error}; not kept")
 
 
-def _files(place: Workspace) -> dict[str, str | None]:
-    return {path.name: _content(path) for path in (place.merged_json, place.merged_rrd)}
+def _digest(value: object) -> str:
+    return hashlib.blake2b(encoded(value), digest_size=16).hexdigest()
 
 
 def _content(path: Path) -> str | None:

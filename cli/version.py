@@ -1,5 +1,3 @@
 """Which topobatch this is."""
 
-from __future__ import annotations
-
 VERSION = "0.3.0"

@@ -6,27 +6,29 @@ import os
 import shlex
 import shutil
 import socket
+import subprocess
 import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 from urllib.parse import quote
 
 import typer
 
 from ..topology.errors import DataError, UsageError
-from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run
+from .options import DEFAULT_WORKSPACE, WorkspaceOption, complete_run, verb
 from .output import say
 from .workspace import MERGED, Workspace
-
-if TYPE_CHECKING:
-    import subprocess
 
 HOST = "127.0.0.1"
 """Where the viewer is served: to this machine alone."""
 
+POLL_S = 0.1
+"""Between looks whether the server is there."""
 
+
+@verb
 def view(
     what: Annotated[
         str,
@@ -74,10 +76,17 @@ def view(
     if port and not web:
         raise UsageError("--port goes with --web")
     recording = _recording(place, what)
+    screens = sys.platform in ("darwin", "win32")
     if web:
         _serve(recording, port)
+    elif screens or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"):
+        raise typer.Exit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
     else:
-        _open(recording, place.call("view", *([] if what == MERGED else [what]), "--web"))
+        say(f"{recording}: there is no display here. To look at it:")
+        by_hand = f"rerun {shlex.quote(recording.name)}   (pip install rerun-sdk)"
+        say(f"  on a machine with a screen:  {by_hand}")
+        served = place.call("view", *([] if what == MERGED else [what]), "--web")
+        say(f"  in a browser:  {served}")
 
 
 def _recording(place: Workspace, what: str) -> Path:
@@ -98,26 +107,9 @@ def _recording(place: Workspace, what: str) -> Path:
     return recording
 
 
-def _open(recording: Path, in_browser: str) -> None:
-    """Open a recording in the viewer, or print how to without a display."""
-    if not _has_display():
-        say(f"{recording}: there is no display here. To look at it:")
-        say(
-            f"  on a machine with a screen:  rerun {shlex.quote(recording.name)}   "
-            "(pip install rerun-sdk)"
-        )
-        say(f"  in a browser:  {in_browser}")
-        return
-    import subprocess
-
-    raise typer.Exit(subprocess.call([sys.executable, "-m", "rerun", str(recording)]))
-
-
 def _serve(recording: Path, port: int) -> None:
     """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
     taken."""
-    import subprocess
-
     page, data = _ports(port)
     ports = ("--bind", HOST, "--web-viewer-port", str(page), "--port", str(data))
     call = [_viewer(), "--serve-web", *ports, str(recording)]
@@ -153,15 +145,11 @@ def _viewer() -> str:
 
 def _ports(port: int) -> tuple[int, int]:
     """Ports of the page and of its data; UsageError if those asked for are taken."""
-    wanted = (port, port + 1) if port else (0, 0)
     with ExitStack() as bound:
         found = []
-        for number in wanted:
-            probe = bound.enter_context(socket.socket())
-            if os.name == "posix":  # a port on which nobody listens any more is free at once
-                probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        for number in (port, port + 1) if port else (0, 0):
             try:
-                probe.bind((HOST, number))
+                probe = bound.enter_context(socket.create_server((HOST, number)))
             except OSError as error:
                 reason = error.strerror or error
                 raise UsageError(f"port {number}: {reason}; name another --port") from error
@@ -177,13 +165,3 @@ def _answers(server: subprocess.Popen[bytes], port: int) -> bool:
                 return True
         time.sleep(POLL_S)
     return False
-
-
-POLL_S = 0.1
-"""Between looks whether the server is there."""
-
-
-def _has_display() -> bool:
-    if sys.platform in ("darwin", "win32"):
-        return True
-    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,4 +1,4 @@
-"""The workspace folder: the path of each file."""
+"""The workspace folder: the path of each file, what is called how, and who works on it."""
 
 from __future__ import annotations
 
@@ -9,20 +9,33 @@ import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
+from filelock import FileLock, Timeout
+from pydantic import ValidationError
+
+from ..merge.document import read_merged, result_from_document
+from ..merge.locks import (
+    Lock,
+    discards_from_document,
+    discards_to_document,
+    locks_from_document,
+    locks_to_document,
+)
+from ..merge.merged_schema import MergedDocument
+from ..merge.result import MergeResult
+from ..merge.sites import sites_from_document, sites_to_document
+from ..topology.document import read_map
 from ..topology.errors import DataError, DocumentError, UsageError
+from ..topology.files import LEFT_OVER, kind_of, read_json, write_json
+from ..topology.map_schema import with_way_out
+from ..topology.topomap import TopoMap
 from ..topology.wording import listed
-
-if TYPE_CHECKING:
-    from ..ingest.remote.path import LogPath
-    from ..merge.locks import Lock
-    from ..merge.merged_schema import MergedDocument
-    from ..merge.result import MergeResult
-    from ..topology.topomap import TopoMap
-
+from .ingest_record import RECORD, IngestRecord
+from .output import warn
 
 T = TypeVar("T")
 
@@ -38,8 +51,15 @@ USUAL = Path("topobatch-workspace")
 NAME_BYTES = 200
 """Longest run name: file names have 255 bytes for it and suffixes."""
 
+FOLDERS = ("maps", "explain", "exports", "cache", "cache/ingest", "cache/merged", "cache/exports")
+FILES = (".lock", "cache/kept.sqlite", "cache/kept.sqlite-journal")
+"""What the program opens or clears without looking."""
 
-@dataclass(frozen=True, slots=True, init=False)
+DECISIONS = ("locks", "discards", "sites")
+"""Names of the documents of what a person decided."""
+
+
+@dataclass(frozen=True, slots=True)
 class Workspace:
     """The folder of the command's results: `maps/<run>.json`, `maps/<run>.views`, `maps/<run>.rrd`,
     `merged.json`, `merged.rrd`, `locks.json`, `discards.json`, `sites.json`, `history.jsonl`,
@@ -48,40 +68,106 @@ class Workspace:
     Its contents are untrusted. Raises DataError if one of its folders is a link or no folder, so
     that nothing is written or removed elsewhere. Names must be plain file names, else UsageError.
 
-    merge: name of the merge, if not the default.
+    root: a path or its text; merge: name of the merge, if not the default.
     """
 
     root: Path
     merge: str = MERGED
 
-    def __init__(self, root: str | os.PathLike[str], merge: str = MERGED) -> None:
-        object.__setattr__(self, "root", Path(root))
-        object.__setattr__(self, "merge", merge)
-        cache = self.root / "cache"
-        for folder in (
-            self.maps,
-            cache,
-            cache / "ingest",
-            self.merge_record.parent,
-            self.export_record.parent,
-            self.root / "explain",
-            self.exports,
-        ):
-            self._require(folder, stat.S_IFDIR, "folder")
-        for file in (
-            self.root / ".lock",
-            self.kept,
-            self.kept.with_name(f"{self.kept.name}-journal"),
-        ):
-            self._require(file, stat.S_IFREG, "file")
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "root", Path(self.root))
+        for names, kind, word in (
+            (FOLDERS, stat.S_IFDIR, "folder"), (FILES, stat.S_IFREG, "file"),
+        ):  # fmt: skip
+            for path in map(self.root.joinpath, names):
+                if os.path.lexists(path) and stat.S_IFMT(os.lstat(path).st_mode) != kind:
+                    kept = f"where topobatch keeps a {word} of its own"
+                    raise DataError(f"{path}: is a {kind_of(path)}, {kept}; remove it")
 
-    def _require(self, path: Path, kind: int, name: str) -> None:
-        """DataError if a path is of another kind than topobatch creates."""
-        if os.path.lexists(path) and stat.S_IFMT(os.lstat(path).st_mode) != kind:
-            from ..topology.files import kind_of
+    # Paths
 
-            kept = f"where topobatch keeps a {name} of its own"
-            raise DataError(f"{path}: is a {kind_of(path)}, {kept}; remove it")
+    @property
+    def maps(self) -> Path:
+        """Folder of the runs' maps."""
+        return self.root / "maps"
+
+    @property
+    def exports(self) -> Path:
+        """Folder of exported maps."""
+        return self.root / "exports"
+
+    @property
+    def merged_json(self) -> Path:
+        """The merged document."""
+        return self.root / f"{plain_name(self.merge, MERGE)}.json"
+
+    @property
+    def merged_rrd(self) -> Path:
+        """The merged recording."""
+        return self.merged_json.with_name(f"{self.merge}.rrd")
+
+    @property
+    def merge_record(self) -> Path:
+        """The record of how the merge was made; may be deleted at any time."""
+        return self.root / "cache" / "merged" / self.merged_json.name
+
+    @property
+    def export_record(self) -> Path:
+        """The record of the files that exports of the merge wrote; may be deleted at any time."""
+        return self.root / "cache" / "exports" / self.merged_json.name
+
+    @property
+    def kept(self) -> Path:
+        """The database of results of merging; may be deleted at any time."""
+        return self.root / "cache" / "kept.sqlite"
+
+    @property
+    def settings_toml(self) -> Path:
+        """Options that its commands take by default."""
+        return self.root / "settings.toml"
+
+    @property
+    def history(self) -> Path:
+        """What was done to the workspace."""
+        return self.root / "history.jsonl"
+
+    @property
+    def decisions(self) -> list[Path]:
+        """Documents of what a person decided, which are no merges."""
+        return [self.root / f"{name}.json" for name in DECISIONS]
+
+    def map_json(self, run: str) -> Path:
+        """The map document of a run."""
+        return self.maps / f"{plain_name(run)}.json"
+
+    def map_views(self, run: str) -> Path:
+        """The views of a run's map, if it has any."""
+        return self.maps / f"{plain_name(run)}.views"
+
+    def map_rrd(self, run: str) -> Path:
+        """The recording of a run."""
+        return self.maps / f"{plain_name(run)}.rrd"
+
+    def ingest_record(self, run: str) -> Path:
+        """The record of how a run's map was made; may be deleted at any time."""
+        return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
+
+    def explain_rrd(self, a: str, b: str) -> Path:
+        """The recording of a pair's match. Names that are too long together are cut."""
+        name = f"{plain_name(a)}+{plain_name(b)}"
+        if len(name.encode()) > NAME_BYTES:
+            digest = hashlib.sha256(name.encode()).hexdigest()[:12]
+            short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
+            name = "+".join((*short, digest))
+        return self.root / "explain" / f"{name}.rrd"
+
+    def recordings_of(self, run: str) -> Iterator[Path]:
+        """The recordings in which a run may be: of its map, and of pairs."""
+        yield self.map_rrd(run)
+        for other in self.runs():
+            yield self.explain_rrd(*sorted((run, other)))
+
+    # Calls of the command, for messages
 
     def call(self, *words: str) -> str:
         """A call of topobatch on this workspace, as a shell takes it."""
@@ -98,144 +184,13 @@ class Workspace:
         """The options that name this merge in a call of what reads one."""
         return () if self.merge == MERGED else ("--merge", self.merge)
 
-    @property
-    def maps(self) -> Path:
-        """Folder of the runs' maps."""
-        return self.root / "maps"
-
-    @property
-    def merged_json(self) -> Path:
-        """The merged document."""
-        return self.root / f"{plain_name(self.merge, MERGE)}.json"
-
-    @property
-    def merged_rrd(self) -> Path:
-        """The merged recording."""
-        return self.root / f"{plain_name(self.merge, MERGE)}.rrd"
-
-    def check_merge(self) -> None:
-        """UsageError if the name of the merge is too long, or used for something else."""
-        checked_file_name(self.merge, MERGE)
-        folders = (self.maps.name, "cache", "explain", self.exports.name)
-        kept = (*(path.stem for path in self._decisions), *folders)
-        if self.merge.casefold() == MERGED:
-            raise UsageError(f"{self.merge!r} cannot name a merge: that is one without --output")
-        if self.merge.casefold() in kept or self.merge in self.runs():
-            raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
-
-    def check_run(self, run: str) -> None:
-        """UsageError if a merge has the name of the run, which would be ambiguous."""
-        merge = self.root / f"{plain_name(run)}.json"
-        if run.casefold() == MERGED or (merge not in self._decisions and os.path.lexists(merge)):
-            raise UsageError(f"{run!r} cannot name a run: a merge is called so")
-
-    @property
-    def locks_json(self) -> Path:
-        """Decisions by a person about pairs of runs."""
-        return self.root / "locks.json"
-
-    @property
-    def settings_toml(self) -> Path:
-        """Options that its commands take by default."""
-        return self.root / "settings.toml"
-
-    @property
-    def sites_json(self) -> Path:
-        """Names that a person gave sites."""
-        return self.root / "sites.json"
-
-    @property
-    def _decisions(self) -> tuple[Path, ...]:
-        """Documents of what a person decided, which are no merges."""
-        return self.locks_json, self.discards_json, self.sites_json
-
-    def map_json(self, run: str) -> Path:
-        """The map document of a run."""
-        return self.maps / f"{plain_name(run)}.json"
-
-    def map_views(self, run: str) -> Path:
-        """The views of a run's map, if it has any."""
-        return self.maps / f"{plain_name(run)}.views"
-
-    def map_rrd(self, run: str) -> Path:
-        """The recording of a run."""
-        return self.maps / f"{plain_name(run)}.rrd"
-
-    def explain_rrd(self, a: str, b: str) -> Path:
-        """The recording of a pair's match. Names that are too long together are cut."""
-        name = f"{plain_name(a)}+{plain_name(b)}"
-        if len(name.encode()) > NAME_BYTES:
-            digest = hashlib.sha256(name.encode()).hexdigest()[:12]
-            short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
-            name = "+".join((*short, digest))
-        return self.root / "explain" / f"{name}.rrd"
-
-    @property
-    def exports(self) -> Path:
-        """Folder of exported maps."""
-        return self.root / "exports"
-
-    def recordings_of(self, run: str) -> Iterator[Path]:
-        """The recordings in which a run may be: of its map, and of pairs."""
-        yield self.map_rrd(run)
-        for other in self.runs():
-            yield self.explain_rrd(*sorted((run, other)))
-
-    def exports_of(self, run: str) -> Iterator[Path]:
-        """The files that exports of a run's map go to."""
-        from ..viz.exports import ENDINGS
-
-        for endings in ENDINGS.values():
-            yield from (self.exports / f"{plain_name(run)}{ending}" for ending in endings)
-
-    def ingest_record(self, run: str) -> Path:
-        """The record of how a run's map was made; may be deleted at any time."""
-        return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
-
-    def ingested(self, run: str) -> dict[str, Any] | None:
-        """The record of the log that a run's map was made from; None without one."""
-        from ..topology.files import read_json
-
-        try:
-            found = read_json(self.ingest_record(run))
-        except DocumentError:
-            return None  # a cache: without it the run is just done again
-        return found if isinstance(found, dict) else None
-
-    def log_of(self, run: str) -> LogPath:
-        """The log that a run's map was made from; remote ones are not checked to exist. DataError
-        if it is not recorded or does not exist."""
-        from ..ingest.logs.recording import log_exists
-        from ..ingest.remote.path import log_path
-
-        log = (self.ingested(run) or {}).get("log")
-        if not isinstance(log, str):
-            raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
-        place = log_path(log)
-        if isinstance(place, Path) and not log_exists(place):
-            raise DataError(f"{log}: the log of run {run} is not there any more; name it by --log")
-        return place
-
-    @property
-    def kept(self) -> Path:
-        """The database of results of merging; may be deleted at any time."""
-        return self.root / "cache" / "kept.sqlite"
-
-    @property
-    def merge_record(self) -> Path:
-        """The record of how the merge was made; may be deleted at any time."""
-        return self.root / "cache" / "merged" / f"{plain_name(self.merge, MERGE)}.json"
-
-    @property
-    def export_record(self) -> Path:
-        """The record of the files that exports of the merge wrote; may be deleted at any time."""
-        return self.root / "cache" / "exports" / f"{plain_name(self.merge, MERGE)}.json"
+    # Names
 
     def runs(self) -> list[str]:
         """Names of the runs that have a map, sorted."""
         return sorted(p.stem for p in self.maps.glob("*.json") if not p.name.startswith("."))
 
-    def chosen_runs(self, names: Sequence[str], everything: bool) -> list[str]:
+    def chosen_runs(self, names: Sequence[str], everything: bool = False) -> list[str]:
         """The runs that a command is about; UsageError or DataError where there are none."""
         known = self.runs()
         if not known:
@@ -250,23 +205,6 @@ class Workspace:
         if unknown:
             raise self.unknown(unknown)
         return sorted(set(names))
-
-    def unknown(self, names: Sequence[str], what: str = "map of") -> UsageError | DataError:
-        """What to say where runs are named that there are not."""
-        known = self.runs()
-        if not known:
-            return self.no_maps()
-        parts = {part for name in names for part in name.split(":")} - set(known)
-        sites: list[str] = []
-        if "site" in what and self.merged_json.is_file():
-            sites = sorted({*self.read_merged().graph.sites.values()} - {*known})
-        known += sites
-        meant = _meant(sorted(parts), known)
-        if is_workspace(Path(names[0])):
-            meant = f"; did you mean --workspace {names[0]}?"
-        return UsageError(
-            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
-        )
 
     def merge_named(self, name: str) -> Workspace | None:
         """This workspace with the merge that is called so; None where there is none."""
@@ -295,11 +233,68 @@ class Workspace:
     def merges(self) -> list[Workspace]:
         """This workspace with each of its merges, the one with the default name first."""
         usual = Workspace(self.root)
-        others = {p.stem for p in (*self._decisions, usual.merged_json)}
+        others = {MERGED, *DECISIONS}
         named = sorted({path.stem for path in self.root.glob("*.json")} - others)
         # A document without a recording beside it is none of topobatch's.
         written = [m for m in map(self.merge_named, named) if m and m.merged_rrd.is_file()]
         return [usual, *written] if os.path.lexists(usual.merged_json) else written
+
+    def check_merge(self) -> None:
+        """UsageError if the name of the merge is too long, or used for something else."""
+        checked_file_name(self.merge, MERGE)
+        if self.merge.casefold() == MERGED:
+            raise UsageError(f"{self.merge!r} cannot name a merge: that is one without --output")
+        if self.merge.casefold() in (*DECISIONS, *FOLDERS) or self.merge in self.runs():
+            raise UsageError(f"{self.merge!r} cannot name a merge: something else is called so")
+
+    def check_run(self, run: str) -> None:
+        """UsageError if a run cannot have a name: it is no file name, or that of a merge."""
+        merge = self.root / f"{checked_file_name(run)}.json"
+        if run.casefold() == MERGED or (run not in DECISIONS and os.path.lexists(merge)):
+            raise UsageError(f"{run!r} cannot name a run: a merge is called so")
+
+    def component(
+        self, result: MergeResult, number: int | None = None, site: str | None = None
+    ) -> int | None:
+        """The component of a number, or of a site's name; None if neither is given. UsageError if
+        there is none, or both are given."""
+        if number is not None and site is not None:
+            raise UsageError("name a site or a --component, not both")
+        if number is not None and number not in {c.id for c in result.components}:
+            there = listed([str(c.id) for c in result.components]) or "none"
+            raise UsageError(
+                f"{self.merged_json}: there is no component {number}; there are: {there}"
+            )
+        if site is None:
+            return number
+        ids = {c.site: c.id for c in result.components if c.site}
+        if site not in ids:
+            raise self.no_site(site, list(ids))
+        return ids[site]
+
+    # What to say where something is missing
+
+    def unknown(self, names: Sequence[str], what: str = "map of") -> UsageError | DataError:
+        """What to say where runs are named that there are not."""
+        known = self.runs()
+        if not known:
+            return self.no_maps()
+        parts = {part for name in names for part in name.split(":")} - set(known)
+        if "site" in what and self.merged_json.is_file():
+            known += sorted({*self.read_merged().graph.sites.values()} - {*known})
+        meant = _meant(sorted(parts), known)
+        if is_workspace(Path(names[0])):
+            meant = f"; did you mean --workspace {names[0]}?"
+        return UsageError(
+            f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
+        )
+
+    def no_site(self, site: str, there: Sequence[str]) -> UsageError:
+        """What to say where a site is named that the merge does not have."""
+        meant, known = _meant([site], there), listed(sorted(there)) or "none"
+        return UsageError(
+            f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}"
+        )
 
     def no_maps(self) -> DataError:
         """What to say of a workspace without maps, or of none."""
@@ -315,12 +310,39 @@ class Workspace:
         if not self.root.is_dir():
             raise self.no_maps()
 
+    def require_merge(self) -> None:
+        """DataError where nothing was merged yet, UsageError where nothing of a given name was."""
+        if self.merged_json.is_file():
+            return
+        if self.merge != MERGED:
+            how = f"`topobatch merge … --output {self.merge}` makes it"
+            if self.merge in self.runs():
+                how = "that is a run; --merge takes the --output NAME of a merge"
+            raise UsageError(f"{self.merged_json}: is not there; {how}")
+        if not self.runs():
+            raise self.no_maps()
+        how = self.call("merge", "--all")
+        raise DataError(f"{self.merged_json}: is not there yet; make it with `{how}`")
+
+    # Documents
+
+    def ingested(self, run: str) -> IngestRecord:
+        """The record of the log that a run's map was made from; an empty one if there is none."""
+        try:
+            return RECORD.validate_python(read_json(self.ingest_record(run)))
+        except (DocumentError, UsageError, ValidationError):
+            # A cache: without it a log is just read again. No run of ours has a name that is none.
+            return IngestRecord()
+
+    def ingest_records(self) -> dict[str, IngestRecord]:
+        """The records of all runs, without those of further pieces, by run."""
+        runs = sorted(path.stem for path in self.root.joinpath("cache/ingest").glob("*.json"))
+        records = {run: self.ingested(run) for run in runs}
+        return {run: record for run, record in records.items() if record.runs[:1] == [run]}
+
     def read_map(self, run: str) -> TopoMap:
         """The map of a run; DocumentError with the way out if it cannot be read, or is another
         run's."""
-        from ..topology.document import read_map
-        from ..topology.map_schema import with_way_out
-
         try:
             path = self.map_json(run)
         except UsageError as error:  # a name that a file has, but that nothing of ours gave it
@@ -344,76 +366,11 @@ class Workspace:
                 errors[run] = error
         return maps, errors
 
-    def read_merged(self) -> MergedDocument:
-        """The merged document; as `require_merge`, and DocumentError with the way out if it is
-        none."""
-        from ..merge.document import read_merged
-        from ..topology.map_schema import with_way_out
-
-        self.require_merge()
-        try:
-            return read_merged(self.merged_json)
-        except DocumentError as error:
-            raise with_way_out(error, "merged", self.call("merge", "--all")) from error
-
-    def read_result(self) -> MergeResult:
-        """The merge from its document; as `read_merged`."""
-        from ..merge.document import result_from_document
-
-        document = self.read_merged()
-        try:
-            return result_from_document(document)
-        except ValueError as error:
-            raise DocumentError(f"{self.merged_json}: {error}") from error
-
-    def require_merge(self) -> None:
-        """DataError where nothing was merged yet, UsageError where nothing of a given name was."""
-        if self.merged_json.is_file():
-            return
-        if self.merge != MERGED:
-            how = f"`topobatch merge … --output {self.merge}` makes it"
-            if self.merge in self.runs():
-                how = "that is a run; --merge takes the --output NAME of a merge"
-            raise UsageError(f"{self.merged_json}: is not there; {how}")
-        if not self.runs():
-            raise self.no_maps()
-        how = self.call("merge", "--all")
-        raise DataError(f"{self.merged_json}: is not there yet; make it with `{how}`")
-
-    def component(
-        self, result: MergeResult, number: int | None = None, site: str | None = None
-    ) -> int | None:
-        """The component of a number, or of a site's name; None if neither is given. UsageError if
-        there is none, or both are given."""
-        if number is not None and site is not None:
-            raise UsageError("name a site or a --component, not both")
-        if number is not None and number not in {c.id for c in result.components}:
-            there = listed([str(c.id) for c in result.components]) or "none"
-            raise UsageError(
-                f"{self.merged_json}: there is no component {number}; there are: {there}"
-            )
-        if site is None:
-            return number
-        ids = {c.site: c.id for c in result.components if c.site}
-        if site not in ids:
-            raise self.no_site(site, list(ids))
-        return ids[site]
-
-    def no_site(self, site: str, there: Sequence[str]) -> UsageError:
-        """What to say where a site is named that the merge does not have."""
-        meant = _meant([site], there)
-        known = listed(sorted(there)) or "none"
-        if not there:
-            known = f"none (merge again, which names them: {self.call('merge', '--all')})"
-        return UsageError(
-            f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}"
-        )
-
     def maps_as_merged(
         self, result: MergeResult, component: int, runs: Sequence[str]
     ) -> dict[str, TopoMap]:
         """The maps of runs of a component; DataError where one is not that which was merged."""
-        from ..merge.component_map import stale_runs
+        from ..merge.component_map import stale_runs  # loads scipy
 
         maps = {run: self.read_map(run) for run in runs}
         stale = stale_runs(result, component, maps)
@@ -425,94 +382,97 @@ class Workspace:
             )
         return maps
 
-    def locks(self) -> tuple[Lock, ...]:
-        """What a person decided about pairs of runs; DocumentError if it cannot be read."""
-        from ..merge.locks import locks_from_document
+    def read_merged(self) -> MergedDocument:
+        """The merged document; as `require_merge`, and DocumentError with the way out if it is
+        none."""
+        self.require_merge()
+        try:
+            return read_merged(self.merged_json)
+        except DocumentError as error:
+            raise with_way_out(error, "merged", self.call("merge", "--all")) from error
 
-        return _decided(self.locks_json, locks_from_document, ())
-
-    def write_locks(self, locks: Sequence[Lock]) -> None:
-        """Keep these locks."""
-        from ..merge.locks import locks_to_document
-        from ..topology.files import write_json
-
-        write_json(self.locks_json, locks_to_document(locks))
-
-    @property
-    def history(self) -> Path:
-        """What was done to the workspace."""
-        return self.root / "history.jsonl"
-
-    @property
-    def discards_json(self) -> Path:
-        """Matches that a person took back."""
-        return self.root / "discards.json"
-
-    def discards(self) -> frozenset[tuple[str, str]]:
-        """Pairs of runs whose match a person took back; DocumentError if that cannot be read."""
-        from ..merge.locks import discards_from_document
-
-        return _decided(self.discards_json, discards_from_document, frozenset())
-
-    def write_discards(self, pairs: Iterable[tuple[str, str]]) -> None:
-        """Keep these pairs; none leave no document."""
-        from ..merge.locks import discards_to_document
-        from ..topology.files import write_json
-
-        kept = frozenset(pairs)
-        if kept:
-            write_json(self.discards_json, discards_to_document(kept))
-        else:
-            self.discards_json.unlink(missing_ok=True)
-
-    def sites(self) -> dict[str, tuple[str, ...]]:
-        """Names that a person gave sites, with their runs; DocumentError if that cannot be read."""
-        from ..merge.sites import sites_from_document
-
-        return _decided(self.sites_json, sites_from_document, {})
-
-    def write_sites(self, given: Mapping[str, Iterable[str]]) -> None:
-        """Keep these names."""
-        from ..merge.sites import sites_to_document
-        from ..topology.files import write_json
-
-        write_json(self.sites_json, sites_to_document(given))
-
-    def rename_decided(self, renamed: Callable[[str], str | None]) -> None:
-        """Rename the runs in what a person decided; what names a run without a name goes."""
-        locks, discards, sites = self.locks(), self.discards(), self.sites()
-        kept = [
-            replace(lock, a=a, b=b)
-            for lock in locks
-            if (a := renamed(lock.a)) and (b := renamed(lock.b))
-        ]
-        if kept != list(locks):
-            self.write_locks(kept)
-        both = [[new for run in pair if (new := renamed(run))] for pair in discards]
-        left = {(min(pair), max(pair)) for pair in both if len(pair) == 2}
-        if left != discards:
-            self.write_discards(left)
-        named = {site: tuple(filter(None, map(renamed, runs))) for site, runs in sites.items()}
-        if named != sites:
-            self.write_sites(named)
+    def read_result(self) -> MergeResult:
+        """The merge from its document; as `read_merged`."""
+        document = self.read_merged()
+        with self.document_at_fault():
+            return result_from_document(document)
 
     @contextmanager
-    def held(self, say: Callable[[str], None], *, make: bool = True) -> Iterator[None]:
+    def document_at_fault(self, part: str = "") -> Iterator[None]:
+        """Say of a ValueError that what the merged document states, or a part, cannot be."""
+        try:
+            yield
+        except ValueError as error:
+            raise DocumentError(f"{self.merged_json}: {part}{error}") from error
+
+    # What a person decided; DocumentError if that cannot be read
+
+    def locks(self) -> tuple[Lock, ...]:
+        """Decisions about pairs of runs."""
+        return self._decided("locks", locks_from_document, ())
+
+    def discards(self) -> frozenset[tuple[str, str]]:
+        """Pairs of runs whose match was taken back."""
+        return self._decided("discards", discards_from_document, frozenset())
+
+    def sites(self) -> dict[str, tuple[str, ...]]:
+        """Names that were given to sites, with their runs."""
+        return self._decided("sites", sites_from_document, {})
+
+    def _decided(self, name: str, from_document: Callable[[Any, str], T], none: T) -> T:
+        path = self.root / f"{name}.json"
+        return from_document(read_json(path), str(path)) if os.path.lexists(path) else none
+
+    def decide(
+        self,
+        *,
+        locks: Sequence[Lock] | None = None,
+        discards: Iterable[tuple[str, str]] | None = None,
+        sites: Mapping[str, Iterable[str]] | None = None,
+    ) -> None:
+        """Keep what is given in place of what was; nothing decided leaves no document."""
+        documents: dict[str, tuple[Any, Callable[[Any], Any]]] = {
+            "locks": (locks, locks_to_document),
+            "discards": (discards, discards_to_document),
+            "sites": (sites, sites_to_document),
+        }
+        for name, (given, to_document) in documents.items():
+            if given:
+                write_json(self.root / f"{name}.json", to_document(given))
+            elif given is not None:
+                self.root.joinpath(f"{name}.json").unlink(missing_ok=True)
+
+    def rename_decided(self, names: Mapping[str, str | None]) -> None:
+        """Give runs new names in what a person decided; what is about a run that gets None goes."""
+
+        def renamed(*runs: str) -> list[str]:
+            return [new for run in runs if (new := names.get(run, run)) is not None]
+
+        locks = [(lock, renamed(lock.a, lock.b)) for lock in self.locks()]
+        pairs = [renamed(*pair) for pair in self.discards()]
+        self.decide(
+            locks=[replace(lock, a=new[0], b=new[1]) for lock, new in locks if len(new) == 2],
+            discards=[(min(pair), max(pair)) for pair in pairs if len(pair) == 2],
+            sites={site: renamed(*runs) for site, runs in self.sites().items()},
+        )
+
+    # Who works on it
+
+    @contextmanager
+    def held(self, *, make: bool = False) -> Iterator[None]:
         """Keep other topobatch processes out of the workspace, waiting for them if need be.
 
         What a killed process left half-written is cleared away. A workspace that is not there yet
-        is made or, if told not to, a DataError.
+        is a DataError or, if told so, made.
         """
-        from filelock import FileLock, Timeout
-
-        if not make and not self.root.is_dir():
-            raise self.no_maps()
+        if not make:
+            self.require()
         lock = FileLock(self.root / ".lock")
         try:
             self.root.mkdir(parents=True, exist_ok=True)
             lock.acquire(timeout=0.2)
         except Timeout:
-            say(f"{self.root}: another topobatch is at work there; waiting for it")
+            warn(f"{self.root}: another topobatch is at work there; waiting for it")
             lock.acquire()
         except OSError as error:
             raise DataError(
@@ -526,13 +486,8 @@ class Workspace:
             lock.release()
 
     def _clear_left_overs(self) -> None:
-        from ..topology.files import LEFT_OVER
-
-        records = (
-            self.ingest_record("x").parent, self.merge_record.parent, self.export_record.parent,
-        )  # fmt: skip
-        for folder in (self.root, self.maps, *records):
-            for path in folder.glob(".*.tmp"):
+        for folder in ("", *FOLDERS):
+            for path in self.root.joinpath(folder).glob(".*.tmp"):
                 if LEFT_OVER.fullmatch(path.name) and path.is_file() and not path.is_symlink():
                     path.unlink(missing_ok=True)
 
@@ -549,20 +504,11 @@ class Named:
 
 def _meant(names: Sequence[str], known: Sequence[str]) -> str:
     """The known names that are nearest to unknown ones, as a question."""
-    from difflib import get_close_matches
-
     ends = [Path(name).name for name in names]  # a path may have been named
     near = [[end] if end in known else get_close_matches(end, known, 3) for end in ends]
     *others, last = [*dict.fromkeys(chain.from_iterable(near))] or [""]
     asked = f"{', '.join(others)} or {last}" if others else last
     return f"; did you mean {asked}?" if asked else ";"
-
-
-def _decided(path: Path, from_document: Callable[[Any, str], T], none: T) -> T:
-    """What a document of decisions says; none where there is no such document."""
-    from ..topology.files import read_json
-
-    return from_document(read_json(path), str(path)) if os.path.lexists(path) else none
 
 
 def is_workspace(folder: Path) -> bool:
@@ -578,22 +524,12 @@ def pair_named(text: str, runs: Iterable[str]) -> tuple[str, str] | None:
     return min(pair), max(pair)
 
 
-def run_named_after(log_name: str) -> str:
-    """The name of the run of a log: that of the log, with - for colons."""
-    return log_name.replace(":", "-")
-
-
-def checked_run_name(name: str) -> str:
-    """A name that a new run can have (`checked_file_name`), or a UsageError."""
-    return checked_file_name(name, RUN)
-
-
-def checked_file_name(name: str, what: str) -> str:
+def checked_file_name(name: str, what: str = RUN) -> str:
     """A name for a new `what` that is a plain file name of a length that can be, without the colon
     between the names of a pair, or a UsageError."""
     if ":" in plain_name(name, what):
         raise UsageError(f"{name!r} cannot name {what}: it holds a colon, and A:B are two runs")
-    if len(plain_name(name, what).encode()) > NAME_BYTES:
+    if len(name.encode()) > NAME_BYTES:
         raise UsageError(f"{name[:40]!r}… cannot name {what}: it is longer than {NAME_BYTES} bytes")
     return name
 

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from topobatch.cli.main import COMMANDS
+
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("topology", "ingest", "merge", "simulation", "viz", "cli")
 MAY_IMPORT = {
@@ -152,7 +154,7 @@ def used_by_test(path: Path) -> set[tuple[str, ...]]:
 
 def test_tests_mirror_the_folders() -> None:
     """Every module has a test of its name, or one in the mirrored folder that imports it, or is a
-    part of such modules of its folder, imported by them."""
+    part of such modules of its folder, imported by them, as the commands are of `cli/main.py`."""
     paths = {
         path.relative_to(ROOT).with_suffix("").parts: path
         for package in PACKAGES
@@ -165,6 +167,7 @@ def test_tests_mirror_the_folders() -> None:
         for module in used_by_test(test)
         if module[:-1] == test.parent.relative_to(ROOT / "tests").parts
     }
+    used |= {("cli", home.partition(".")[0]) for home, _ in COMMANDS.values()}
     tested = {module for module in paths if module in used or named_tests(module).exists()}
     front = tested
     while front:

@@ -16,8 +16,7 @@ from mcap.writer import Writer
 from rosbags.rosbag1 import Reader
 from rosbags.rosbag1 import Writer as BagWriter
 
-from topobatch.cli.ingest_pool import outcomes_of
-from topobatch.cli.ingest_worker import IngestJob
+from topobatch.cli.ingest_worker import IngestJob, outcomes_of
 from topobatch.cli.workspace import Workspace
 from topobatch.ingest.mapping_settings import MappingSettings
 from topobatch.ingest.reading import ReadSettings
@@ -168,8 +167,8 @@ def test_what_an_interrupted_ingest_has_told_is_in_the_history(
     files = sorted(tmp_path.glob("*.mcap"))
     shown = ingest._show
 
-    def interrupted(outcome, screen):
-        shown(outcome, screen)
+    def interrupted(outcome):
+        shown(outcome)
         raise KeyboardInterrupt
 
     call = ("ingest", *files, "-j", 2, "-w", tmp_path / "ws")

@@ -83,22 +83,20 @@ def test_a_full_disk_is_said_and_waited_for_by_nobody(logs, tmp_path):
 
 WORKERS = """
 import multiprocessing.forkserver, os, signal, time
-from topobatch.cli.ingest_pool import _context
-from topobatch.cli.process import start_worker
+from topobatch.cli.process import forking_server, processes
 
 def work(to):
-    start_worker()
     to.send(7)
     time.sleep(60)
 
 if __name__ == "__main__":
-    context = _context()
+    context = forking_server()
     {before}
     ours, theirs = context.Pipe(duplex=False)
-    worker = context.Process(target=work, args=(theirs,))
-    worker.start()
-    print(ours.recv(), flush=True)
-    {after}
+    with processes(1, context) as pool:
+        pool.submit(work, theirs)
+        print(ours.recv(), flush=True)
+        {after}
 """
 
 
@@ -108,8 +106,8 @@ if __name__ == "__main__":
     [
         (
             "os.kill(multiprocessing.forkserver._forkserver._forkserver_pid, signal.SIGINT)",
-            "worker.terminate()",
-            0,
+            "raise SystemExit(3)",
+            3,
         ),
         ("pass", "os.kill(os.getpid(), signal.SIGKILL)", -9),
     ],

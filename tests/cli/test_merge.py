@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from topobatch.cli.merge import MOST_AMBIGUOUS, _show
+from topobatch.cli.output import show
 from topobatch.cli.workspace import Workspace
 from topobatch.merge.result import Alignment, PairVerdict, Standing, Verdict
 from topobatch.simulation.settings import ScenarioSettings
@@ -393,8 +394,10 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
         standings=lambda: dict.fromkeys(Standing, 0) | {Standing.AMBIGUOUS: len(bits)},
     )
     shown = []
-    screen = SimpleNamespace(line=shown.append, folded=shown.append, verbose=False)
-    _show(merge, Workspace(Path("topobatch-workspace")), screen)
+    for say in ("say", "say_folded"):
+        monkeypatch.setattr(f"topobatch.cli.merge.{say}", shown.append)
+    show()
+    _show(merge, Workspace(Path("topobatch-workspace")))
     assert shown[0] == "  b ? c1: ambiguous: 9.0 bits, 12.0 needed; too little"
     assert shown[MOST_AMBIGUOUS] == "  to settle b ? c1: drive 1"
     assert shown[-7].startswith("171 pairs: 0 merged, 7 ambiguous")
@@ -405,6 +408,6 @@ def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):
         "7 pairs are open; what to record to settle most: topobatch next",
     ]
     assert "  run1 + run9: helped" not in shown
-    screen.verbose = True
-    _show(merge, Workspace(Path("topobatch-workspace")), screen)
+    show(verbose=True)
+    _show(merge, Workspace(Path("topobatch-workspace")))
     assert "  run1 + run9: helped" in shown

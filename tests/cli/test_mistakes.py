@@ -17,7 +17,7 @@ from topobatch.simulation.writing import write_run
 
 from ..conftest import command as call_topobatch
 
-NAMES = tuple(name for name, _ in COMMANDS)
+NAMES = tuple(COMMANDS)
 
 
 @pytest.fixture(scope="session")

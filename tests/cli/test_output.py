@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from topobatch.cli.output import Screen, painted, plain
+from topobatch.cli.output import painted, plain, progress, say, show, warn
 
 
 @pytest.mark.parametrize(
@@ -29,11 +29,11 @@ def test_what_would_steer_a_terminal_is_escaped(text, shown):
 
 def test_results_go_to_the_standard_output_beside_a_bar(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    screen = Screen(quiet=False)
-    with screen.progress("reading", 2, "logs") as advance:
+    show()
+    with progress("reading", 2, "logs") as advance:
         advance(1)
-        screen.line("run1: done")
-        screen.warn("run1: odd")
+        say("run1: done")
+        warn("run1: odd")
     out, err = capsys.readouterr()
     assert out == "run1: done\n"
     assert "run1: odd" in err
@@ -55,13 +55,14 @@ def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     monkeypatch.setattr("rich.console.monotonic", lambda: now[0])
     monkeypatch.setenv("COLUMNS", "120")
-    with Screen(quiet=False).progress("matching", 190, "pairs") as advance:
+    show()
+    with progress("matching", 190, "pairs") as advance:
         for seconds in range(5):
             now[0] = seconds
             advance(96 + seconds, kept=96)
     shown = capsys.readouterr().err
     assert "100 of 190 pairs, 96 of them kept left: " in shown
     assert "0:01:30" in shown
-    with Screen(quiet=False).progress("writing", 0):
+    with progress("writing", 0):
         now[0] += 20
     assert "0:00:20" in capsys.readouterr().err

@@ -35,7 +35,7 @@ def test_names_in_cache_records_remove_nothing(topobatch, reset_logs, victim, tm
     maps, cache = tmp_path / "ws" / "maps", tmp_path / "ws" / "cache" / "ingest"
     shutil.copy(maps / "run.json", maps / "other.json")
     record = json.loads((cache / "run.json").read_bytes())
-    outside = ["../../victim/x", str(victim / "x"), "..", "", "a\0b", 3, None, "other"]
+    outside = ["../../victim/x", str(victim / "x"), "..", "", "a\0b", "other"]
     record["runs"] += outside
     (cache / "run.json").write_text(json.dumps(record))
     for name in ("other", "x"):

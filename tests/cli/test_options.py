@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from topobatch.cli.settings_file import settings_of
+from topobatch.cli.options import settings_of
 from topobatch.cli.workspace import Workspace
 
 

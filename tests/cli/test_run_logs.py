@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from topobatch.cli.run_names import run_names
+from topobatch.cli.run_logs import run_names
 from topobatch.cli.workspace import Workspace
 
 

@@ -1,0 +1,167 @@
+"""Making the merges of a workspace, with the names of their sites, and again where runs or names
+changed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING
+
+from ..merge.document import read_merged, write_merged
+from ..merge.result import MergeResult, pairs_of
+from ..merge.sites import Origin, SiteHistory, site_names
+from ..topology.errors import DataError, DocumentError
+from ..topology.files import write_together
+from ..topology.topomap import TopoMap
+from ..topology.wording import counted
+from ..viz.pages import pairs_told
+from .matching import MatchOptions, kept_results, matching, read_maps, settings_of
+from .output import progress, say, warn
+from .unchanged import changed_since, contents
+from .workspace import MERGED, Workspace
+
+if TYPE_CHECKING:  # what takes a second to load
+    from ..merge.merging import MergeSettings
+
+
+def made(
+    place: Workspace,
+    maps: list[TopoMap],
+    settings: MergeSettings,
+    before: Mapping[str, str],
+    where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
+) -> tuple[MergeResult, list[str]]:
+    """Merge maps and write the files of the merge; and what became of the sites of the last one.
+    before: the site of every run then. The caller holds the workspace's lock."""
+    from ..merge.merging import merge_maps
+
+    runs = [m.run for m in maps]
+    # From these, later changes of maps are recognised.
+    documents = contents(place, runs)
+    kept = kept_results(place, settings.robust)
+    with matching(place, pairs_of(len(maps)), kept, where) as means:
+        result = merge_maps(
+            maps, settings, locks=place.locks(), discarded=place.discards(), means=means
+        )
+    if settings.method == "robust" and runs == place.runs():
+        kept.settle()
+    result, moved = _with_sites(place, result, maps, before)
+    result = replace(result, info={**result.info, "maps": documents})
+    _write(place, result, maps)
+    return result, moved
+
+
+def _write(place: Workspace, result: MergeResult, maps: Sequence[TopoMap]) -> None:
+    """Write the document and the recording of a merge."""
+    from ..viz.merged_recording import write_merged_recording  # which loads rerun
+
+    with progress("writing", 0):
+        write_together(
+            {
+                place.merged_json: partial(write_merged, result=result),
+                place.merged_rrd: partial(write_merged_recording, result=result, maps=maps),
+            }
+        )
+
+
+def made_again(
+    place: Workspace, affected: Collection[str], new: Mapping[str, str | None] | None = None
+) -> None:
+    """Repeat the merges that had one of the affected runs, each with the runs that still exist;
+    new: new names of runs. The caller holds the workspace's lock."""
+    for each in place.merges():
+        _repeat(each, affected, {run: name for run, name in (new or {}).items() if name})
+
+
+def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str]) -> None:
+    """Repeat one merge; see `made_again`."""
+    try:
+        document = read_merged(place.merged_json)
+        graph, settings = document.graph, settings_of(place, document)
+    except DocumentError as error:
+        how = f"topobatch merge … --output {place.merge} --replace"
+        how = place.call("merge", "--all") if place.merge == MERGED else how
+        warn(f"{error}; merge again: {how}")
+        return
+    if not graph.home.keys() & set(affected):
+        return
+    runs = sorted({new.get(run, run) for run in graph.home} & set(place.runs()))
+    if not runs:
+        place.merged_json.unlink()
+        place.merged_rrd.unlink(missing_ok=True)
+        say(f"{place.merged_json}: removed; none of its runs is left")
+        return
+    maps, _ = read_maps(place, runs)
+    # A run alone is a site of its own name, old or new.
+    before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
+    result, moved = made(place, maps, _about(settings, new, runs), before)
+    name = "" if place.merge == MERGED else f", {place.merge}"
+    say(f"merged again{name}: {counted(len(maps), 'run')}, {pairs_told(result)}")
+    for each in moved:
+        say(each)
+
+
+def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:
+    """Settings with the meetings of these runs alone; new: new names of runs."""
+    met = (
+        replace(m, run_a=new.get(m.run_a, m.run_a), run_b=new.get(m.run_b, m.run_b))
+        for m in settings.paper.meetings
+    )
+    kept = tuple(m for m in met if {m.run_a, m.run_b} <= set(runs))
+    return replace(settings, paper=replace(settings.paper, meetings=kept))
+
+
+def named_again(place: Workspace) -> None:
+    """Call the sites of all merges as the workspace remembers them now. Nothing is matched, unless
+    a merge cannot be read or its maps are others by now: that one is repeated. The caller holds the
+    workspace's lock."""
+    for each in place.merges():
+        try:
+            result = each.read_result()
+        except DocumentError:
+            _repeat(each, place.runs(), {})  # or say that it cannot be
+            continue
+        before = {run: c.site or "" for c in result.components for run in c.poses}
+        known = result.info.get("maps") or {}
+        if before.keys() - known.keys() or changed_since(place, known, [*before]):
+            _repeat(each, before, {})
+            continue
+        maps, _ = read_maps(each, sorted(before))
+        renamed, _ = _with_sites(each, result, maps, before)
+        if [c.name for c in renamed.components] != [c.name for c in result.components]:
+            _write(each, renamed, maps)
+
+
+def sites_before(place: Workspace) -> dict[str, str]:
+    """The site of every run in the last merge of this name; where there is none, in the usual one.
+    A document that cannot be read names none."""
+    for each in (place, Workspace(place.root)):
+        try:
+            if each.merged_json.is_file():
+                return read_merged(each.merged_json).graph.sites
+        except DataError:
+            continue  # who reads it for its own sake is told
+    return {}
+
+
+def _with_sites(
+    place: Workspace, result: MergeResult, maps: Sequence[TopoMap], before: Mapping[str, str]
+) -> tuple[MergeResult, list[str]]:
+    """The merge with the names of its sites, and what became of those of the last one. before: the
+    site of every run then."""
+    known = {run: site for run, site in before.items() if site}
+    origins = {}
+    for m in maps:
+        # A log is known as long as the record of its ingest is there.
+        times, log = m.observation_time_ns, place.ingested(m.run).log
+        folder = (log or "").replace("\\", "/").split("/")[:-1]
+        origins[m.run] = Origin(tuple(folder), int(times.min()) if len(times) else None)
+    names, moved = site_names(
+        [sorted(c.poses) for c in result.components],
+        SiteHistory(place.sites(), known),
+        origins,
+        {MERGED, *place.runs(), *(each.merge for each in place.merges())},
+    )
+    named = zip(result.components, names, strict=True)
+    return replace(result, components=tuple(replace(c, site=name) for c, name in named)), moved
