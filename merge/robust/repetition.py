@@ -155,13 +155,13 @@ def _differing(
     va = np.concatenate([c.a for _, _, c in cases]) + first[:, 0]
     vb = np.concatenate([c.b for _, _, c in cases]) + first[:, 1]
     turn = np.concatenate([c.turn for _, _, c in cases])
-    lonely = lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0
+    differs = np.where(lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0, 1.0, 0.0)
     fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
     fault += 1 - atlas.whole.confidence[va] * atlas.whole.confidence[vb]
     anywhere = [_usual_fault(a) + _usual_fault(b) for a, b, _ in cases]
     matched = np.diff(ends)
     usual = np.where(matched > 0, _sums(fault, ends) / np.maximum(matched, 1), anywhere)
-    return _sums(lonely, ends).astype(np.int64), usual
+    return _sums(differs, ends).astype(np.int64), usual
 
 
 def _usual_fault(m: Prepared) -> float:
