@@ -14,9 +14,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
+from ..ingest.logs.topics import Way
 from ..ingest.mapping import map_of_log
 from ..ingest.mapping_settings import MappingSettings
-from ..ingest.logs.topics import Way
 from ..ingest.read_settings import ReadSettings, Stamp
 from ..ingest.reading import read_log
 from ..ingest.remote.path import log_path
@@ -29,7 +29,6 @@ from ..merge.document import merged_to_document
 from ..merge.drive import Drive
 from ..merge.drives import drives
 from ..merge.locks import Lock
-from ..merge.merged_schema import MergedDocument
 from ..merge.merging import MergeSettings, merge_maps
 from ..merge.pieces import joined_pieces
 from ..merge.result import Component, MergeResult
@@ -38,7 +37,6 @@ from ..merge.robust.explained import explain as decision_of
 from ..topology.document import map_to_document
 from ..topology.document import read_map as map_at
 from ..topology.errors import UsageError
-from ..topology.map_schema import validated
 from ..topology.topomap import TopoMap
 from ..topology.wording import listed
 from ..viz.exports import MAP_FORMATS, map_texts

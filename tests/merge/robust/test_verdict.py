@@ -86,13 +86,13 @@ def test_walls_say_whether_a_building_of_few_lengths_repeats_itself(drawn):
     a, b = prepare(drawn("a", *cross)), prepare(drawn("b", *cross))
     assert uniformity(a, b) == 1.0
     told = match(a, b, SETTINGS)[0]
-    threshold = threshold_for(PairCount(1, 1), COPIES, SETTINGS)
+    threshold = threshold_for(1, 1, COPIES, SETTINGS)
     four = replace(NO_VIEW_EVIDENCE, first=np.zeros(4, np.int64), bits=np.full(4, 4.0))
     for level, asked in ((1.4, 0.0), (2.1, 0.4), (3.0, 1.0)):  # of the z of copies
         seen = replace(told, bits=20.0, views=replace(four, null=np.array([level, 0.5])))
-        (answers,) = assess(a, b, [seen], threshold).answers
+        (answers,) = assess(a, b, [seen], threshold).ranked
         assert answers.repetition == pytest.approx(asked)
-    (answers,) = assess(a, b, [replace(told, bits=20.0)], threshold).answers
+    (answers,) = assess(a, b, [replace(told, bits=20.0)], threshold).ranked
     assert answers.repetition == 1.0
 
 
