@@ -162,7 +162,8 @@ def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, 
 
 def settings_of(place: Workspace, document: MergedDocument | None) -> RobustSettings:
     """The settings of the selected merge; of one by the paper's method its rate."""
-    from ..merge.robust.settings import DEFAULT_ROBUST, settings_from_document
+    from ..merge.document import settings_from_document
+    from ..merge.robust.settings import DEFAULT_ROBUST, RobustSettings
 
     if document is None:
         return DEFAULT_ROBUST
@@ -170,7 +171,7 @@ def settings_of(place: Workspace, document: MergedDocument | None) -> RobustSett
     if document.graph.method == "paper":
         values = {k: v for k, v in values.items() if k == "false_merge_rate"}
     try:
-        return settings_from_document(values)
+        return settings_from_document(RobustSettings, values)
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error
 
@@ -227,11 +228,12 @@ def _by_paper(
 
 def _merged_with(place: Workspace, document: MergedDocument | None) -> PaperSettings | None:
     """The settings of the last merge by the paper's method; None if it was another one."""
-    from ..merge.paper.method import settings_from_document
+    from ..merge.document import settings_from_document
+    from ..merge.paper.method import PaperSettings
 
     if document is None or document.graph.method != "paper":
         return None
     try:
-        return settings_from_document(document.graph.settings or {})
+        return settings_from_document(PaperSettings, document.graph.settings)
     except ValueError as error:
         raise DocumentError(f"{place.merged_json}: graph.settings: {error}") from error

@@ -261,13 +261,16 @@ def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str
 
 def _settings_of(graph: MergedGraph) -> MergeSettings:
     """The settings of a merge; ValueError if they are invalid."""
+    from ..merge.document import settings_from_document
     from ..merge.merging import MergeSettings
-    from ..merge.paper.method import settings_from_document as of_paper
-    from ..merge.robust.settings import settings_from_document as of_robust
+    from ..merge.paper.method import PaperSettings
+    from ..merge.robust import RobustSettings
 
     if graph.method == "paper":
-        return MergeSettings(method="paper", paper=of_paper(graph.settings or {}))
-    return MergeSettings(robust=of_robust(graph.settings or {}))
+        return MergeSettings(
+            method="paper", paper=settings_from_document(PaperSettings, graph.settings)
+        )
+    return MergeSettings(robust=settings_from_document(RobustSettings, graph.settings))
 
 
 def _merged_before(
