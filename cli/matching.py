@@ -97,8 +97,9 @@ def settings_of(place: Workspace, document: MergedDocument | None) -> MergeSetti
     """The settings of a merge, by default the usual ones; those of the method that it is not by
     have its rate at most. DocumentError if they are invalid."""
     from ..merge.merging import MergeSettings
-    from ..merge.paper.method import settings_from_document as of_paper
-    from ..merge.robust.settings import settings_from_document as of_robust
+    from ..merge.document import settings_from_document
+    from ..merge.paper.method import PaperSettings
+    from ..merge.robust.settings import RobustSettings
 
     if document is None:
         return MergeSettings()
@@ -106,8 +107,9 @@ def settings_of(place: Workspace, document: MergedDocument | None) -> MergeSetti
     rate = {name: value for name, value in values.items() if name == "false_merge_rate"}
     with place.document_at_fault("graph.settings: "):
         if document.graph.method == "paper":
-            return MergeSettings("paper", of_robust(rate), of_paper(values))
-        return MergeSettings(robust=of_robust(values))
+            robust = settings_from_document(RobustSettings, rate)
+            return MergeSettings("paper", robust, settings_from_document(PaperSettings, values))
+        return MergeSettings(robust=settings_from_document(RobustSettings, values))
 
 
 def kept_results(

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
+from pydantic import TypeAdapter, ValidationError
 
 from ..topology.arrays import FloatArray
 from ..topology.digits import BITS, BRANCH, METRES, TURN, rounded, significant
 from ..topology.document import edge_fields, edges_to_document, vertex_fields
+from ..topology.errors import UsageError
 from ..topology.files import read_json, write_json
 from ..topology.map_schema import validated
 from .merged_schema import MERGED_SCHEMA, MergedDocument, MergeEntry, Pose
@@ -26,6 +28,8 @@ from .result import (
     Verdict,
     by_run,
 )
+
+S = TypeVar("S")
 
 EXTRA = ("against_chance_bits", "same_place_bits")
 """Entries added by the robust method."""
@@ -273,6 +277,18 @@ def _verdict_from(entry: MergeEntry) -> PairVerdict:
         runner_up=second,
         extra=entry.model_dump(include=set(EXTRA), exclude_none=True),
     )
+
+
+def settings_from_document(kind: type[S], values: Mapping[str, Any] | None) -> S:
+    """The settings of a method from `graph.settings` of a merge, with defaults for missing ones;
+    ValueError on invalid values."""
+    try:
+        return TypeAdapter(kind).validate_python(dict(values or {}))
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        raise ValueError(": ".join([*map(str, first["loc"]), first["msg"]])) from error
+    except UsageError as error:
+        raise ValueError(str(error)) from error
 
 
 def read_merged(path: Path) -> MergedDocument:

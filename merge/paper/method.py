@@ -13,10 +13,8 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from itertools import combinations
 from math import log2
-from typing import Any
 
 import numpy as np
-from pydantic import TypeAdapter
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.errors import UsageError
@@ -61,15 +59,6 @@ class PaperSettings:
 
 
 DEFAULT_PAPER = PaperSettings()
-
-
-def settings_from_document(values: Mapping[str, Any]) -> PaperSettings:
-    """The settings of a merge from its document's `graph.settings`; ValueError on invalid
-    values."""
-    try:
-        return TypeAdapter(PaperSettings).validate_python(values)
-    except UsageError as error:
-        raise ValueError(str(error)) from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from ...topology.matching.likelihood import LIKELIHOOD
 
@@ -199,17 +197,3 @@ class MatchSettings:
 
 
 MATCH = MatchSettings()
-
-
-def settings_from_document(values: Mapping[str, Any]) -> RobustSettings:
-    """The settings of a merged document, with defaults for missing ones. Raises ValueError on
-    invalid values."""
-    known: dict[str, Any] = {}
-    for field in fields(RobustSettings):
-        value = values.get(field.name, field.default)
-        whole = isinstance(field.default, int)
-        if isinstance(value, bool) or not isinstance(value, int if whole else (int, float)):
-            number = "a whole number" if whole else "a number"
-            raise ValueError(f"{field.name} must be {number}: {value!r}")
-        known[field.name] = value
-    return RobustSettings(**known)

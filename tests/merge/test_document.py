@@ -59,6 +59,7 @@ def test_pairs_that_are_only_counted_stay_counted(document) -> None:
     [
         ("nodes", "component", 99, "no component 99"),
         ("nodes", "id", 7, "node ids"),
+        ("nodes", "members", {"nobody": [0]}, "'nobody' is a member of what is not its"),
         ("nodes", "y", -1e300, "nodes.0.y"),
         ("edges", "target", 10**9, "target is no node"),
         ("edges", "source_branch", 10**9, "source_branch is none"),

@@ -4,12 +4,16 @@ import numpy as np
 import pytest
 
 from topobatch.merge.decision_text import lines
-from topobatch.merge.document import merged_to_document, result_from_document
+from topobatch.merge.document import (
+    merged_to_document,
+    result_from_document,
+    settings_from_document,
+)
 from topobatch.merge.merged_schema import MergedDocument
 from topobatch.merge.merging import MergeSettings, merge_maps
 from topobatch.merge.result import Verdict
 from topobatch.merge.robust.explained import Merge, explain
-from topobatch.merge.robust.settings import RobustSettings, settings_from_document
+from topobatch.merge.robust.settings import RobustSettings
 
 
 def documented(maps, settings=None, locks=()):
@@ -17,7 +21,7 @@ def documented(maps, settings=None, locks=()):
     chosen = MergeSettings(robust=settings or RobustSettings())
     result = merge_maps(maps, chosen, locks=locks)
     document = MergedDocument.model_validate(merged_to_document(result))
-    known = settings_from_document(document.graph.settings)
+    known = settings_from_document(RobustSettings, document.graph.settings)
     assert known == chosen.robust
     by_run = {m.run: m for m in maps}
     return Merge.of(result_from_document(document), by_run.__getitem__, known, locks)
