@@ -9,7 +9,6 @@ from scipy import ndimage
 from topobatch.ingest.scans.crossing import (
     BendTally,
     crossing,
-    crossings,
     placed,
 )
 from topobatch.ingest.scans.skeleton import Node, SkeletonGraph, SkeletonSettings, thin, traced
@@ -62,13 +61,3 @@ def test_acute_crossings_are_where_their_axes_meet(sharp: float) -> None:
     assert off < 0.25
     apart = np.abs(wrap(found.headings[:, None] - np.radians([0, 180, sharp])))
     assert apart.min(axis=0).max() < 0.15
-
-
-def places(free: np.ndarray) -> tuple[int, list[Node]]:
-    """Nodes of the skeleton of a grid, and what places they are."""
-    clearance = ndimage.distance_transform_edt(np.pad(free, 1, mode="edge"))[1:-1, 1:-1] * CELL
-    settings = SkeletonSettings()
-    graph = traced(skeleton_of(clearance), settings)
-    numbers = range(len(graph.nodes))
-    found = crossings(graph, numbers, settings).places.values()
-    return len(numbers), [crossing(graph, node, settings) for node in found]
