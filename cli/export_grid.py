@@ -130,7 +130,7 @@ class _Logs:
 
     def saved(self, topomap: TopoMap, on_bytes: Callable[[int], None]) -> Grid | None:
         """The grid that a map was made from."""
-        from ..ingest.grid_log import GridLog
+        from ..ingest.logs.grids import GridLog
         from ..ingest.reading import log_fingerprint, read_log
 
         with self._failing(topomap.run):
