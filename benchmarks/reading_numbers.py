@@ -32,7 +32,6 @@ NUMBERS = {
     "PIECE_BYTES": "inflate",
     "DENSE": "intake",
     "PENDING_BYTES": "intake",
-    "HEADS": "intake",
     "ROWS": "sqlite",
     "REACH": "walk",
     "SLAB_BYTES": "source",
