@@ -40,8 +40,8 @@ from PIL import Image, ImageDraw
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
+from topobatch.ingest.logs.grids import GridLog
 from topobatch.ingest.logs.saved_map import read_saved_map
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation.walls import free_space
@@ -153,7 +153,7 @@ def plans(count: int, cell_m: float = 0.04) -> Iterator[Plan]:
 def saved(folder: Path) -> Iterator[Plan]:
     for file in sorted(folder.glob("*.yaml")):
         try:
-            yield Plan(file.stem, read_saved_map(file).grid)
+            yield Plan(file.stem, read_saved_map(file)[0])
         except TopobatchError as error:
             print(f"{file.name}: {error}")
 

@@ -101,7 +101,7 @@ class Floor:
 
 def saved(file: Path) -> Floor:
     """A saved map, in cells of .1 m or less."""
-    grid = read_saved_map(file).grid
+    grid = read_saved_map(file)[0]
     return of_grid(file.stem, coarser(grid, max(int(0.1 / grid.resolution_m), 1)))
 
 

@@ -32,9 +32,8 @@ NUMBERS = {
     "PIECE_BYTES": "inflate",
     "DENSE": "intake",
     "PENDING_BYTES": "intake",
-    "HEADS": "intake",
     "ROWS": "sqlite",
-    "LEAST_REACH": "walk",
+    "REACH": "walk",
     "SLAB_BYTES": "source",
 }
 """Numbers that change nothing but the time, by the module that chooses them."""

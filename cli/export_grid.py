@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from ..ingest.grid_log import GridLog
+from ..ingest.logs.grids import GridLog
 from ..ingest.reading import log_exists, log_fingerprint, log_size, read_log
 from ..ingest.remote.path import LogPath, log_path
 from ..ingest.run_scans import LaidScans, Occupancy, scans_on_map

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from ..ingest.grid_log import GridLog
+from ..ingest.logs.grids import GridLog
 from ..ingest.mapping import map_of_log
 from ..ingest.mapping_settings import MappingSettings
 from ..ingest.reading import ReadSettings, log_fingerprint, log_size, read_log

@@ -137,7 +137,7 @@ class _Heard:
 
     def compare(self, pair: Pair, value: FloatArray) -> None:
         """Whether (k, 7) transforms are what was heard of the pair before."""
-        value = value[usable_poses(value)]
+        value = value[usable_poses(value)[1]]
         if len(value) == 0:
             self._unusable.add(pair)
             return

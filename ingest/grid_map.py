@@ -19,7 +19,7 @@ from ..topology.se2 import apply, compose, wrap
 from ..topology.topomap import RunNoise, TopoMap
 from ..topology.turning_points import FRONTIER, NO_TURNING_POINTS, TurningPoints
 from ..topology.wording import counted
-from .grid_log import GridLog
+from .logs.grids import GridLog
 from .logs.messages import several_that
 from .logs.saved_map import coarser
 from .scans.floorplan import (

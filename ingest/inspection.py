@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -63,13 +64,12 @@ def inspect_log(path: LogPath, settings: ReadSettings = DEFAULT_READ) -> LogInfo
     if survey is None:
         findings = walk(recording, Intake(lambda _: False))
         problems = damage_of(recording, findings)
-        survey = Survey(dict(findings.counts), findings.first_ns or 0, findings.last_ns or 0)
+        survey = Survey(findings.counts, findings.first_ns or 0, findings.last_ns or 0)
     damage = len(problems)
     uses = _uses(recording, survey.counts, settings, problems)
-    topics: dict[tuple[str, str], int] = {}
+    topics: Counter[tuple[str, str]] = Counter()
     for channel, count in survey.counts.items():
-        key = channel.topic, channel.type_name
-        topics[key] = topics.get(key, 0) + count
+        topics[channel.topic, channel.type_name] += count
     return LogInfo(
         recording.path,
         run_name(recording.path),

@@ -37,7 +37,7 @@ from ..topology.vertex_errors import VertexErrors
 from ..topology.views import Views
 from ..topology.visits import Visits, in_map_frame
 from .driven_shares import driven_shares
-from .grid_log import GridLog
+from .logs.grids import GridLog
 from .mapping_settings import DEFAULT_MAPPING, MappingSettings
 from .odometry.bridging import bridged, confirmed, describe_splits, jump_records
 from .odometry.calibration import Calibration, apply_calibration

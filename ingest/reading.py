@@ -12,11 +12,10 @@ from ..topology.errors import DataError, LogError
 from ..topology.odometry import Odometry
 from ..topology.run import Detections, Run
 from .frames import fixed_transforms
-from .grid_log import GridLog
 from .inspection import LogInfo, TopicInfo, inspect_log
 from .junction_source import JunctionSource, junction_source, sensor_topics, views_source
 from .logs.finding import find_logs, with_parts_joined
-from .logs.grids import last_grid
+from .logs.grids import GridLog, last_grid
 from .logs.messages import Findings
 from .logs.recording import (
     Recording,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -37,10 +38,9 @@ def surveyed(recording: Recording, exact: bool = False) -> tuple[Recording, Surv
             return recording, None
         surveys.append(survey)
     order = sorted(range(len(surveys)), key=lambda k: (surveys[k].start_ns, k))
-    counts: dict[Channel, int] = {}
+    counts: Counter[Channel] = Counter()
     for survey in surveys:
-        for channel, count in survey.counts.items():
-            counts[channel] = counts.get(channel, 0) + count
+        counts.update(survey.counts)
     filled = [survey for survey in surveys if any(survey.counts.values())]
     start = min((survey.start_ns for survey in filled), default=0)
     end = max((survey.end_ns for survey in filled), default=0)

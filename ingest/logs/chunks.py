@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from abc import ABC, abstractmethod
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
@@ -133,9 +133,9 @@ class ChunkedLog:
         found = self.index
         if found is None or not found.counts or not found.counts.keys() <= found.channels.keys():
             return None
-        counts: dict[Channel, int] = {}
+        counts: Counter[Channel] = Counter()
         for number, channel in found.channels.items():
-            counts[channel] = counts.get(channel, 0) + found.counts.get(number, 0)
+            counts[channel] += found.counts.get(number, 0)
         return Survey(counts, *found.span_ns, found.checked)
 
     def _channels(self, want: Want, findings: Findings) -> tuple[Channels, Ranges | str]:

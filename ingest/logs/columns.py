@@ -48,6 +48,14 @@ def column(rows: Bytes, kind: str, at: int) -> IntArray:
     return np.ndarray((len(rows),), kind, rows.data, offset=at, strides=strides).astype(np.int64)
 
 
+def numbers(rows: Bytes, kind: str, at: int, count: int) -> NDArray[Any]:
+    """(n, count) numbers of type `kind` at one offset of every gathered row, in the machine's byte
+    order."""
+    wide = np.dtype(kind)
+    span = np.ascontiguousarray(rows[:, at : at + wide.itemsize * count])
+    return span.view(wide).astype(wide.newbyteorder("="), copy=False).reshape(len(rows), count)
+
+
 ALL = np.uint64(0xFFFF_FFFF_FFFF_FFFF)
 """Every bit of a word."""
 

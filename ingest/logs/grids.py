@@ -1,6 +1,10 @@
-"""nav_msgs/OccupancyGrid: the last one of a topic."""
+"""Grids of logs: nav_msgs/OccupancyGrid, the last one of a topic."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +19,16 @@ from .saved_map import checked_grid
 
 FREE = 20
 """Occupancy below which a cell is free: map_server's threshold of 0.196, in percent."""
+
+
+@dataclass(frozen=True, slots=True)
+class GridLog:
+    """A grid as it was saved or recorded, in place of a run; name, source, warnings: see `Run`."""
+
+    name: str
+    grid: Grid
+    source: Mapping[str, Any]
+    warnings: tuple[str, ...] = ()
 
 
 def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:

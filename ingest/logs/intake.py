@@ -50,29 +50,12 @@ def states_sigma(channel: Channel) -> bool:
     return POSE_KINDS.get(channel.type_name) == "pose_covariance"
 
 
-def usable_poses(value: FloatArray) -> BoolArray:
-    """(k,) which poses (k, 7) have finite, plausible numbers and an orientation."""
-    inside = np.asarray(_inside(value).all(axis=1))
-    # What is not inside may overflow.
-    return np.asarray(inside & _turned(np.where(inside[:, None], value, 0.0)))
-
-
-def _inside(value: FloatArray) -> BoolArray:
-    # NaN compares as false, so that it is never inside.
-    return np.asarray(np.abs(value) <= FARTHEST)
-
-
-def _all_inside(value: FloatArray) -> bool:
-    # The largest of numbers with a NaN is NaN.
-    return len(value) == 0 or bool(value.max() <= FARTHEST and value.min() >= -FARTHEST)
-
-
-def _turned(value: FloatArray) -> BoolArray:
+def usable_poses(value: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """(k,) which poses (k, 7) have finite, plausible numbers, and which of these an orientation."""
+    finite = np.asarray((np.abs(value) <= FARTHEST).all(axis=1))  # NaN compares as false
+    turn = value[:, 3:] if finite.all() else np.where(finite[:, None], value[:, 3:], 0.0)
     # Far below any unit quaternion, far above what rounding leaves of a zero one.
-    # Column by column: numpy's inner loop runs over the poses.
-    x, y, z, w = value[:, 3:].T
-    flat = np.asarray(z * z + w * w > 1e-12)  # most robots do not lie on their side
-    return flat if flat.all() else np.asarray(x * x + y * y + z * z + w * w > 1e-12)
+    return finite, np.asarray(np.einsum("ki,ki->k", turn, turn) > 1e-12)
 
 
 def in_plane(value: FloatArray) -> FloatArray:
@@ -170,15 +153,10 @@ class Sink:
 
     def _usable(self, poses: Poses) -> Poses:
         """The poses with finite numbers and an orientation; the others are counted."""
-        if not _all_inside(poses.pose):
-            finite = np.asarray(_inside(poses.pose).all(axis=1))
-            self.not_finite += int((~finite).sum())
-            poses = take(poses, finite)
-        turned = _turned(poses.pose)
-        if not turned.all():
-            self.zero_quaternion += int((~turned).sum())
-            poses = take(poses, turned)
-        return poses
+        finite, turned = usable_poses(poses.pose)
+        self.not_finite += int((~finite).sum())
+        self.zero_quaternion += int((finite & ~turned).sum())
+        return poses if turned.all() else take(poses, turned)
 
 
 class Intake:

@@ -16,7 +16,7 @@ import numpy as np
 from ...topology.arrays import Float32Array, IntArray
 from ...topology.se2 import yaw_from_quaternion
 from .clouds import Cloud, foxglove_cloud, wire_cloud
-from .columns import Shape
+from .columns import Shape, numbers
 from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit_quaternion
 from .inflate import SLICE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
@@ -121,17 +121,13 @@ class _Template(NamedTuple):
     def scans(self, rows: Bytes, message: IntArray, log_ns: IntArray) -> list[RawScans]:
         """The scans of messages (rows) of this shape, by geometry."""
         stamp_ns = stamps_ns(rows, self.stamp_at, self.order, self.ros1)
-        about = self._numbers(rows, self.about_at, ABOUT_BYTES // 4)
-        ranges = self._numbers(rows, self.width - 4 * self.beams, self.beams)
+        kind = f"{self.order}f4"
+        about = numbers(rows, kind, self.about_at, ABOUT_BYTES // 4)
+        ranges = numbers(rows, kind, self.width - 4 * self.beams, self.beams)
         return [
             RawScans(message, log_ns, stamp_ns, ranges, _geometry(self.frame, stated)).rows(which)
             for which, stated in _alike(about)
         ]
-
-    def _numbers(self, rows: Bytes, at: int, count: int) -> Float32Array:
-        """(n, count) float32 at one offset of every row."""
-        span = np.ascontiguousarray(rows[:, at : at + 4 * count]).view(f"{self.order}f4")
-        return span.astype(np.float32, copy=False).reshape(len(rows), count)
 
 
 def _parsed_head(parser: WireParser) -> tuple[int, str, int, int]:

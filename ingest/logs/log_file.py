@@ -96,7 +96,7 @@ class LogFile:
     def container(self) -> Container:
         """The reader of a file that is not packed, which keeps its index; raises LogError if it is
         no log."""
-        return _container(self.path, self.kind)
+        return _container(self.path, self.kind, self.path)
 
     @contextmanager
     def opened(self) -> Iterator[Container]:
@@ -107,17 +107,18 @@ class LogFile:
         path = _here(self.path, "a file that is compressed as a whole can only be read as a whole")
         with tempfile.TemporaryDirectory(prefix="topobatch-") as folder:
             unpacked = _unpack(path, Path(folder) / SUFFIX.sub("", path.name))
-            yield _container(unpacked, sniff(unpacked))
+            yield _container(unpacked, sniff(unpacked), path)
 
 
-def _container(path: LogPath, kind: str | None) -> Container:
+def _container(path: LogPath, kind: str | None, named: LogPath) -> Container:
+    """The reader of a file of a format; named: for people."""
     if kind == "mcap":
         return ChunkedLog(path, read_summary, McapScan)
     if kind == "bag":
         return ChunkedLog(path, read_index, BagScan)
     if kind == "sqlite3":
         return SqliteFile(_here(path, "a database can only be read as a whole"))
-    raise LogError(f"{path}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")
+    raise LogError(f"{named}: is no log; an MCAP file, a ROS 1 bag or a ROS 2 bag is needed")
 
 
 def _here(path: LogPath, why: str) -> Path:

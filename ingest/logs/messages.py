@@ -112,7 +112,7 @@ class Survey(NamedTuple):
     sure: whether it is confirmed by a checksum, or counted from the data themselves.
     """
 
-    counts: dict[Channel, int]
+    counts: Counter[Channel]
     start_ns: int
     end_ns: int
     sure: bool = False

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import joined, take
-from .columns import Shape
+from .columns import Shape, numbers
 from .messages import Block, Bytes, DamageError
 from .wire import OneByOne, TemplateDecoder, WireParser, stamps_ns
 
@@ -139,7 +139,8 @@ class _Template(NamedTuple):
 
     def _run(self, rows: Bytes, message: IntArray, log_ns: IntArray, run: _Run) -> Poses:
         stamp_ns = stamps_ns(rows, run.stamp_at, self.order, self.ros1)
-        value = self._numbers(rows, run.pose_at, NUMBERS * run.length).reshape(-1, NUMBERS)
+        value = numbers(rows, f"{self.order}f8", run.pose_at, NUMBERS * run.length)
+        value = value.reshape(-1, NUMBERS)
         sigma_m = None
         if run.length != 1:
             times = message, log_ns, stamp_ns
@@ -149,14 +150,9 @@ class _Template(NamedTuple):
         frame = np.full(len(message), run.frame, np.int64)
         return Poses(message, np.zeros_like(message), log_ns, stamp_ns, frame, value, sigma_m)
 
-    def _numbers(self, rows: Bytes, at: int, count: int) -> FloatArray:
-        """(n, count) float64 at one offset of every row."""
-        span = np.ascontiguousarray(rows[:, at : at + 8 * count])
-        return span.view(f"{self.order}f8").astype(np.float64, copy=False)
-
     def _sigma_m(self, rows: Bytes, at: int) -> FloatArray:
         """(k,) stated 1 sigma of the positions [m], NaN where none is stated (0 or less)."""
-        variance = self._numbers(rows, at, COVARIANCE)[:, [0, 7]].max(axis=1)
+        variance = numbers(rows, f"{self.order}f8", at, COVARIANCE)[:, [0, 7]].max(axis=1)
         return np.minimum(np.sqrt(np.where(variance > 0, variance, np.nan)), FARTHEST_M)
 
 

@@ -181,12 +181,13 @@ def _folder(path: LogPath) -> Recording:
         missing = [name for name in known if name not in there]
         known = [_PACKED.sub("", name) for name in known]
         strange = [legible(file.path.name) for file in files if known and _bare(file) not in known]
-        if missing:
-            verb = "is" if len(missing) == 1 else "are"
-            notes.append(f"{METADATA} names {listed(missing)}, which {verb} missing or no log")
-        if strange:
-            verb = "is" if len(strange) == 1 else "are"
-            notes.append(f"{METADATA} does not name {listed(strange)}, which {verb} read")
+        for those, told, what in (
+            (missing, "names", "missing or no log"),
+            (strange, "does not name", "read"),
+        ):
+            if those:
+                verb = "is" if len(those) == 1 else "are"
+                notes.append(f"{METADATA} {told} {listed(those)}, which {verb} {what}")
     if not files:
         raise LogError(f"{path}: the folder holds no log files; a bag folder or a file is needed")
     return Recording(path, tuple(files), tuple(notes), metadata.messages)
@@ -215,8 +216,7 @@ def _metadata(path: LogPath, notes: list[str]) -> Metadata:
         if path.stat().st_size > METADATA_BYTES:
             raise ValueError("it is implausibly long")
         return parse_metadata(path.read_text("utf-8", "replace"))
-    except ValueError as error:
-        notes.append(f"{METADATA} cannot be read ({error}); all files are used")
-    except OSError as error:
-        notes.append(f"{METADATA} cannot be read ({error.strerror}); all files are used")
+    except (ValueError, OSError) as error:
+        why = error.strerror if isinstance(error, OSError) else error
+        notes.append(f"{METADATA} cannot be read ({why}); all files are used")
     return Metadata([], None)

@@ -8,7 +8,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, NamedTuple, TypeGuard
+from typing import TYPE_CHECKING, TypeGuard
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,13 +56,6 @@ MOST_CELLS = 1 << 24
 """Largest grid that is read: 16.8 million cells, 200 by 200 m at 5 cm."""
 
 
-class SavedMap(NamedTuple):
-    """A saved map; notes: what was read otherwise than it is written."""
-
-    grid: Grid
-    notes: tuple[str, ...]
-
-
 def checked_grid(grid: Grid) -> Grid:
     """The grid; raises ValueError if its numbers are invalid."""
     height, width = grid.free.shape
@@ -101,9 +94,9 @@ def saved_map_files(path: Path) -> tuple[Path, ...]:
     raise LogError(f"{path}: its image {legible(str(image))[:200]} is missing")
 
 
-def read_saved_map(path: Path) -> SavedMap:
-    """The grid of a saved map, of more than MOST_CELLS in larger cells; raises LogError if it
-    cannot be read."""
+def read_saved_map(path: Path) -> tuple[Grid, tuple[str, ...]]:
+    """The grid of a saved map, of more than MOST_CELLS in larger cells, and what was read otherwise
+    than it is written; raises LogError if it cannot be read."""
     _, image = saved_map_files(path)
     try:
         found = yaml_values(_text(path))
@@ -116,7 +109,7 @@ def read_saved_map(path: Path) -> SavedMap:
         if not (path.parent / _image(found)).is_file():
             where = legible(_image(found))[:200]
             notes = (f"its image {where} is not there; {image.name} beside it is read", *notes)
-        return SavedMap(checked_grid(grid), notes)
+        return checked_grid(grid), notes
     except (ValueError, KeyError, OSError) as error:
         text = legible(" ".join(str(error).split()))[:200]
         raise LogError(f"{path}: is no map that can be read: {text}") from error

@@ -7,6 +7,7 @@ import os
 import shutil
 import sqlite3
 import tempfile
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
 from itertools import compress
@@ -92,7 +93,7 @@ class SqliteFile:
         try:
             with _sound(self.path, findings) as path, _connected(path) as base:
                 channels = _channels(base)
-                counts = dict.fromkeys(channels.values(), 0)
+                counts = Counter(dict.fromkeys(channels.values(), 0))
                 for key, count in _counts(base, channels, exact).items():
                     if key in channels:
                         counts[channels[key]] += count

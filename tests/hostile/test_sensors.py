@@ -8,8 +8,8 @@ import logs_sensors
 import numpy as np
 import pytest
 
-from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import lattice, map_of_grid
+from topobatch.ingest.logs.grids import GridLog
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.reading import read_log
 from topobatch.ingest.scans.slicing import mount_of_camera

@@ -11,8 +11,8 @@ from PIL import Image, ImageDraw
 from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
-from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.grid_map import map_of_grid
+from topobatch.ingest.logs.grids import GridLog
 from topobatch.merge.merging import merge_maps
 from topobatch.simulation.walls import free_space
 from topobatch.simulation.world import World, polyline_at

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.junction_source import junction_source
+from topobatch.ingest.logs.grids import GridLog
 from topobatch.ingest.logs.messages import Channel
 from topobatch.ingest.logs.recording import recording_at
 from topobatch.ingest.mapping import build_map

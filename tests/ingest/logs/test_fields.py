@@ -172,7 +172,7 @@ def test_a_path_that_leads_nowhere_is_named(of_both_kinds, monkeypatch, fields, 
     told = WRONG[fields].replace("has stamp", "has seq, stamp") if ros1 else WRONG[fields]
     problems = inspect_log(folder, settings(fields)).problems
     assert any(told in problem for problem in problems), problems
-    monkeypatch.setattr("topobatch.ingest.reading.walk", None)  # nothing is read
+    monkeypatch.setattr("topobatch.ingest.survey.walk", None)  # nothing is read
     with pytest.raises(UsageError) as caught:
         read_run(folder, settings(fields))
     assert told in str(caught.value)

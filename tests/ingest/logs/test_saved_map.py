@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from topobatch.ingest.grid_log import GridLog
 from topobatch.ingest.logs import saved_map
+from topobatch.ingest.logs.grids import GridLog
 from topobatch.ingest.logs.saved_map import is_saved_map, read_saved_map
 from topobatch.ingest.reading import find_logs, inspect_log, read_log
 from topobatch.topology.errors import LogError
@@ -52,7 +52,7 @@ def test_a_saved_map_is_read_as_map_server_does(tmp_path: Path) -> None:
 )
 def test_thresholds_and_modes(tmp_path: Path, lines: str, free: list[bool]) -> None:
     path = saved(tmp_path, [[254, 205, 0]], FLAT.replace("negate: 0\n", "") + lines)
-    grid = read_saved_map(path).grid
+    grid = read_saved_map(path)[0]
     assert grid.free.tolist() == [free]
 
 
@@ -63,7 +63,7 @@ def test_png_with_alpha_block_lists_and_quotes(tmp_path: Path) -> None:
         "# saved\nimage: 'a.png'  # here\nresolution: 1.0e-1\norigin:\n- 1\n- -2.5\n- 0.5\n"
         "mode: scale\n"
     )
-    grid = read_saved_map(tmp_path / "x.yml").grid
+    grid = read_saved_map(tmp_path / "x.yml")[0]
     assert grid.free.tolist() == [[True, False]]
     assert (grid.resolution_m, grid.origin) == (0.1, (1.0, -2.5, 0.5))
 
@@ -127,7 +127,7 @@ def test_a_picture_beyond_memory_is_refused_before_it_is_decoded(
     ):
         read_saved_map(path)
     saved(tmp_path, hall())
-    assert read_saved_map(path).grid.free.any()
+    assert read_saved_map(path)[0].free.any()
 
 
 @settings(max_examples=120)
