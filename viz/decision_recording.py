@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.decision import Decision
@@ -26,7 +25,6 @@ from .recording import (
     screen,
     write_cards,
     write_recording,
-    write_words,
 )
 from .sheet import corners_of
 
@@ -62,21 +60,17 @@ def write_decision_recording(path: Path, a: TopoMap, b: TopoMap, decision: Decis
 
 def _mark(recording: Recording, mark: Mark, pen: float) -> None:
     """Write a mark; what is said of it is shown where it is pointed at."""
-    colour = palette.rgb(palette.DARK[mark.ink])
-    if mark.form == "number":
-        write_words(
-            recording, mark.name, mark.xy, list(mark.told), colours=colour, order=mark.order
-        )
-        return
-    look: dict[str, Any] = {"colors": colour, "draw_order": mark.order}
+    xy, told = list(mark.xy), list(mark.told)
+    look: dict[str, Any] = {"colors": palette.rgb(palette.DARK[mark.ink])}
+    known = {"told": told} if told and mark.form != "number" else {}
     if mark.form == "line":
-        radii = 0.4 * pen * np.asarray(mark.pens)
-        shape: Any = rr.LineStrips2D(list(mark.xy), radii=radii, **look)
-    else:
-        size = {"ring": 1.8 * pen, "dot": 1.2 * pen, "cell": 0.5 * float(np.max(mark.pens))}
-        shape = rr.Points2D(list(mark.xy), radii=size[mark.form], **look)
-    told = [rr.AnyValues(told=list(mark.told))] if mark.told else []
-    recording.static(mark.name, shape, *told)
+        look["radii"] = 0.4 * pen * np.asarray(mark.pens)
+        recording.lines(mark.name, xy, mark.order, known, **look)
+        return
+    cell_m = 0.5 * float(np.max(mark.pens))
+    radii = {"ring": 1.8 * pen, "dot": 1.2 * pen, "cell": cell_m, "number": 0.0}
+    look |= {"labels": told, "show_labels": True} if mark.form == "number" else {}
+    recording.dots(mark.name, xy, mark.order, known, radii=radii[mark.form], **look)
 
 
 _LEGEND = "# How to read it\n\n" + bulleted(

@@ -82,13 +82,14 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
         return
     share = np.clip((topomap.traversals - 1) / 3.0, 0.0, 1.0)[:, None]
     dull, bright = np.array(palette.CORRIDOR), np.array(palette.WHITE)
-    lines = rr.LineStrips2D(
-        list(topomap.paths),
+    recording.lines(
+        (*MAP, "corridors"),
+        topomap.paths,
+        palette.Order.CORRIDOR,
+        corridors_told(topomap, np.arange(len(topomap.source))),
         radii=pen_m([topomap]) / 2,
         colors=(dull + 0.45 * share * (bright - dull)).astype(np.uint8),
-        draw_order=palette.Order.CORRIDOR,
     )
-    recording.static((*MAP, "corridors"), lines, corridors_told(topomap))
 
 
 def _branches(recording: Recording, topomap: TopoMap) -> None:
@@ -117,28 +118,26 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         return
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
-    recording.static(
+    told = {
+        "vertex": np.arange(n),
+        "kind": list(topomap.kind),
+        "branches": topomap.degree,
+        "headings_deg": [
+            ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
+        ],
+        "passes": topomap.passes,
+        "confidence": topomap.confidence,
+        "position_sigma_m": topomap.position_sigma,
+    }
+    recording.dots(
         (*MAP, "junctions"),
-        rr.Points2D(
-            topomap.xy,
-            radii=_dot(topomap) * pen_m([topomap]),
-            colors=palette.by_degree(topomap.degree),
-            labels=[str(i) for i in range(n)],
-            show_labels=n <= MOST_NUMBERED,
-            draw_order=palette.Order.JUNCTION,
-        ),
-        rr.AnyValues(
-            vertex=np.arange(n),
-            kind=list(topomap.kind),
-            branches=topomap.degree,
-            headings_deg=[
-                ", ".join(f"{h:.0f}" for h in np.degrees(topomap.branches[i])) for i in range(n)
-            ],
-            passes=topomap.passes,
-            confidence=topomap.confidence,
-            position_sigma_m=topomap.position_sigma,
-            **sizes,
-        ),
+        topomap.xy,
+        palette.Order.JUNCTION,
+        told | sizes,
+        radii=_dot(topomap) * pen_m([topomap]),
+        colors=palette.by_degree(topomap.degree),
+        labels=[str(i) for i in range(n)],
+        show_labels=n <= MOST_NUMBERED,
     )
 
 
@@ -170,19 +169,15 @@ def _closures(recording: Recording, topomap: TopoMap, asked: Sequence[Question])
         if not drawn:
             continue
         ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
-        lines = rr.LineStrips2D(
-            [line for _, line in drawn],
-            radii=HAIR,
-            colors=colours[name],
-            draw_order=palette.Order.CLOSURE,
-        )
-        told = rr.AnyValues(
-            closure=[q.told for q, _ in drawn],
-            junctions=[", ".join(map(str, dict.fromkeys(pair))) for pair in ends],
-            bits=np.array([q.closure.bits for q, _ in drawn]),
-            reason=[q.closure.reason for q, _ in drawn],
-        )
-        recording.static((*MAP, "closures", name), lines, told)
+        told = {
+            "closure": [q.told for q, _ in drawn],
+            "junctions": [", ".join(map(str, dict.fromkeys(pair))) for pair in ends],
+            "bits": np.array([q.closure.bits for q, _ in drawn]),
+            "reason": [q.closure.reason for q, _ in drawn],
+        }
+        path, lines = (*MAP, "closures", name), [line for _, line in drawn]
+        look = {"radii": HAIR, "colors": colours[name]}
+        recording.lines(path, lines, palette.Order.CLOSURE, told, **look)
 
 
 def _events(
@@ -235,8 +230,7 @@ def _track(recording: Recording, track: RobotTrack) -> None:
         ("corrected", track.bent, palette.TRACK, palette.Order.CORRECTED),
     ):
         if lines := track.stretches(pose):
-            strips = rr.LineStrips2D(lines, radii=HAIR, colors=colour, draw_order=order)
-            recording.static((*MAP, "odometry", name), strips)
+            recording.lines((*MAP, "odometry", name), lines, order, radii=HAIR, colors=colour)
     xy = track.bent[:, :2]
     for name, size, colour, order in (
         ("robot", 7.0, palette.ROBOT, palette.Order.ROBOT),
@@ -266,15 +260,8 @@ def _detections(recording: Recording, detections: Detections, track: RobotTrack)
     pose = track.at(time_ns[rows])
     ahead = np.column_stack([detections.centre[rows], np.zeros(len(rows))])
     centre = compose(pose, ahead)[:, :2]
-    recording.static(
-        (*MAP, "detections"),
-        rr.Points2D(
-            centre,
-            radii=rr.Radius.ui_points(1.0),
-            colors=palette.DETECTION,
-            draw_order=palette.Order.SIGHTING,
-        ),
-    )
+    order, radii = palette.Order.SIGHTING, rr.Radius.ui_points(1.0)
+    recording.dots((*MAP, "detections"), centre, order, radii=radii, colors=palette.DETECTION)
     branches = detections.branches.take(rows)
     theta = branches.values + pose[branches.owner, 2]
     ends = BRANCH_M * np.stack([np.cos(theta), np.sin(theta)], axis=-1)
@@ -284,10 +271,10 @@ def _detections(recording: Recording, detections: Detections, track: RobotTrack)
         return
     columns = rr.LineStrips2D.columns(strips=list(strips)).partition(branches.counts[seen])
     recording.over_time((*MAP, "detection"), time_ns[rows][seen], columns)
-    look = rr.LineStrips2D.from_fields(
+    star = rr.LineStrips2D.from_fields(
         radii=rr.Radius.ui_points(1.5), colors=palette.DETECTION, draw_order=palette.Order.SEEN
     )
-    recording.static((*MAP, "detection"), look)
+    recording.static((*MAP, "detection"), star)
 
 
 SURE = 5.5 / 7
@@ -304,20 +291,21 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
     if len(passes) == 0:
         return
     sure = (passes.confidence > SURE)[:, None]
-    dots = rr.Points2D(
+    told = {
+        "seen": np.arange(len(passes)),
+        "confidence": passes.confidence,
+        "branches": passes.branches.counts,
+        "windows": passes.windows,
+        "clearance_m": passes.clearance_m,
+    }
+    recording.dots(
+        (*MAP, "scans", "junctions"),
         apply(track.at(passes.time_ns), passes.centre),
+        palette.Order.TIE,
+        told,
         radii=rr.Radius.ui_points(2.5),
         colors=np.where(sure, palette.DETECTION, palette.DOUBTFUL).astype(np.uint8),
-        draw_order=palette.Order.TIE,
     )
-    told = rr.AnyValues(
-        seen=np.arange(len(passes)),
-        confidence=passes.confidence,
-        branches=passes.branches.counts,
-        windows=passes.windows,
-        clearance_m=passes.clearance_m,
-    )
-    recording.static((*MAP, "scans", "junctions"), dots, told)
 
 
 def _correction(topomap: TopoMap, name: str) -> float:

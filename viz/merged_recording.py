@@ -10,8 +10,8 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ..merge.result import FusedMap, MergeResult, site_views
-from ..topology.arrays import FloatArray, IntArray
+from ..merge.result import FusedMap, MergeResult, Standing, site_views
+from ..topology.arrays import FloatArray
 from ..topology.columns import take
 from ..topology.driven_branches import driven_branches
 from ..topology.run import Grid
@@ -21,11 +21,21 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from . import palette
 from .drawing import SHEET_MARGIN, Strand, bounds, branch_arrows, pen_m, strands
-from .matrix_layer import MATRIX, matrix_bounds, write_matrix
 from .pages import merge_page
-from .parts import Part, colours_of, lay_out, rows_of, runs_in_order
+from .parts import (
+    CLASS,
+    DIAGONAL,
+    Part,
+    colours_of,
+    lay_out,
+    rows_of,
+    runs_in_order,
+    spans_of,
+    verdict_matrix,
+)
 from .placements import contradiction_spots
 from .recording import (
+    HAIR,
     UP,
     PathParts,
     Recording,
@@ -34,12 +44,11 @@ from .recording import (
     map_view,
     markdown,
     placed,
-    strips,
     write_cards,
     write_grid,
     write_recording,
 )
-from .sheet import Cell, corners_of
+from .sheet import Cell, corners_of, outline
 from .walls import FINE_M, wall_points, walls_of
 
 RECORDING_ID = "merged"
@@ -79,7 +88,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
                 _own_map(recording, own, by_name[run], colours[run], pen)
         _unexplored(recording, result.fused, parts, pen)
         _contradictions(recording, result, by_name, parts, pen)
-        write_matrix(recording, result, runs, colours)
+        _matrix(recording, result, runs, colours)
         recording.static(("summary",), markdown(merge_page(result)))
         return _blueprint(sheet, runs)
 
@@ -103,7 +112,7 @@ def _blueprint(sheet: list[Cell], runs: list[str]) -> rrb.Blueprint:
     maps = [map_view([root], name, low, high) for root, name in ((FUSED, "Map"), (RUNS, "Runs"))]
     verdicts = []
     if len(runs) > 1:
-        low, high = matrix_bounds(runs)
+        low, high = _matrix_bounds(runs)
         verdicts.append(
             rrb.Spatial2DView(
                 origin=f"/{MATRIX}",
@@ -164,27 +173,16 @@ def _ribbons(
     for strand in strands(fused, part.edges, pen):
         of_run.setdefault(strand.run, []).append(strand)
     for run, own in of_run.items():
-        lines = rr.LineStrips2D.from_fields(
-            strips=strips([strand.path for strand in own]),
+        edges = np.array([strand.edge for strand in own])
+        drove = [sorted({run for run, _ in fused.edge_members[e]}) for e in edges.tolist()]
+        recording.lines(
+            (FUSED, part.name, "corridors", run),
+            [strand.path for strand in own],
+            palette.Order.CORRIDOR,
+            corridors_told(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
             radii=[pen * strand.share / 2 for strand in own],
             colors=colours[run],
-            draw_order=palette.Order.CORRIDOR,
         )
-        edges = np.array([strand.edge for strand in own])
-        told = _corridor_info(fused, edges)
-        recording.static((FUSED, part.name, "corridors", run), lines, told)
-
-
-def _corridor_info(fused: FusedMap, edges: IntArray) -> rr.AnyValues:
-    rows = edges.tolist()
-    return rr.AnyValues(
-        corridor=edges,
-        between=[f"{fused.source[i]} - {fused.target[i]}" for i in rows],
-        length_m=fused.length[edges],
-        length_sigma_m=fused.length_sigma[edges],
-        traversals=fused.traversals[edges],
-        driven_by=[", ".join(sorted({run for run, _ in fused.edge_members[i]})) for i in rows],
-    )
 
 
 def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) -> None:
@@ -194,23 +192,24 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         return
     members = [fused.members[i] for i in rows.tolist()]
     several = np.array([len(runs) > 1 for runs in members])
-    points = rr.Points2D(
+    told = {
+        "vertex": rows,
+        "kind": [fused.kind[i] for i in rows.tolist()],
+        "branches": fused.branches.counts[rows],
+        "runs": np.array([len(runs) for runs in members]),
+        "fused_from": [_members_told(runs) for runs in members],
+        "passes": np.array([len(fused.observations[i]) for i in rows.tolist()]),
+    }
+    recording.dots(
+        (FUSED, part.name, "junctions"),
         fused.xy[rows],
+        palette.Order.JUNCTION,
+        told,
         radii=pen * np.where(several, 2.4, 1.4),
         colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
         labels=list(map(str, rows.tolist())),
         show_labels=False,
-        draw_order=palette.Order.JUNCTION,
     )
-    told = rr.AnyValues(
-        vertex=rows,
-        kind=[fused.kind[i] for i in rows.tolist()],
-        branches=fused.branches.counts[rows],
-        runs=np.array([len(runs) for runs in members]),
-        fused_from=[_members_told(runs) for runs in members],
-        passes=np.array([len(fused.observations[i]) for i in rows.tolist()]),
-    )
-    recording.static((FUSED, part.name, "junctions"), points, told)
 
 
 def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
@@ -256,14 +255,10 @@ def _contradictions(
             found.setdefault(home[pair.a].name, []).extend(spots)
     for name, spots in found.items():
         if spots:
-            dots = rr.Points2D(
-                [xy for xy, _ in spots],
-                radii=2.0 * pen,
-                colors=palette.REFUSED,
-                draw_order=palette.Order.CONTRADICTION,
-            )
-            told = rr.AnyValues(contradiction=[told for _, told in spots])
-            recording.static((FUSED, name, "contradictions"), dots, told)
+            path, at = (FUSED, name, "contradictions"), [xy for xy, _ in spots]
+            told = {"contradiction": [words for _, words in spots]}
+            look = {"radii": 2.0 * pen, "colors": palette.REFUSED}
+            recording.dots(path, at, palette.Order.CONTRADICTION, told, **look)
 
 
 def _own_map(
@@ -271,21 +266,104 @@ def _own_map(
 ) -> None:
     """Write a run's own map below its entity path, in its own frame and in one colour."""
     if len(m.source):
-        lines = rr.LineStrips2D.from_fields(
-            strips=strips(m.paths),
-            radii=0.4 * pen,
-            colors=colour,
-            draw_order=palette.Order.CORRIDOR,
-        )
-        recording.static((*path, "corridors"), lines, corridors_told(m))
+        told = corridors_told(m, np.arange(len(m.source)))
+        look = {"radii": 0.4 * pen, "colors": colour}
+        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, told, **look)
     if len(m):
-        points = rr.Points2D(
+        told = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
+        recording.dots(
+            (*path, "junctions"),
             m.xy,
+            palette.Order.JUNCTION,
+            told,
             radii=1.2 * pen,
             colors=colour,
             labels=[*map(str, range(len(m)))],
             show_labels=False,
-            draw_order=palette.Order.JUNCTION,
         )
-        info = rr.AnyValues(vertex=np.arange(len(m)), kind=list(m.kind), branches=m.degree)
-        recording.static((*path, "junctions"), points, info)
+
+
+MATRIX = "verdicts"
+"""Its entity root."""
+
+MOST_NAMES = 16
+"""Above this many runs the matrix shows their names on hovering only."""
+
+MOST_DOTS = 300
+"""Above this many runs the matrix has no dots."""
+
+FULL_DOT_BITS = 100.0
+"""Evidence of the largest dot [bits]."""
+
+_CLASSES = (
+    (DIAGONAL, "same run", palette.DIAGONAL),
+    (CLASS[Standing.UNRELATED], "unrelated", palette.UNRELATED),
+    (CLASS[Standing.AMBIGUOUS], "ambiguous", palette.AMBIGUOUS),
+    (CLASS[Standing.KEPT_OUT], "fits, but kept out by a later check", palette.KEPT_OUT),
+    (CLASS[Standing.JOINED], "joined through other runs", palette.JOINED),
+    (CLASS[Standing.MERGED], "merged", palette.MERGED),
+)
+
+
+def _matrix(
+    recording: Recording,
+    result: MergeResult,
+    runs: list[str],
+    colours: Mapping[str, palette.Colour],
+) -> None:
+    """Write the verdicts of all pairs as an image and their evidence as dots, the runs of a site
+    framed, and at the left a mark for each run with its name."""
+    if not runs:
+        return
+    count = len(runs)
+    recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
+    matrix = verdict_matrix(result, runs)
+    recording.static((MATRIX, "pairs"), rr.SegmentationImage(matrix, opacity=1.0))
+    frames = [outline((k, k), (n, n)) for _, k, n in spans_of(result) if n - k > 1]
+    order = palette.Order.RING
+    recording.lines((MATRIX, "components"), frames, order, radii=HAIR, colors=palette.DIM)
+    recording.dots(
+        (MATRIX, "runs"),
+        np.stack([np.full(count, -0.5 * _names_width(runs)), np.arange(count) + 0.5], axis=-1),
+        palette.Order.CONTRADICTION,
+        {"run": runs},
+        radii=0.012 * count,
+        colors=[colours[run] for run in runs],
+        labels=runs,
+        show_labels=count <= MOST_NAMES,
+    )
+    if count <= MOST_DOTS:
+        _matrix_evidence(recording, result, runs)
+
+
+def _matrix_bounds(runs: list[str]) -> tuple[FloatArray, FloatArray]:
+    """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
+    return np.array([-_names_width(runs), -0.2]), np.full(2, 1.01 * len(runs) + 0.2)
+
+
+def _names_width(runs: list[str]) -> float:
+    """Room for the names at the left [cells], from their share of a view of typical width."""
+    longest = max(map(len, runs), default=0) if len(runs) <= MOST_NAMES else 0
+    share = min(0.08 + 0.024 * longest, 0.6)
+    return len(runs) * share / (1 - share)
+
+
+def _matrix_evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
+    """Write the evidence as dots with the pair's attributes, below the diagonal."""
+    row = {run: i for i, run in enumerate(runs)}
+    pairs = [p for p in result.verdicts if p.a in row and p.b in row]
+    if not pairs:
+        return
+    ends = np.array([sorted((row[p.a], row[p.b])) for p in pairs])
+    bits = np.array([p.evidence_bits for p in pairs])
+    told = {
+        "pair": [f"{p.a} - {p.b}" for p in pairs],
+        "verdict": [str(p.standing) for p in pairs],
+        "accepted": [p.accepted for p in pairs],
+        "evidence_bits": bits,
+        "reason": [p.reason for p in pairs],
+        "advice": [p.advice or "" for p in pairs],
+    }
+    radii = 0.2 * np.sqrt(np.clip(bits / FULL_DOT_BITS, 0.01, 1.0))
+    look = {"radii": radii, "colors": palette.BACKGROUND}
+    recording.dots((MATRIX, "evidence"), ends + 0.5, palette.Order.JUNCTION, told, **look)

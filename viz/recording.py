@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from PIL import Image
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.files import write_atomically
 from ..topology.run import Grid
-from ..topology.topomap import TopoMap
+from ..topology.topomap import Graph
 from . import palette
 from .sheet import ASPECT, Cell, corners_of, fitting, outline
 
@@ -34,6 +35,8 @@ HAIR = rr.Radius.ui_points(0.75)
 """The thinnest line that is visible on every screen [points]."""
 
 PathParts = tuple[str, ...]
+
+NOTHING: Mapping[str, Any] = MappingProxyType({})
 
 
 class Recording:
@@ -52,6 +55,30 @@ class Recording:
         """Log components without a time."""
         first, *more = parts
         self._stream.log(entity(path), first, *more, static=True)
+
+    def dots(
+        self,
+        path: PathParts,
+        xy: FloatArray | Sequence[Any],
+        order: palette.Order,
+        told: Mapping[str, Any] = NOTHING,
+        **look: Any,
+    ) -> None:
+        """Log points (n, 2) without a time. told: components that say what is known of each; look:
+        of rerun's Points2D."""
+        self.static(path, rr.Points2D(xy, draw_order=order, **look), *_values(told))
+
+    def lines(
+        self,
+        path: PathParts,
+        lines: Sequence[FloatArray],
+        order: palette.Order,
+        told: Mapping[str, Any] = NOTHING,
+        **look: Any,
+    ) -> None:
+        """Log polylines, (k, 2) each, without a time. told, look: as of `dots`."""
+        shape = rr.LineStrips2D.from_fields(strips=_strips(lines), draw_order=order, **look)
+        self.static(path, shape, *_values(told))
 
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row for each time, on the timelines CLOCKS."""
@@ -128,9 +155,13 @@ def placed(T_parent_child: FloatArray) -> rr.Transform3D:
     return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
 
 
-def strips(lines: Sequence[FloatArray]) -> Any:
+def _values(told: Mapping[str, Any]) -> list[rr.AnyValues]:
+    return [rr.AnyValues(**told)] if told else []
+
+
+def _strips(lines: Sequence[FloatArray]) -> Any:
     """Polylines, (k, 2) each, as one Arrow array: rerun would convert them one by one."""
-    points = rr.components.Position2DBatch(np.concatenate(lines))
+    points = rr.components.Position2DBatch(np.concatenate([np.zeros((0, 2)), *lines]))
     stops = pa.array(np.cumsum([0, *map(len, lines)]), pa.int32())
     kind = rr.components.LineStrip2DBatch([]).as_arrow_array().type
     return pa.ListArray.from_arrays(stops, points.as_arrow_array(), type=kind)
@@ -179,35 +210,15 @@ TITLE_LETTERS = 150
 """Letters across a view of typical width."""
 
 
-def write_words(
-    recording: Recording,
-    path: PathParts,
-    places: Any,
-    words: list[str],
-    *,
-    colours: Any = palette.TITLE,
-    order: palette.Order = palette.Order.WORDS,
-) -> None:
-    """Write a label below each of the places (n, 2)."""
-    shown = rr.Points2D(
-        places, radii=0.0, colors=colours, labels=words, show_labels=True, draw_order=order
-    )
-    recording.static(path, shown)
-
-
 def write_cards(
     recording: Recording, root: str, cells: list[Cell], titles: Sequence[Sequence[str]]
 ) -> None:
     """Write a frame for each of several cells, and its title: the first that fits of the given
     forms, longest first. `titles` may be empty."""
     if len(cells) > 1:
-        frames = rr.LineStrips2D(
-            [outline(cell.low, cell.high) for cell in cells],
-            radii=HAIR,
-            colors=palette.CARD,
-            draw_order=palette.Order.CARD,
-        )
-        recording.static((root, "frames"), frames)
+        frames = [outline(cell.low, cell.high) for cell in cells]
+        order = palette.Order.CARD
+        recording.lines((root, "frames"), frames, order, radii=HAIR, colors=palette.CARD)
     width, height = np.ptp(corners_of(cells), axis=0) if cells else np.zeros(2)
     seen_m = max(float(width), ASPECT * float(height))
     shown = []
@@ -217,18 +228,27 @@ def write_cards(
         shown += [(((x0 + x1) / 2, top), title)] if title else []
     if shown:
         tops, words = zip(*shown, strict=True)
-        write_words(recording, (root, "titles"), tops, [*words])
+        recording.dots(
+            (root, "titles"),
+            tops,
+            palette.Order.WORDS,
+            radii=0.0,
+            colors=palette.TITLE,
+            labels=words,
+            show_labels=True,
+        )
 
 
-def corridors_told(m: TopoMap) -> rr.AnyValues:
-    """The attributes of the corridors of a map."""
-    return rr.AnyValues(
-        corridor=np.arange(len(m.source)),
-        between=[f"{u} - {v}" for u, v in zip(m.source.tolist(), m.target.tolist(), strict=True)],
-        length_m=m.length,
-        length_sigma_m=m.length_sigma,
-        traversals=m.traversals,
-    )
+def corridors_told(graph: Graph, edges: IntArray) -> dict[str, Any]:
+    """The attributes of corridors."""
+    ends = zip(graph.source[edges].tolist(), graph.target[edges].tolist(), strict=True)
+    return {
+        "corridor": edges,
+        "between": [f"{u} - {v}" for u, v in ends],
+        "length_m": graph.length[edges],
+        "length_sigma_m": graph.length_sigma[edges],
+        "traversals": graph.traversals[edges],
+    }
 
 
 MOST_PIXELS = 8192

@@ -24,14 +24,14 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from ..merge.change import Change
 from ..merge.decision import Decision
 from ..merge.drive import Drive
-from ..merge.result import Component, MergeResult, Standing, shown_bits, site_views
+from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
 from .palette import LIGHT
 from .parts import in_order, ranks, runs_in_order
-from .report_maps import INK, SiteLayers, blank_figure, described_change, site_map
+from .report_maps import INK, blank_figure, described_change, site_map
 from .report_pairs import STANDING_COLOURS, matrix_figure, named_axis, page_data, pair_figure
 from .sheet import upright_rad
 
@@ -218,34 +218,22 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
     shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
     out = []
     for c in shown[:MOST_MAPS]:
-        rows = np.flatnonzero(result.fused.component == c.id)
-        edges = np.flatnonzero(np.isin(result.fused.source, rows))
-        places = int((~result.fused.is_turned[rows]).sum())
-        corridors = edges[edges < result.fused.corridors]
-        length = float(result.fused.length[corridors].sum())
-        maps = report.maps if report.as_merged else {}
-        layers = SiteLayers(
-            {run: maps[run] for run in c.poses if run in maps},
-            site_views(result.fused, c, maps),
-            [change for change in report.changes if change.component == c.id],
-            [(k, d) for k, d in enumerate(report.drives, 1) if d.component == c.id],
-        )
-        plot = site_map(result, c.id, layers)
-        items[f"site-{c.id}"] = _item(f"site-{c.id}", plot)
+        name, runs, fused = f"site-{c.id}", sorted(c.poses), of_sites(result, [c.id]).fused
+        maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
+        plot = site_map(result, c, maps, report.changes, report.drives)
+        items[name] = _item(name, plot)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
-        turn = np.degrees(upright_rad([result.fused.paths[e] for e in edges.tolist()]))
-        ways = len(edges) - len(corridors)
-        ink = [LIGHT.run(rank[run]) if len(c.poses) > 1 else INK for run in sorted(c.poses)]
+        ink = [LIGHT.run(rank[run]) if len(runs) > 1 else INK for run in runs]
         out.append(
             {
                 "id": c.id,
                 "name": c.name,
-                "told": f"{counted(len(c.poses), 'run')}, {counted(places, 'junction')}, "
-                f"{length:,.0f} m of corridors{to_turning_points(ways)}",
-                "runs": list(zip(sorted(c.poses), ink, strict=True)),
+                "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
+                f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}",
+                "runs": list(zip(runs, ink, strict=True)),
                 "shape": round(wide / high, 3),
-                "turn": f"{turn:.0f}",
-                "most": int(rows.max()) if len(rows) else 0,
+                "turn": f"{np.degrees(upright_rad(fused.paths)):.0f}",
+                "most": int(np.flatnonzero(result.fused.component == c.id).max(initial=0)),
             }
         )
     return out

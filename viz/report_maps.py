@@ -10,7 +10,7 @@ import io
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ from PIL import Image
 
 from ..merge.change import Change
 from ..merge.drive import Drive
-from ..merge.result import FusedMap, MergeResult, fused_of
+from ..merge.result import Component, FusedMap, MergeResult, fused_of, site_views
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.driven_branches import driven_branches
 from ..topology.polyline import simplify
@@ -29,7 +29,6 @@ from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.views import Views
 from ..topology.wording import counted, legible, listed
 from .drawing import TURNED, TURNED_MARKERS, bounds, strands
 from .pages import corridor_told, questions
@@ -61,39 +60,34 @@ MOST_RUNS = 8
 """Runs that a click names; of the others it gives the number."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SiteLayers:
-    """What a site's map shows besides the fused map. maps: of its runs; views: of its runs, in its
-    frame; changes: of its runs; drives: that begin in it, with their ranks."""
-
-    maps: Mapping[str, TopoMap] = field(default_factory=dict)
-    views: Sequence[Views] = ()
-    changes: Sequence[Change] = ()
-    drives: Sequence[tuple[int, Drive]] = ()
-
-
-def site_map(result: MergeResult, component: int, layers: SiteLayers) -> Any:
-    """A figure of one component of a merge, turned upright."""
+def site_map(
+    result: MergeResult,
+    own: Component,
+    maps: Mapping[str, TopoMap],
+    changes: Sequence[Change],
+    drives: Sequence[Drive],
+) -> Any:
+    """A figure of one component of a merge, turned upright. maps: of its runs; changes, drives: of
+    all components."""
     fused = result.fused
-    (vertices,) = rows_of(fused.component, [component])
-    (edges,) = rows_of(fused.component[fused.source], [component])
-    (own,) = (c for c in result.components if c.id == component)
-    T = np.array([0.0, 0.0, upright_rad([fused.paths[e] for e in edges.tolist()])])
-    extents = [fused.xy[vertices], *(fused.paths[e] for e in edges.tolist())]
-    extents += [drive.path for _, drive in layers.drives]
-    walls = walls_of([v.moved(T) for v in layers.views], own.name)
-    turned = [apply(T, points.reshape(-1, 2)) for points in extents]
-    plot = map_figure([*turned, wall_points(walls)])
+    (vertices,) = rows_of(fused.component, [own.id])
+    (edges,) = rows_of(fused.component[fused.source], [own.id])
+    paths = [fused.paths[e] for e in edges.tolist()]
+    begun = [(k, drive) for k, drive in enumerate(drives, 1) if drive.component == own.id]
+    T = np.array([0.0, 0.0, upright_rad(paths)])
+    walls = walls_of([v.moved(T) for v in site_views(fused, own, maps)], own.name)
+    extents = np.concatenate([fused.xy[vertices], *paths, *(drive.path for _, drive in begun)])
+    plot = map_figure([apply(T, extents), wall_points(walls)])
     plot.update(tags=[usual_m(fused.length[edges])])
-    site = _Site(plot, fused, T, vertices, edges)
+    site = _Site(plot, fused, own, T, vertices, edges)
     if walls is not None:
         site.walls(walls)
-    site.corridors(alone=len(own.poses) == 1)
-    site.runs(ranks(result), len(own.poses))
-    site.closures(layers.maps)
+    site.corridors()
+    site.runs(ranks(result))
+    site.closures(maps)
     site.unexplored()
-    site.changes(own.name, layers.changes)
-    site.drives(own.name, layers.drives)
+    site.changes([c for c in changes if c.component == own.id and c.sure])
+    site.drives(begun)
     site.junctions()
     site.frame()
     return plot
@@ -165,11 +159,12 @@ def path_columns(paths: Iterable[FloatArray]) -> tuple[list[list[float]], list[l
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Site:
-    """The figure of a component. T: the pose in the figure of its frame; vertices, edges: its
-    rows."""
+    """The figure of a component, its own. T: the pose in the figure of its frame; vertices, edges:
+    its rows."""
 
     plot: Any
     fused: FusedMap
+    own: Component
     T: FloatArray
     vertices: IntArray
     edges: IntArray
@@ -192,19 +187,19 @@ class _Site:
             name="walls",
         )
 
-    def corridors(self, *, alone: bool) -> None:
+    def corridors(self) -> None:
         """Every corridor as one line, to be clicked; faint under the lines of several runs."""
         f, rows = self.fused, self.edges.tolist()
         told = []
         for e in rows:
             what, runs = corridor_told(f, e), sorted({run for run, _ in f.edge_members[e]})
             told.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
-        paths, alpha = [f.paths[e] for e in rows], 0.9 if alone else 0.45
+        paths, alpha = [f.paths[e] for e in rows], 0.45 if len(self.own.poses) > 1 else 0.9
         self._lines(paths, told, FAINT, "", line_width=3.0, line_alpha=alpha)
 
-    def runs(self, rank: Mapping[str, int], count: int) -> None:
-        """A line beside the others for each run that drove a corridor."""
-        if count < 2:
+    def runs(self, rank: Mapping[str, int]) -> None:
+        """A line beside the others for each of several runs that drove a corridor."""
+        if len(self.own.poses) < 2:
             return
         extent = self.plot.x_range.end - self.plot.x_range.start
         usual = usual_m(self.fused.length[self.edges])
@@ -256,12 +251,14 @@ class _Site:
         name = "branches never driven"
         self.plot.ray("x", "y", source=source, angle="angle", name=name, **look)
 
-    def changes(self, home: str, found: Sequence[Change]) -> None:
+    def changes(self, shown: Sequence[Change]) -> None:
         """What is gone, new, or there at times."""
-        shown = [c for c in found if c.sure]
         if not shown:
             return
-        paths, told = [self._changed(c) for c in shown], [described_change(c, home) for c in shown]
+        paths, told = (
+            [self._changed(c) for c in shown],
+            [described_change(c, self.own.name) for c in shown],
+        )
         self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
         self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
 
@@ -276,7 +273,7 @@ class _Site:
                 return path
         return np.array([change.xy, change.xy])
 
-    def drives(self, home: str, found: Sequence[tuple[int, Drive]]) -> None:
+    def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""
         if not found:
             return
@@ -294,7 +291,7 @@ class _Site:
         ]
         first = begins[[rows[0] for rows in together.values()]]
         self._words(first, names, PLANNED, DRIVES, (10, -22), text_font_style="bold")
-        stops = [s for _, drive in found for s in drive.stops if s.site != home]
+        stops = [s for _, drive in found for s in drive.stops if s.site != self.own.name]
         beyond = [s for s in stops if s.junction is not None]
         at = np.array([s.xy for s in beyond])
         self._words(at, [str(s.junction) for s in beyond], PLANNED, NUMBERS, (6, 12))

@@ -8,6 +8,7 @@ import json
 from collections.abc import Sequence
 
 from ...merge.drive import Drive, drive_to_document
+from .nav2 import feature
 
 
 def drives_csv(drives: Sequence[Drive]) -> str:
@@ -32,12 +33,10 @@ def drives_geojson(drives: Sequence[Drive]) -> str:
     for k, drive in enumerate(drives, 1):
         entry = drive_to_document(drive)
         stops, path = entry.pop("stops"), entry.pop("path")
-        line = {"type": "LineString", "coordinates": path}
         about = {"drive": k, "frame": drive.site}
-        features.append({"type": "Feature", "properties": about | entry, "geometry": line})
+        features.append(feature("LineString", path, about | entry))
         for i, stop in enumerate(stops, 1):
-            point = {"type": "Point", "coordinates": [stop.pop("x"), stop.pop("y")]}
-            own = about | {"stop": i} | stop
-            features.append({"type": "Feature", "properties": own, "geometry": point})
+            at = [stop.pop("x"), stop.pop("y")]
+            features.append(feature("Point", at, about | {"stop": i} | stop))
     document = {"type": "FeatureCollection", "name": "drives", "features": features}
     return json.dumps(document, ensure_ascii=False, allow_nan=False) + "\n"

@@ -10,6 +10,7 @@ informative.
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from ...topology.digits import METRES, rounded, significant
@@ -39,6 +40,12 @@ def nav2_geojson(topomap: TopoMap, max_error_m: float) -> str:
     return lines.replace('{"type": "Feature"', '\n{"type": "Feature"') + "\n"
 
 
+def feature(shape: str, coordinates: Any, properties: Mapping[str, Any]) -> dict[str, Any]:
+    """A feature of GeoJSON. shape: Point or LineString; coordinates: (x, y), or a list of them."""
+    geometry = {"type": shape, "coordinates": coordinates}
+    return {"type": "Feature", "properties": properties, "geometry": geometry}
+
+
 def _nodes(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
     xy = rounded(graph.xy, METRES)
     ways = zip(graph.vertex.tolist(), graph.number.tolist(), strict=True)
@@ -47,11 +54,7 @@ def _nodes(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
         for v, number in ways
     ]
     return [
-        {
-            "type": "Feature",
-            "properties": {"id": k, "frame": topomap.frame, "metadata": metadata},
-            "geometry": {"type": "Point", "coordinates": xy[k]},
-        }
+        feature("Point", xy[k], {"id": k, "frame": topomap.frame, "metadata": metadata})
         for k, metadata in enumerate(about)
     ]
 
@@ -76,17 +79,7 @@ def _edges(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
             metadata["time_sigma"] = float(rounded(spread[k], SECONDS))
         ends = int(graph.source[k]), int(graph.target[k])
         for start, end in (ends, ends[::-1]):
-            out.append(
-                {
-                    "type": "Feature",
-                    "properties": {
-                        "id": number,
-                        "startid": start,
-                        "endid": end,
-                        "metadata": metadata,
-                    },
-                    "geometry": {"type": "LineString", "coordinates": [xy[start], xy[end]]},
-                }
-            )
+            own = {"id": number, "startid": start, "endid": end, "metadata": metadata}
+            out.append(feature("LineString", [xy[start], xy[end]], own))
             number += 1
     return out

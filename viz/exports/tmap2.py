@@ -34,6 +34,9 @@ ACTIONS = {
     }
 }
 """How the navigator drives an edge; `${…}` is replaced by values of the edge's target node."""
+GOAL = {"target_pose": {"header": {"frame_id": "$node.parent_frame"}, "pose": "$node.pose"}}
+"""The same for versions until 2025."""
+NO_TURN = {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
 ZONE_M = 0.5
 """Half the side of a zone, at most: zones do not overlap."""
 GOAL_TOLERANCE_M = 0.3
@@ -60,7 +63,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
             "parent_frame": name,
             "pose": {
                 "position": {"x": x, "y": y, "z": 0.0},
-                "orientation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+                "orientation": NO_TURN,
             },
             "properties": {
                 "xy_goal_tolerance": min(GOAL_TOLERANCE_M, half),
@@ -86,7 +89,7 @@ def tmap2_yaml(topomap: TopoMap, max_error_m: float) -> str:
             "child": name,
             "topo_frame_id": name,
             "parent": "map",
-            "rotation": {"w": 1.0, "x": 0.0, "y": 0.0, "z": 0.0},
+            "rotation": NO_TURN,
             "translation": {"x": 0.0, "y": 0.0, "z": 0.0},
         },
         "actions": ACTIONS,
@@ -131,12 +134,7 @@ def _edges(graph: RouteGraph, names: list[str]) -> list[list[dict[str, Any]]]:
                     "action_type": ACTION_TYPE,
                     "edge_id": f"{edge_id}{again}",
                     "node": names[end],
-                    "goal": {
-                        "target_pose": {
-                            "header": {"frame_id": "$node.parent_frame"},
-                            "pose": "$node.pose",
-                        }
-                    },
+                    "goal": GOAL,
                     "config": [],
                     "fail_policy": "fail",
                     "fluid_navigation": True,
