@@ -96,8 +96,8 @@ def read_maps(place: Workspace, names: list[str]) -> tuple[list[TopoMap], list[s
 def settings_of(place: Workspace, document: MergedDocument | None) -> MergeSettings:
     """The settings of a merge, by default the usual ones; those of the method that it is not by
     have its rate at most. DocumentError if they are invalid."""
-    from ..merge.merging import MergeSettings
     from ..merge.document import settings_from_document
+    from ..merge.merging import MergeSettings
     from ..merge.paper.method import PaperSettings
     from ..merge.robust.settings import RobustSettings
 
