@@ -7,14 +7,13 @@ from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..ingest.remote.path import LogPath
 from ..topology.errors import LogError, UsageError
 from ..topology.wording import counted, listed
-from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
 from .journal import note
 from .options import (
     DEFAULT_WORKSPACE,
@@ -29,6 +28,9 @@ from .output import complain, detail, progress, say, say_json, show, tell, warn
 from .read_options import MapOptions, ReadOptions
 from .run_logs import run_names
 from .workspace import Workspace
+
+if TYPE_CHECKING:  # what takes a second to load
+    from .ingest_worker import IngestJob, IngestOutcome
 
 # A process takes about as long to start as reading this takes.
 WORTH_A_PROCESS_BYTES = 32_000_000
@@ -93,6 +95,8 @@ def ingest(
       topobatch ingest run1.mcap run2.bag rosbag2_folder/
       topobatch ingest logs/ --odometry-topic /odom --workspace ws
     """
+    from .ingest_worker import IngestJob
+
     show(quiet=quiet or as_json, verbose=verbose)
     place, settings = Workspace(workspace), read.settings(strict=strict)
     found, missing = read.logs(logs)
@@ -129,6 +133,8 @@ def _plan(
 
     missing: paths without logs, and why.
     """
+    from .ingest_worker import IngestOutcome
+
     planned: list[IngestJob | IngestOutcome] = [
         IngestOutcome(path.name, "failed", str(error)) for path, error in missing
     ]
@@ -166,6 +172,8 @@ def _run_all(
 ) -> None:
     """Run all jobs, in this process or in several; a line per finished log. Outcomes are added to
     the list as they are known."""
+    from .ingest_worker import IngestJob, IngestOutcome, job_size, outcomes_of
+
     jobs = [entry for entry in planned if isinstance(entry, IngestJob)]
     outcomes += [entry for entry in planned if isinstance(entry, IngestOutcome)]
     for outcome in outcomes:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from scipy.cluster.hierarchy import DisjointSet
 
 from ..merge.document import read_merged
 from ..merge.result import MergeResult, PairVerdict, Standing
@@ -265,6 +264,8 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
 
 def _weakest(result: MergeResult, runs: Collection[str]) -> str:
     """The pair with the least evidence of those that hold the runs of a site together best."""
+    from scipy.cluster.hierarchy import DisjointSet
+
     told, joined = "", DisjointSet(runs)
     for pair in sorted(result.verdicts, key=lambda pair: -pair.evidence_bits):
         need = pair.threshold_bits

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import bdtrc
 
 from ...topology.arrays import FloatArray
 from ...topology.odometry import Odometry
@@ -199,6 +198,8 @@ def _wins(squares: FloatArray, others: FloatArray) -> bool:
 def _significant(votes: int, against: int, chance: float) -> bool:
     """Whether so many votes are no chance, which gives each with that probability: the upper tail
     of the binomial distribution."""
+    from scipy.special import bdtrc  # which takes a third of a second to load
+
     decided = votes + against
     if votes == 0 or votes < CONVENTIONS.share * decided:
         return False
