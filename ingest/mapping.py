@@ -312,7 +312,7 @@ def _add_views(topomap: TopoMap, run: Run, odometry: Odometry, places: Corrected
         return topomap
     pose = in_map_frame(odometry, places.visits, places.xy, views.time_ns, views.pose)
     known = np.flatnonzero(np.isfinite(pose).all(axis=1))
-    return replace(topomap, views=take(replace(views, pose=pose), known))
+    return replace(topomap, views=replace(take(views, known), pose=pose[known]))
 
 
 def _closures(closed: Closed, places: CorrectedPlaces, passes: Passes) -> tuple[Closure, ...]:

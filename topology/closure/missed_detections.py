@@ -85,7 +85,9 @@ def correct_detections(
 
     places, _, found = driven(place, xy)
     unseen = np.bincount(found.place, minlength=len(places))
-    real, number = _renumbered(~phantoms(reckoning, places, unseen, settings))
+    doubtful = phantoms(reckoning, places, unseen, settings)
+    # A map needs a place: where a run shows no other, doubtful ones stay.
+    real, number = _renumbered(~doubtful | doubtful.all())
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
     _, visits, found = driven(place, xy)
     first_s, _ = seconds_at(odometry, found.way)

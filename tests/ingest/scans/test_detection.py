@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -186,6 +187,21 @@ def test_a_corridor_without_a_junction_has_a_map() -> None:
     assert (len(kept), len(matched.scanned.passes), matched.warnings) == (1, 0, ())
     short = drive((0, 0), (9, 0))
     assert len(detect(short, [scans(corridor, short)]).scanned.passes) == 0
+
+
+def test_views_of_a_part_without_a_junction_are_left_out() -> None:
+    """The odometry was reset behind the third junction, and no other shows from there on."""
+    result = found()
+    scanned, odometry = result.scanned, result.odometry
+    cut = int(np.searchsorted(odometry.time_ns, scanned.passes.time_ns[3]))
+    odometry = replace(odometry, breaks=np.array([cut]))
+    columns = ("time_ns", "start_ns", "end_ns", "centre", "confidence", "windows", "clearance_m")
+    first = {name: getattr(scanned.passes, name)[:3] for name in (*columns, "shared_m")}
+    few = replace(scanned.passes, branches=scanned.passes.branches.take(np.arange(3)), **first)
+    run = Run("ring", odometry, NO_DETECTIONS, scanned=replace(scanned, passes=few))
+    views = build_map(run).views
+    assert 0 < len(views) < len(scanned.views)
+    assert views.time_ns.max() < odometry.time_ns[cut]
 
 
 @pytest.mark.parametrize("odometry", [ROUND, None])

@@ -43,3 +43,14 @@ def test_a_place_driven_by_unseen_again_and_again_is_a_phantom():
     # Once is not enough for a place with a side branch.
     places = tabulate(reckoning, closed.place, closed.estimate.pose[:, 2])
     assert not phantoms(reckoning, places, np.zeros(len(places), int)).any()
+
+
+def test_a_doubtful_place_stays_where_a_run_shows_no_other():
+    route = [(0, 0), *[(0, 1), (0, 2), (0, 1), (0, 0)] * 5, (0, 1), (0, 2)]
+    between = [k for k in range(len(route)) if k not in (1, len(route) - 2)]
+    odometry, passes, _ = record(grid_world(1, 3), route, unseen=between)
+    reckoning = dead_reckoning(odometry, passes, NOISE)
+    closed = full_closure(reckoning)
+    corrected = correct_detections(reckoning, odometry, closed.place, closed.estimate)
+    assert corrected.place.tolist() == [0, 0]
+    assert int((~corrected.visits.seen).sum()) == 9
