@@ -195,11 +195,12 @@ def _texts(
     for source in sources:
         if log is not None and len(source.maps) != 1:
             raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
-        if form == "grid":
-            texts |= grid_texts(place, source, log, path_of(f"{source.name}{PICTURE}").name)
-            continue
         try:
-            if form == "tum":
+            files: Mapping[str, str | bytes]
+            if form == "grid":
+                picture = path_of(f"{source.name}{PICTURE}").name
+                files = grid_texts(place, source, log, picture)
+            elif form == "tum":
                 files = _trajectories(place, source, log)
             elif form == "g2o":
                 files = {".g2o": _pose_graph(source)}
@@ -310,7 +311,7 @@ def _path(
     if alone:
         return output
     own = name.removeprefix(sources[0].name) if len(sources) == 1 else f"-{name}"
-    if PICTURE in (Path(own).suffix, output.suffix):
+    if own.endswith(PICTURE) or output.suffix == PICTURE:
         return output.with_name(f"{output.stem}{own}")
     return output.with_name(f"{output.stem}{own.removesuffix(output.suffix)}{output.suffix}")
 

@@ -55,8 +55,8 @@ class Exported:
 def grid_texts(
     place: Workspace, source: Exported, log: LogPath | None, picture: str
 ) -> dict[str, str | bytes]:
-    """The two files of the grid of a run or of all runs of a site, by their names. picture: name of
-    the one that the other refers to.
+    """The two files of the grid of a run or of all runs of a site, by their endings. picture: name
+    of the one that the other refers to.
 
     Raises DataError where no run has scans, views or a saved map.
     """
@@ -77,8 +77,8 @@ def grid_texts(
         raise DataError(f"{source.name}: nothing is known of its walls")
     frame = f"{source.name}, in the frame {source.topomap.frame} of its other exports"
     return {
-        f"{source.name}{PICTURE}": map_picture(grid),
-        f"{source.name}.yaml": map_yaml(grid, picture, [frame, *told]),
+        PICTURE: map_picture(grid),
+        ".yaml": map_yaml(grid, picture, [frame, *told]),
     }
 
 

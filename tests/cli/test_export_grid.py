@@ -58,6 +58,8 @@ def test_where_the_log_is_gone_views_show_the_walls(topobatch, place, tmp_path) 
     assert "not there any more" in shown.err
     assert "those of its views, in cells of 0.2 m" in shown.err
     assert "# views of office-1\n" in out.read_text()
+    assert 'image: "office.pgm"' in out.read_text()
+    assert out.with_name("office.pgm").is_file()
     assert driven_free(read_saved_map(out)[0], place.read_map("office-1")) > 0.95
     assert "holds no scans" in topobatch(*call, "--log", MAZE).error(1)
 
@@ -67,6 +69,13 @@ def test_detections_show_no_walls(topobatch, place) -> None:
     assert "only junction detections" in told
     assert "--junctions-from scan" in told
     assert not (place.exports / "streets-1.yaml").exists()
+
+
+def test_sites_without_walls_cost_no_other_its_grid(topobatch, place) -> None:
+    shown = topobatch("export", "-f", "grid", *w(place))
+    assert shown.code == 0
+    assert [Path(line).name for line in shown.out.split()] == ["office-1.pgm", "office-1.yaml"]
+    assert shown.err.count("left out") == 2
 
 
 def test_lost_views_are_told(topobatch, place) -> None:
