@@ -80,13 +80,17 @@ def next_drives(
     if as_json:
         say_json([drive_to_document(d) for d in found])
         return
-    for line in _lines(found, result, place) if found else _nothing(result, shown, place):
+    for line in _lines(found, result) if found else _nothing(result, shown, place):
         say(line)
     for path in output or ():
         say(f"{path}")
+    if not output:
+        named = () if site is None else (site,)
+        plan = place.call("next", *named, *place.of_merge, "-o", "plan.svg")
+        say(f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)")
 
 
-def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> list[str]:
+def _lines(found: Sequence[Drive], result: MergeResult) -> list[str]:
     out = []
     if not result.standings()[Standing.AMBIGUOUS]:
         out.append("no pair is open; these drives lead to branches that nobody drove")
@@ -96,9 +100,7 @@ def _lines(found: Sequence[Drive], result: MergeResult, place: Workspace) -> lis
         out += folded(f"{k}. {where}", indent="   ")
         for line in (f"{settles}; {expected}", drive.way):
             out += folded(f"   {line}", indent="   ")
-    out.append("after the drive, ingest its log and merge again")
-    plan = place.call("next", *place.of_merge, "-o", "plan.svg")
-    return [*out, f"on a map with numbers: {plan} (waypoints: plan.csv, plan.geojson)"]
+    return [*out, "after the drive, ingest its log and merge again"]
 
 
 def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
@@ -119,8 +121,7 @@ def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> l
     for name, own in ways.items():
         which = f" {listed([str(v) for v in own])}" if len(own) <= MOST_JUNCTIONS else ""
         out += folded(f"  {name}: {counted(len(own), 'junction')}{which}", indent="    ")
-    plan = place.call("next", *place.of_merge, "-o", "plan.svg")
-    return [*out, f"on a map with numbers: {plan}"]
+    return out
 
 
 def _plan(

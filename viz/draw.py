@@ -10,7 +10,7 @@ import numpy as np
 from ..merge.decision import Decision
 from ..merge.decision_text import advice, because, headline
 from ..merge.drive import Drive
-from ..merge.result import FusedMap, MergeResult, of_sites, site_views
+from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
 from ..topology.arrays import FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply
@@ -191,9 +191,9 @@ def draw_merged(
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
-    numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions; maps: of runs
-    whose walls are drawn as well; drives: to record next, for a picture of these and of branches
-    that nobody drove.
+    numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions, of more beside
+    those that `drives` speak of; maps: of runs whose walls are drawn as well; drives: to record
+    next, for a picture of these and of branches that nobody drove.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
     ways = {c.id: [d for d in drives or () if d.component == c.id] for c in result.components}
@@ -214,10 +214,13 @@ def draw_merged(
             canvas.run(run, theme.run(rank[run]))
     _frames(canvas, cells, [part.titles for part in parts])
     pen = _pen_pt(canvas, result.fused)
+    spoken_of = _spoken_of(result.fused, numbers, drives)
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
-        if numbers and result.fused.junctions <= MOST_NUMBERED:
+        if numbers:
             rows = [k for k in part.vertices.tolist() if result.fused.kind[k] not in TURNED]
+            if result.fused.junctions > MOST_NUMBERED:
+                rows = [k for k in rows if k in spoken_of]
             _numbered(
                 canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
             )
@@ -226,13 +229,15 @@ def draw_merged(
             site = of_sites(result, [part.component.id]).fused
             _unexplored(canvas, site, part.cell.T_sheet_map)
             _drives(canvas, part, drives)
-    pairs = sum(pair.accepted for pair in result.verdicts)
+    count = result.standings()
+    joined = count[Standing.JOINED]
     runs = sum(len(c.poses) for c in result.components)
     corridors_m, ways_m = result.fused.lengths_m
     told = (
         f"{counted(result.fused.junctions, 'junction')}, {corridors_m:,.0f} m of corridors"
-        f"{to_turning_points(result.fused.turned, ways_m)}; {counted(pairs, 'pair')} of "
-        f"{sum(result.standings().values()):,} merged"
+        f"{to_turning_points(result.fused.turned, ways_m)}; "
+        f"{counted(sum(count.values()), 'pair')}: {count[Standing.MERGED]:,} merged"
+        f"{f', {joined:,} joined through others' if joined else ''}"
     )
     title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
     if len(parts) == 1 and parts[0].component.site:
@@ -241,6 +246,16 @@ def draw_merged(
     told_drives = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
     canvas.finish([title, told, *told_drives])
     return canvas
+
+
+def _spoken_of(fused: FusedMap, numbers: Sequence[int], drives: Sequence[Drive] | None) -> set[int]:
+    """The junctions that a plan of drives speaks of: with branches that nobody drove, and on the
+    way of a drive."""
+    if drives is None:
+        return set()
+    stops = {stop.junction for drive in drives for stop in drive.stops}
+    on_the_way = {k for k, number in enumerate(numbers) if number in stops}
+    return on_the_way | set(fused.branches.owner[~driven_branches(fused)].tolist())
 
 
 DRIVE_PT = 7.0

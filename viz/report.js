@@ -187,10 +187,11 @@ function evidence(p) {
   row(["sum", "", "", ...p.placed.map(q => q.bits)], "td", "sum");
 }
 async function open(i, j) {
-  if (j !== undefined && j < i) [i, j] = [j, i];
-  const alone = j === undefined || i === j, [a, b] = [data.runs[i], alone ? null : data.runs[j]];
+  const alone = j === undefined || i === j;
   find("#run-a").value = i;
   if (find("#run-b")) find("#run-b").value = alone ? "" : j;
+  if (!alone && j < i) [i, j] = [j, i];
+  const [a, b] = [data.runs[i], alone ? null : data.runs[j]];
   const p = alone ? null : pair(i, j), told = find("#pair-told"), call = words => `topobatch ${words} ${data.where}`.trim();
   find("#pair-title").textContent = alone ? a.name : spelled(i, j);
   const said = p?.told ?? (p ? [data.reasons[p.r], p.advice && `To settle it: ${p.advice}`] : []);

@@ -8,7 +8,11 @@ import shutil
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from topobatch.cli.workspace import Workspace
+from topobatch.viz import draw
 
 
 @pytest.fixture
@@ -59,6 +63,20 @@ def test_a_picture_of_the_plan(place, topobatch, tmp_path) -> None:
     for stop in told["stops"]:
         assert f"{stop['junction']}" in texts
     assert files[1].read_bytes().startswith(b"\x89PNG")
+
+
+def test_of_many_junctions_a_plan_numbers_those_that_it_speaks_of(
+    place, topobatch, tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr(draw, "MOST_NUMBERED", 1)
+    plan = tmp_path / "plan.svg"
+    assert topobatch("next", "-n", 1, "-o", plan, "-w", place).code == 0
+    (told,) = json.loads(topobatch("next", "-n", 1, "--json", "-w", place).out)
+    words = ["".join(text.itertext()) for text in ET.parse(plan).findall(".//{*}text")]
+    result = Workspace(place).read_result()
+    known = set(words) & {f"{k}" for k in np.flatnonzero(~result.fused.is_turned)}
+    assert {f"{stop['junction']}" for stop in told["stops"]} <= known
+    assert 2 <= len(known) < result.fused.junctions
 
 
 def test_where_no_drive_is_worth_it(merged_once, topobatch, tmp_path) -> None:

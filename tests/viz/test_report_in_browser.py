@@ -163,6 +163,9 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     shows(page, "#pair .copy button", "copied")
     colours, _ = picture(page, "#pair .map", tmp_path)
     assert colours > 20
+    page.locator("#run-b").select_option("0")  # each box keeps what was chosen in it
+    shows(page, "#pair-title", "a + b")
+    assert [page.locator(f"#run-{box}").input_value() for box in "ab"] == ["1", "0"]
     page.locator("#run-b").select_option("")
     shows(page, "#pair-title", "b")
     assert page.locator("#pair figure:visible").count() == 1
