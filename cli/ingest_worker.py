@@ -7,7 +7,7 @@ import json
 import os
 import time
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -75,12 +75,13 @@ def outcomes_of(
         on_bytes = counting(advance)
         yield from (ingest_one(job, on_bytes) for job in jobs)
         return
-    lost = []
-    for job, outcome in _side_by_side(jobs, workers, advance):
-        if outcome is None:
-            lost.append(job)
-        else:
-            yield outcome
+    lost, waiting = [], [*jobs]
+    while waiting:
+        for job, outcome in _side_by_side(waiting, workers, advance):
+            if outcome is None:
+                lost.append(job)
+            else:
+                yield outcome
     # Once more one by one: each has all memory for itself, and ends no process but its own.
     for job in lost:
         ((_, outcome),) = _side_by_side([job], 1, advance)
@@ -89,19 +90,29 @@ def outcomes_of(
 
 
 def _side_by_side(
-    jobs: Sequence[IngestJob], workers: int, advance: Callable[[int], None]
+    waiting: list[IngestJob], workers: int, advance: Callable[[int], None]
 ) -> Iterator[tuple[IngestJob, IngestOutcome | None]]:
-    """Jobs with their outcomes; None where a process ended before."""
+    """Jobs taken from a list, with their outcomes. Where a process ends before, all those that were
+    begun have None, and the others stay in the list."""
     context = forking_server(__name__, "rerun")
     read = context.Value("q")
     with processes(workers, context, _share, read) as pool:
-        left = {pool.submit(_ingest, job): job for job in jobs}
-        while left:
+        left: dict[Future[IngestOutcome], IngestJob] = {}
+        broken = False
+        while left or (waiting and not broken):
+            while waiting and not broken and len(left) < workers:
+                try:
+                    future = pool.submit(_ingest, waiting[0])
+                except BrokenExecutor:
+                    broken = True
+                else:
+                    left[future] = waiting.pop(0)
             done, _ = wait(left, POLL_S, FIRST_COMPLETED)
             advance(read.value)
             for future in done:
-                broken = isinstance(future.exception(), BrokenExecutor)
-                yield left.pop(future), None if broken else future.result()
+                gone = isinstance(future.exception(), BrokenExecutor)
+                broken |= gone
+                yield left.pop(future), None if gone else future.result()
 
 
 _shared: list[Any] = []

@@ -148,6 +148,8 @@ def _say_what_is_wrong(error: TyperException) -> None:
         line += f"; did you mean `topobatch ingest {sys.argv[1]}`?"
     if choice := re.search(r"'([^']*)' is not one of ('.+')$", line):
         near = get_close_matches(choice[1], choice[2][1:-1].split("', '"), 1, 0.7)
+        if choice[1].lower() == "geojson" and "'nav2'" in choice[2]:
+            near = ["nav2"]  # whose file is GeoJSON
         line += "".join(f"; did you mean {each!r}?" for each in near)
     see = "" if line.endswith("?") else ";"
     complain(f"{line[:1].lower()}{line[1:]}{see} see `{command} --help`")

@@ -294,6 +294,7 @@ WAY_OUT = {
     "merged": "topobatch merge --all",
     "locks": "move it away, and lock again",
     "discards": "move it away, and discard again",
+    "sites": "move it away, and name the sites again",
 }
 """What makes a document anew, by its kind."""
 

@@ -150,6 +150,7 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
     ("call", "told"),
     [
         ("merge --method best", "'best' is not one of 'robust', 'paper'; see `topobatch merge -"),
+        ("export run1 -f geojson", "did you mean 'nav2'? see `topobatch export --help`"),
         ("ingest run1.mcap -j -1", "must be greater than or equal to 0; see `topobatch ingest -"),
         ("merge --all -w", "requires an argument; see `topobatch merge --help`"),
         ("merg --all", "did you mean 'merge'? see `topobatch --help`"),

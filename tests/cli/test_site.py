@@ -118,3 +118,11 @@ def test_the_calls_that_cannot_be(place, topobatch) -> None:
     refused = topobatch("site", b[0], "north", "-w", place).error(2)
     assert f"topobatch lock {b[0]} {a[0]} --same" in refused
     assert "did you mean north?" in topobatch("changes", "nort", "-w", place).error(2)
+
+
+def test_names_of_a_later_version_are_refused_with_the_way_out(place, topobatch) -> None:
+    (place / "sites.json").write_text('{"schema": "topobatch.sites/9", "sites": []}')
+    (name, *_) = sites(place)
+    error = topobatch("site", name, "north", "-w", place).error(1)
+    assert "made by a newer topobatch" in error
+    assert "name the sites again" in error
