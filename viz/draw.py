@@ -65,8 +65,14 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     _walls(canvas, [topomap.views], turn, theme["wall"])
     _junctions_of(canvas, topomap, turn)
     _turned_of(canvas, topomap, turn)
-    canvas.finish([topomap.run, map_told(topomap)])
+    canvas.finish([topomap.run, f"{map_told(topomap)}{_turned_by(turn)}"])
     return canvas
+
+
+def _turned_by(T_sheet_map: FloatArray) -> str:
+    """By how much the picture is turned from the frame of its map, to be added to a title."""
+    degrees = round(float(np.degrees(T_sheet_map[2])))
+    return f"; turned by {degrees}°" if degrees else ""
 
 
 LEAST_CELL_PT = 1.0
@@ -212,7 +218,12 @@ def draw_merged(
             canvas.run(component.name, None)
         for run in sorted(component.poses):
             canvas.run(run, theme.run(rank[run]))
-    _frames(canvas, cells, [part.titles for part in parts])
+    turned = [_turned_by(cell.T_sheet_map) for cell in cells]
+    titles = [
+        (*(title + turn for title in part.titles[:2]), *part.titles)
+        for part, turn in zip(parts, turned, strict=True)
+    ]
+    _frames(canvas, cells, titles)
     pen = _pen_pt(canvas, result.fused)
     spoken_of = _spoken_of(result.fused, numbers, drives)
     for part in parts:
@@ -238,6 +249,7 @@ def draw_merged(
         f"{to_turning_points(result.fused.turned, ways_m)}; "
         f"{counted(sum(count.values()), 'pair')}: {count[Standing.MERGED]:,} merged"
         f"{f', {joined:,} joined through others' if joined else ''}"
+        f"{turned[0] if len(parts) == 1 else ''}"
     )
     title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
     if len(parts) == 1 and parts[0].component.site:
