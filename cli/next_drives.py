@@ -23,7 +23,7 @@ PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
 """Suffixes of files of waypoints, and of pictures."""
 
 MOST_JUNCTIONS = 12
-"""Up to so many junctions with a branch that nobody drove are named for each site."""
+"""Up to so many junctions with a branch that nobody drove are named for each of several sites."""
 
 
 @verb
@@ -106,7 +106,10 @@ def _lines(found: Sequence[Drive], result: MergeResult) -> list[str]:
 def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
     """That no drive is worth it, why, and where the map is not complete."""
     open_ = result.standings()[Standing.AMBIGUOUS]
-    out = ["nothing to record would join sites: no pair of runs is open"]
+    out = folded(
+        "nothing to record would join sites: no pair of runs is open, and no drive into the "
+        "unknown is expected to bring a bit of evidence"
+    )
     if open_:
         are = "is" if open_ == 1 else "are"
         lock = place.call("lock", "A", "B", "--same")
@@ -119,7 +122,8 @@ def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> l
         return [*out, "every branch was driven"]
     out.append("branches that nobody drove, which would complete a map, are at")
     for name, own in ways.items():
-        which = f" {listed([str(v) for v in own])}" if len(own) <= MOST_JUNCTIONS else ""
+        told = len(own) <= MOST_JUNCTIONS or len(shown) == 1
+        which = f" {listed([str(v) for v in own], len(own))}" if told else ""
         out += folded(f"  {name}: {counted(len(own), 'junction')}{which}", indent="    ")
     return out
 
