@@ -152,7 +152,7 @@ def matching(place: Workspace, pairs: int, kept: Kept, where: MatchOptions) -> I
         try:
             yield Means(where.workers(pairs), read, kept, on_pair, on_event)
         except KeyboardInterrupt:
-            tell("not merged; what was matched is kept: run again to go on")
+            tell("stopped, nothing written; what was matched is kept: run again to go on")
             raise
         finally:
             kept.flush()
