@@ -281,7 +281,7 @@ class Workspace:
             return self.no_maps()
         parts = {part for name in names for part in name.split(":")} - set(known)
         if "site" in what and self.merged_json.is_file():
-            known += sorted({*self.read_merged().graph.sites.values()} - {*known})
+            known = sorted({*self.read_merged().graph.sites.values()} - {*known}) + known
         meant = _meant(sorted(parts), known)
         if is_workspace(Path(names[0])):
             meant = f"; did you mean --workspace {names[0]}?"
