@@ -126,7 +126,7 @@ def test_a_run_that_is_not_there(topobatch, merged_site, monkeypatch, call, name
     monkeypatch.chdir(merged_site)
     error = topobatch(*call.format(name).split()).error(2)
     assert name in error
-    assert "did you mean run1? there are: run1, run2, run3" in error
+    assert re.search(r"did you mean run1\? there are: (merged-site, )?run1, run2, run3", error)
 
 
 @pytest.mark.parametrize(
