@@ -31,7 +31,7 @@ from .options import (
 )
 from .output import detail, is_verbose, say, say_folded, say_json, show, warn
 from .paper_options import PaperOptions
-from .unchanged import remember, stands, state_of
+from .unchanged import contents, remember, stands, state_of
 from .workspace import MERGED, Workspace
 
 if TYPE_CHECKING:  # what takes a second to load
@@ -138,7 +138,8 @@ def merge(
     gc.set_threshold(GARBAGE)
     with place.held():
         chosen = place.chosen_runs(runs or [], everything)
-        if stands(place, state_of(place, chosen, (how, paper))):
+        documents = contents(place, chosen)
+        if stands(place, state_of(place, documents, (how, paper))):
             detail("nothing is new: the merge of these maps lies there")
             result = place.read_result()
         else:
@@ -147,9 +148,11 @@ def merge(
             maps, broken = read_maps(place, chosen)
             if lost := before.keys() & set(broken):
                 raise DataError(_leaves_out(place, before, lost, ", without a readable map"))
-            result, moved = made(place, maps, settings, before or sites_before(place), where)
+            result, moved = made(
+                place, maps, documents, settings, before or sites_before(place), where
+            )
             if not broken:
-                remember(place, state_of(place, chosen, (how, paper)))
+                remember(place, state_of(place, documents, (how, paper)))
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
         told = "; ".join([f"{place.merge}: {runs_of}, {pairs_told(result)}", *moved])
         note(place, "merge", f"{told}{by_settings(place)}")

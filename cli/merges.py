@@ -28,17 +28,17 @@ if TYPE_CHECKING:  # what takes a second to load
 def made(
     place: Workspace,
     maps: list[TopoMap],
+    documents: Mapping[str, str | None],
     settings: MergeSettings,
     before: Mapping[str, str],
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
 ) -> tuple[MergeResult, list[str]]:
     """Merge maps and write the files of the merge; and what became of the sites of the last one.
-    before: the site of every run then. The caller holds the workspace's lock."""
+    documents: the `contents` of the runs, by which later changes of maps are recognised; before:
+    the site of every run then. The caller holds the workspace's lock."""
     from ..merge.merging import merge_maps
 
     runs = [m.run for m in maps]
-    # From these, later changes of maps are recognised.
-    documents = contents(place, runs)
     kept = kept_results(place, settings.robust)
     with matching(place, pairs_of(len(maps)), kept, where) as means:
         result = merge_maps(
@@ -47,7 +47,8 @@ def made(
     if settings.method == "robust" and runs == place.runs():
         kept.settle()
     result, moved = _with_sites(place, result, maps, before)
-    result = replace(result, info={**result.info, "maps": documents})
+    merged = {run: documents[run] for run in runs}
+    result = replace(result, info={**result.info, "maps": merged})
     _write(place, result, maps)
     return result, moved
 
@@ -92,10 +93,11 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
         place.merged_rrd.unlink(missing_ok=True)
         say(f"{place.merged_json}: removed; none of its runs is left")
         return
+    documents = contents(place, runs)
     maps, _ = read_maps(place, runs)
     # A run alone is a site of its own name, old or new.
     before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
-    result, moved = made(place, maps, _about(settings, new, runs), before)
+    result, moved = made(place, maps, documents, _about(settings, new, runs), before)
     name = "" if place.merge == MERGED else f", {place.merge}"
     say(f"merged again{name}: {counted(len(maps), 'run')}, {pairs_told(result)}")
     for each in moved:

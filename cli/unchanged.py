@@ -49,15 +49,16 @@ def told_changed(runs: Sequence[str]) -> str:
     return f"the map{'' if len(runs) == 1 else 's'} of {listed(runs, 3)} changed since the merge"
 
 
-def state_of(place: Workspace, runs: Sequence[str], options: object) -> str:
-    """A digest of everything that a merge of runs depends on, and of its files."""
+def state_of(place: Workspace, documents: Mapping[str, str | None], options: object) -> str:
+    """A digest of everything that a merge depends on, and of its files. documents: the `contents`
+    of its runs."""
     files = (*place.decisions, place.merged_json, place.merged_rrd)
     return _digest(
         [
             program_digest(*FOLDERS).hex(),
             [sys.version, *map(version, LIBRARIES)],
             repr(options),
-            contents(place, runs),
+            dict(documents),
             [(os.path.lexists(path), _content(path)) for path in files],
         ]
     )

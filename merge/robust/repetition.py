@@ -158,9 +158,8 @@ def _differing(
     differs = np.where(lonely_branches(atlas.whole, atlas.whole, va, vb, turn) > 0, 1.0, 0.0)
     fault = atlas.whole.fault_rate[va] + atlas.whole.fault_rate[vb]
     fault += 1 - atlas.whole.confidence[va] * atlas.whole.confidence[vb]
-    anywhere = [_usual_fault(a) + _usual_fault(b) for a, b, _ in cases]
-    matched = np.diff(ends)
-    usual = np.where(matched > 0, _sums(fault, ends) / np.maximum(matched, 1), anywhere)
+    anywhere = [0.0 if len(c) else _usual_fault(a) + _usual_fault(b) for a, b, c in cases]
+    usual = _sums(fault, ends) / np.maximum(np.diff(ends), 1) + anywhere
     return _sums(differs, ends).astype(np.int64), usual
 
 
