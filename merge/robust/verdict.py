@@ -14,6 +14,7 @@ from .alignment import Candidate
 from .prepare import Prepared
 from .repetition import CopyModel, Sameness, fits_by_noise, sameness_of, size_sigmas
 from .settings import MATCH, RobustSettings
+from .view_evidence import CONSISTENT_M
 
 OTHER_SIZE = "one is larger throughout: this may be a copy of another size"
 
@@ -102,10 +103,11 @@ class Weighed:
     @property
     def from_copies(self) -> float:
         """The answer to the second question, shifted so that its threshold is `need`; inf if not
-        tested."""
-        if self.same_place is None:
+        tested. The less likely a copy, the less it bounds the evidence."""
+        if self.same_place is None or not self.repetition:
             return np.inf
-        return self.same_place + self.need - self.need_same
+        beyond = self.same_place - self.need_same
+        return self.need + (beyond / self.repetition if beyond > 0 else beyond)
 
     @property
     def copy_test(self) -> CopyTest | None:
@@ -255,7 +257,11 @@ def falls_short(c: Candidate) -> float:
 def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
     """1 if lengths that agree differ by more than noise, so that the alignment is taken for a copy,
     else 0. Places of one design can agree in every junction, and differ by a little in many
-    corridors, of which each might be noise."""
+    corridors, of which each might be noise. Where walls agree in one placement, lengths do, too:
+    furniture shifts junctions, not walls."""
+    walls = c.views.laid_out(a.views, b.views)
+    if walls is not None and walls.off_m <= CONSISTENT_M:
+        return 0.0
     return float(fits_by_noise(a, b, c.corridors) < MATCH.misfit_rate)
 
 
@@ -348,7 +354,7 @@ def _assess(
     no_worse = contested or any(_contests(other, first) for other in others[:1])
     why = NO_WORSE if contested else why
     if first.carried >= threshold.need_bits:
-        larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
+        larger = size_sigmas(a, b, best) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,

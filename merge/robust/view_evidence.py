@@ -11,13 +11,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
-from ...topology.matching.views import LEAST_SAME, Registered, register
+from ...topology.matching.views import LEAST_SAME, SIGMA_M, Registered, register
 from ...topology.se2 import between, compose, rigid_from_sums
+from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
 from .view_search import KEPT, Picture, placements
@@ -99,6 +101,26 @@ class ViewEvidence:
         """0 to 1: how far the buildings repeat themselves, by the z of copies; 1 without views."""
         return _alike(*self.null) if len(self) else 1.0
 
+    def laid_out(self, a: Views, b: Views) -> LaidOut | None:
+        """How the parts that agree lie in the two maps, whose views are given; None if fewer than
+        `FEWEST` agree."""
+        good = self.z > LEAST_Z
+        cell = np.unique(self.cell[good], return_inverse=True)[1]
+        there = compose(a.pose[self.first[good]], self.transform[good])
+        one, two = (
+            np.stack([_means(cell, pose[:, k]) for k in (0, 1)], axis=1) @ np.array([1, 1j])
+            for pose in (there, b.pose[self.second[good]])
+        )
+        if len(one) < FEWEST:
+            return None
+        one, two = one - one.mean(), two - two.mean()
+        spread = float((np.abs(two) ** 2).sum())
+        size = (np.conj(two) * one).sum() / spread
+        off = one - size * two
+        squares = float((np.abs(off) ** 2).sum()) / (2 * len(one) - 4)
+        off_m = float(np.sqrt((np.abs(off) ** 2).mean()))
+        return LaidOut(float(np.abs(size)) - 1.0, max(squares, SIGMA_M**2) / spread, off_m)
+
     def most_against(self, away_m: FloatArray) -> FloatArray:
         """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
         walls around them. away_m: (n, k) distance [m] of each junction from every pair of views.
@@ -114,6 +136,19 @@ class ViewEvidence:
         agree *= 1.0 - self.alike
         most = MATCH.most_bits + agree * (UNSEEN_BITS - MATCH.most_bits)
         return np.where(away_m.min(axis=1) < CELL_M / 2, most, np.inf)
+
+
+class LaidOut(NamedTuple):
+    """Parts of the overlap that agree: where they are registered in the first map against where
+    they lie in the second.
+
+    larger: size of the first map over that of the second, minus 1; variance: of that; off_m: root
+    mean square distance after the best similarity [m].
+    """
+
+    larger: float
+    variance: float
+    off_m: float
 
 
 NO_VIEW_EVIDENCE = ViewEvidence(
@@ -159,14 +194,19 @@ class Laid:
         return _means(self.cell, self.found.z)
 
     @cached_property
-    def telling_parts(self) -> FloatArray:
-        """(c,) the same, of z as far as it tells (`DETAIL`): a bare wall agrees with many."""
+    def telling(self) -> FloatArray:
+        """(k,) z as far as it tells (`DETAIL`): a bare wall agrees with many."""
         most = np.log(np.maximum(self.found.detail, 1.0)) - DETAIL
-        return _means(self.cell, np.minimum(self.found.z, np.clip(most, *DETAILED_Z)))
+        return np.minimum(self.found.z, np.clip(most, *DETAILED_Z))
+
+    @cached_property
+    def telling_parts(self) -> FloatArray:
+        """(c,) mean of `telling` of every part of the overlap."""
+        return _means(self.cell, self.telling)
 
     def parts_of(self, some: BoolArray) -> FloatArray:
-        """`parts` by some of the pairs of views (k,)."""
-        return _means(self.cell[some], self.found.z[some])
+        """`telling_parts` by some of the pairs of views (k,)."""
+        return _means(self.cell[some], self.telling[some])
 
     @cached_property
     def correction(self) -> FloatArray:
@@ -235,7 +275,7 @@ def refined(
 
 
 def _agreement(some: Laid) -> float:
-    return float(np.maximum(some.found.z - LEAST_Z, 0.0).sum())
+    return float(np.maximum(some.telling - LEAST_Z, 0.0).sum())
 
 
 def worth_judging(some: Laid) -> bool:
@@ -251,7 +291,9 @@ def judged(
     if not len(here):
         return NO_VIEW_EVIDENCE
     part = here.parts
-    null = _level([own.z for own in selves], [other.parts for other in elsewhere if len(other)])
+    null = _level(
+        [own.z for own in selves], [other.telling_parts for other in elsewhere if len(other)]
+    )
     true = _true(same)
     telling = here.telling_parts
     mean = float(telling.mean())
@@ -261,10 +303,10 @@ def judged(
     bits = (total + slope * (telling - mean)) / len(part)
     bits += _consistent(here.apart_m, null)
     size = max(own.size for own in selves)
-    repeated = min(max(2.0 - _size(part) / size, 0.0), 1.0) if size > 0 else 0.0
+    repeated = min(max(2.0 - _size(telling) / size, 0.0), 1.0) if size > 0 else 0.0
     # If none of n others is as good, the next one is at a rate of .5 / (n + 1) (Jeffreys' prior).
     unseen = float(np.log2(2 * (null.count + 1)))
-    copies = min(_odds(float(part.mean()), null, true), unseen)
+    copies = min(_odds(mean, null, true), unseen)
     found = here.found
     return ViewEvidence(
         here.first,

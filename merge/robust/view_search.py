@@ -84,6 +84,12 @@ class Picture:
         return directions(np.concatenate(self.walls))
 
     @cached_property
+    def local_directions(self) -> FloatArray:
+        """Sum of the directions of the stretches: in `directions` a few long walls outweigh the
+        many that single stretches see."""
+        return np.asarray(np.sum([part.directions for part in self.stretches], axis=0))
+
+    @cached_property
     def whole(self) -> Pixels | None:
         """All of it, turned so that its walls lie along the axes; None if it is too large."""
         walls, free = np.concatenate(self.walls), np.concatenate(self.free)
@@ -224,8 +230,7 @@ def placements(a: Picture, b: Picture) -> FloatArray:
     whole = a.whole
     whole_walls, whole_fit = whole.transforms
     turns, shifts, middles, scores = [], [], [], []
-    for part in parts:
-        along = _turn(a.directions, part.directions)
+    for part, along in ((one, along) for one in parts for along in _turns(a, b, one)):
         upright = Pixels.of(part.walls, part.free, along + whole.turn, part.middle, whole.size)
         count = int(upright.walls.sum())
         for quarter in range(4):
@@ -244,6 +249,20 @@ def placements(a: Picture, b: Picture) -> FloatArray:
     return _agreeing(
         np.array(turns), np.array(shifts), np.array(middles), np.maximum(np.array(scores), 0.0)
     )
+
+
+def _turns(a: Picture, b: Picture, part: Stretch) -> list[float]:
+    """The turns within a quarter that may lay the walls of a stretch of b along those of a [rad]:
+    by its own directions, and by those of all stretches, if that differs.
+
+    Furniture, and wings at an angle, mislead the former, drift the latter. Of 61 saved maps,
+    turned, cropped or furnished, 59 are placed right by one of the placements with the former
+    alone, 61 with both.
+    """
+    own = _turn(a.directions, part.directions)
+    usual = _turn(a.local_directions, b.local_directions)
+    differ = abs(float(wrap(4 * (own - usual)))) / 4 > SAME_RAD / 2
+    return [own, usual] if differ else [own]
 
 
 def _turn(one: FloatArray, two: FloatArray) -> float:
