@@ -126,7 +126,7 @@ def placements(kind, worlds, first):
         cases = [(one, two, c) for c in found]
         for c, same in zip(found, repetition.sameness_of(cases, copies), strict=True):
             right = bool(np.mean(true_a[c.a] == true_b[c.b]) >= 0.5)
-            told[right].append((verdict.counted_bits(c), same.bits))
+            told[right].append((c.counted_bits, same.bits))
         right, wrong = (np.max(told[k], axis=0) for k in (True, False))
         beside = bool(np.isfinite(right[0]) and np.isfinite(wrong[0]))
         lead = wrong[0] - right[0] if beside else 0.0

@@ -41,10 +41,6 @@ class Kind(StrEnum):
 
     PAIR = "pairs of maps"
     ITSELF = "maps with themselves"
-    IMAGE = "mirror images"
-    """The first map matched with the mirror image of the second."""
-    RIVALS = "rival placements"
-    """Two maps matched with all hypotheses beyond chance."""
     COMPONENT = "components"
     """Several maps fused into one."""
 

@@ -32,7 +32,7 @@ class CorridorSettings:
     agree_share: float = 0.05
     """See `agree_m`."""
 
-    def allowed_m(self, length: float, sigma: float) -> float:
+    def allowed_m(self, length: float, sigma: float = 0.0) -> float:
         """Largest difference of agreeing lengths [m]. length: of the shorter corridor; sigma: of
         the difference."""
         return max(self.agree_m + self.agree_share * length, self.agree_sigmas * sigma)

@@ -19,7 +19,7 @@ from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
 from ..kept import Kept, Kind, digested
 from ..result import Component, FusedMap, PairVerdict, Spread, by_run
-from .data_association import COINCIDENCE, coincident
+from .data_association import coincident
 from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
 from .joint_graph import (
@@ -166,8 +166,7 @@ def _settle(
     within, across = measured_within(pool), measured_across(pool, inside)
     matched = [(v.a, v.b) for v in inside]
     joint = settle(pool, groups.labels(), start, within, across)
-    for _ in range(COINCIDENCE.rounds):
-        pairs = coincident(pool, groups, joint.pose, matched)
+    while pairs := coincident(pool, groups, joint.pose, matched):
         fused = [groups.join(u, v) for u, v in pairs]
         if not any(fused):
             break

@@ -11,21 +11,11 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import parted
 from ...topology.se2 import wrap
-from .joint_graph import pass_counts
+from .joint_graph import JOINT, pass_counts
 from .vertex_partition import Pool
 
-
-@dataclass(frozen=True, slots=True)
-class PlaceSettings:
-    """Which branches of a fused place are one, and which are kept."""
-
-    branch_gate_rad: float = 0.6
-    """Gate on branches of one place in different runs."""
-    min_branch_share: float = 0.3
-    """A branch that was never driven is kept if this share of the passes saw it."""
-
-
-PLACE = PlaceSettings()
+MIN_BRANCH_SHARE = 0.3
+"""A branch that was never driven is kept if this share of the passes saw it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +89,7 @@ def _clusters(
         headings = wrap(m.branches[int(pool.vertex[row])] + pose[row, 2])
         weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
         centres = np.array([_mean(c) for c in clusters])
-        for branch, k in enumerate(_assigned(headings, centres, PLACE.branch_gate_rad)):
+        for branch, k in enumerate(_assigned(headings, centres, JOINT.branch_gate_rad)):
             sighting = _Sighting(float(headings[branch]), weight, row, branch)
             if k is None:
                 clusters.append([sighting])
@@ -112,7 +102,7 @@ def _believed(
     clusters: list[list[_Sighting]], rows: list[int], visits: IntArray, driven: list[set[int]]
 ) -> list[list[_Sighting]]:
     """Clusters with a branch that was driven, or that enough passes saw."""
-    enough = PLACE.min_branch_share * float(visits[rows].sum())
+    enough = MIN_BRANCH_SHARE * float(visits[rows].sum())
     return [
         c
         for c in clusters

@@ -11,6 +11,7 @@ from typing import TypeVar
 import numpy as np
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from ...topology.digits import BITS
 from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
@@ -45,7 +46,8 @@ class Candidate:
     matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`);
     searched: whether contradictions were looked for, which is done where the rest is beyond chance
     and where views may make it so; views: what the views of both say, which is part of `bits`;
-    by_views: whether they proposed it.
+    by_views: whether they proposed it; image_bits: evidence of the best alignment of a with the
+    mirror image of b, -inf if it was not asked for.
     """
 
     transform: FloatArray
@@ -61,6 +63,7 @@ class Candidate:
     searched: bool = True
     views: ViewEvidence = NO_VIEW_EVIDENCE
     by_views: bool = False
+    image_bits: float = -np.inf
 
     def __len__(self) -> int:
         return len(self.a)
@@ -82,6 +85,19 @@ class Candidate:
         links, branches = self.support.links, self.support.branches
         misfit = float(links[links < 0].sum() + branches[branches < 0].sum())
         return self.conflicts.bits - misfit + self.views.against
+
+    @property
+    def counted_bits(self) -> float:
+        """The evidence against chance: agreement, bounded by the number of junctions, plus that of
+        views, minus all contradictions.
+
+        Agreeing terms are not independent (a room of standard form brings its junctions, corridors
+        and angles together), so that their sum overstates the evidence; every contradiction needs a
+        fault of its own, so that each counts in full.
+        """
+        against, seen = self.contradicting_bits, self.views.total + self.views.against
+        told = self.bits + against - seen
+        return min(told, MATCH.junction_bits * len(self)) + seen - against
 
     def move(self, z: complex) -> complex:
         """Position in a of a point x + iy of b."""
@@ -107,29 +123,32 @@ Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
 """Two maps, hypotheses of their alignment, and the number of links that these were chosen from."""
 
 
-def match(
-    a: Prepared, b: Prepared, settings: RobustSettings, *, rivals: bool = False
-) -> tuple[Candidate, ...]:
+def match(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first, without duplicates of one placement. Pure.
 
     The steps of the paper with certainty replaced by odds: compatible corridors (§2.1), connected
     hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
 
     Where copies abound, many hypotheses are beyond chance before they are grown. Only the best few
-    can be merged; the others are grown as rivals, at a cost in time: if the best few yield nothing,
-    and on request (`rivals`), as before two maps are merged.
+    can be merged. The others take time, and are grown as rivals where these yield nothing, or could
+    be merged; then the mirror image of b is matched, too.
     """
-    return next(match_all([(a, b)], settings, rivals=rivals))
+    return next(match_all([(a, b)], settings))
 
 
 def match_all(
-    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, rivals: bool = False
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
     """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
-    linked = ((a, b, candidate_links(a, b)) for a, b in pairs)
-    sown = (((a, b, seeds(a, b, k, settings.hypotheses), len(k)), k) for a, b, k in linked)
+    sown = (_sown(a, b, settings) for a, b in pairs)
     for some in _batches(sown, lambda case: len(case[1]), MATCH.most_pairs):
-        yield from _match_some(some, settings, rivals=rivals)
+        yield from _match_some(some, settings)
+
+
+def _sown(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Hypothesised, Links]:
+    """Two maps with their best hypotheses, and the links that these were chosen from."""
+    links = candidate_links(a, b)
+    return (a, b, seeds(a, b, links, settings.hypotheses), len(links)), links
 
 
 def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterator[list[T]]:
@@ -146,14 +165,36 @@ def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterato
 
 
 def _match_some(
-    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings, *, rivals: bool
+    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    found = list(best_of_all((case for case, _ in some), settings))
-    wanted = [rivals or not any(c.bits > MATCH.lead_bits for c in own) for own in found]
+    pairs = [case[:2] for case, _ in some]
+    best = list(best_of_all((case for case, _ in some), settings))
+    wanted = [
+        not any(c.bits > MATCH.lead_bits for c in own) or _could_be_merged(own) or _both_seen(*pair)
+        for pair, own in zip(pairs, best, strict=True)
+    ]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    for ((a, b, *_), _), own, more in zip(some, found, wanted, strict=True):
-        yield _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
+    found = [
+        _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
+        for (a, b), own, more in zip(pairs, best, wanted, strict=True)
+    ]
+    likely = [_could_be_merged(own) for own in found]
+    turned = (_sown(a, b.image, settings)[0] for a, b in compress(pairs, likely))
+    images = best_of_all(turned, settings)
+    for own, hopeful in zip(found, likely, strict=True):
+        bits = max((c.bits for c in next(images)), default=-np.inf) if hopeful else -np.inf
+        yield tuple(replace(c, image_bits=bits) for c in own)
+
+
+def _could_be_merged(found: Sequence[Candidate]) -> bool:
+    """Whether one of the candidates has the evidence that merging needs in the smallest batch, or
+    little less."""
+    return any(c.counted_bits > MATCH.contested_bits for c in found if not c.rival)
+
+
+def _both_seen(a: Prepared, b: Prepared) -> bool:
+    return len(a.views) > 0 and len(b.views) > 0
 
 
 def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypothesised:
@@ -193,7 +234,7 @@ def _best_of_some(
         grown = grow(_lanes(cases), sown, settings)
         of = np.arange(len(cases)).repeat([len(case[2]) for case in cases])
         tested_bits = np.log2(np.array([case[3] for case in cases]) + 1.0)
-        seen = np.array([len(a.views) > 0 and len(b.views) > 0 for a, b, _, _ in cases])
+        seen = np.array([_both_seen(a, b) for a, b, _, _ in cases])
         judged = _judged(grown, tested_bits[of], search=seen[of])
         for case, seed, candidate in zip(of.tolist(), sown, judged, strict=True):
             if candidate is not None:
@@ -212,7 +253,7 @@ def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
 
 
 def _rank(c: Candidate) -> tuple[float, list[float]]:
-    return -round(c.bits, MATCH.ranked_decimals), c.transform.tolist()
+    return -round(c.bits, BITS), c.transform.tolist()
 
 
 def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
@@ -298,7 +339,7 @@ def _with_views(
 ) -> tuple[Candidate, ...]:
     """The candidates of two maps with what their views say of them, and those that the views
     propose; as they are for maps without views."""
-    if not len(a.views) or not len(b.views):
+    if not _both_seen(a, b):
         return found
     one, two = pictured(a.views), pictured(b.views)
     asked = refined(one, two, placements(one, two))
@@ -362,9 +403,7 @@ def _placed(
     there = np.exp(1j * theta) * b.z + (x + 1j * y)
     gap = np.abs(a.z[:, None] - there)
     first, second = gap.argmin(axis=0), gap.argmin(axis=1)
-    pairs = np.flatnonzero(
-        (second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m)
-    )
+    pairs = np.flatnonzero((second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.place_m))
     if not len(pairs):
         return replace(NO_JUNCTIONS, transform=T_a_b)
     seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)

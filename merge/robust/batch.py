@@ -3,7 +3,7 @@ pair by itself."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,11 +11,10 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
-from ..result import PairVerdict, Verdict, pairs_of
+from ..result import PairVerdict, pairs_of
 from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .entries import Case
-from .mirror import MIRRORED, fits_as_well
 from .pairing import Means, Pair, Pairwise, Summary, in_tiles
 from .prepare import Prepared
 from .repetition import sameness_of
@@ -75,37 +74,21 @@ class Batch:
         return thresholds(prepared, settings, against_chance, self.matcher.with_themselves())
 
     def assessments(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
-        """Assessments of pairs by their two maps alone. Those that would be merged must lead every
-        other hypothesis beyond chance, and the mirror image."""
+        """Assessments of pairs by their two maps alone."""
         known = self.candidates(pairs)
-        out = self._assessed({pair: known.get(pair, ()) for pair in pairs})
-        for pair, assessment in out.items():
+        cases = [
+            (*self.prepared(pair), known.get(pair, ()), self.threshold(pair)) for pair in pairs
+        ]
+        out = {}
+        for pair, assessment in zip(pairs, assess_all(cases), strict=True):
             faint = self.found[pair].faint or assessment.faint
             out[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
-        out |= self.beside_rivals(_merged(out))
-        for pair, bits in self.matcher.image_bits(_rows(_merged(out))).items():
-            best = out[pair].best
-            if best is not None and fits_as_well(bits, best):
-                out[pair] = replace(out[pair], verdict=Verdict.AMBIGUOUS, why=MIRRORED)
         return out
 
     def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """The candidates of those of the pairs that have any beyond chance."""
         full = [pair for pair in pairs if self.found[pair].full]
         return dict(zip(full, self.matcher.candidates(_rows(full)), strict=True))
-
-    def beside_rivals(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
-        """Assessments after growing all hypotheses beyond chance."""
-        found = self.matcher.beside_rivals(_rows(pairs))
-        return self._assessed(dict(zip(pairs, found, strict=True)))
-
-    def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
-        """The assessment of each pair by these candidates."""
-        cases = [
-            (*self.prepared(pair), found, self.threshold(pair))
-            for pair, found in candidates.items()
-        ]
-        return dict(zip(candidates, assess_all(cases), strict=True))
 
     @property
     def unlocked(self) -> dict[Pair, PairVerdict]:
@@ -172,10 +155,6 @@ class Batch:
 def _rows(pairs: Sequence[Pair]) -> IntArray:
     """(k, 2) pairs as an array."""
     return np.array(pairs, np.int64).reshape(-1, 2)
-
-
-def _merged(assessments: Mapping[Pair, Assessment]) -> list[Pair]:
-    return [pair for pair, a in assessments.items() if a.verdict is Verdict.MERGED]
 
 
 def in_parts(pairs: Sequence[Pair]) -> Iterator[Sequence[Pair]]:

@@ -20,7 +20,7 @@ from .components import Refusal
 from .conflicts import one_by_one
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import DOUBTS, Assessment, Weighed, counted_bits
+from .verdict import DOUBTS, Assessment, Weighed
 from .view_ties import view_ties
 from .wording import evidence, summary
 
@@ -222,7 +222,7 @@ def alignment_of(
     against = one_by_one(c.conflicts, a, b)
     return Alignment(
         transform=c.transform,
-        evidence_bits=counted_bits(c) if weighed is None else weighed.bits,
+        evidence_bits=c.counted_bits if weighed is None else weighed.bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),

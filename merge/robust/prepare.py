@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,8 +16,9 @@ from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import numbered
 from ...topology.topomap import RunNoise, TopoMap
-from ...topology.views import NO_VIEWS, Views
+from ...topology.views import Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
+from .mirror import mirrored
 from .settings import MATCH
 
 LEAST_M = 10.0**-METRES
@@ -142,7 +144,7 @@ class CorridorPoints:
         return len(self.z)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Prepared:
     """A map of n junctions with at most d branches, and of k directed corridors (both directions of
     each, loops left out).
@@ -166,14 +168,10 @@ class Prepared:
     variance [m²]; alike, alike_pairs: how often two different corridors are equally long, see
     `density_of_equals`; points: along the corridors.
 
-    views: what a laser or a grid shows around places.
-
     nearest_junction, nearest_point: for nearest-neighbour search in `z` and in `points.z`.
     """
 
-    run: str
-    noise: RunNoise
-    shows_bends: bool
+    topomap: TopoMap
     z: ComplexArray
     heading: FloatArray
     count: IntArray
@@ -207,10 +205,29 @@ class Prepared:
     points: CorridorPoints
     nearest_junction: NearestNeighbours
     nearest_point: NearestNeighbours
-    views: Views = NO_VIEWS
 
     def __len__(self) -> int:
         return len(self.z)
+
+    @property
+    def run(self) -> str:
+        """The run of the map."""
+        return self.topomap.run
+
+    @property
+    def noise(self) -> RunNoise:
+        """How well it was measured."""
+        return self.topomap.noise
+
+    @property
+    def views(self) -> Views:
+        """What a laser or a grid shows around places."""
+        return self.topomap.views
+
+    @cached_property
+    def image(self) -> Prepared:
+        """Its mirror image, without views."""
+        return prepare(mirrored(self.topomap))
 
 
 def prepare(topomap: TopoMap) -> Prepared:
@@ -249,9 +266,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     nearest_junction = NearestNeighbours.of(z)
     unit = unit_headings(heading)
     return Prepared(
-        run=m.run,
-        noise=m.noise,
-        shows_bends=m.shows_bends,
+        topomap=m,
         z=z,
         heading=heading,
         count=count,
@@ -287,7 +302,6 @@ def prepare(topomap: TopoMap) -> Prepared:
         points=points,
         nearest_junction=nearest_junction,
         nearest_point=NearestNeighbours.of(points.z),
-        views=m.views,
     )
 
 

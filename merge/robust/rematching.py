@@ -36,8 +36,7 @@ from ..result import (
 )
 from .alignment import Candidate, laid_over, match
 from .components import Components
-from .mirror import fits_as_well, mirrored
-from .pairing import Pair, Pairwise, candidates_of, image_bits_of, image_result_of, result_of
+from .pairing import Pair, Pairwise, candidates_of, result_of
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
@@ -121,19 +120,9 @@ class MergedMaps:
         settings = self._matcher.settings
 
         def found() -> bytes:
-            return result_of(match(one.prepared, two.prepared, settings, rivals=True), settings)
+            return result_of(match(one.prepared, two.prepared, settings), settings)
 
-        return candidates_of(self._kept.result(Kind.RIVALS, (one.digest, two.digest), found))
-
-    def image_bits(self, one: MergedMap, two: MergedMap) -> float:
-        """Evidence of the best alignment of the first with the mirror image of the second
-        [bits]."""
-
-        def found() -> bytes:
-            image = prepare(mirrored(two.as_map))
-            return image_result_of(match(one.prepared, image, self._matcher.settings))
-
-        return image_bits_of(self._kept.result(Kind.IMAGE, (one.digest, two.digest), found))
+        return candidates_of(self._kept.result(Kind.PAIR, (one.digest, two.digest), found))
 
 
 def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
@@ -291,13 +280,12 @@ class Rematcher:
         return [match for key in open_ if (match := self._known[key]) is not None]
 
     def _match(self, one: MergedMap, two: MergedMap, assessment: Assessment) -> _Match | None:
-        """The match of two components; None if it must not join them: for too little evidence, a
-        mirror image that fits as well, or a lock that it does not honour."""
+        """The match of two components; None if it must not join them: for too little evidence, or a
+        lock that it does not honour."""
         if assessment.verdict is not Verdict.MERGED or assessment.best is None:
             return None
         links = _links(one, two, assessment)
-        image_bits = self._merged.image_bits(one, two) if links else np.inf
-        if fits_as_well(image_bits, assessment.best):
+        if not links:
             return None
         for (i, j), at in self.unmet.items():
             across = (i in one.runs and j in two.runs) or (j in one.runs and i in two.runs)

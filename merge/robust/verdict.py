@@ -24,7 +24,9 @@ MISFITS = "this may be another copy of the place, as its lengths differ by more 
 
 NEARLY = "another placement fits nearly as well"
 
-DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY)
+MIRRORED = "its mirror image fits nearly as well: this may be a copy built the other way round"
+
+DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY, MIRRORED)
 """Why a pair is ambiguous that is more than too little evidence: it may belong elsewhere."""
 
 
@@ -91,7 +93,7 @@ class Weighed:
     @property
     def carried(self) -> float:
         """The answer to the first question: `counted_bits`."""
-        return counted_bits(self.candidate)
+        return self.candidate.counted_bits
 
     @property
     def bits(self) -> float:
@@ -126,7 +128,7 @@ class Faint:
 
 def faint_of(candidates: Sequence[Candidate]) -> Faint | None:
     """The best candidate in short; None if there is none."""
-    return next((Faint(len(c), counted_bits(c)) for c in candidates), None)
+    return next((Faint(len(c), c.counted_bits) for c in candidates), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +215,7 @@ def in_steps(pairs: int) -> int:
 def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:
     """Largest evidence against chance of all alignments with enough junctions to be merged; 0 if
     none."""
-    bits = (counted_bits(c) for c in candidates if c.witnesses >= settings.min_matches)
+    bits = (c.counted_bits for c in candidates if c.witnesses >= settings.min_matches)
     return max((rounded(b, BITS) for b in bits), default=0.0)
 
 
@@ -229,19 +231,6 @@ def uniformity(*maps: Prepared) -> float:
     return _share(2.0 - tells / MATCH.uniform_bits)
 
 
-def counted_bits(c: Candidate) -> float:
-    """The evidence of an alignment against chance: agreement, bounded by its number of junctions,
-    plus that of views, minus all contradictions.
-
-    Agreeing terms are not independent (a room of standard form brings its junctions, corridors and
-    angles together), so that their sum overstates the evidence; every contradiction needs a fault
-    of its own, so that each counts in full.
-    """
-    against, seen = c.contradicting_bits, c.views.total + c.views.against
-    told = c.bits + against - seen
-    return min(told, MATCH.junction_bits * len(c)) + seen - against
-
-
 def falls_short(c: Candidate) -> float:
     """0 to 1: how far the evidence of an alignment falls short of what its junctions could give.
 
@@ -249,7 +238,7 @@ def falls_short(c: Candidate) -> float:
     same parts, do not, however far they are beyond chance.
     """
     least = MATCH.least_told * MATCH.junction_bits * len(c)
-    return _share(2.0 - counted_bits(c) / least) if least else 0.0
+    return _share(2.0 - c.counted_bits / least) if least else 0.0
 
 
 def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
@@ -278,7 +267,8 @@ def assess(
 def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     """Verdicts on pairs from their candidate alignments.
 
-    merged: enough evidence against chance, not a copy, and a lead over every other placement.
+    merged: enough evidence against chance, not a copy, and a lead over every other placement and
+    the mirror image.
     ambiguous: beyond chance, but one of the three is missing, or too few junctions agree.
     unrelated: nothing beyond chance.
 
@@ -314,7 +304,7 @@ def _repetitions(
         )
         for c in odd
     ]
-    if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
+    if odd and (any(shares) or falls_short(max(odd, key=lambda c: c.counted_bits)) > 0):
         shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
     return shares
 
@@ -336,7 +326,7 @@ def _assess(
         same_bits = _no_copy(next(same).bits, c.views.copies) if asked else None
         need_same = share * threshold.need_copy_bits
         ranked.append(Weighed(c, threshold.need_bits, share, same_bits, need_same))
-    ranked.sort(key=lambda w: -round(w.bits, MATCH.ranked_decimals))
+    ranked.sort(key=lambda w: -round(w.bits, BITS))
     first, *others = ranked
     best = first.candidate
     margin = first.bits - others[0].bits if others else None
@@ -350,6 +340,8 @@ def _assess(
     if first.carried >= threshold.need_bits:
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
+    if not why and best.image_bits > best.bits - MATCH.lead_bits:
+        why = MIRRORED
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,
@@ -363,10 +355,10 @@ def _assess(
 def _no_copy(lengths: float, views: float) -> float:
     """The evidence of lengths and changes, and that of views, that an alignment is no copy [bits].
 
-    Both see the same walls: what one says is no news up to `MATCH.shared_bits` of the other.
+    Both see the same walls: what one says is no news up to `MATCH.junction_bits` of the other.
     """
     most, least = max(lengths, views), min(lengths, views)
-    return most + max(least - MATCH.shared_bits, 0.0) if views else lengths
+    return most + max(least - MATCH.junction_bits, 0.0) if views else lengths
 
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
@@ -375,7 +367,7 @@ def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> lis
     odd = [c for c in candidates if c.bits > MATCH.lead_bits]
     enough = [c for c in odd if c.witnesses >= threshold.settings.min_matches]
     alone = needed_bits(1, threshold.settings)
-    return enough or [c for c in odd if c.bits > threshold.need_bits or counted_bits(c) > alone]
+    return enough or [c for c in odd if c.bits > threshold.need_bits or c.counted_bits > alone]
 
 
 def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:

@@ -38,8 +38,6 @@ FEW, MOST = 6, 24
 LEAST_Z = 1.5
 """Pairs that agree less do not place one map in the other: of other places 99 % stay below it in
 five real buildings."""
-LEVER_M = 3.0
-"""Lever of the turn of one view: half of the way from its middle to where its walls are."""
 PASSES_M = 20.0
 """Way between two passes that do not share scans."""
 AT_HAND_M = 1.5
@@ -177,7 +175,7 @@ class Laid:
             return np.zeros(3)
         za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.there, self.predicted))
         turned = np.exp(1j * (self.there[:, 2] - self.predicted[:, 2]))
-        lever = LEVER_M**2 * (weight * turned).sum()
+        lever = MATCH.place_m**2 * (weight * turned).sum()
         sum_a, sum_b, sum_ab = ((weight * z).sum() for z in (za, zb, za * zb.conj()))
         unit, ma, mb = rigid_from_sums(total, sum_a, sum_b, sum_ab, lever)
         shift = ma - unit * mb
@@ -290,10 +288,9 @@ class Level:
 
 
 USUAL, USUAL_COUNT = Level(1.4, 0.5), 5
-"""The mean z of false placements with `FEWEST` parts and more, in five real buildings: the prior of
-two maps; of the mean if there are fewer placements, of the spread with the weight of so many."""
-FEWEST = 3
-"""Placements with fewer parts tell nothing of the level of others: their mean z scatters more."""
+"""The mean z of false placements with `MATCH.fewest` parts and more, in five real buildings: the
+prior of two maps; of the mean if there are fewer placements, of the spread with the weight of so
+many. Placements with fewer parts tell nothing of the level of others: their mean scatters more."""
 LEAST_SIGMA = 0.3
 """Lower bound of its spread: mazes and organic ways have .2 to .3."""
 TRUE, TRUE_OF_RUN = Level(3.3, 0.9), 0.5
@@ -343,7 +340,7 @@ SLOPE_Z = 0.05
 
 def _level(selves: Sequence[FloatArray], others: Sequence[FloatArray]) -> Level:
     """The level of copies: of repetitions within the maps and of other placements of the two."""
-    own = [float(part.mean()) for part in others if len(part) >= FEWEST]
+    own = [float(part.mean()) for part in others if len(part) >= MATCH.fewest]
     z = np.concatenate([*selves, own])
     unknown = max(USUAL_COUNT - len(z), 0)
     mean = float(z.sum() + unknown * USUAL.mean) / (len(z) + unknown)
@@ -432,7 +429,7 @@ def repeats(a: Picture) -> Repeats:
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
             moved.append(some.parts_of(away >= (CELL_M if turned else 0.0)))
     moved = [part for part in moved if len(part)]
-    level = np.array([part.mean() for part in moved if len(part) >= FEWEST])
+    level = np.array([part.mean() for part in moved if len(part) >= MATCH.fewest])
     return Repeats(level, max(map(_size, moved), default=0.0))
 
 

@@ -17,7 +17,6 @@ from topobatch.merge.robust.verdict import (
     NO_WORSE,
     _missing,
     assess,
-    counted_bits,
     misfits,
     threshold_for,
     uniformity,
@@ -32,13 +31,13 @@ from .plans import COPIES, EDGES, POINTS, SETTINGS
 def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
     told = replace(match(a, b, SETTINGS)[0], bits=99.0)
-    assert counted_bits(told) == MATCH.junction_bits * len(told)
-    assert counted_bits(replace(told, bits=7.0)) == 7.0
+    assert told.counted_bits == MATCH.junction_bits * len(told)
+    assert replace(told, bits=7.0).counted_bits == 7.0
     doubted = replace(
         told,
         conflicts=replace(told.conflicts, elsewhere=np.zeros((2, 2), np.int64), elsewhere_bits=3.0),
     )
-    assert counted_bits(doubted) == counted_bits(told) - doubted.conflicts.bits
+    assert doubted.counted_bits == told.counted_bits - doubted.conflicts.bits
     alone, among_many = (
         threshold_for(n, n, COPIES, SETTINGS, copied=len(told)) for n in (1, 10**6)
     )
