@@ -55,6 +55,12 @@ def bits_to_document(bits: float | None) -> float | None:
     return None if bits is None else float(rounded(bits, BITS))
 
 
+def rounded_copy_test(tested: CopyTest) -> dict[str, float]:
+    """The test for a copy, rounded for documents."""
+    bits, needed = rounded(tested.bits, BITS), rounded(tested.needed_bits, BITS)
+    return {"bits": bits, "needed_bits": needed, "repetition": significant(tested.repetition)}
+
+
 class Form(NamedTuple):
     """How a field of a verdict or an alignment is written (left out if None), and how it is read
     from the validated entry."""
@@ -79,7 +85,7 @@ ALIGNMENT = {
         lambda found: tuple((tuple(c.a), tuple(c.b)) for c in found),
     ),
     "copy_test": Form(
-        lambda tested: tested and asdict(tested),
+        lambda tested: tested and rounded_copy_test(tested),
         lambda tested: tested and CopyTest(**tested.model_dump()),
     ),
 }

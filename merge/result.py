@@ -61,7 +61,7 @@ other runs, which place the two like one of the pair's own alignments; a lock.""
 
 @dataclass(frozen=True, slots=True)
 class CopyTest:
-    """The test whether an alignment is a copy of the place, as rounded in documents.
+    """The test whether an alignment is a copy of the place.
 
     bits: evidence that it is not; needed_bits: the threshold of that; repetition: 0 to 1, how
     likely it is one by its size and the building.

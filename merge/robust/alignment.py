@@ -205,22 +205,11 @@ def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypot
     return a, b, [seed for seed in every if seed.rival], tested
 
 
-def best_of(
-    a: Prepared,
-    b: Prepared,
-    hypotheses: Sequence[Seed],
-    *,
-    tested: int,
-    settings: RobustSettings,
-) -> tuple[Candidate, ...]:
-    """Grow and evaluate hypotheses; `tested` is the number of links that they were chosen from."""
-    return next(best_of_all([(a, b, hypotheses, tested)], settings))
-
-
 def best_of_all(
     cases: Iterable[Hypothesised], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """`best_of` for many pairs of maps, in batches that fit the processor's cache."""
+    """Hypotheses of many pairs of maps grown and evaluated, in batches that fit the processor's
+    cache."""
     for some in _batches(cases, lambda case: len(case[1]) * len(case[2]), MATCH.at_once):
         yield from _best_of_some(some, settings)
 
@@ -260,10 +249,6 @@ def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
     """A lane for every hypothesis."""
     growing = [case for case in cases if case[2]]
     each = [(a, b) for a, b, found, _ in growing for _ in found]
-    if len(growing) == 1:  # nothing to be laid end to end
-        zeros = np.zeros(len(each), np.int64)
-        a, b = (Atlas.of([m]) for m in each[0])
-        return Lanes.of(a, b, zeros, zeros)
     number: dict[int, int] = {}
     rows = [[number.setdefault(id(m), len(number)) for m in pair] for pair in each]
     maps = {id(m): m for pair in each for m in pair}
@@ -272,15 +257,12 @@ def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
     return Lanes.of(whole, whole, of_a, of_b)
 
 
-def as_sown(
-    a: Prepared, b: Prepared, hypotheses: Sequence[Seed], tested: int
-) -> tuple[Lanes, list[Candidate]]:
-    """Hypotheses of two junctions or more as candidates, without growth, and their lanes; `tested`
-    is the number of links that they were chosen from."""
-    lanes = _lanes([(a, b, hypotheses, tested)])
+def as_sown(case: Hypothesised) -> list[Candidate]:
+    """Hypotheses of two junctions or more as candidates, without growth."""
+    _, _, hypotheses, tested = case
     tested_bits = np.full(len(hypotheses), np.log2(tested + 1.0))
-    told = _judged(ungrown(lanes, hypotheses), tested_bits, search=False)
-    return lanes, [candidate for candidate in told if candidate is not None]
+    told = _judged(ungrown(_lanes([case]), hypotheses), tested_bits, search=False)
+    return [candidate for candidate in told if candidate is not None]
 
 
 def _judged(

@@ -20,15 +20,12 @@ from .components import Refusal
 from .conflicts import one_by_one
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import DOUBTS, Assessment, Weighed
+from .verdict import DOUBTS, ELSEWHERE, NOTHING_ALIKE, Assessment, Weighed
 from .view_ties import view_ties
 from .wording import evidence, summary
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
-
-ELSEWHERE = "by another placement"
-"""What it says where a lock joins two maps that their evidence joins in another way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +90,9 @@ class Case:
                 why = why or ELSEWHERE
             if why or own.verdict is not Verdict.MERGED:
                 reason += f"; {MAPS_ALONE} {own.verdict}" + (f", {why}" if why else "")
-            return self._accepted(self.forced, by="lock", reason=reason)
+            if own.verdict is Verdict.UNRELATED:
+                why = NOTHING_ALIKE
+            return self._accepted(self.forced, by="lock", reason=reason, lacks=why)
         if own.verdict is Verdict.MERGED and best is not None:
             return self._accepted(best, by="pair")
         if self.reunion is not None:
@@ -113,7 +112,9 @@ class Case:
         found = self._evidence()
         return self._not_joined(own.verdict, f"{found}; {own.why}" if own.why else found)
 
-    def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
+    def _accepted(
+        self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}", lacks: str = ""
+    ) -> PairVerdict:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
         replaces the braces in the reason."""
         best = self._alignment(chosen)
@@ -130,6 +131,7 @@ class Case:
             runner_up=second,
             margin_bits=margin,
             accepted_by=by,
+            lacks=lacks,
         )
 
     def _alignment(self, c: Candidate) -> Alignment:
@@ -176,8 +178,8 @@ class Case:
         extra: dict[str, Any] = {}
         if by.against_chance > 0:
             extra["against_chance_bits"] = by.against_chance
-        if by.same_bits is not None:
-            extra["same_place_bits"] = rounded(by.same_bits, BITS)
+        if by.copy_test is not None:
+            extra["same_place_bits"] = rounded(by.copy_test.bits, BITS)
         return PairVerdict(
             self.a.run,
             self.b.run,
@@ -201,16 +203,12 @@ def doubt(pair: PairVerdict) -> str:
     nothing."""
     if pair.through or (pair.accepted and pair.accepted_by != "lock"):
         return ""
-    _, locked, alone = pair.reason.partition(MAPS_ALONE)
-    if pair.accepted and not locked:
-        return ""
-    found = [why for why in (*DOUBTS, ELSEWHERE) if why in (alone or pair.reason)]
+    found = [pair.lacks] if pair.lacks in DOUBTS else []
     against = () if pair.best is None else pair.best.contradictions
     if against:
         found.append(f"{counted(len(against), 'contradiction')}: {against[0]}")
-    nothing_alike = f"{MAPS_ALONE} {Verdict.UNRELATED}" in pair.reason
-    if not found and (nothing_alike or (pair.verdict is Verdict.UNRELATED and pair.locked is None)):
-        found.append("they have nothing in common that chance would not offer")
+    if not found and pair.verdict is Verdict.UNRELATED and pair.locked is None:
+        found.append(NOTHING_ALIKE)
     return "; ".join(found)
 
 

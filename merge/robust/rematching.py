@@ -12,7 +12,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 
@@ -104,8 +103,8 @@ class MergedMaps:
         """The merged map of some runs, sorted, by the accepted alignments between them, which stay
         the same as long as the runs do."""
         if runs not in self._made:
-            maps, inside = self._matcher.maps, []
-            for i, j in _inside(runs, accepted):
+            maps, inside, those = self._matcher.maps, [], set(runs)
+            for i, j in sorted(pair for pair in accepted if those.issuperset(pair)):
                 best = accepted[i, j]
                 bits, names = float(len(best.matched)), (maps[i].run, maps[j].run)
                 inside.append(PairVerdict(*names, Verdict.MERGED, True, bits, "", best=best))
@@ -123,14 +122,6 @@ class MergedMaps:
             return result_of(match(one.prepared, two.prepared, settings), settings)
 
         return candidates_of(self._kept.result(Kind.PAIR, (one.digest, two.digest), found))
-
-
-def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
-    """The accepted pairs of some sorted runs, in order, by the shorter of two searches."""
-    if len(runs) ** 2 < len(accepted):
-        return (pair for pair in combinations(runs, 2) if pair in accepted)
-    those = set(runs)
-    return (pair for pair in sorted(accepted) if those.issuperset(pair))
 
 
 def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
@@ -318,6 +309,6 @@ def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alig
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
         transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
-        corridors, tested = len(best.corridors), found.ranked[0].copy_test
-        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=tested)
+        corridors, asked = len(best.corridors), found.copy_test
+        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=asked)
     return out

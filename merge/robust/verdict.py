@@ -26,12 +26,13 @@ NEARLY = "another placement fits nearly as well"
 
 MIRRORED = "its mirror image fits nearly as well: this may be a copy built the other way round"
 
-DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY, MIRRORED)
-"""Why a pair is ambiguous that is more than too little evidence: it may belong elsewhere."""
+ELSEWHERE = "by another placement"
+"""What the evidence of two maps says where a lock joins them in another way."""
 
+NOTHING_ALIKE = "they have nothing in common that chance would not offer"
 
-SHARE_DIGITS = 4
-"""Digits of shares in documents: more than any of them is known to."""
+DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY, MIRRORED, ELSEWHERE, NOTHING_ALIKE)
+"""What two maps lack that is more than too little evidence: they may belong elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,16 +80,12 @@ class Weighed:
     """A placement better than chance with its evidence for the two questions (chance? a copy?), in
     bits.
 
-    need: the threshold against chance. repetition: 0 to 1, how likely it is a copy by its size and
-    the building; same_place: evidence that it is the place itself and not a copy, None if not
-    tested; need_same: the threshold of that.
+    need: the threshold against chance; copy_test: the second question, None if it was not asked.
     """
 
     candidate: Candidate
     need: float
-    repetition: float = 0.0
-    same_place: float | None = None
-    need_same: float = 0.0
+    copy_test: CopyTest | None = None
 
     @property
     def carried(self) -> float:
@@ -105,17 +102,8 @@ class Weighed:
     def from_copies(self) -> float:
         """The answer to the second question, shifted so that its threshold is `need`; inf if not
         tested."""
-        if self.same_place is None:
-            return np.inf
-        return self.same_place + self.need - self.need_same
-
-    @property
-    def copy_test(self) -> CopyTest | None:
-        """The second question, as it is stated; None if it was not asked."""
-        if self.same_place is None:
-            return None
-        same, need = (rounded(bits, BITS) for bits in (self.same_place, self.need_same))
-        return CopyTest(same, need, round(self.repetition, SHARE_DIGITS))
+        asked = self.copy_test
+        return np.inf if asked is None else asked.bits + self.need - asked.needed_bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,9 +151,9 @@ class Assessment:
         return 0.0 if self.faint is None else self.faint.bits
 
     @property
-    def same_bits(self) -> float | None:
-        """Evidence that the best placement is not a copy, None if not tested."""
-        return self.ranked[0].same_place if self.ranked else None
+    def copy_test(self) -> CopyTest | None:
+        """Whether the best placement is a copy, None if not tested."""
+        return self.ranked[0].copy_test if self.ranked else None
 
     @property
     def runner_up(self) -> Candidate | None:
@@ -323,9 +311,11 @@ def _assess(
     asked = max(shares) > 0
     ranked = []
     for c, share in zip(odd, shares, strict=True):
-        same_bits = _no_copy(next(same).bits, c.views.copies) if asked else None
-        need_same = share * threshold.need_copy_bits
-        ranked.append(Weighed(c, threshold.need_bits, share, same_bits, need_same))
+        tested = None
+        if asked:
+            bits = _no_copy(next(same).bits, c.views.copies)
+            tested = CopyTest(bits, share * threshold.need_copy_bits, share)
+        ranked.append(Weighed(c, threshold.need_bits, tested))
     ranked.sort(key=lambda w: -round(w.bits, BITS))
     first, *others = ranked
     best = first.candidate
