@@ -25,7 +25,6 @@ import resource
 import tempfile
 import time
 from collections import deque
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -166,14 +165,14 @@ def recall(count, first):
     """What merging with the index finds of what merging all pairs does."""
     maps = [topomap for topomap, _ in fleet_of(count, first=first)]
     screened = merge_maps(maps)
-    usual = screening.SCREENING
-    screening.SCREENING = replace(usual, most_pairs=pairs_of(count))
+    usual = screening.MOST_PAIRS
+    screening.MOST_PAIRS = pairs_of(count)
     try:
         clock = Clock()
         whole = merge_maps(maps)
         spent = clock.lap()
     finally:
-        screening.SCREENING = usual
+        screening.MOST_PAIRS = usual
     accepted = [{(v.a, v.b) for v in r.verdicts if v.accepted} for r in (whole, screened)]
     joined = [joined_pairs(r) for r in (whole, screened)]
     print(f"{count} maps, {pairs_of(count):,} pairs; all of them in {spent:.0f} s")
@@ -204,7 +203,7 @@ def beyond(count, first):
     """How many of the pairs beyond chance the index gives none."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     need = needed_bits(pairs_of(count), DEFAULT_ROBUST)
-    likely = screening.likely_pairs(ready, screening.SCREENING.share * need)
+    likely = screening.likely_pairs(ready, screening.SHARE * need)
     seen = {(i, j) for i, j in likely.tolist()}
     found = [
         (i, j)

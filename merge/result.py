@@ -295,6 +295,11 @@ def of_sites(result: MergeResult, components: Collection[int]) -> MergeResult:
     )
 
 
+MOST_PAIRS = 5000
+"""Of more pairs only those are matched to which an index gives a chance, and only those with any
+evidence are listed: 100 runs take some seconds without."""
+
+
 def pairs_of(runs: int) -> int:
     """Number of pairs of so many runs."""
     return runs * (runs - 1) // 2
