@@ -123,7 +123,7 @@ class PairVerdict:
     them. together: the runs of the two components whose evidence joined the pair. transform_sigma:
     like `placed`, for an accepted pair, given all maps of its component. lacks: what the two maps
     lack for being merged, as a clause, "" if nothing; lead_needed_bits: the lead that their best
-    alignment needs. extra: JSON values that a method adds to its entry.
+    alignment needs.
     """
 
     a: str
@@ -145,13 +145,18 @@ class PairVerdict:
     transform_sigma: tuple[float, float] | None = None
     lacks: str = ""
     lead_needed_bits: float | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.a < self.b:
             raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
         if self.accepted and self.best is None:
             raise ValueError("an accepted pair needs its alignment")
+
+    @property
+    def same_place_bits(self) -> float:
+        """Evidence that its alignment is no copy of the place [bits], inf if that was not asked."""
+        tested = None if self.best is None else self.best.copy_test
+        return np.inf if tested is None else tested.bits
 
     @property
     def standing(self) -> Standing:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...topology.arrays import IntArray
-from ...topology.digits import BITS, rounded
 from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
@@ -175,11 +174,6 @@ class Case:
     ) -> PairVerdict:
         """The verdict, by the assessment of the two maps or of two components."""
         joined = accepted_by is not None and best is not None
-        extra: dict[str, Any] = {}
-        if by.against_chance > 0:
-            extra["against_chance_bits"] = by.against_chance
-        if by.copy_test is not None:
-            extra["same_place_bits"] = rounded(by.copy_test.bits, BITS)
         return PairVerdict(
             self.a.run,
             self.b.run,
@@ -192,7 +186,6 @@ class Case:
             accepted_by=accepted_by,
             locked=None if self.lock is None else self.lock.decision,
             lead_needed_bits=None if best is None else by.lead_bits,
-            extra=extra,
             **more,
         )
 

@@ -183,7 +183,6 @@ def _unlisted(merge: Merge, alone: PairVerdict) -> PairVerdict:
         threshold_bits=alone.threshold_bits,
         through=through,
         lacks=alone.lacks,
-        extra=alone.extra,
     )
 
 

@@ -125,7 +125,7 @@ class Assessment:
 
     need_bits: the threshold. ranked: placements better than chance, best first; lead_bits: required
     lead of the best one. why: what was missing for merging, "" if merged; faint: the best alignment
-    if none is better than chance; against_chance: `beyond_chance_bits`; discarded: whether the
+    if none is better than chance; discarded: whether the
     match was discarded by the user.
     """
 
@@ -134,7 +134,6 @@ class Assessment:
     ranked: tuple[Weighed, ...] = ()
     why: str = ""
     faint: Faint | None = None
-    against_chance: float = 0.0
     discarded: bool = False
     lead_bits: float = MATCH.lead_bits
 
@@ -337,7 +336,6 @@ def _assess(
         need_bits=threshold.need_bits,
         ranked=tuple(ranked),
         why=why,
-        against_chance=beyond_chance_bits(candidates, threshold.settings),
         lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
     )
 
