@@ -27,7 +27,7 @@ from .vertex_partition import Groups, Pool
 class CoincidenceSettings:
     """When two unmatched vertices are one place."""
 
-    gate_m: float = 1.0
+    gate_m: float = 2 * LIKELIHOOD.gate_m
     """Gate on the distance. Tried: .9 and 1.5 fuse the same places in 23 merges, .5 one place fewer
     in two of them."""
     lead: float = 1.6

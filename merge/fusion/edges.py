@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.corridor_lengths import length_variances
+from ...topology.corridor_lengths import LEAST_M, length_variances
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.ragged import parted
@@ -39,9 +39,6 @@ class CorridorSettings:
 
 
 CORRIDOR = CorridorSettings()
-
-SHORTEST_M = 1e-3
-"""Lower bound of lengths, for corridors whose ends coincide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +91,7 @@ def corridors_of(
                 v=home[t],
                 branch_u=int(branches[s][i]) if i != NO_BRANCH else NO_BRANCH,
                 branch_v=int(branches[t][j]) if j != NO_BRANCH else NO_BRANCH,
-                length=max(length + bent, SHORTEST_M),
+                length=max(length + bent, LEAST_M),
                 sigma=sigma,
                 traversals=traversals,
                 path=drawn[e],

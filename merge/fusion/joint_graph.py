@@ -25,7 +25,7 @@ from ...topology.map_pose_graph import (
 )
 from ...topology.matching.branches import mutual_nearest, unit_headings
 from ...topology.matching.likelihood import LIKELIHOOD
-from ...topology.matching.structure import grid_direction, padded_branches
+from ...topology.matching.structure import STRUCTURE, grid_direction, padded_branches
 from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors
 from ...topology.posegraph.samples import SampledMarginals
 from ...topology.posegraph.solve import Solution, SolverSettings, solve
@@ -63,9 +63,6 @@ class JointSettings:
     """Prior of the standard deviation of corridors about the grid of a rectilinear building."""
     grid_junctions: float = 20.0
     """Weight of that prior, as a number of junctions."""
-    grid_gate_rad: float = 0.26
-    """Gate on the difference of the maps' grid directions in the initial layout, beyond which there
-    is no common grid."""
 
 
 JOINT = JointSettings()
@@ -309,11 +306,11 @@ def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
         return Priors.empty()
     grid = np.array(grids, np.float64)[pool.run]
     target = float(grid[0] + guess[0, 2])  # the grid of the first map gives the frame
-    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * JOINT.grid_gate_rad:
+    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * STRUCTURE.rectilinear_rad:
         return Priors.empty()
     heading, visits = branch_headings(pool), pass_counts(pool)
     off = wrap(4 * (heading + guess[:, 2:] - target)) / 4
-    used = np.abs(off) <= JOINT.grid_gate_rad  # NaN, beyond the degree, is not
+    used = np.abs(off) <= STRUCTURE.rectilinear_rad  # NaN, beyond the degree, is not
     count = used.sum(axis=1)
     rows = np.flatnonzero(count)
     mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]

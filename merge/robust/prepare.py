@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from ...topology.digits import METRES
+from ...topology.corridor_lengths import LEAST_M
 from ...topology.matching.branches import unit_headings
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
 from ...topology.matching.structure import padded_branches
@@ -20,9 +20,6 @@ from ...topology.views import Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
 from .mirror import mirrored
 from .settings import MATCH
-
-LEAST_M = 10.0**-METRES
-"""Lower bound of 1 sigma of a length: the precision of documents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

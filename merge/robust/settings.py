@@ -85,7 +85,7 @@ class MatchSettings:
     it is not. Of 179 right pairs of mazes and organic ways all have .58 or more; of 25 pairs of
     floors of one plan, each junction moved by up to .3 m, 23 have less than half, and so do two
     sites that share a block (`benchmarks/adversaries.py`). It costs no right pair of the suites."""
-    misfit_rate: float = 0.05
+    misfit_rate: float = LIKELIHOOD.outlier_share
     """An alignment whose lengths differ by as much in less than this share of looks at one place
     may be a copy. Of 115 right pairs of two suites the least have .21, of 174 by earlier code .12
     (noise is stated with caution for matching); a copy of 19 junctions in an office, which nothing
@@ -108,9 +108,9 @@ class MatchSettings:
     `benchmarks/observed.py`)."""
 
     length_sigmas: float = LIKELIHOOD.gate_sigmas
-    turn_rad: float = 0.35
-    """Rotations that differ by less belong to one placement [rad]: 20°. Drift rotates parts of a
-    map by less, and two placements in one building differ by a quarter turn. Tried: .23 and .53, no
+    turn_rad: float = LIKELIHOOD.branch_gate_rad
+    """Rotations that differ by less belong to one placement [rad]. Drift rotates parts of a map by
+    less, and two placements in one building differ by a quarter turn. Tried: .23 and .53, no
     change."""
     place_m: float = 3.0
     """Shifts that differ by less belong to one placement [m], plus `drift_per_m` per metre of
@@ -145,9 +145,6 @@ class MatchSettings:
     """Junctions of hypotheses that are grown at once, to fit a processor's cache, and pairs of maps
     that are assessed at once (10 kB each)."""
 
-    clear_m: float = 1.0
-    """Length at either end of a corridor that belongs to the junction [m]; also the spacing of the
-    sample points of the rest. Tried: .7 and 1.5, no change."""
     pair_digits: int = 4
     """Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by up to an
     eighth, .17 bits, .06 in the mean. At 200 runs every tenth run is a step, at 1,420 every
@@ -162,6 +159,12 @@ class MatchSettings:
         """Required lead over another placement that is also beyond the threshold and has no more
         evidence against it; see `verdict._contested`."""
         return 2 * self.lead_bits
+
+    @property
+    def clear_m(self) -> float:
+        """Length at either end of a corridor that belongs to the junction [m]; also the spacing of
+        the sample points of the rest. Tried: .7 and 1.5, no change."""
+        return 2 * self.gate_m
 
     @property
     def sure_m(self) -> float:
