@@ -47,7 +47,7 @@ class Candidate:
     searched: whether contradictions were looked for, which is done where the rest is beyond chance
     and where views may make it so; views: what the views of both say, which is part of `bits`;
     by_views: whether they proposed it; image_bits: evidence of the best alignment of a with the
-    mirror image of b, -inf if it was not asked for.
+    mirror image of b, inf if it was not looked for, which is done where it may be merged.
     """
 
     transform: FloatArray
@@ -63,7 +63,7 @@ class Candidate:
     searched: bool = True
     views: ViewEvidence = NO_VIEW_EVIDENCE
     by_views: bool = False
-    image_bits: float = -np.inf
+    image_bits: float = np.inf
 
     def __len__(self) -> int:
         return len(self.a)
@@ -170,7 +170,9 @@ def _match_some(
     pairs = [case[:2] for case, _ in some]
     best = list(best_of_all((case for case, _ in some), settings))
     wanted = [
-        not any(c.bits > MATCH.lead_bits for c in own) or _could_be_merged(own) or _both_seen(*pair)
+        not any(c.bits > MATCH.lead_bits for c in own)
+        or _could_be_merged(own, settings)
+        or _both_seen(*pair)
         for pair, own in zip(pairs, best, strict=True)
     ]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
@@ -179,18 +181,22 @@ def _match_some(
         _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
         for (a, b), own, more in zip(pairs, best, wanted, strict=True)
     ]
-    likely = [_could_be_merged(own) for own in found]
+    likely = [_could_be_merged(own, settings) for own in found]
     turned = (_sown(a, b.image, settings)[0] for a, b in compress(pairs, likely))
     images = best_of_all(turned, settings)
     for own, hopeful in zip(found, likely, strict=True):
-        bits = max((c.bits for c in next(images)), default=-np.inf) if hopeful else -np.inf
-        yield tuple(replace(c, image_bits=bits) for c in own)
+        bits = max((c.bits for c in next(images)), default=-np.inf) if hopeful else np.inf
+        yield tuple(replace(c, image_bits=bits) for c in own) if hopeful else own
 
 
-def _could_be_merged(found: Sequence[Candidate]) -> bool:
-    """Whether one of the candidates has the evidence that merging needs in the smallest batch, or
-    little less."""
-    return any(c.counted_bits > MATCH.contested_bits for c in found if not c.rival)
+def _could_be_merged(found: Sequence[Candidate], settings: RobustSettings) -> bool:
+    """Whether the best candidate leads the others, with about the evidence and the junctions that
+    merging needs in the smallest batch."""
+    ranked = sorted(found, key=lambda c: -c.counted_bits)
+    if not ranked or ranked[0].rival or ranked[0].witnesses < settings.min_matches:
+        return False
+    bits, second, *_ = (*(c.counted_bits for c in ranked), -np.inf)
+    return bits > 2 * MATCH.lead_bits and bits - second >= MATCH.lead_bits
 
 
 def _both_seen(a: Prepared, b: Prepared) -> bool:
