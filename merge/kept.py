@@ -41,6 +41,8 @@ class Kind(StrEnum):
 
     PAIR = "pairs of maps"
     ITSELF = "maps with themselves"
+    THOROUGH = "pairs to be merged"
+    """Two maps matched with all hypotheses beyond chance, and with the mirror image."""
     COMPONENT = "components"
     """Several maps fused into one."""
 

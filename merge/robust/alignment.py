@@ -47,7 +47,7 @@ class Candidate:
     searched: whether contradictions were looked for, which is done where the rest is beyond chance
     and where views may make it so; views: what the views of both say, which is part of `bits`;
     by_views: whether they proposed it; image_bits: evidence of the best alignment of a with the
-    mirror image of b, inf if it was not looked for, which is done where it may be merged.
+    mirror image of b, -inf without one or if it was not looked for.
     """
 
     transform: FloatArray
@@ -63,7 +63,7 @@ class Candidate:
     searched: bool = True
     views: ViewEvidence = NO_VIEW_EVIDENCE
     by_views: bool = False
-    image_bits: float = np.inf
+    image_bits: float = -np.inf
 
     def __len__(self) -> int:
         return len(self.a)
@@ -123,26 +123,28 @@ Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
 """Two maps, hypotheses of their alignment, and the number of links that these were chosen from."""
 
 
-def match(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Candidate, ...]:
+def match(
+    a: Prepared, b: Prepared, settings: RobustSettings, *, thorough: bool = False
+) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first, without duplicates of one placement. Pure.
 
     The steps of the paper with certainty replaced by odds: compatible corridors (§2.1), connected
     hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
 
     Where copies abound, many hypotheses are beyond chance before they are grown. Only the best few
-    can be merged. The others take time, and are grown as rivals where these yield nothing, or could
-    be merged; then the mirror image of b is matched, too.
+    can be merged. The others take time, and are grown as rivals where these yield nothing.
+    thorough: as before two maps are merged: rivals are grown, and the mirror image of b is matched.
     """
-    return next(match_all([(a, b)], settings))
+    return next(match_all([(a, b)], settings, thorough=thorough))
 
 
 def match_all(
-    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, thorough: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
     """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
     sown = (_sown(a, b, settings) for a, b in pairs)
     for some in _batches(sown, lambda case: len(case[1]), MATCH.most_pairs):
-        yield from _match_some(some, settings)
+        yield from _match_some(some, settings, thorough=thorough)
 
 
 def _sown(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Hypothesised, Links]:
@@ -165,38 +167,19 @@ def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterato
 
 
 def _match_some(
-    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings
+    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings, *, thorough: bool
 ) -> Iterator[tuple[Candidate, ...]]:
     pairs = [case[:2] for case, _ in some]
     best = list(best_of_all((case for case, _ in some), settings))
-    wanted = [
-        not any(c.bits > MATCH.lead_bits for c in own)
-        or _could_be_merged(own, settings)
-        or _both_seen(*pair)
-        for pair, own in zip(pairs, best, strict=True)
-    ]
+    wanted = [thorough or not any(c.bits > MATCH.lead_bits for c in own) for own in best]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    found = [
-        _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
-        for (a, b), own, more in zip(pairs, best, wanted, strict=True)
-    ]
-    likely = [_could_be_merged(own, settings) for own in found]
-    turned = (_sown(a, b.image, settings)[0] for a, b in compress(pairs, likely))
+    turned = ((_sown(a, b.image, settings)[0] if thorough else (a, b, (), 0)) for a, b in pairs)
     images = best_of_all(turned, settings)
-    for own, hopeful in zip(found, likely, strict=True):
-        bits = max((c.bits for c in next(images)), default=-np.inf) if hopeful else np.inf
-        yield tuple(replace(c, image_bits=bits) for c in own) if hopeful else own
-
-
-def _could_be_merged(found: Sequence[Candidate], settings: RobustSettings) -> bool:
-    """Whether the best candidate leads the others, with about the evidence and the junctions that
-    merging needs in the smallest batch."""
-    ranked = sorted(found, key=lambda c: -c.counted_bits)
-    if not ranked or ranked[0].rival or ranked[0].witnesses < settings.min_matches:
-        return False
-    bits, second, *_ = (*(c.counted_bits for c in ranked), -np.inf)
-    return bits > 2 * MATCH.lead_bits and bits - second >= MATCH.lead_bits
+    for (a, b), own, more, image in zip(pairs, best, wanted, images, strict=True):
+        found = _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
+        bits = max((c.bits for c in image), default=-np.inf)
+        yield tuple(replace(c, image_bits=bits) for c in found)
 
 
 def _both_seen(a: Prepared, b: Prepared) -> bool:

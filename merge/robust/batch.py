@@ -3,7 +3,7 @@ pair by itself."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
-from ..result import PairVerdict, pairs_of
+from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment
 from .entries import Case
@@ -74,16 +74,24 @@ class Batch:
         return thresholds(prepared, settings, against_chance, self.matcher.with_themselves())
 
     def assessments(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
-        """Assessments of pairs by their two maps alone."""
+        """Assessments of pairs by their two maps alone. Those that would be merged must lead every
+        other hypothesis beyond chance, and the mirror image."""
         known = self.candidates(pairs)
-        cases = [
-            (*self.prepared(pair), known.get(pair, ()), self.threshold(pair)) for pair in pairs
-        ]
-        out = {}
-        for pair, assessment in zip(pairs, assess_all(cases), strict=True):
+        out = self._assessed({pair: known.get(pair, ()) for pair in pairs})
+        for pair, assessment in out.items():
             faint = self.found[pair].faint or assessment.faint
             out[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
-        return out
+        merged = [pair for pair, assessment in out.items() if assessment.verdict is Verdict.MERGED]
+        thorough = self.matcher.thorough(_rows(merged))
+        return out | self._assessed(dict(zip(merged, thorough, strict=True)))
+
+    def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
+        """The assessment of each pair by these candidates."""
+        cases = [
+            (*self.prepared(pair), found, self.threshold(pair))
+            for pair, found in candidates.items()
+        ]
+        return dict(zip(candidates, assess_all(cases), strict=True))
 
     def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
         """The candidates of those of the pairs that have any beyond chance."""

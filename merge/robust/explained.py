@@ -94,8 +94,11 @@ class _Pair:
         return beyond or match(a, b, self.merge.settings)
 
     def candidates(self, verdict: PairVerdict) -> Iterator[Candidate]:
-        """All of them, last the placement by a lock of the two as the same."""
-        yield from self.plain
+        """All of them, first those that the verdict is about: a pair is merged by itself only
+        beside rivals; last the placement by a lock of the two as the same."""
+        (thorough,) = self.matcher.thorough(BOTH)
+        by_pair = verdict.accepted_by == "pair"
+        yield from (*thorough, *self.plain) if by_pair else (*self.plain, *thorough)
         lock = lock_table(self.merge.locks).get((verdict.a, verdict.b))
         if lock is not None and lock.decision == "same":
             a, b = self.matcher.prepared

@@ -121,7 +121,7 @@ def seeds(
     total = np.bincount(label, weights=links.bits)
     rivals = min(np.count_nonzero(total > rival_bits), MATCH.at_once // len(b))
     best = (-total).argsort(kind="stable")[: max(most, rivals)]
-    best = best[total[best] > 0]
+    best = best[total[best] > MATCH.weak_share * total[best[0]]]
     crowd = np.bincount(label)[label] > 1
     mid_a, mid_b = a.middle[links.a_row], b.middle[links.b_row]
     found = list(first)

@@ -169,7 +169,8 @@ def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
     if task.kind is Kind.ITSELF:
         every = self_matches((ready(digest) for digest, _ in pairs), task.settings)
     else:
-        every = match_all(((ready(a), ready(b)) for a, b in pairs), task.settings)
+        both = ((ready(a), ready(b)) for a, b in pairs)
+        every = match_all(both, task.settings, thorough=task.kind is Kind.THOROUGH)
     return [result_of(found, task.settings) for found in every]
 
 
@@ -215,6 +216,10 @@ class Pairwise:
     def candidates(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
         """The candidates of each of (k, 2) pairs; none where none is beyond chance."""
         return self._all(Kind.PAIR, wanted, candidates_of)
+
+    def thorough(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
+        """The same with all other hypotheses beyond chance, and evidence of the mirror image."""
+        return self._all(Kind.THOROUGH, wanted, candidates_of, reported=True)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""

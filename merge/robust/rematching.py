@@ -119,9 +119,10 @@ class MergedMaps:
         settings = self._matcher.settings
 
         def found() -> bytes:
-            return result_of(match(one.prepared, two.prepared, settings), settings)
+            every = match(one.prepared, two.prepared, settings, thorough=True)
+            return result_of(every, settings)
 
-        return candidates_of(self._kept.result(Kind.PAIR, (one.digest, two.digest), found))
+        return candidates_of(self._kept.result(Kind.THOROUGH, (one.digest, two.digest), found))
 
 
 def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:

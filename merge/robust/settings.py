@@ -135,6 +135,8 @@ class MatchSettings:
     """A match is also given up if fewer of the junctions inside the other run's area are found:
     chance alone finds about a fifth of them. Tried: .4 and .5 give the same, but unrelated pairs
     take half as long again."""
+    weak_share: float = 0.3
+    """Hypotheses with less than this share of the best one's bits are not grown."""
     most_pairs: int = 20_000
     """Pairs of anything that are compared at once, to bound the time. Where more pairs of corridors
     are compatible, those of the most common patterns are left out, which carry no information.

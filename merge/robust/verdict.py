@@ -330,7 +330,7 @@ def _assess(
         larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
     if not why and best.image_bits > best.bits - MATCH.lead_bits:
-        why = MIRRORED if np.isfinite(best.image_bits) else NEARLY
+        why = MIRRORED
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,

@@ -28,7 +28,7 @@ def test_a_mirror_image_is_the_other_way_round_and_twice_mirrored_the_same(drawn
 
 def test_only_what_leads_its_mirror_image_stays_merged(drawn):
     a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
-    best = match(a, b, SETTINGS)[0]
+    best = match(a, b, SETTINGS, thorough=True)[0]
     assert np.isfinite(best.image_bits)
     for more, verdict in ((-0.1, Verdict.MERGED), (0.1, Verdict.AMBIGUOUS)):
         shown = replace(best, image_bits=best.bits - MATCH.lead_bits + more)
