@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import compress, pairwise
 from typing import TypeVar
 
@@ -17,7 +17,8 @@ from .atlas import Atlas, Lanes, cuts
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
-from .prepare import Prepared
+from .mirror import mirrored
+from .prepare import Prepared, prepare
 from .settings import MATCH, RobustSettings
 from .support import NO_SUPPORT, Support, supports
 from .view_evidence import (
@@ -31,7 +32,7 @@ from .view_evidence import (
     revisits,
     worth_judging,
 )
-from .view_search import Picture, pictured, placements
+from .view_search import KEPT, Picture, pictured, placements
 
 T = TypeVar("T")
 
@@ -174,12 +175,18 @@ def _match_some(
     wanted = [thorough or not any(c.bits > MATCH.lead_bits for c in own) for own in best]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    turned = ((_sown(a, b.image, settings)[0] if thorough else (a, b, (), 0)) for a, b in pairs)
+    turned = ((_sown(a, _image(b), settings)[0] if thorough else (a, b, (), 0)) for a, b in pairs)
     images = best_of_all(turned, settings)
     for (a, b), own, more, image in zip(pairs, best, wanted, images, strict=True):
         found = _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
         bits = max((c.bits for c in image), default=-np.inf)
         yield tuple(replace(c, image_bits=bits) for c in found)
+
+
+@lru_cache(maxsize=KEPT)
+def _image(m: Prepared) -> Prepared:
+    """The mirror image of a map, without views."""
+    return prepare(mirrored(m.topomap))
 
 
 def _both_seen(a: Prepared, b: Prepared) -> bool:

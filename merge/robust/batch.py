@@ -15,7 +15,7 @@ from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment
 from .entries import Case
-from .pairing import Means, Pair, Pairwise, Summary, in_tiles
+from .pairing import Means, Pair, Pairwise, Summary, tile_order
 from .prepare import Prepared
 from .repetition import sameness_of
 from .screening import pairs_to_match
@@ -177,7 +177,7 @@ def match_shard(
 ) -> int:
     """Match the i-th of n shares of the pairs (i from 1 on) for the store; returns their number."""
     matcher = Pairwise(sorted(maps, key=lambda m: m.run), settings, means)
-    wanted = in_tiles(wanted_pairs(matcher))
-    mine = np.array_split(wanted, share[1])[share[0] - 1]
+    wanted = wanted_pairs(matcher)
+    mine = np.array_split(wanted[tile_order(wanted)], share[1])[share[0] - 1]
     matcher.pairs(mine)
     return len(mine)

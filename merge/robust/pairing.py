@@ -79,11 +79,6 @@ def tile_order(pairs: IntArray) -> IntArray:
     return np.lexsort((tile[:, 1], tile[:, 0]))
 
 
-def in_tiles(pairs: IntArray) -> IntArray:
-    """The pairs in that order."""
-    return pairs[tile_order(pairs)]
-
-
 def era_of(settings: RobustSettings) -> bytes:
     """Digest that changes whenever results may: of the program, the libraries and the settings of
     matching."""

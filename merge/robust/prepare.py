@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +17,6 @@ from ...topology.ragged import numbered
 from ...topology.topomap import RunNoise, TopoMap
 from ...topology.views import Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
-from .mirror import mirrored
 from .settings import MATCH
 
 
@@ -141,7 +139,7 @@ class CorridorPoints:
         return len(self.z)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
     """A map of n junctions with at most d branches, and of k directed corridors (both directions of
     each, loops left out).
@@ -220,11 +218,6 @@ class Prepared:
     def views(self) -> Views:
         """What a laser or a grid shows around places."""
         return self.topomap.views
-
-    @cached_property
-    def image(self) -> Prepared:
-        """Its mirror image, without views."""
-        return prepare(mirrored(self.topomap))
 
 
 def prepare(topomap: TopoMap) -> Prepared:
