@@ -38,7 +38,7 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
 from topobatch.merge.robust.alignment import match_all
-from topobatch.merge.robust.pairing import in_tiles
+from topobatch.merge.robust.pairing import tile_order
 from topobatch.merge.robust.screening import pairs_to_match
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation.chance import Chance
@@ -122,7 +122,7 @@ def one_size(count, first):
     wanted = pairs_to_match(ready, DEFAULT_ROBUST)
     row["index"] = clock.lap()
     row["chance"] = len(wanted) / pairs_of(count)
-    likely = ((ready[i], ready[j]) for i, j in in_tiles(wanted).tolist())
+    likely = ((ready[i], ready[j]) for i, j in wanted[tile_order(wanted)].tolist())
     deque(match_all(likely, DEFAULT_ROBUST), maxlen=0)
     row["match"] = clock.lap()
     rng = np.random.default_rng(first)
