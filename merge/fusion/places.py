@@ -90,8 +90,8 @@ def _clusters(
         headings = wrap(m.branches[int(pool.vertex[row])] + pose[row, 2])
         weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
         centres = np.array([_mean(c) for c in clusters])
-        units = (np.exp(1j * angles)[None] for angles in (headings, centres))
-        pairs = mutual_nearest(*units, float(np.cos(JOINT.branch_gate_rad)))
+        own, known = (np.exp(1j * angles)[None] for angles in (headings, centres))
+        pairs = mutual_nearest(own, known, float(np.cos(JOINT.branch_gate_rad)))
         paired, nearest = pairs.paired[0], pairs.nearest[0]
         for branch, heading in enumerate(headings.tolist()):
             sighting = _Sighting(heading, weight, row, branch)
