@@ -13,7 +13,7 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.topomap import TopoMap
 from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
-from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment
+from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .entries import Case
 from .pairing import Means, Pair, Pairwise, Summary, tile_order
 from .prepare import Prepared
@@ -141,11 +141,16 @@ class Batch:
             if v.best is not None and v.evidence_bits > MATCH.lead_bits
         ]
 
-    def match_joined(self, components: Components, joined: Iterable[Pair]) -> dict[Pair, Refusal]:
-        """Match the pairs that were screened out and that their components joined; refused are
-        those that are merged by themselves with another placement."""
+    def match_overlapping(
+        self, components: Components, joined: Iterable[Pair]
+    ) -> dict[Pair, Refusal]:
+        """Match the pairs that were screened out and now overlap, or were joined by their
+        components; refused are those that are merged by themselves with another placement."""
         places = self.matcher.places
-        fresh = sorted(pair for pair in joined if pair not in self.found)
+        if len(self.found) == pairs_of(len(places)):
+            return {}
+        over = {*lying_over(components, places), *joined}
+        fresh = sorted(p for p in over if p not in self.found)
         self.match(_rows(fresh))
         out = {}
         for i, j in fresh:

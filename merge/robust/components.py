@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
 from ...topology.se2 import compose, inverse, wrap
@@ -147,7 +148,26 @@ def join_all(
     return refused
 
 
-def _laid(pose: FloatArray, z: np.complex128) -> ComplexArray:
+def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[Pair]:
+    """Pairs i < j of one component with at least `MATCH.fewest` junctions within `MATCH.place_m` of
+    each other in the component's frame. places: of every run its junctions (x + iy)."""
+    out: list[Pair] = []
+    for members in components.members.values():
+        if len(members) < 2:
+            continue
+        runs = sorted(members)
+        laid = [_laid(components.pose[k], places[k]) for k in runs]
+        owner = np.arange(len(runs)).repeat([len(z) for z in laid])
+        near = cKDTree(np.concatenate(laid).view(np.float64).reshape(-1, 2)).query_pairs(
+            MATCH.place_m, output_type="ndarray"
+        )
+        both = np.sort(owner[near], axis=1)
+        pair, shared = np.unique(both[both[:, 0] < both[:, 1]], axis=0, return_counts=True)
+        out += [(runs[i], runs[j]) for i, j in pair[shared >= MATCH.fewest].tolist()]
+    return sorted(out)
+
+
+def _laid(pose: FloatArray, z: ComplexArray | np.complex128) -> ComplexArray:
     x, y, theta = pose.tolist()
     return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))
 

@@ -40,7 +40,8 @@ def decide(
        and of copies.
     5. The merged maps of components are matched again: evidence adds up over their runs, and fewer
        pairs remain that could be merged wrongly. They, too, must lead their mirror images.
-    6. Pairs that stayed open take over the placement by the joined runs.
+    6. Pairs that stayed open take over the placement by the joined runs; pairs that now overlap are
+       matched after all.
 
     Locks of runs that are not among the maps are ignored. Discarded matches, by the names of their
     runs in order, are treated as not found. Raises UsageError on locks that contradict each other
@@ -61,7 +62,7 @@ def decide(
     joined, refused = _join(batch, components, forced)
     reunions = _rematch(batch, components, joined, locked, forced)
     batch.say(f"{len(joined)} pairs join, {len(reunions)} by what components say together")
-    refused |= batch.match_joined(components, reunions)
+    refused |= batch.match_overlapping(components, reunions)
     return tuple(_verdicts(batch, components, Others(forced, locked, refused, reunions)))
 
 
