@@ -381,7 +381,9 @@ def _placed(
     there = np.exp(1j * theta) * b.z + (x + 1j * y)
     gap = np.abs(a.z[:, None] - there)
     first, second = gap.argmin(axis=0), gap.argmin(axis=1)
-    pairs = np.flatnonzero((second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.place_m))
+    pairs = np.flatnonzero(
+        (second[first] == np.arange(len(b))) & (gap.min(axis=0) < MATCH.gate_m + MATCH.crossing_m)
+    )
     if not len(pairs):
         return replace(NO_JUNCTIONS, transform=T_a_b)
     seed = Seed(first[pairs], pairs, theta, x + 1j * y, 0.0)

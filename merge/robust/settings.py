@@ -108,9 +108,9 @@ class MatchSettings:
     `benchmarks/observed.py`)."""
 
     length_sigmas: float = LIKELIHOOD.gate_sigmas
-    turn_rad: float = LIKELIHOOD.branch_gate_rad
-    """Rotations that differ by less belong to one placement [rad]. Drift rotates parts of a map by
-    less, and two placements in one building differ by a quarter turn. Tried: .23 and .53, no
+    turn_rad: float = 0.35
+    """Rotations that differ by less belong to one placement [rad]: 20°. Drift rotates parts of a
+    map by less, and two placements in one building differ by a quarter turn. Tried: .23 and .53, no
     change."""
     place_m: float = 3.0
     """Shifts that differ by less belong to one placement [m], plus `drift_per_m` per metre of
@@ -147,6 +147,12 @@ class MatchSettings:
     """Junctions of hypotheses that are grown at once, to fit a processor's cache, and pairs of maps
     that are assessed at once (10 kB each)."""
 
+    clear_m: float = 1.0
+    """Length at either end of a corridor that belongs to the junction [m]; also the spacing of the
+    sample points of the rest. Tried: .7 and 1.5, no change."""
+    crossing_m: float = 1.7
+    """By so much more may junctions lie apart that a placement of views lays over each other: a
+    crossing at an acute angle shows as two forks 1.1 to 1.55 m apart in a skeleton."""
     pair_digits: int = 4
     """Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by up to an
     eighth, .17 bits, .06 in the mean. At 200 runs every tenth run is a step, at 1,420 every
@@ -161,12 +167,6 @@ class MatchSettings:
         """Required lead over another placement that is also beyond the threshold and has no more
         evidence against it; see `verdict._contested`."""
         return 2 * self.lead_bits
-
-    @property
-    def clear_m(self) -> float:
-        """Length at either end of a corridor that belongs to the junction [m]; also the spacing of
-        the sample points of the rest. Tried: .7 and 1.5, no change."""
-        return 2 * self.gate_m
 
     @property
     def sure_m(self) -> float:

@@ -44,8 +44,9 @@ LEAST_WALLS = 30
 """A stretch with fewer wall cells shows nothing."""
 MOST_PLACEMENTS = 8
 """Placements that are registered."""
-SAME_M, SAME_RAD = 3 * PIXEL_M, 0.2
-"""Stretches that are placed alike within so much, and the drift between, support each other."""
+SAME_M, SAME_PER_M, SAME_RAD = 3 * PIXEL_M, 0.05, 0.2
+"""Stretches that are placed alike within so much, and per metre between them, support each other:
+3° of drift."""
 
 KEPT = 18
 """Prepared pictures that are kept: a tile of tasks has 16 maps a side, with each of which one map
@@ -271,7 +272,7 @@ def _agreeing(
     support = np.zeros(len(turn))
     for k in range(len(turn)):
         gap = np.abs(unit * middle + shift - (unit[k] * middle + shift[k]))
-        alike = gap < SAME_M + MATCH.drift_per_m * np.abs(middle - middle[k])
+        alike = gap < SAME_M + SAME_PER_M * np.abs(middle - middle[k])
         alike &= np.abs(wrap(turn - turn[k])) < SAME_RAD
         _, part = np.unique(middle[alike], return_inverse=True)
         most = np.zeros(int(part.max()) + 1)
