@@ -29,7 +29,7 @@ from topobatch.merge.robust import (
     thresholds,
     verdict,
 )
-from topobatch.merge.robust.alignment import best_of
+from topobatch.merge.robust.alignment import best_of_all
 from topobatch.merge.robust.links import Seed
 from topobatch.merge.robust.settings import MATCH
 from topobatch.simulation.worlds import make_world
@@ -120,13 +120,13 @@ def placements(kind, worlds, first):
         home = Seed(i, j, float(theta), complex(x, y), 0.0)
         found = [*match(one, two, DEFAULT_ROBUST)]
         tested = round(2.0 ** found[0].tested_bits) if found else 1
-        found += best_of(one, two, [home], tested=tested, settings=DEFAULT_ROBUST)
+        found += next(best_of_all([(one, two, [home], tested)], DEFAULT_ROBUST))
         copies = repetition.default_copies(DEFAULT_ROBUST)
         told = {True: [(-np.inf, -np.inf)], False: [(-np.inf, -np.inf)]}
         cases = [(one, two, c) for c in found]
         for c, same in zip(found, repetition.sameness_of(cases, copies), strict=True):
             right = bool(np.mean(true_a[c.a] == true_b[c.b]) >= 0.5)
-            told[right].append((verdict.counted_bits(c), same.bits))
+            told[right].append((c.counted_bits, same.bits))
         right, wrong = (np.max(told[k], axis=0) for k in (True, False))
         beside = bool(np.isfinite(right[0]) and np.isfinite(wrong[0]))
         lead = wrong[0] - right[0] if beside else 0.0

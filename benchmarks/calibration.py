@@ -20,7 +20,6 @@ from observed import scattered_maps
 
 from topobatch.merge.robust import DEFAULT_ROBUST, match, prepare
 from topobatch.merge.robust.repetition import default_copies, sameness_of
-from topobatch.merge.robust.verdict import counted_bits
 from topobatch.simulation.worlds import make_world
 
 COPIES = default_copies(DEFAULT_ROBUST)
@@ -48,7 +47,7 @@ def unrelated_pairs(kind, pairs, first):
 def bits_against_chance(a, b):
     """Bits of the best alignment that could be merged; minus infinity if there is none."""
     enough = (c for c in match(a, b, DEFAULT_ROBUST) if len(c) >= DEFAULT_ROBUST.min_matches)
-    found = [counted_bits(c) for c in enough]
+    found = [c.counted_bits for c in enough]
     return max(found, default=-np.inf)
 
 
@@ -60,7 +59,7 @@ def bits_against_copies(a, b):
         if len(c) >= DEFAULT_ROBUST.min_matches and c.bits > 0
     ]
     found = [
-        min(counted_bits(c), same.bits + DEFAULT_ROBUST.copy_margin_bits)
+        min(c.counted_bits, same.bits + DEFAULT_ROBUST.copy_margin_bits)
         for (_, _, c), same in zip(cases, sameness_of(cases, COPIES), strict=True)
     ]
     return max(found, default=-np.inf)

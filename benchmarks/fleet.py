@@ -25,7 +25,6 @@ import resource
 import tempfile
 import time
 from collections import deque
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -39,7 +38,7 @@ from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import pairs_of
 from topobatch.merge.robust import DEFAULT_ROBUST, Means, era_of, match, prepare, screening
 from topobatch.merge.robust.alignment import match_all
-from topobatch.merge.robust.pairing import in_tiles
+from topobatch.merge.robust.pairing import tile_order
 from topobatch.merge.robust.screening import pairs_to_match
 from topobatch.merge.robust.verdict import beyond_chance_bits, needed_bits
 from topobatch.simulation.chance import Chance
@@ -123,7 +122,7 @@ def one_size(count, first):
     wanted = pairs_to_match(ready, DEFAULT_ROBUST)
     row["index"] = clock.lap()
     row["chance"] = len(wanted) / pairs_of(count)
-    likely = ((ready[i], ready[j]) for i, j in in_tiles(wanted).tolist())
+    likely = ((ready[i], ready[j]) for i, j in wanted[tile_order(wanted)].tolist())
     deque(match_all(likely, DEFAULT_ROBUST), maxlen=0)
     row["match"] = clock.lap()
     rng = np.random.default_rng(first)
@@ -166,14 +165,14 @@ def recall(count, first):
     """What merging with the index finds of what merging all pairs does."""
     maps = [topomap for topomap, _ in fleet_of(count, first=first)]
     screened = merge_maps(maps)
-    usual = screening.SCREENING
-    screening.SCREENING = replace(usual, most_pairs=pairs_of(count))
+    usual = screening.MOST_PAIRS
+    screening.MOST_PAIRS = pairs_of(count)
     try:
         clock = Clock()
         whole = merge_maps(maps)
         spent = clock.lap()
     finally:
-        screening.SCREENING = usual
+        screening.MOST_PAIRS = usual
     accepted = [{(v.a, v.b) for v in r.verdicts if v.accepted} for r in (whole, screened)]
     joined = [joined_pairs(r) for r in (whole, screened)]
     print(f"{count} maps, {pairs_of(count):,} pairs; all of them in {spent:.0f} s")
@@ -204,7 +203,7 @@ def beyond(count, first):
     """How many of the pairs beyond chance the index gives none."""
     ready = [prepare(topomap) for topomap, _ in fleet_of(count, first=first)]
     need = needed_bits(pairs_of(count), DEFAULT_ROBUST)
-    likely = screening.likely_pairs(ready, screening.SCREENING.share * need)
+    likely = screening.likely_pairs(ready, screening.SHARE * need)
     seen = {(i, j) for i, j in likely.tolist()}
     found = [
         (i, j)

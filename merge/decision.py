@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..topology.arrays import FloatArray
-from ..topology.digits import BITS, METRES, rounded
+from ..topology.digits import BITS, METRES, rounded, significant
 from ..topology.matching.views import Compared
 from .document import bits_to_document, pose_to_document, sigmas_to_document
 from .result import Alignment, PairVerdict
@@ -145,9 +145,9 @@ def to_document(decision: Decision) -> dict[str, Any]:
             "least_junctions": need.least_junctions,
             "lead_bits": need.lead_bits,
             "junction_bits": need.junction_bits,
-            "repetition": 0.0 if tested is None else tested.repetition,
-            "same_place_bits": None if tested is None else tested.bits,
-            "same_place_needed": None if tested is None else tested.needed_bits,
+            "repetition": 0.0 if tested is None else significant(tested.repetition),
+            "same_place_bits": None if tested is None else rounded(tested.bits, BITS),
+            "same_place_needed": None if tested is None else rounded(tested.needed_bits, BITS),
         },
         "placements": [_placement(p) for p in decision.placements],
         "start": None,  # of earlier versions: the best hypothesis, where none grew

@@ -31,9 +31,6 @@ from .result import (
 
 S = TypeVar("S")
 
-EXTRA = ("against_chance_bits", "same_place_bits")
-"""Entries added by the robust method."""
-
 
 def pose_to_document(pose: Any) -> dict[str, float]:
     """{"x", "y", "theta"} of a (3,) pose."""
@@ -53,6 +50,12 @@ def sigmas_to_document(placed: tuple[float, float] | None) -> dict[str, float] |
 def bits_to_document(bits: float | None) -> float | None:
     """Evidence rounded for documents, or None."""
     return None if bits is None else float(rounded(bits, BITS))
+
+
+def rounded_copy_test(tested: CopyTest) -> dict[str, float]:
+    """The test for a copy, rounded for documents."""
+    bits, needed = rounded(tested.bits, BITS), rounded(tested.needed_bits, BITS)
+    return {"bits": bits, "needed_bits": needed, "repetition": significant(tested.repetition)}
 
 
 class Form(NamedTuple):
@@ -79,7 +82,7 @@ ALIGNMENT = {
         lambda found: tuple((tuple(c.a), tuple(c.b)) for c in found),
     ),
     "copy_test": Form(
-        lambda tested: tested and asdict(tested),
+        lambda tested: tested and rounded_copy_test(tested),
         lambda tested: tested and CopyTest(**tested.model_dump()),
     ),
 }
@@ -124,12 +127,12 @@ def entry_of(pair: PairVerdict) -> dict[str, Any]:
     """A verdict as in the document; see `MergeEntry`."""
     entry = _written(pair, EVERY_PAIR)
     if pair.verdict is Verdict.UNRELATED:
-        return entry | {name: pair.extra[name] for name in EXTRA if name in pair.extra}
+        return entry
     if pair.best is not None:
         entry |= {**_written(pair.best, ALIGNMENT), "evidence_bits": entry["evidence_bits"]}
     if pair.runner_up is not None:
         entry["runner_up"] = _written(pair.runner_up, ALIGNMENT)
-    return entry | _written(pair, RELATED_PAIR) | dict(pair.extra)
+    return entry | _written(pair, RELATED_PAIR)
 
 
 def merged_to_document(result: MergeResult) -> dict[str, Any]:
@@ -275,7 +278,6 @@ def _verdict_from(entry: MergeEntry) -> PairVerdict:
         **_read(entry, EVERY_PAIR | RELATED_PAIR),
         best=best,
         runner_up=second,
-        extra=entry.model_dump(include=set(EXTRA), exclude_none=True),
     )
 
 

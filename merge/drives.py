@@ -174,7 +174,7 @@ def _right(pair: PairVerdict) -> float:
     """Probability that the best placement is right: against the next best one and none, and where
     that was asked, against a copy of the place."""
     assert pair.best is not None
-    same = 2.0 ** float(np.clip(pair.extra.get("same_place_bits", np.inf), -500.0, 500.0))
+    same = 2.0 ** float(np.clip(pair.same_place_bits, -500.0, 500.0))
     others = 0.0 if pair.runner_up is None else 2.0 ** min(pair.runner_up.evidence_bits, 500.0)
     odds = 2.0 ** min(pair.best.evidence_bits, 500.0)
     return float(odds / (1.0 + odds + others) * same / (1.0 + same))
@@ -194,7 +194,7 @@ def _per_junction(pairs: Iterable[PairVerdict]) -> float:
 
 def _evidence(pair: PairVerdict) -> float:
     """Evidence for a placement: that it is one at all, and that it is no copy of the place."""
-    return min(pair.evidence_bits, float(pair.extra.get("same_place_bits", np.inf)))
+    return min(pair.evidence_bits, pair.same_place_bits)
 
 
 def _joining_drive(

@@ -41,10 +41,8 @@ class Kind(StrEnum):
 
     PAIR = "pairs of maps"
     ITSELF = "maps with themselves"
-    IMAGE = "mirror images"
-    """The first map matched with the mirror image of the second."""
-    RIVALS = "rival placements"
-    """Two maps matched with all hypotheses beyond chance."""
+    THOROUGH = "pairs to be merged"
+    """Two maps matched with all hypotheses beyond chance, and with the mirror image."""
     COMPONENT = "components"
     """Several maps fused into one."""
 

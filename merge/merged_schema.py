@@ -239,16 +239,6 @@ class MergeEntry(Contradicted):
         description="evidence_bits less those of the runner-up; absent where there is none. "
         "Negative where a person or other runs chose against the pair's own evidence.",
     )
-    against_chance_bits: Finite | None = Field(
-        None,
-        description="The most evidence of any alignment against chance, whether the place or a "
-        "copy of it; absent where none has any.",
-    )
-    same_place_bits: Finite | None = Field(
-        None,
-        description="What says that it is the place itself and not a copy of it, on a scale of its "
-        "own; absent where that was not asked.",
-    )
     reason: str = Field(description="The verdict in words.")
     accepted_by: AcceptedBy | None = Field(
         None,

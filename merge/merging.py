@@ -18,7 +18,15 @@ from .fusion.uncertainty import VAGUE_M, VAGUE_RAD
 from .locks import DISCARDED, Lock, Names
 from .paper import method as paper
 from .paper.method import DEFAULT_PAPER, PaperSettings
-from .result import Component, MergeResult, PairVerdict, Unlisted, Verdict, pairs_of
+from .result import (
+    MOST_PAIRS,
+    Component,
+    MergeResult,
+    PairVerdict,
+    Unlisted,
+    Verdict,
+    pairs_of,
+)
 from .robust import DEFAULT_ROBUST, Means, RobustSettings
 from .through import joined_through
 from .wording import told_placement
@@ -35,11 +43,6 @@ class MergeSettings:
 
 
 DEFAULT_MERGE = MergeSettings()
-
-MOST_LISTED = 5000
-"""Number of pairs up to which all are listed; in a larger merge pairs without any evidence are only
-counted. Equal to the number up to which all pairs are matched: what was not matched is not listed.
-"""
 
 VIEWS_LOST = (
     "the views of run {run!r} are lost or damaged: it was merged by its junctions alone; ingest "
@@ -133,7 +136,7 @@ def _worth_listing(
     runs: int, verdicts: tuple[PairVerdict, ...], discarded: Collection[Names]
 ) -> tuple[PairVerdict, ...]:
     """The verdicts to list: all of a small merge, of a large one those with any evidence."""
-    if pairs_of(runs) <= MOST_LISTED:
+    if pairs_of(runs) <= MOST_PAIRS:
         return verdicts
     return tuple(
         v
@@ -149,7 +152,7 @@ def _unlisted(
     components: Sequence[Component],
 ) -> Unlisted | None:
     """Counts of the pairs of a large merge that are not listed."""
-    if pairs_of(runs) <= MOST_LISTED:
+    if pairs_of(runs) <= MOST_PAIRS:
         return None
     home = {run: c.id for c in components for run in c.poses}
     joined = sum(pairs_of(len(c.poses)) for c in components)

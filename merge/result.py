@@ -61,7 +61,7 @@ other runs, which place the two like one of the pair's own alignments; a lock.""
 
 @dataclass(frozen=True, slots=True)
 class CopyTest:
-    """The test whether an alignment is a copy of the place, as rounded in documents.
+    """The test whether an alignment is a copy of the place.
 
     bits: evidence that it is not; needed_bits: the threshold of that; repetition: 0 to 1, how
     likely it is one by its size and the building.
@@ -123,7 +123,7 @@ class PairVerdict:
     them. together: the runs of the two components whose evidence joined the pair. transform_sigma:
     like `placed`, for an accepted pair, given all maps of its component. lacks: what the two maps
     lack for being merged, as a clause, "" if nothing; lead_needed_bits: the lead that their best
-    alignment needs. extra: JSON values that a method adds to its entry.
+    alignment needs.
     """
 
     a: str
@@ -145,13 +145,18 @@ class PairVerdict:
     transform_sigma: tuple[float, float] | None = None
     lacks: str = ""
     lead_needed_bits: float | None = None
-    extra: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.a < self.b:
             raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
         if self.accepted and self.best is None:
             raise ValueError("an accepted pair needs its alignment")
+
+    @property
+    def same_place_bits(self) -> float:
+        """Evidence that its alignment is no copy of the place [bits], inf if that was not asked."""
+        tested = None if self.best is None else self.best.copy_test
+        return np.inf if tested is None else tested.bits
 
     @property
     def standing(self) -> Standing:
@@ -293,6 +298,11 @@ def of_sites(result: MergeResult, components: Collection[int]) -> MergeResult:
         verdicts=tuple(v for v in result.verdicts if {v.a, v.b} <= runs),
         unlisted=None,
     )
+
+
+MOST_PAIRS = 5000
+"""Of more pairs only those are matched to which an index gives a chance, and only those with any
+evidence are listed: 100 runs take some seconds without."""
 
 
 def pairs_of(runs: int) -> int:

@@ -201,7 +201,7 @@ def numbers(value: object, key: str = "") -> Iterator[tuple[str, float]]:
 
 DECIMALS = {
     **dict.fromkeys(("x", "y", "length", "path", "rmse_m"), 3),
-    **dict.fromkeys(("evidence_bits", "margin_bits", "bits", "same_place_bits"), 2),
+    **dict.fromkeys(("evidence_bits", "margin_bits", "bits"), 2),
     "branches": 4,
     "theta": 6,
 }

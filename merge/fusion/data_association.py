@@ -16,7 +16,9 @@ from scipy.spatial import cKDTree
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from ...topology.matching.branches import mutual_nearest, unit_headings
+from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
+from .edges import CORRIDOR
 from .joint_graph import pass_counts
 from .vertex_partition import Groups, Pool
 
@@ -25,26 +27,16 @@ from .vertex_partition import Groups, Pool
 class CoincidenceSettings:
     """When two unmatched vertices are one place."""
 
-    gate_m: float = 1.0
+    gate_m: float = 2 * LIKELIHOOD.gate_m
     """Gate on the distance. Tried: .9 and 1.5 fuse the same places in 23 merges, .5 one place fewer
     in two of them."""
-    near_m: float = 0.5
-    """Distance within which several coincident places tell that two runs share them."""
     lead: float = 1.6
     """Least ratio of the second nearest candidate's distance to the nearest one's."""
-    branch_gate_rad: float = 0.45
-    """Gate on the directions of branches."""
     spare_branches: int = 1
     """Number of unpaired branches allowed."""
-    length_m: float = 0.5
-    """Lengths of corridors that differ by at most `length_m + length_share · length` agree."""
-    length_share: float = 0.06
-    """See `length_m`."""
     min_chain: int = 3
     """Runs without a match of their own need at least this many coincident places within
-    `near_m`."""
-    rounds: int = 4
-    """Limit on rounds of fusing and optimising."""
+    `LIKELIHOOD.gate_m`."""
 
 
 COINCIDENCE = CoincidenceSettings()
@@ -66,24 +58,23 @@ class _Surroundings:
                     self.lengths[first + s][i] = length
                     self.lengths[first + t][j] = length
 
-    def partners(self, u: int, v: int, gate_rad: float) -> list[tuple[int, int]]:
+    def partners(self, u: int, v: int) -> list[tuple[int, int]]:
         """Mutually nearest branches of two rows, within a gate."""
-        pairs = mutual_nearest(self.units[u][None], self.units[v][None], float(np.cos(gate_rad)))
+        pairs = mutual_nearest(self.units[u][None], self.units[v][None])
         i = pairs.paired[0].nonzero()[0]
         return list(zip(i.tolist(), pairs.nearest[0, i].tolist(), strict=True))
 
     def contradicted(self, u: int, v: int) -> bool:
         """Whether of the corridors that leave both rows by paired branches more disagree in length
         than agree."""
-        pairs = self.partners(u, v, COINCIDENCE.branch_gate_rad)
+        pairs = self.partners(u, v)
         lengths = [(self.lengths[u].get(i), self.lengths[v].get(j)) for i, j in pairs]
-        agree = [_alike(x, y) for x, y in lengths if x is not None and y is not None]
+        agree = [
+            abs(x - y) <= CORRIDOR.allowed_m(min(x, y))
+            for x, y in lengths
+            if x is not None and y is not None
+        ]
         return 2 * sum(agree) < len(agree)
-
-
-def _alike(x: float, y: float) -> bool:
-    """Whether two lengths [m] agree."""
-    return abs(x - y) <= COINCIDENCE.length_m + COINCIDENCE.length_share * min(x, y)
 
 
 def coincident(
@@ -93,9 +84,9 @@ def coincident(
 
     pose: (n, 3) of every row in the component's frame; matched: pairs of runs with an accepted
     match. For two matched runs coincidence is enough, others need several coincident places within
-    `near_m`. A pair with more disagreeing than agreeing corridors is rejected. (Tried: also fusing
-    pairs with a corridor from both to a place that they share, and chains of pairs that agreeing
-    corridors connect. Of 23 merges of up to 8 runs it changes none.)
+    `LIKELIHOOD.gate_m`. A pair with more disagreeing than agreeing corridors is rejected. (Tried:
+    also fusing pairs with a corridor from both to a place that they share, and chains of pairs that
+    agreeing corridors connect. Of 23 merges of up to 8 runs it changes none.)
     """
     label = groups.labels()
     around = _Surroundings(pool, pose)
@@ -111,7 +102,7 @@ def coincident(
     near = Counter(
         pair
         for (_, _, distance), pairs in zip(fair, between, strict=True)
-        if distance <= COINCIDENCE.near_m
+        if distance <= LIKELIHOOD.gate_m
         for pair in pairs
     )
     often = direct | {pair for pair, count in near.items() if count >= COINCIDENCE.min_chain}
@@ -147,7 +138,7 @@ def _candidates(
 def _branches_fit(around: _Surroundings, u: int, v: int) -> bool:
     """Whether at most `spare_branches` branches are unpaired, and some are paired if there are
     any."""
-    pairs = len(around.partners(u, v, COINCIDENCE.branch_gate_rad))
+    pairs = len(around.partners(u, v))
     lone = max(len(around.units[u]), len(around.units[v])) - pairs
     return lone <= COINCIDENCE.spare_branches and (pairs > 0 or lone == 0)
 

@@ -24,8 +24,6 @@ class PassageSettings:
     junction."""
     deepest: int = 4
     """Limit on junctions missed in one corridor."""
-    rounds: int = 5
-    """Limit on rounds: the parts of one corridor may be split in the next."""
 
 
 PASSAGE = PassageSettings()
@@ -33,11 +31,8 @@ PASSAGE = PassageSettings()
 
 def split_at_places(corridors: list[Corridor]) -> list[Corridor]:
     """Replace corridors through known places by the corridors between those, recognised by the
-    branches at both ends and the length."""
-    for _ in range(PASSAGE.rounds):
-        replaced = _replaced_once(corridors)
-        if len(replaced) == len(corridors):
-            break
+    branches at both ends and the length; the parts of one may be replaced in turn."""
+    while len(replaced := _replaced_once(corridors)) < len(corridors):
         corridors = fuse_corridors(replaced)
     return corridors
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
-from ...topology.corridor_lengths import length_variances
+from ...topology.corridor_lengths import LEAST_M, length_variances
 from ...topology.passes import NO_BRANCH
 from ...topology.polyline import way_of
 from ...topology.ragged import parted
@@ -32,16 +32,13 @@ class CorridorSettings:
     agree_share: float = 0.05
     """See `agree_m`."""
 
-    def allowed_m(self, length: float, sigma: float) -> float:
+    def allowed_m(self, length: float, sigma: float = 0.0) -> float:
         """Largest difference of agreeing lengths [m]. length: of the shorter corridor; sigma: of
         the difference."""
         return max(self.agree_m + self.agree_share * length, self.agree_sigmas * sigma)
 
 
 CORRIDOR = CorridorSettings()
-
-SHORTEST_M = 1e-3
-"""Lower bound of lengths, for corridors whose ends coincide."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +91,7 @@ def corridors_of(
                 v=home[t],
                 branch_u=int(branches[s][i]) if i != NO_BRANCH else NO_BRANCH,
                 branch_v=int(branches[t][j]) if j != NO_BRANCH else NO_BRANCH,
-                length=max(length + bent, SHORTEST_M),
+                length=max(length + bent, LEAST_M),
                 sigma=sigma,
                 traversals=traversals,
                 path=drawn[e],

@@ -6,7 +6,7 @@ Independent of the method: only matched vertices, transforms and ties of accepte
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -19,7 +19,7 @@ from ...topology.topomap import TopoMap
 from ..codec import from_bytes, to_bytes
 from ..kept import Kept, Kind, digested
 from ..result import Component, FusedMap, PairVerdict, Spread, by_run
-from .data_association import COINCIDENCE, coincident
+from .data_association import coincident
 from .edge_splitting import split_at_places
 from .edges import Corridor, corridors_of, fuse_corridors
 from .joint_graph import (
@@ -66,21 +66,14 @@ def fuse(
         fused_once([by_name[run] for run in runs], own, sigmas=sigmas, kept=kept)
         for runs, own in zip(groups, inside, strict=True)
     ]
-    components = tuple(Component(k, p.poses, p.spread) for k, p in enumerate(parts))
-    return components, _in_a_row([p.fused for p in parts])
+    components = tuple(replace(own, id=k) for k, (own, _) in enumerate(parts))
+    return components, _in_a_row([fused for _, fused in parts])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FusedComponent:
-    """One component: T_component_run of every run, its part of the fused map (numbered from 0), and
-    the covariances of the runs' placements, if computed."""
+Fused = tuple[Component, FusedMap]
+"""One component, and its part of the fused map, both numbered from 0."""
 
-    poses: Mapping[str, FloatArray]
-    fused: FusedMap
-    spread: Spread | None = None
-
-
-CLASSES = {cls.__name__: cls for cls in (FusedComponent, FusedMap, Spread, Ragged)}
+CLASSES = {cls.__name__: cls for cls in (Component, FusedMap, Spread, Ragged)}
 """What a kept component consists of."""
 
 
@@ -94,12 +87,12 @@ def components_of(runs: Mapping[str, object], accepted: Sequence[PairVerdict]) -
 
 def fused_once(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool, kept: Kept
-) -> FusedComponent:
+) -> Fused:
     """`fuse_component` of maps sorted by run, cached in `kept`."""
     digest = component_digest(maps, inside, kept, sigmas=sigmas)
     made = partial(fuse_component, maps, inside, sigmas=sigmas)
     data = kept.result(Kind.COMPONENT, (digest, digest), lambda: to_bytes(made()))
-    found: FusedComponent = from_bytes(data, CLASSES)
+    found: Fused = from_bytes(data, CLASSES)
     return found
 
 
@@ -126,7 +119,7 @@ def component_digest(
 
 def fuse_component(
     maps: Sequence[TopoMap], inside: Sequence[PairVerdict], *, sigmas: bool = False
-) -> FusedComponent:
+) -> Fused:
     """Fuse one component. inside: accepted verdicts between its runs, which connect them."""
     pool = Pool.of(maps)
     groups = identify(pool, inside)
@@ -147,14 +140,14 @@ def fuse_component(
     fused = _fused_map(pool, xy, places, corridors)
     own = {run: poses[run] for run in sorted(poses)}
     if not sigmas:
-        return FusedComponent(own, fused)
+        return Component(0, own), fused
     if joint.graph is None or joint.solution is None:  # one run: the sigmas of its map
-        return FusedComponent(own, replace(fused, position_sigma=pool.maps[0].position_sigma))
+        return Component(0, own), replace(fused, position_sigma=pool.maps[0].position_sigma)
     of_places, of_lengths, errors = fused_sigmas(
         pool, label, joint.graph, joint.solution, corridors
     )
     fused = replace(fused, position_sigma=of_places, length_sigma=of_lengths)
-    return FusedComponent(own, fused, errors)
+    return Component(0, own, errors), fused
 
 
 def _settle(
@@ -166,8 +159,7 @@ def _settle(
     within, across = measured_within(pool), measured_across(pool, inside)
     matched = [(v.a, v.b) for v in inside]
     joint = settle(pool, groups.labels(), start, within, across)
-    for _ in range(COINCIDENCE.rounds):
-        pairs = coincident(pool, groups, joint.pose, matched)
+    while pairs := coincident(pool, groups, joint.pose, matched):
         fused = [groups.join(u, v) for u, v in pairs]
         if not any(fused):
             break

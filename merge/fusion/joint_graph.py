@@ -24,7 +24,8 @@ from ...topology.map_pose_graph import (
     odometry_measurements,
 )
 from ...topology.matching.branches import mutual_nearest, unit_headings
-from ...topology.matching.structure import grid_direction, padded_branches
+from ...topology.matching.likelihood import LIKELIHOOD
+from ...topology.matching.structure import STRUCTURE, grid_direction, padded_branches
 from ...topology.posegraph.graph import PoseGraph, Priors, SharedErrors
 from ...topology.posegraph.samples import SampledMarginals
 from ...topology.posegraph.solve import Solution, SolverSettings, solve
@@ -37,15 +38,16 @@ from .vertex_partition import Pool
 
 @dataclass(frozen=True, slots=True)
 class JointSettings:
-    """Standard deviations that maps do not state, and the robust kernel of identities."""
+    """Standard deviations that maps do not state. Identities have Cauchy kernels as wide as
+    `LIKELIHOOD.gate_sigmas`, which limit the influence of false ones."""
 
     min_position_m: float = 0.01
     """Lower bound of the uncertainty of a junction's centre between two maps."""
     min_heading_rad: float = 0.01
-    """Lower bound of the uncertainty of a rotation between two maps, by branches of one
-    junction."""
+    """Lower bound of the uncertainty of a rotation between two maps, by branches of one junction,
+    and of that of corridors about the grid."""
     branch_gate_rad: float = 0.6
-    """Gate on branches that measure the rotation between two maps."""
+    """Gate on the branches of one place in different maps."""
     bridge_m: float = 1.0
     """Standard deviation of the relative position of parts of one map that no corridor
     connects."""
@@ -57,17 +59,10 @@ class JointSettings:
     min_scale: float = 1e-6
     """Lower bound of the scale's standard deviation, 0.1 mm in 100 m, which keeps information
     finite; runs without odometry errors state 2e-5 to 1e-4."""
-    kernel_sigmas: float = 3.0
-    """Width of the Cauchy kernel of identities, which limits the influence of false ones."""
     grid_rad: float = 0.035
     """Prior of the standard deviation of corridors about the grid of a rectilinear building."""
     grid_junctions: float = 20.0
     """Weight of that prior, as a number of junctions."""
-    min_grid_rad: float = 0.01
-    """Lower bound of that standard deviation."""
-    grid_gate_rad: float = 0.26
-    """Gate on the difference of the maps' grid directions in the initial layout, beyond which there
-    is no common grid."""
 
 
 JOINT = JointSettings()
@@ -146,7 +141,7 @@ def settle(
     within = within or measured_within(pool)
     factors = joined([within, ties])
     kernel = np.full(len(factors.source), np.inf)
-    kernel[len(within.source) :] = JOINT.kernel_sigmas
+    kernel[len(within.source) :] = LIKELIHOOD.gate_sigmas
     graph = PoseGraph(
         pose=guess,
         source=factors.source,
@@ -311,11 +306,11 @@ def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
         return Priors.empty()
     grid = np.array(grids, np.float64)[pool.run]
     target = float(grid[0] + guess[0, 2])  # the grid of the first map gives the frame
-    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * JOINT.grid_gate_rad:
+    if np.abs(wrap(4 * (grid + guess[:, 2] - target))).max() > 4 * STRUCTURE.rectilinear_rad:
         return Priors.empty()
     heading, visits = branch_headings(pool), pass_counts(pool)
     off = wrap(4 * (heading + guess[:, 2:] - target)) / 4
-    used = np.abs(off) <= JOINT.grid_gate_rad  # NaN, beyond the degree, is not
+    used = np.abs(off) <= STRUCTURE.rectilinear_rad  # NaN, beyond the degree, is not
     count = used.sum(axis=1)
     rows = np.flatnonzero(count)
     mean = np.where(used, off, 0.0).sum(axis=1)[rows] / count[rows]
@@ -325,7 +320,7 @@ def _grid_priors(pool: Pool, guess: FloatArray) -> Priors:
     if own > JOINT.grid_rad:
         return Priors.empty()  # square at every crossing, and bent as a whole
     sigma = np.hypot(spread, own)
-    kernel = np.full(len(rows), JOINT.kernel_sigmas)
+    kernel = np.full(len(rows), LIKELIHOOD.gate_sigmas)
     return Priors.headings(rows, np.asarray(wrap(guess[rows, 2] - mean)), sigma, kernel)
 
 
@@ -341,7 +336,7 @@ def grid_sigma(off_rad: FloatArray, spread_rad: FloatArray, run: IntArray) -> fl
     beyond = float((own**2 - spread_rad**2).sum())
     known = JOINT.grid_junctions
     variance = (beyond + known * JOINT.grid_rad**2) / (len(run) + known)
-    return float(np.sqrt(max(variance, JOINT.min_grid_rad**2)))
+    return float(np.sqrt(max(variance, JOINT.min_heading_rad**2)))
 
 
 def measured_turn(

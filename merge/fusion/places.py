@@ -8,24 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
+from ...topology.matching.branches import mutual_nearest
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import parted
 from ...topology.se2 import wrap
-from .joint_graph import pass_counts
+from .joint_graph import JOINT, pass_counts
 from .vertex_partition import Pool
 
-
-@dataclass(frozen=True, slots=True)
-class PlaceSettings:
-    """Which branches of a fused place are one, and which are kept."""
-
-    branch_gate_rad: float = 0.6
-    """Gate on branches of one place in different runs."""
-    min_branch_share: float = 0.3
-    """A branch that was never driven is kept if this share of the passes saw it."""
-
-
-PLACE = PlaceSettings()
+MIN_BRANCH_SHARE = 0.3
+"""A branch that was never driven is kept if this share of the passes saw it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +81,8 @@ def _clusters(
 ) -> list[list[_Sighting]]:
     """Clusters of the branches of all rows of a place.
 
-    Rows are taken by number of passes; each branch joins the nearest cluster that has none of its
-    row yet, or starts a new one.
+    Rows are taken by number of passes; each branch joins the cluster that it is mutually nearest
+    to, or starts a new one.
     """
     clusters: list[list[_Sighting]] = []
     for row in sorted(rows, key=lambda r: (-int(visits[r]), r)):
@@ -99,12 +90,15 @@ def _clusters(
         headings = wrap(m.branches[int(pool.vertex[row])] + pose[row, 2])
         weight = float(visits[row]) / max(m.noise.branch_rad, 1e-3) ** 2
         centres = np.array([_mean(c) for c in clusters])
-        for branch, k in enumerate(_assigned(headings, centres, PLACE.branch_gate_rad)):
-            sighting = _Sighting(float(headings[branch]), weight, row, branch)
-            if k is None:
-                clusters.append([sighting])
+        own, known = (np.exp(1j * angles)[None] for angles in (headings, centres))
+        pairs = mutual_nearest(own, known, float(np.cos(JOINT.branch_gate_rad)))
+        paired, nearest = pairs.paired[0], pairs.nearest[0]
+        for branch, heading in enumerate(headings.tolist()):
+            sighting = _Sighting(heading, weight, row, branch)
+            if paired[branch]:
+                clusters[nearest[branch]].append(sighting)
             else:
-                clusters[k].append(sighting)
+                clusters.append([sighting])
     return clusters
 
 
@@ -112,7 +106,7 @@ def _believed(
     clusters: list[list[_Sighting]], rows: list[int], visits: IntArray, driven: list[set[int]]
 ) -> list[list[_Sighting]]:
     """Clusters with a branch that was driven, or that enough passes saw."""
-    enough = PLACE.min_branch_share * float(visits[rows].sum())
+    enough = MIN_BRANCH_SHARE * float(visits[rows].sum())
     return [
         c
         for c in clusters
@@ -127,23 +121,6 @@ def _mean(cluster: list[_Sighting]) -> float:
         return cluster[0].heading
     weight = np.array([s.weight for s in cluster])
     return float(np.angle(weight @ np.exp(1j * np.array([s.heading for s in cluster]))))
-
-
-def _assigned(headings: FloatArray, centres: FloatArray, gate_rad: float) -> list[int | None]:
-    """For each heading its centre: greedy assignment of nearest pairs, None beyond the gate."""
-    out: list[int | None] = [None] * len(headings)
-    if len(centres) == 0:
-        return out
-    off = np.abs(wrap(headings[:, None] - centres[None, :]))
-    used: set[int] = set()
-    for flat in np.argsort(off, axis=None, kind="stable").tolist():
-        i, j = divmod(flat, len(centres))
-        if off[i, j] > gate_rad:
-            break
-        if out[i] is None and j not in used:
-            out[i] = j
-            used.add(j)
-    return out
 
 
 def _kind(pool: Pool, rows: list[int], visits: IntArray) -> str:

@@ -223,7 +223,6 @@ def judge(
         advice=_advice(best.evidence_bits, needed) if verdict is Verdict.AMBIGUOUS else None,
         threshold_bits=needed,
         accepted_by="pair" if verdict is Verdict.MERGED else None,
-        extra={"hypotheses": len(found.hypotheses), "clusters": len(found.clusters)},
     )
 
 

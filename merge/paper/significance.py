@@ -29,7 +29,8 @@ from scipy.special import bdtrc
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.columns import take
-from ...topology.matching.association import Growth, components, grow
+from ...topology.connected import connected
+from ...topology.matching.association import Growth, grow
 from ...topology.matching.correspondence import TURNED, GrowthSettings, masks_agree, node_rotations
 from ...topology.matching.structure import Structure
 
@@ -149,7 +150,7 @@ def independent_lengths(growth: Growth, a: Structure) -> IntArray:
     out = np.zeros((2, count), np.int64)
     for k in (0, 1):
         start, end = ends[:, axis != k]
-        line = components(start, end, len(code))
+        line = connected(start, end, len(code))
         first = np.unique(line, return_index=True)[1]
         out[k] = np.maximum(np.bincount(match[first], minlength=count) - 1, 0)
     return out

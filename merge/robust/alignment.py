@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import compress, pairwise
 from typing import TypeVar
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
+from ...topology.digits import BITS
 from ...topology.se2 import apply, compose, fit_groups, fit_rigid, wrap
 from .atlas import Atlas, Lanes, cuts
 from .conflicts import NO_CONFLICTS, Conflicts, conflicts
 from .growth import Grown, grow, ungrown
 from .links import Links, Seed, candidate_links, seeds
-from .prepare import Prepared
+from .mirror import mirrored
+from .prepare import Prepared, prepare
 from .settings import MATCH, RobustSettings
 from .support import NO_SUPPORT, Support, supports
 from .view_evidence import (
@@ -30,7 +32,7 @@ from .view_evidence import (
     revisits,
     worth_judging,
 )
-from .view_search import Picture, pictured, placements
+from .view_search import KEPT, Picture, pictured, placements
 
 T = TypeVar("T")
 
@@ -45,7 +47,8 @@ class Candidate:
     matched junctions; rival: whether it grew from a hypothesis that is not to be merged (`Seed`);
     searched: whether contradictions were looked for, which is done where the rest is beyond chance
     and where views may make it so; views: what the views of both say, which is part of `bits`;
-    by_views: whether they proposed it.
+    by_views: whether they proposed it; image_bits: evidence of the best alignment of a with the
+    mirror image of b, -inf without one or if it was not looked for.
     """
 
     transform: FloatArray
@@ -61,6 +64,7 @@ class Candidate:
     searched: bool = True
     views: ViewEvidence = NO_VIEW_EVIDENCE
     by_views: bool = False
+    image_bits: float = -np.inf
 
     def __len__(self) -> int:
         return len(self.a)
@@ -82,6 +86,19 @@ class Candidate:
         links, branches = self.support.links, self.support.branches
         misfit = float(links[links < 0].sum() + branches[branches < 0].sum())
         return self.conflicts.bits - misfit + self.views.against
+
+    @property
+    def counted_bits(self) -> float:
+        """The evidence against chance: agreement, bounded by the number of junctions, plus that of
+        views, minus all contradictions.
+
+        Agreeing terms are not independent (a room of standard form brings its junctions, corridors
+        and angles together), so that their sum overstates the evidence; every contradiction needs a
+        fault of its own, so that each counts in full.
+        """
+        against, seen = self.contradicting_bits, self.views.total + self.views.against
+        told = self.bits + against - seen
+        return min(told, MATCH.junction_bits * len(self)) + seen - against
 
     def move(self, z: complex) -> complex:
         """Position in a of a point x + iy of b."""
@@ -108,7 +125,7 @@ Hypothesised = tuple[Prepared, Prepared, Sequence[Seed], int]
 
 
 def match(
-    a: Prepared, b: Prepared, settings: RobustSettings, *, rivals: bool = False
+    a: Prepared, b: Prepared, settings: RobustSettings, *, thorough: bool = False
 ) -> tuple[Candidate, ...]:
     """Candidate alignments of two maps, best first, without duplicates of one placement. Pure.
 
@@ -116,20 +133,25 @@ def match(
     hypotheses (§2.3), transforms (§3.1), clusters grown again geometrically (§5).
 
     Where copies abound, many hypotheses are beyond chance before they are grown. Only the best few
-    can be merged; the others are grown as rivals, at a cost in time: if the best few yield nothing,
-    and on request (`rivals`), as before two maps are merged.
+    can be merged. The others take time, and are grown as rivals where these yield nothing.
+    thorough: as before two maps are merged: rivals are grown, and the mirror image of b is matched.
     """
-    return next(match_all([(a, b)], settings, rivals=rivals))
+    return next(match_all([(a, b)], settings, thorough=thorough))
 
 
 def match_all(
-    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, rivals: bool = False
+    pairs: Iterable[tuple[Prepared, Prepared]], settings: RobustSettings, *, thorough: bool = False
 ) -> Iterator[tuple[Candidate, ...]]:
     """`match` for many pairs, each as if it were alone, in batches of `most_pairs` links."""
-    linked = ((a, b, candidate_links(a, b)) for a, b in pairs)
-    sown = (((a, b, seeds(a, b, k, settings.hypotheses), len(k)), k) for a, b, k in linked)
+    sown = (_sown(a, b, settings) for a, b in pairs)
     for some in _batches(sown, lambda case: len(case[1]), MATCH.most_pairs):
-        yield from _match_some(some, settings, rivals=rivals)
+        yield from _match_some(some, settings, thorough=thorough)
+
+
+def _sown(a: Prepared, b: Prepared, settings: RobustSettings) -> tuple[Hypothesised, Links]:
+    """Two maps with their best hypotheses, and the links that these were chosen from."""
+    links = candidate_links(a, b)
+    return (a, b, seeds(a, b, links, settings.hypotheses), len(links)), links
 
 
 def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterator[list[T]]:
@@ -146,14 +168,29 @@ def _batches(items: Iterable[T], size: Callable[[T], int], most: int) -> Iterato
 
 
 def _match_some(
-    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings, *, rivals: bool
+    some: Sequence[tuple[Hypothesised, Links]], settings: RobustSettings, *, thorough: bool
 ) -> Iterator[tuple[Candidate, ...]]:
-    found = list(best_of_all((case for case, _ in some), settings))
-    wanted = [rivals or not any(c.bits > MATCH.lead_bits for c in own) for own in found]
+    pairs = [case[:2] for case, _ in some]
+    best = list(best_of_all((case for case, _ in some), settings))
+    wanted = [thorough or not any(c.bits > MATCH.lead_bits for c in own) for own in best]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    for ((a, b, *_), _), own, more in zip(some, found, wanted, strict=True):
-        yield _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
+    turned = ((_sown(a, _image(b), settings)[0] if thorough else (a, b, (), 0)) for a, b in pairs)
+    images = best_of_all(turned, settings)
+    for (a, b), own, more, image in zip(pairs, best, wanted, images, strict=True):
+        found = _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
+        bits = max((c.bits for c in image), default=-np.inf)
+        yield tuple(replace(c, image_bits=bits) for c in found)
+
+
+@lru_cache(maxsize=KEPT)
+def _image(m: Prepared) -> Prepared:
+    """The mirror image of a map, without views."""
+    return prepare(mirrored(m.topomap))
+
+
+def _both_seen(a: Prepared, b: Prepared) -> bool:
+    return len(a.views) > 0 and len(b.views) > 0
 
 
 def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypothesised:
@@ -164,22 +201,11 @@ def _rivals(case: Hypothesised, links: Links, settings: RobustSettings) -> Hypot
     return a, b, [seed for seed in every if seed.rival], tested
 
 
-def best_of(
-    a: Prepared,
-    b: Prepared,
-    hypotheses: Sequence[Seed],
-    *,
-    tested: int,
-    settings: RobustSettings,
-) -> tuple[Candidate, ...]:
-    """Grow and evaluate hypotheses; `tested` is the number of links that they were chosen from."""
-    return next(best_of_all([(a, b, hypotheses, tested)], settings))
-
-
 def best_of_all(
     cases: Iterable[Hypothesised], settings: RobustSettings
 ) -> Iterator[tuple[Candidate, ...]]:
-    """`best_of` for many pairs of maps, in batches that fit the processor's cache."""
+    """Hypotheses of many pairs of maps grown and evaluated, in batches that fit the processor's
+    cache."""
     for some in _batches(cases, lambda case: len(case[1]) * len(case[2]), MATCH.at_once):
         yield from _best_of_some(some, settings)
 
@@ -193,7 +219,7 @@ def _best_of_some(
         grown = grow(_lanes(cases), sown, settings)
         of = np.arange(len(cases)).repeat([len(case[2]) for case in cases])
         tested_bits = np.log2(np.array([case[3] for case in cases]) + 1.0)
-        seen = np.array([len(a.views) > 0 and len(b.views) > 0 for a, b, _, _ in cases])
+        seen = np.array([_both_seen(a, b) for a, b, _, _ in cases])
         judged = _judged(grown, tested_bits[of], search=seen[of])
         for case, seed, candidate in zip(of.tolist(), sown, judged, strict=True):
             if candidate is not None:
@@ -212,17 +238,13 @@ def _apart(found: list[Candidate], b: Prepared) -> tuple[Candidate, ...]:
 
 
 def _rank(c: Candidate) -> tuple[float, list[float]]:
-    return -round(c.bits, MATCH.ranked_decimals), c.transform.tolist()
+    return -round(c.bits, BITS), c.transform.tolist()
 
 
 def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
     """A lane for every hypothesis."""
     growing = [case for case in cases if case[2]]
     each = [(a, b) for a, b, found, _ in growing for _ in found]
-    if len(growing) == 1:  # nothing to be laid end to end
-        zeros = np.zeros(len(each), np.int64)
-        a, b = (Atlas.of([m]) for m in each[0])
-        return Lanes.of(a, b, zeros, zeros)
     number: dict[int, int] = {}
     rows = [[number.setdefault(id(m), len(number)) for m in pair] for pair in each]
     maps = {id(m): m for pair in each for m in pair}
@@ -231,15 +253,12 @@ def _lanes(cases: Sequence[Hypothesised]) -> Lanes:
     return Lanes.of(whole, whole, of_a, of_b)
 
 
-def as_sown(
-    a: Prepared, b: Prepared, hypotheses: Sequence[Seed], tested: int
-) -> tuple[Lanes, list[Candidate]]:
-    """Hypotheses of two junctions or more as candidates, without growth, and their lanes; `tested`
-    is the number of links that they were chosen from."""
-    lanes = _lanes([(a, b, hypotheses, tested)])
+def as_sown(case: Hypothesised) -> list[Candidate]:
+    """Hypotheses of two junctions or more as candidates, without growth."""
+    _, _, hypotheses, tested = case
     tested_bits = np.full(len(hypotheses), np.log2(tested + 1.0))
-    told = _judged(ungrown(lanes, hypotheses), tested_bits, search=False)
-    return lanes, [candidate for candidate in told if candidate is not None]
+    told = _judged(ungrown(_lanes([case]), hypotheses), tested_bits, search=False)
+    return [candidate for candidate in told if candidate is not None]
 
 
 def _judged(
@@ -298,7 +317,7 @@ def _with_views(
 ) -> tuple[Candidate, ...]:
     """The candidates of two maps with what their views say of them, and those that the views
     propose; as they are for maps without views."""
-    if not len(a.views) or not len(b.views):
+    if not _both_seen(a, b):
         return found
     one, two = pictured(a.views), pictured(b.views)
     asked = refined(one, two, placements(one, two))

@@ -54,7 +54,7 @@ class Atlas:
     @cached_property
     def shows_bends(self) -> BoolArray:
         """(m,) as in `TopoMap`."""
-        return np.array([m.shows_bends for m in self.maps], np.bool_)
+        return np.array([m.topomap.shows_bends for m in self.maps], np.bool_)
 
     @cached_property
     def centre_m(self) -> FloatArray:

@@ -15,8 +15,7 @@ from ..result import PairVerdict, Verdict, pairs_of
 from .alignment import Candidate
 from .components import ELSEWHERE, Components, Refusal, agrees, as_alignment, lying_over
 from .entries import Case
-from .mirror import MIRRORED, fits_as_well
-from .pairing import Means, Pair, Pairwise, Summary, in_tiles
+from .pairing import Means, Pair, Pairwise, Summary, tile_order
 from .prepare import Prepared
 from .repetition import sameness_of
 from .screening import pairs_to_match
@@ -82,22 +81,9 @@ class Batch:
         for pair, assessment in out.items():
             faint = self.found[pair].faint or assessment.faint
             out[pair] = replace(assessment, faint=faint, discarded=pair in self.discarded)
-        out |= self.beside_rivals(_merged(out))
-        for pair, bits in self.matcher.image_bits(_rows(_merged(out))).items():
-            best = out[pair].best
-            if best is not None and fits_as_well(bits, best):
-                out[pair] = replace(out[pair], verdict=Verdict.AMBIGUOUS, why=MIRRORED)
-        return out
-
-    def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
-        """The candidates of those of the pairs that have any beyond chance."""
-        full = [pair for pair in pairs if self.found[pair].full]
-        return dict(zip(full, self.matcher.candidates(_rows(full)), strict=True))
-
-    def beside_rivals(self, pairs: Sequence[Pair]) -> dict[Pair, Assessment]:
-        """Assessments after growing all hypotheses beyond chance."""
-        found = self.matcher.beside_rivals(_rows(pairs))
-        return self._assessed(dict(zip(pairs, found, strict=True)))
+        merged = [pair for pair, assessment in out.items() if assessment.verdict is Verdict.MERGED]
+        thorough = self.matcher.thorough(_rows(merged))
+        return out | self._assessed(dict(zip(merged, thorough, strict=True)))
 
     def _assessed(self, candidates: Mapping[Pair, tuple[Candidate, ...]]) -> dict[Pair, Assessment]:
         """The assessment of each pair by these candidates."""
@@ -106,6 +92,11 @@ class Batch:
             for pair, found in candidates.items()
         ]
         return dict(zip(candidates, assess_all(cases), strict=True))
+
+    def candidates(self, pairs: Iterable[Pair]) -> dict[Pair, tuple[Candidate, ...]]:
+        """The candidates of those of the pairs that have any beyond chance."""
+        full = [pair for pair in pairs if self.found[pair].full]
+        return dict(zip(full, self.matcher.candidates(_rows(full)), strict=True))
 
     @property
     def unlocked(self) -> dict[Pair, PairVerdict]:
@@ -174,10 +165,6 @@ def _rows(pairs: Sequence[Pair]) -> IntArray:
     return np.array(pairs, np.int64).reshape(-1, 2)
 
 
-def _merged(assessments: Mapping[Pair, Assessment]) -> list[Pair]:
-    return [pair for pair, a in assessments.items() if a.verdict is Verdict.MERGED]
-
-
 def in_parts(pairs: Sequence[Pair]) -> Iterator[Sequence[Pair]]:
     """The pairs, as many as are assessed at once."""
     return (pairs[k : k + MATCH.at_once] for k in range(0, len(pairs), MATCH.at_once))
@@ -195,7 +182,7 @@ def match_shard(
 ) -> int:
     """Match the i-th of n shares of the pairs (i from 1 on) for the store; returns their number."""
     matcher = Pairwise(sorted(maps, key=lambda m: m.run), settings, means)
-    wanted = in_tiles(wanted_pairs(matcher))
-    mine = np.array_split(wanted, share[1])[share[0] - 1]
+    wanted = wanted_pairs(matcher)
+    mine = np.array_split(wanted[tile_order(wanted)], share[1])[share[0] - 1]
     matcher.pairs(mine)
     return len(mine)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
+from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
 from .settings import MATCH
@@ -12,7 +13,7 @@ from .settings import MATCH
 SECTOR_RAD = np.pi / 2
 """Branches are classified into four sectors relative to the one by which a corridor leaves."""
 
-LENGTH_SCALE = 2.0**10
+LENGTH_SCALE = 2 * LIKELIHOOD.longest_m
 """Factor of the pattern in sort keys of pattern and length; larger than any corridor's length
 [m]."""
 

@@ -217,8 +217,8 @@ class Across:
             compared = {p: found for p, found in across.items() if p in larger or p in self.joins}
             if self._sigmas(components, pair, compared) > self.most_sigmas:
                 return LARGER_TOGETHER
-        of_all = {p: v.extra.get("same_place_bits") for p, v in known.items()}
-        tested = {p: bits for p, bits in of_all.items() if bits is not None}
+        of_all = {p: v.same_place_bits for p, v in known.items()}
+        tested = {p: bits for p, bits in of_all.items() if np.isfinite(bits)}
         if any(bits < 0 for bits in tested.values()):  # more like a copy than a typical one
             untested = [p for p in across if p in self.joins and p not in tested]
             if sum(tested.values()) + sum(self.same_place_bits(untested)) < -MATCH.lead_bits:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...topology.arrays import IntArray
-from ...topology.digits import BITS, rounded
 from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.passes import NO_BRANCH
 from ...topology.se2 import wrap
@@ -20,15 +19,12 @@ from .components import Refusal
 from .conflicts import one_by_one
 from .prepare import Prepared
 from .rematching import Reunion
-from .verdict import DOUBTS, Assessment, Weighed, counted_bits
+from .verdict import DOUBTS, ELSEWHERE, NOTHING_ALIKE, Assessment, Weighed
 from .view_ties import view_ties
 from .wording import evidence, summary
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
-
-ELSEWHERE = "by another placement"
-"""What it says where a lock joins two maps that their evidence joins in another way."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +89,9 @@ class Case:
                 why = why or ELSEWHERE
             if why or own.verdict is not Verdict.MERGED:
                 reason += f"; {MAPS_ALONE} {own.verdict}" + (f", {why}" if why else "")
-            return self._accepted(self.forced, by="lock", reason=reason)
+            if own.verdict is Verdict.UNRELATED:
+                why = NOTHING_ALIKE
+            return self._accepted(self.forced, by="lock", reason=reason, lacks=why)
         if own.verdict is Verdict.MERGED and best is not None:
             return self._accepted(best, by="pair")
         if self.reunion is not None:
@@ -113,7 +111,9 @@ class Case:
         found = self._evidence()
         return self._not_joined(own.verdict, f"{found}; {own.why}" if own.why else found)
 
-    def _accepted(self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}") -> PairVerdict:
+    def _accepted(
+        self, chosen: Candidate, *, by: AcceptedBy, reason: str = "{}", lacks: str = ""
+    ) -> PairVerdict:
         """Joined by an alignment of the pair, not necessarily its best. The alignment's summary
         replaces the braces in the reason."""
         best = self._alignment(chosen)
@@ -130,6 +130,7 @@ class Case:
             runner_up=second,
             margin_bits=margin,
             accepted_by=by,
+            lacks=lacks,
         )
 
     def _alignment(self, c: Candidate) -> Alignment:
@@ -173,11 +174,6 @@ class Case:
     ) -> PairVerdict:
         """The verdict, by the assessment of the two maps or of two components."""
         joined = accepted_by is not None and best is not None
-        extra: dict[str, Any] = {}
-        if by.against_chance > 0:
-            extra["against_chance_bits"] = by.against_chance
-        if by.same_bits is not None:
-            extra["same_place_bits"] = rounded(by.same_bits, BITS)
         return PairVerdict(
             self.a.run,
             self.b.run,
@@ -190,7 +186,6 @@ class Case:
             accepted_by=accepted_by,
             locked=None if self.lock is None else self.lock.decision,
             lead_needed_bits=None if best is None else by.lead_bits,
-            extra=extra,
             **more,
         )
 
@@ -201,16 +196,12 @@ def doubt(pair: PairVerdict) -> str:
     nothing."""
     if pair.through or (pair.accepted and pair.accepted_by != "lock"):
         return ""
-    _, locked, alone = pair.reason.partition(MAPS_ALONE)
-    if pair.accepted and not locked:
-        return ""
-    found = [why for why in (*DOUBTS, ELSEWHERE) if why in (alone or pair.reason)]
+    found = [pair.lacks] if pair.lacks in DOUBTS else []
     against = () if pair.best is None else pair.best.contradictions
     if against:
         found.append(f"{counted(len(against), 'contradiction')}: {against[0]}")
-    nothing_alike = f"{MAPS_ALONE} {Verdict.UNRELATED}" in pair.reason
-    if not found and (nothing_alike or (pair.verdict is Verdict.UNRELATED and pair.locked is None)):
-        found.append("they have nothing in common that chance would not offer")
+    if not found and pair.verdict is Verdict.UNRELATED and pair.locked is None:
+        found.append(NOTHING_ALIKE)
     return "; ".join(found)
 
 
@@ -222,7 +213,7 @@ def alignment_of(
     against = one_by_one(c.conflicts, a, b)
     return Alignment(
         transform=c.transform,
-        evidence_bits=counted_bits(c) if weighed is None else weighed.bits,
+        evidence_bits=c.counted_bits if weighed is None else weighed.bits,
         matched=np.column_stack([c.a, c.b])[order],
         rmse_m=c.rmse_m,
         corridors=len(c.corridors),

@@ -34,7 +34,7 @@ from .forced import forced_alignment
 from .pairing import Means, Pairwise
 from .prepare import Prepared
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
-from .verdict import counted_bits, in_steps
+from .verdict import in_steps
 from .view_search import pictured
 
 BOTH = np.array([(0, 1)])
@@ -96,13 +96,9 @@ class _Pair:
     def candidates(self, verdict: PairVerdict) -> Iterator[Candidate]:
         """All of them, first those that the verdict is about: a pair is merged by itself only
         beside rivals; last the placement by a lock of the two as the same."""
+        (thorough,) = self.matcher.thorough(BOTH)
         by_pair = verdict.accepted_by == "pair"
-        if not by_pair:
-            yield from self.plain
-        (beside_rivals,) = self.matcher.beside_rivals(BOTH)
-        yield from beside_rivals
-        if by_pair:
-            yield from self.plain
+        yield from (*thorough, *self.plain) if by_pair else (*self.plain, *thorough)
         lock = lock_table(self.merge.locks).get((verdict.a, verdict.b))
         if lock is not None and lock.decision == "same":
             a, b = self.matcher.prepared
@@ -190,7 +186,6 @@ def _unlisted(merge: Merge, alone: PairVerdict) -> PairVerdict:
         threshold_bits=alone.threshold_bits,
         through=through,
         lacks=alone.lacks,
-        extra=alone.extra,
     )
 
 
@@ -199,14 +194,14 @@ def _terms(
 ) -> tuple[Term, ...]:
     """The evidence of a placement, part by part; the parts add up to `bits` if it was tested for
     being a copy, else to what speaks against chance."""
-    few = counted_bits(c) - c.bits
+    few = c.counted_bits - c.bits
     terms = [*_links(a, b, c), *_branches(a, b, c), *_views(a, b, c), *_against(a, b, c)]
     terms.append(Term("hypotheses", -c.tested_bits, _chosen_from(c)))
     if rounded(few, BITS) < 0:
         limit = f"what agrees counts {MATCH.junction_bits} bits a junction at most"
         terms.append(Term("few", few, limit))
     if tested is not None:
-        copies = min(rounded(bits, BITS) - counted_bits(c), 0.0)
+        copies = min(rounded(bits, BITS) - c.counted_bits, 0.0)
         terms.append(Term("copies", copies, _describe_copy_test(tested)))
     return tuple(terms)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from ..locks import Lock
-from .alignment import Candidate, as_sown, best_of
+from .alignment import Candidate, as_sown, best_of_all
 from .links import Links, Seed, candidate_links, seeds
 from .prepare import Prepared
 from .settings import RobustSettings
@@ -33,9 +33,9 @@ def forced_alignment(
     if not fitting:
         turned, along = _turned(a, b, *lock.at), _along_corridors(a, b, *lock.at)
         tested = len(turned) + len(along)
-        found = best_of(a, b, [*along, *turned], tested=tested, settings=settings)
+        found = next(best_of_all([(a, b, [*along, *turned], tested)], settings))
         # Growth gives up where too little agrees, which is no reason to place the two elsewhere.
-        sown = as_sown(a, b, along, tested)[1] if along else []
+        sown = as_sown((a, b, along, tested)) if along else []
         likely = [c for c in (*found, *sown) if c.bits > 0]
         fitting = sorted(_with(lock.at, likely), key=lambda c: -c.bits)
     return next(iter(fitting), None)

@@ -17,10 +17,6 @@ from ...topology.ragged import Ragged
 from ...topology.se2 import wrap
 from ...topology.topomap import TopoMap
 from ...topology.views import NO_VIEWS
-from .alignment import Candidate
-from .settings import MATCH
-
-MIRRORED = "its mirror image fits nearly as well: this may be a copy built the other way round"
 
 
 def mirrored(m: TopoMap) -> TopoMap:
@@ -45,11 +41,3 @@ def mirrored(m: TopoMap) -> TopoMap:
         paths=tuple(path * flip for path in m.paths),
         views=NO_VIEWS,
     )
-
-
-def fits_as_well(image_bits: float, best: Candidate) -> bool:
-    """Whether the mirror image of a map fits another one nearly as well as the map itself.
-
-    image_bits: evidence of the image's best alignment; best: the alignment of the map itself.
-    """
-    return image_bits > best.bits - MATCH.lead_bits

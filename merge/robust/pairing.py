@@ -25,7 +25,6 @@ from ..kept import Kept, Kind, digest_of, digested, program_digest
 from ..workers import Workers
 from .alignment import Candidate, match_all, self_matches
 from .conflicts import Conflicts, Unseen
-from .mirror import mirrored
 from .prepare import Prepared, prepare
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .support import Support
@@ -35,9 +34,8 @@ from .view_evidence import ViewEvidence
 Pair = tuple[int, int]
 T = TypeVar("T")
 
-Ready = Callable[[bytes, bool], Prepared]
-"""Gives the prepared map of a digest, or its mirror image."""
-
+Ready = Callable[[bytes], Prepared]
+"""Gives the prepared map of a digest."""
 
 ReadMap = Callable[[str], TopoMap]
 """Reads the map of a run; workers are sent it, and call it."""
@@ -81,11 +79,6 @@ def tile_order(pairs: IntArray) -> IntArray:
     return np.lexsort((tile[:, 1], tile[:, 0]))
 
 
-def in_tiles(pairs: IntArray) -> IntArray:
-    """The pairs in that order."""
-    return pairs[tile_order(pairs)]
-
-
 def era_of(settings: RobustSettings) -> bytes:
     """Digest that changes whenever results may: of the program, the libraries and the settings of
     matching."""
@@ -99,9 +92,6 @@ def era_of(settings: RobustSettings) -> bytes:
 HEAD = struct.Struct("<Idd")
 """Head of the result of matching two maps: junctions and evidence of the best alignment if none is
 beyond chance, else 0; largest evidence against chance. The candidates follow, if there are any."""
-
-IMAGE = struct.Struct("<d")
-"""The result of matching a map with a mirror image."""
 
 CLASSES = {cls.__name__: cls for cls in (Candidate, Support, Conflicts, Unseen, ViewEvidence)}
 
@@ -142,34 +132,21 @@ def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
     return HEAD.pack(faint.junctions, faint.bits, against_chance)
 
 
-def image_result_of(found: tuple[Candidate, ...]) -> bytes:
-    """What is kept of the candidates of a map and a mirror image: the evidence of the best."""
-    return IMAGE.pack(found[0].bits if found else -np.inf)
-
-
-def image_bits_of(data: bytes) -> float:
-    """The evidence in such a result [bits], -inf without a candidate."""
-    return float(IMAGE.unpack(data)[0])
-
-
 def matched(task: MatchTask) -> tuple[bytes, list[bytes]]:
     """Do a task in a worker process: the worker's era, and the result of each pair."""
     run_of = {digest: run for run, digest in task.runs}
 
-    def ready(digest: bytes, image: bool) -> Prepared:
-        found = _ready.get((digest, image))
-        if found is None:
+    def ready(digest: bytes) -> Prepared:
+        if digest not in _ready:
             if len(_ready) >= TASKS.at_hand:
                 _ready.clear()
-            topomap = _as_merged(task.read, run_of[digest], digest)
-            found = prepare(mirrored(topomap) if image else topomap)
-            _ready[digest, image] = found
-        return found
+            _ready[digest] = prepare(_as_merged(task.read, run_of[digest], digest))
+        return _ready[digest]
 
     return era_of(task.settings), match_task(task, ready)
 
 
-_ready: dict[tuple[bytes, bool], Prepared] = {}  # in a worker: maps that the last tasks asked for
+_ready: dict[bytes, Prepared] = {}  # in a worker: maps that the last tasks asked for
 
 
 def _as_merged(read: ReadMap | None, run: str, digest: bytes) -> TopoMap:
@@ -185,12 +162,11 @@ def match_task(task: MatchTask, ready: Ready) -> list[bytes]:
     digests = [digest for _, digest in task.runs]
     pairs = [(digests[i], digests[j]) for i, j in task.pairs.tolist()]
     if task.kind is Kind.ITSELF:
-        own = self_matches((ready(digest, False) for digest, _ in pairs), task.settings)
-        return [HEAD.pack(0, 0.0, 0.0) + codec.to_bytes(found) for found in own]
-    image = task.kind is Kind.IMAGE
-    both = ((ready(a, False), ready(b, image)) for a, b in pairs)
-    every = match_all(both, task.settings, rivals=task.kind is Kind.RIVALS)
-    return [image_result_of(f) if image else result_of(f, task.settings) for f in every]
+        every = self_matches((ready(digest) for digest, _ in pairs), task.settings)
+    else:
+        both = ((ready(a), ready(b)) for a, b in pairs)
+        every = match_all(both, task.settings, thorough=task.kind is Kind.THOROUGH)
+    return [result_of(found, task.settings) for found in every]
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,7 +203,6 @@ class Pairwise:
         self.places = [m.xy[:, 0] + 1j * m.xy[:, 1] for m in maps]
         self.digests = [self.means.kept.digest(m) for m in maps]
         self._row = {digest: k for k, digest in enumerate(self.digests)}
-        self._images: dict[int, Prepared] = {}
 
     def pairs(self, wanted: IntArray) -> list[Summary]:
         """The result of matching each of (k, 2) pairs, in short."""
@@ -237,20 +212,14 @@ class Pairwise:
         """The candidates of each of (k, 2) pairs; none where none is beyond chance."""
         return self._all(Kind.PAIR, wanted, candidates_of)
 
-    def beside_rivals(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
-        """The same including all other hypotheses beyond chance."""
-        return self._all(Kind.RIVALS, wanted, candidates_of, reported=True)
+    def thorough(self, wanted: IntArray) -> list[tuple[Candidate, ...]]:
+        """The same with all other hypotheses beyond chance, and evidence of the mirror image."""
+        return self._all(Kind.THOROUGH, wanted, candidates_of, reported=True)
 
     def with_themselves(self) -> list[tuple[Candidate, ...]]:
         """Matches of every map with other parts of itself."""
         rows = np.arange(len(self.maps)).repeat(2).reshape(-1, 2)
         return self._all(Kind.ITSELF, rows, candidates_of, reported=True)
-
-    def image_bits(self, wanted: IntArray) -> dict[Pair, float]:
-        """Evidence of the best alignment with the mirror image of each pair's second map [bits]."""
-        bits = self._all(Kind.IMAGE, wanted, image_bits_of, reported=True)
-        self._images.clear()  # .1 MB a map, and hardly asked for again
-        return dict(zip(map(tuple, wanted.tolist()), bits, strict=True))
 
     def _all(
         self, kind: Kind, wanted: IntArray, read: Callable[[bytes], T], *, reported: bool = False
@@ -303,13 +272,9 @@ class Pairwise:
         has_views = np.array([len(m.views) > 0 for m in self.maps])
         return len(wanted) + TASKS.of_views * int(has_views[wanted].all(axis=1).sum())
 
-    def _ready(self, digest: bytes, image: bool) -> Prepared:
-        k = self._row[digest]  # of several maps that are the same but for their names any will do
-        if not image:
-            return self.prepared[k]
-        if k not in self._images:
-            self._images[k] = prepare(mirrored(self.maps[k]))
-        return self._images[k]
+    def _ready(self, digest: bytes) -> Prepared:
+        # Of several maps that are the same but for their names any will do.
+        return self.prepared[self._row[digest]]
 
     def _tasks(
         self, kind: Kind, wanted: IntArray, missing: IntArray

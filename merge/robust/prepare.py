@@ -8,19 +8,16 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ...topology.arrays import BoolArray, ComplexArray, FloatArray, IntArray
-from ...topology.digits import METRES
+from ...topology.corridor_lengths import LEAST_M
 from ...topology.matching.branches import unit_headings
 from ...topology.matching.likelihood import BIT, density_of_equals, length_log_density, rarity
 from ...topology.matching.structure import padded_branches
 from ...topology.passes import NO_BRANCH
 from ...topology.ragged import numbered
 from ...topology.topomap import RunNoise, TopoMap
-from ...topology.views import NO_VIEWS, Views
+from ...topology.views import Views
 from .branch_patterns import branch_offsets, pattern_bits, pattern_keys, sector_masks
 from .settings import MATCH
-
-LEAST_M = 10.0**-METRES
-"""Lower bound of 1 sigma of a length: the precision of documents."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,14 +163,10 @@ class Prepared:
     variance [m²]; alike, alike_pairs: how often two different corridors are equally long, see
     `density_of_equals`; points: along the corridors.
 
-    views: what a laser or a grid shows around places.
-
     nearest_junction, nearest_point: for nearest-neighbour search in `z` and in `points.z`.
     """
 
-    run: str
-    noise: RunNoise
-    shows_bends: bool
+    topomap: TopoMap
     z: ComplexArray
     heading: FloatArray
     count: IntArray
@@ -207,10 +200,24 @@ class Prepared:
     points: CorridorPoints
     nearest_junction: NearestNeighbours
     nearest_point: NearestNeighbours
-    views: Views = NO_VIEWS
 
     def __len__(self) -> int:
         return len(self.z)
+
+    @property
+    def run(self) -> str:
+        """The run of the map."""
+        return self.topomap.run
+
+    @property
+    def noise(self) -> RunNoise:
+        """How well it was measured."""
+        return self.topomap.noise
+
+    @property
+    def views(self) -> Views:
+        """What a laser or a grid shows around places."""
+        return self.topomap.views
 
 
 def prepare(topomap: TopoMap) -> Prepared:
@@ -249,9 +256,7 @@ def prepare(topomap: TopoMap) -> Prepared:
     nearest_junction = NearestNeighbours.of(z)
     unit = unit_headings(heading)
     return Prepared(
-        run=m.run,
-        noise=m.noise,
-        shows_bends=m.shows_bends,
+        topomap=m,
         z=z,
         heading=heading,
         count=count,
@@ -287,7 +292,6 @@ def prepare(topomap: TopoMap) -> Prepared:
         points=points,
         nearest_junction=nearest_junction,
         nearest_point=NearestNeighbours.of(points.z),
-        views=m.views,
     )
 
 

@@ -12,7 +12,6 @@ from collections import defaultdict
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 
@@ -36,8 +35,7 @@ from ..result import (
 )
 from .alignment import Candidate, laid_over, match
 from .components import Components
-from .mirror import fits_as_well, mirrored
-from .pairing import Pair, Pairwise, candidates_of, image_bits_of, image_result_of, result_of
+from .pairing import Pair, Pairwise, candidates_of, result_of
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
@@ -105,8 +103,8 @@ class MergedMaps:
         """The merged map of some runs, sorted, by the accepted alignments between them, which stay
         the same as long as the runs do."""
         if runs not in self._made:
-            maps, inside = self._matcher.maps, []
-            for i, j in _inside(runs, accepted):
+            maps, inside, those = self._matcher.maps, [], set(runs)
+            for i, j in sorted(pair for pair in accepted if those.issuperset(pair)):
                 best = accepted[i, j]
                 bits, names = float(len(best.matched)), (maps[i].run, maps[j].run)
                 inside.append(PairVerdict(*names, Verdict.MERGED, True, bits, "", best=best))
@@ -121,27 +119,10 @@ class MergedMaps:
         settings = self._matcher.settings
 
         def found() -> bytes:
-            return result_of(match(one.prepared, two.prepared, settings, rivals=True), settings)
+            every = match(one.prepared, two.prepared, settings, thorough=True)
+            return result_of(every, settings)
 
-        return candidates_of(self._kept.result(Kind.RIVALS, (one.digest, two.digest), found))
-
-    def image_bits(self, one: MergedMap, two: MergedMap) -> float:
-        """Evidence of the best alignment of the first with the mirror image of the second
-        [bits]."""
-
-        def found() -> bytes:
-            image = prepare(mirrored(two.as_map))
-            return image_result_of(match(one.prepared, image, self._matcher.settings))
-
-        return image_bits_of(self._kept.result(Kind.IMAGE, (one.digest, two.digest), found))
-
-
-def _inside(runs: Runs, accepted: Mapping[Pair, Alignment]) -> Iterator[Pair]:
-    """The accepted pairs of some sorted runs, in order, by the shorter of two searches."""
-    if len(runs) ** 2 < len(accepted):
-        return (pair for pair in combinations(runs, 2) if pair in accepted)
-    those = set(runs)
-    return (pair for pair in sorted(accepted) if those.issuperset(pair))
+        return candidates_of(self._kept.result(Kind.THOROUGH, (one.digest, two.digest), found))
 
 
 def _as_map(component: Component, fused: FusedMap, own: Sequence[TopoMap]) -> TopoMap:
@@ -291,13 +272,12 @@ class Rematcher:
         return [match for key in open_ if (match := self._known[key]) is not None]
 
     def _match(self, one: MergedMap, two: MergedMap, assessment: Assessment) -> _Match | None:
-        """The match of two components; None if it must not join them: for too little evidence, a
-        mirror image that fits as well, or a lock that it does not honour."""
+        """The match of two components; None if it must not join them: for too little evidence, or a
+        lock that it does not honour."""
         if assessment.verdict is not Verdict.MERGED or assessment.best is None:
             return None
         links = _links(one, two, assessment)
-        image_bits = self._merged.image_bits(one, two) if links else np.inf
-        if fits_as_well(image_bits, assessment.best):
+        if not links:
             return None
         for (i, j), at in self.unmet.items():
             across = (i in one.runs and j in two.runs) or (j in one.runs and i in two.runs)
@@ -330,6 +310,6 @@ def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alig
     for (i, j), pairs in strong or [item for item in ranked[:1] if len(item[1]) >= 2]:
         matched = np.array(sorted(pairs), np.int64)
         transform, rmse = laid_over(known[i].xy[matched[:, 0]], known[j].xy[matched[:, 1]])
-        corridors, tested = len(best.corridors), found.ranked[0].copy_test
-        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=tested)
+        corridors, asked = len(best.corridors), found.copy_test
+        out[i, j] = Alignment(transform, found.bits, matched, rmse, corridors, copy_test=asked)
     return out

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.se2 import wrap
-from ..result import pairs_of
+from ..result import MOST_PAIRS, pairs_of
 from .branch_patterns import LENGTH_SCALE
 from .links import link_components, windows
 from .pairing import TASKS
@@ -23,31 +23,21 @@ from .prepare import Prepared, length_bits
 from .settings import MATCH, RobustSettings
 from .verdict import needed_bits
 
-
-@dataclass(frozen=True, slots=True)
-class ScreeningSettings:
-    """Screening of large batches."""
-
-    most_pairs: int = 5000
-    """Batches with more pairs are screened: 100 runs take some seconds without."""
-    share: float = 0.6
-    """Connected links must have this share of the bits that merging needs. With 0.75 still nothing
-    was lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py
-    --recall 400 --first 5000`). Of 692 pairs beyond chance, nearly all copies in offices, 29 are
-    screened out (`--beyond 160 --first 5000`): these do not count among the pairs that share the
-    threshold against copies, .06 bits."""
-
-
-SCREENING = ScreeningSettings()
+SHARE = 0.6
+"""Connected links must have this share of the bits that merging needs. With 0.75 still nothing was
+lost of 1,354 pairs of runs that matching all 79,800 pairs joins (`benchmarks/fleet.py --recall 400
+--first 5000`). Of 692 pairs beyond chance, nearly all copies in offices, 29 are screened out
+(`--beyond 160 --first 5000`): these do not count among the pairs that share the threshold against
+copies, .06 bits."""
 
 
 def pairs_to_match(maps: Sequence[Prepared], settings: RobustSettings) -> IntArray:
     """(k, 2) pairs i < j, sorted: all of a small batch, of a large one those that the index
     selects."""
     count = pairs_of(len(maps))
-    if count <= SCREENING.most_pairs:
+    if count <= MOST_PAIRS:
         return np.stack(np.triu_indices(len(maps), 1), axis=1)
-    return likely_pairs(maps, SCREENING.share * needed_bits(count, settings))
+    return likely_pairs(maps, SHARE * needed_bits(count, settings))
 
 
 def likely_pairs(maps: Sequence[Prepared], least: float) -> IntArray:

@@ -75,17 +75,17 @@ class MatchSettings:
     evidence. Of 297,000 pairs of unrelated mazes 8 reach 12.5 bits in five junctions, and 3 of
     these reach 16, where 1 should. Tried: with 3.75, 20 of 108 pairs of floors that differ by .3 m
     are merged wrongly instead of none (`benchmarks/adversaries.py`), with 1.7 a fifth of the right
-    pairs is lost."""
+    pairs is lost.
+
+    Also the evidence against a copy that lengths and views have in common: of 132 pairs of twelve
+    offices of one design, two runs at a time, two are merged wrongly if both count in full, none
+    with this, and all twelve pairs of runs of one office are merged; with 4, nine."""
     least_told: float = 0.25
     """Share of `junction_bits` up to which an alignment is taken for a copy; from twice as much on
     it is not. Of 179 right pairs of mazes and organic ways all have .58 or more; of 25 pairs of
     floors of one plan, each junction moved by up to .3 m, 23 have less than half, and so do two
     sites that share a block (`benchmarks/adversaries.py`). It costs no right pair of the suites."""
-    shared_bits: float = 2.5
-    """Evidence against a copy that lengths and views have in common. Of 132 pairs of twelve offices
-    of one design, two runs at a time, two are merged wrongly if both count in full; with half of it
-    one. With as much none, and all twelve pairs of runs of one office are merged; with 4, nine."""
-    misfit_rate: float = 0.05
+    misfit_rate: float = LIKELIHOOD.outlier_share
     """An alignment whose lengths differ by as much in less than this share of looks at one place
     may be a copy. Of 115 right pairs of two suites the least have .21, of 174 by earlier code .12
     (noise is stated with caution for matching); a copy of 19 junctions in an office, which nothing
@@ -153,10 +153,6 @@ class MatchSettings:
     crossing_m: float = 1.7
     """By so much more may junctions lie apart that a placement of views lays over each other: a
     crossing at an acute angle shows as two forks 1.1 to 1.55 m apart in a skeleton."""
-    ranked_decimals: int = 6
-    """Decimals of evidence [bits] by which placements are ranked: copies that are built alike have
-    the same evidence up to rounding. Sums of a thousand bits are rounded at the twelfth decimal,
-    documents at the second."""
     pair_digits: int = 4
     """Binary digits of a number of pairs: up to 15 it is exact, beyond it is rounded up by up to an
     eighth, .17 bits, .06 in the mean. At 200 runs every tenth run is a step, at 1,420 every

@@ -16,7 +16,7 @@ from .pairing import Pair
 from .prepare import Prepared
 from .repetition import CopyModel, copy_model
 from .settings import MATCH, RobustSettings
-from .verdict import Threshold, counted_bits, needed_bits, threshold_for, uniformity
+from .verdict import Threshold, needed_bits, threshold_for, uniformity
 
 ANY = -1
 """Stands for the connected component of a map of which the others are too few."""
@@ -181,7 +181,7 @@ def _beyond_chance(copy: Candidate) -> bool:
 def _told_once(copy: Candidate) -> float:
     """The evidence of a match of a map with itself, without duplicates and bounded by its junctions
     [bits]."""
-    return counted_bits(copy) * _told_share(copy)
+    return copy.counted_bits * _told_share(copy)
 
 
 def _told_share(copy: Candidate) -> float:

@@ -25,12 +25,15 @@ MISFITS = "this may be another copy of the place, as its lengths differ by more 
 
 NEARLY = "another placement fits nearly as well"
 
-DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY)
-"""Why a pair is ambiguous that is more than too little evidence: it may belong elsewhere."""
+MIRRORED = "its mirror image fits nearly as well: this may be a copy built the other way round"
 
+ELSEWHERE = "by another placement"
+"""What the evidence of two maps says where a lock joins them in another way."""
 
-SHARE_DIGITS = 4
-"""Digits of shares in documents: more than any of them is known to."""
+NOTHING_ALIKE = "they have nothing in common that chance would not offer"
+
+DOUBTS = (OTHER_SIZE, NO_WORSE, MAYBE_COPY, MISFITS, NEARLY, MIRRORED, ELSEWHERE, NOTHING_ALIKE)
+"""What two maps lack that is more than too little evidence: they may belong elsewhere."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,21 +81,17 @@ class Weighed:
     """A placement better than chance with its evidence for the two questions (chance? a copy?), in
     bits.
 
-    need: the threshold against chance. repetition: 0 to 1, how likely it is a copy by its size and
-    the building; same_place: evidence that it is the place itself and not a copy, None if not
-    tested; need_same: the threshold of that.
+    need: the threshold against chance; copy_test: the second question, None if it was not asked.
     """
 
     candidate: Candidate
     need: float
-    repetition: float = 0.0
-    same_place: float | None = None
-    need_same: float = 0.0
+    copy_test: CopyTest | None = None
 
     @property
     def carried(self) -> float:
         """The answer to the first question: `counted_bits`."""
-        return counted_bits(self.candidate)
+        return self.candidate.counted_bits
 
     @property
     def bits(self) -> float:
@@ -104,18 +103,11 @@ class Weighed:
     def from_copies(self) -> float:
         """The answer to the second question, shifted so that its threshold is `need`; inf if not
         tested. The less likely a copy, the less it bounds the evidence."""
-        if self.same_place is None or not self.repetition:
+        asked = self.copy_test
+        if asked is None or not asked.repetition:
             return np.inf
-        beyond = self.same_place - self.need_same
-        return self.need + (beyond / self.repetition if beyond > 0 else beyond)
-
-    @property
-    def copy_test(self) -> CopyTest | None:
-        """The second question, as it is stated; None if it was not asked."""
-        if self.same_place is None:
-            return None
-        same, need = (rounded(bits, BITS) for bits in (self.same_place, self.need_same))
-        return CopyTest(same, need, round(self.repetition, SHARE_DIGITS))
+        beyond = asked.bits - asked.needed_bits
+        return self.need + (beyond / asked.repetition if beyond > 0 else beyond)
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +120,7 @@ class Faint:
 
 def faint_of(candidates: Sequence[Candidate]) -> Faint | None:
     """The best candidate in short; None if there is none."""
-    return next((Faint(len(c), counted_bits(c)) for c in candidates), None)
+    return next((Faint(len(c), c.counted_bits) for c in candidates), None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -137,7 +129,7 @@ class Assessment:
 
     need_bits: the threshold. ranked: placements better than chance, best first; lead_bits: required
     lead of the best one. why: what was missing for merging, "" if merged; faint: the best alignment
-    if none is better than chance; against_chance: `beyond_chance_bits`; discarded: whether the
+    if none is better than chance; discarded: whether the
     match was discarded by the user.
     """
 
@@ -146,7 +138,6 @@ class Assessment:
     ranked: tuple[Weighed, ...] = ()
     why: str = ""
     faint: Faint | None = None
-    against_chance: float = 0.0
     discarded: bool = False
     lead_bits: float = MATCH.lead_bits
 
@@ -163,9 +154,9 @@ class Assessment:
         return 0.0 if self.faint is None else self.faint.bits
 
     @property
-    def same_bits(self) -> float | None:
-        """Evidence that the best placement is not a copy, None if not tested."""
-        return self.ranked[0].same_place if self.ranked else None
+    def copy_test(self) -> CopyTest | None:
+        """Whether the best placement is a copy, None if not tested."""
+        return self.ranked[0].copy_test if self.ranked else None
 
     @property
     def runner_up(self) -> Candidate | None:
@@ -215,7 +206,7 @@ def in_steps(pairs: int) -> int:
 def beyond_chance_bits(candidates: Sequence[Candidate], settings: RobustSettings) -> float:
     """Largest evidence against chance of all alignments with enough junctions to be merged; 0 if
     none."""
-    bits = (counted_bits(c) for c in candidates if c.witnesses >= settings.min_matches)
+    bits = (c.counted_bits for c in candidates if c.witnesses >= settings.min_matches)
     return max((rounded(b, BITS) for b in bits), default=0.0)
 
 
@@ -231,19 +222,6 @@ def uniformity(*maps: Prepared) -> float:
     return _share(2.0 - tells / MATCH.uniform_bits)
 
 
-def counted_bits(c: Candidate) -> float:
-    """The evidence of an alignment against chance: agreement, bounded by its number of junctions,
-    plus that of views, minus all contradictions.
-
-    Agreeing terms are not independent (a room of standard form brings its junctions, corridors and
-    angles together), so that their sum overstates the evidence; every contradiction needs a fault
-    of its own, so that each counts in full.
-    """
-    against, seen = c.contradicting_bits, c.views.total + c.views.against
-    told = c.bits + against - seen
-    return min(told, MATCH.junction_bits * len(c)) + seen - against
-
-
 def falls_short(c: Candidate) -> float:
     """0 to 1: how far the evidence of an alignment falls short of what its junctions could give.
 
@@ -251,7 +229,7 @@ def falls_short(c: Candidate) -> float:
     same parts, do not, however far they are beyond chance.
     """
     least = MATCH.least_told * MATCH.junction_bits * len(c)
-    return _share(2.0 - counted_bits(c) / least) if least else 0.0
+    return _share(2.0 - c.counted_bits / least) if least else 0.0
 
 
 def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
@@ -284,7 +262,8 @@ def assess(
 def assess_all(pairs: Sequence[Found]) -> list[Assessment]:
     """Verdicts on pairs from their candidate alignments.
 
-    merged: enough evidence against chance, not a copy, and a lead over every other placement.
+    merged: enough evidence against chance, not a copy, and a lead over every other placement and
+    the mirror image.
     ambiguous: beyond chance, but one of the three is missing, or too few junctions agree.
     unrelated: nothing beyond chance.
 
@@ -320,7 +299,7 @@ def _repetitions(
         )
         for c in odd
     ]
-    if odd and (any(shares) or falls_short(max(odd, key=counted_bits)) > 0):
+    if odd and (any(shares) or falls_short(max(odd, key=lambda c: c.counted_bits)) > 0):
         shares = [max(share, falls_short(c)) for share, c in zip(shares, odd, strict=True)]
     return shares
 
@@ -339,10 +318,12 @@ def _assess(
     asked = max(shares) > 0
     ranked = []
     for c, share in zip(odd, shares, strict=True):
-        same_bits = _no_copy(next(same).bits, c.views.copies) if asked else None
-        need_same = share * threshold.need_copy_bits
-        ranked.append(Weighed(c, threshold.need_bits, share, same_bits, need_same))
-    ranked.sort(key=lambda w: -round(w.bits, MATCH.ranked_decimals))
+        tested = None
+        if asked:
+            bits = _no_copy(next(same).bits, c.views.copies)
+            tested = CopyTest(bits, share * threshold.need_copy_bits, share)
+        ranked.append(Weighed(c, threshold.need_bits, tested))
+    ranked.sort(key=lambda w: -round(w.bits, BITS))
     first, *others = ranked
     best = first.candidate
     margin = first.bits - others[0].bits if others else None
@@ -356,12 +337,13 @@ def _assess(
     if first.carried >= threshold.need_bits:
         larger = size_sigmas(a, b, best) > threshold.settings.size_sigmas
         why = OTHER_SIZE if larger else why
+    if not why and best.image_bits > best.bits - MATCH.lead_bits:
+        why = MIRRORED
     return Assessment(
         verdict=Verdict.AMBIGUOUS if why else Verdict.MERGED,
         need_bits=threshold.need_bits,
         ranked=tuple(ranked),
         why=why,
-        against_chance=beyond_chance_bits(candidates, threshold.settings),
         lead_bits=MATCH.contested_bits if no_worse else MATCH.lead_bits,
     )
 
@@ -369,10 +351,10 @@ def _assess(
 def _no_copy(lengths: float, views: float) -> float:
     """The evidence of lengths and changes, and that of views, that an alignment is no copy [bits].
 
-    Both see the same walls: what one says is no news up to `MATCH.shared_bits` of the other.
+    Both see the same walls: what one says is no news up to `MATCH.junction_bits` of the other.
     """
     most, least = max(lengths, views), min(lengths, views)
-    return most + max(least - MATCH.shared_bits, 0.0) if views else lengths
+    return most + max(least - MATCH.junction_bits, 0.0) if views else lengths
 
 
 def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> list[Candidate]:
@@ -381,7 +363,7 @@ def _beyond_chance(candidates: Sequence[Candidate], threshold: Threshold) -> lis
     odd = [c for c in candidates if c.bits > MATCH.lead_bits]
     enough = [c for c in odd if c.witnesses >= threshold.settings.min_matches]
     alone = needed_bits(1, threshold.settings)
-    return enough or [c for c in odd if c.bits > threshold.need_bits or counted_bits(c) > alone]
+    return enough or [c for c in odd if c.bits > threshold.need_bits or c.counted_bits > alone]
 
 
 def _missing(first: Weighed, margin: float | None, threshold: Threshold) -> str:

@@ -40,8 +40,6 @@ FEW, MOST = 6, 24
 LEAST_Z = 1.5
 """Pairs that agree less do not place one map in the other: of other places 99 % stay below it in
 five real buildings."""
-LEVER_M = 3.0
-"""Lever of the turn of one view: half of the way from its middle to where its walls are."""
 PASSES_M = 20.0
 """Way between two passes that do not share scans."""
 AT_HAND_M = 1.5
@@ -217,7 +215,7 @@ class Laid:
             return np.zeros(3)
         za, zb = (pose[:, 0] + 1j * pose[:, 1] for pose in (self.there, self.predicted))
         turned = np.exp(1j * (self.there[:, 2] - self.predicted[:, 2]))
-        lever = LEVER_M**2 * (weight * turned).sum()
+        lever = MATCH.place_m**2 * (weight * turned).sum()
         sum_a, sum_b, sum_ab = ((weight * z).sum() for z in (za, zb, za * zb.conj()))
         unit, ma, mb = rigid_from_sums(total, sum_a, sum_b, sum_ab, lever)
         shift = ma - unit * mb
@@ -332,10 +330,9 @@ class Level:
 
 
 USUAL, USUAL_COUNT = Level(1.4, 0.5), 5
-"""The mean z of false placements with `FEWEST` parts and more, in five real buildings: the prior of
-two maps; of the mean if there are fewer placements, of the spread with the weight of so many."""
-FEWEST = 3
-"""Placements with fewer parts tell nothing of the level of others: their mean z scatters more."""
+"""The mean z of false placements with `MATCH.fewest` parts and more, in five real buildings: the
+prior of two maps; of the mean if there are fewer placements, of the spread with the weight of so
+many. Placements with fewer parts tell nothing of the level of others: their mean scatters more."""
 LEAST_SIGMA = 0.3
 """Lower bound of its spread: mazes and organic ways have .2 to .3."""
 TRUE, TRUE_OF_RUN = Level(3.3, 0.9), 0.5
@@ -345,15 +342,13 @@ LESS_Z = 0.4
 """By so much it is lower between runs than at revisits of one, in the median of 45 true pairs."""
 TRUE_Z = (2.5, 5.2)
 """Range of the means of runs."""
-MISSED = 0.01
-"""Share of true placements that look like false ones: furniture was moved, doors were shut."""
 DETAIL, DETAILED_Z = 2.7, (2.5, 4.5)
 """Views of one map lie by chance on a bare wall or corridor of another building and agree perfectly
 there: z counts as far as the logarithm of the detail (`Registered.detail`, 430 in the median of
 false placements, 1,160 of true ones), less the first, within the others; 2.5 is no evidence. Of 588
 false placements with 4 or 5 parts the mean z exceeds 3.1 in a hundredth, 2.5 by this; of true ones
 it stays 3.4 in the median."""
-CHANGED = Level(3.3, 0.6)
+CHANGED = Level(TRUE.mean, 0.6)
 """`TRUE` by this z, at most: recordings of different days agree less than revisits of one. Held to
 the run's own revisits, simulated runs in two real offices, furnished anew for each of them, lost 7
 to 10 bits a pair."""
@@ -365,11 +360,11 @@ MOST_PARTS = 8
 tenth lies above 2.7 with one part, less with more; from there on the density falls by exp(-3 z)
 with one part, faster with more. Of 1,784 pairs of different buildings .8 % exceed 4 bits by it,
 .4 % 6, .2 % 8 (6, 1.6 and .4 % may); of placements with five witnesses none exceeds 0."""
-CONSISTENT_BITS, CONSISTENT_M, APART_M = 1.5, 0.2, 0.4
-"""What a part tells that lies within the second of where the others put it; nothing at the third,
+CONSISTENT_BITS, CONSISTENT_M = 1.5, 0.2
+"""What a part tells that lies within the second of where the others put it; nothing at twice that,
 and as much against the placement from .6 m on. Of 134 true placements the parts are .19 m apart in
-the median, of 1,344 false ones with four parts .5 m, with eight and more .75 m. With these bits
-1.6 % of 1,568 pairs of different kinds of building exceed 4 bits by their views, .7 % 6, .3 % 8 and
+the median, of 1,344 false ones with four parts .5 m, with eight and more .75 m. With these bits 1.6
+% of 1,568 pairs of different kinds of building exceed 4 bits by their views, .7 % 6, .3 % 8 and
 none 9.6; without them 1.5, .5, .1 and none. The true ones gain 4 bits in the median."""
 UNSEEN_BITS, UNSEEN_Z = 0.7, (2.0, 3.0)
 """Upper bound of the weight of a junction that only one run detected, where the mean z of its part
@@ -377,15 +372,13 @@ of the overlap reaches the second value; none up to the first. Of the junctions 
 runs detected, or both, in 60 pairs of one place, 102 of 442 were missed, by one building 2 of 5;
 they cost up to 18 bits a pair. In false placements about half are missed, and 3 of 100 parts agree
 as much."""
-FAR_SIGMAS = 3.0
-"""Beyond so many standard deviations the tails of normal distributions are exponential."""
 SLOPE_Z = 0.05
 """Step of a derivative."""
 
 
 def _level(selves: Sequence[FloatArray], others: Sequence[FloatArray]) -> Level:
     """The level of copies: of repetitions within the maps and of other placements of the two."""
-    own = [float(part.mean()) for part in others if len(part) >= FEWEST]
+    own = [float(part.mean()) for part in others if len(part) >= MATCH.fewest]
     z = np.concatenate([*selves, own])
     unknown = max(USUAL_COUNT - len(z), 0)
     mean = float(z.sum() + unknown * USUAL.mean) / (len(z) + unknown)
@@ -421,7 +414,7 @@ def _consistent(apart_m: FloatArray, null: Level) -> FloatArray:
     Where a building repeats itself, so that the level of copies is high, parts of others of its
     kind agree as well, and that they do is no evidence."""
     known = (min(len(apart_m), MOST_PARTS) - 1) / len(apart_m)
-    off = np.clip((apart_m - CONSISTENT_M) / (APART_M - CONSISTENT_M), 0.0, 2.0)
+    off = np.clip(apart_m / CONSISTENT_M - 1.0, 0.0, 2.0)
     bits = CONSISTENT_BITS * known * (1.0 - off)
     return np.where(bits > 0, bits * (1.0 - _alike(null.mean, null.sigma)), bits)
 
@@ -435,8 +428,9 @@ def _alike(mean: float, sigma: float) -> float:
 def _odds(mean: float, null: Level, true: Level) -> float:
     """Evidence of a mean z against a copy [bits]."""
     far = max((mean - null.mean) / null.sigma, 0.0)
-    beyond = max(far - FAR_SIGMAS, 0.0)
-    fall = 0.5 * (far - beyond) ** 2 + FAR_SIGMAS * beyond
+    # Tails of normal distributions are exponential from some standard deviations on.
+    beyond = max(far - MATCH.length_sigmas, 0.0)
+    fall = 0.5 * (far - beyond) ** 2 + MATCH.length_sigmas * beyond
     return _ratio(_log_true(mean, true), -fall - float(np.log(null.sigma * NORMAL)))
 
 
@@ -450,8 +444,10 @@ NORMAL = float(np.sqrt(2 * np.pi))
 
 
 def _ratio(true: float, false: float) -> float:
-    """Log likelihood ratio [bits] of log densities, with a share `MISSED` of the false one."""
-    return float(np.logaddexp(np.log(1 - MISSED) + true - false, np.log(MISSED))) / BIT
+    """Log likelihood ratio [bits] of log densities, with a share `fault_floor` of the false
+    one: furniture was moved, doors were shut."""
+    missed = MATCH.fault_floor
+    return float(np.logaddexp(np.log(1 - missed) + true - false, np.log(missed))) / BIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -474,7 +470,7 @@ def repeats(a: Picture) -> Repeats:
         if turned or np.hypot(T[0], T[1]) >= MATCH.place_m:
             moved.append(some.parts_of(away >= (CELL_M if turned else 0.0)))
     moved = [part for part in moved if len(part)]
-    level = np.array([part.mean() for part in moved if len(part) >= FEWEST])
+    level = np.array([part.mean() for part in moved if len(part) >= MATCH.fewest])
     return Repeats(level, max(map(_size, moved), default=0.0))
 
 

@@ -38,17 +38,15 @@ CONTRADICTS = 4.0
 placement leads in 6 of 16 pairs of real runs, with 2 in 7, with 3, 4 and 8 in 11."""
 ANGLES = 90
 """Directions of walls that are told apart within a quarter turn: 1°."""
-STRIP_M = 0.2
-"""Width of the strips that walls are projected on to find their directions."""
 MOST_POINTS = 3000
 """Wall cells that are projected: a sample of larger maps tells the same."""
 LEAST_WALLS = 30
 """A stretch with fewer wall cells shows nothing."""
 MOST_PLACEMENTS = 8
 """Placements that are registered."""
-SAME_M, SAME_PER_M, SAME_RAD = 1.2, 0.05, 0.2
+SAME_M, SAME_PER_M, SAME_RAD = 3 * PIXEL_M, 0.05, 0.2
 """Stretches that are placed alike within so much, and per metre between them, support each other:
-three pixels and 3° of drift."""
+3° of drift."""
 
 KEPT = 18
 """Prepared pictures that are kept: a tile of tasks has 16 maps a side, with each of which one map
@@ -158,17 +156,18 @@ def pictured(views: Views) -> Picture:
 def directions(walls: ComplexArray) -> FloatArray:
     """(ANGLES,) how clearly walls lie along and across each direction of a quarter turn.
 
-    Walls are projected on both axes: where these lie along them, few strips hold most cells. 0 for
+    Walls are projected on both axes: where these lie along them, few strips of them, as wide as a
+    cell, hold most cells. 0 for
     none; means of normals, in comparison, err by 6° where cells lie along other axes.
     """
     z = walls[:: -(-len(walls) // MOST_POINTS)] if len(walls) else walls
     if not len(z):
         return np.zeros(ANGLES)
     turned = np.exp(-0.5j * np.pi * np.arange(ANGLES) / ANGLES)[:, None] * (z - z.mean())
-    strips = int(2 * np.abs(z - z.mean()).max() / STRIP_M) + 4
+    strips = int(2 * np.abs(z - z.mean()).max() / CELL_M) + 4
     out = np.zeros(ANGLES)
     for across in (turned.real, turned.imag):
-        strip = (across / STRIP_M + strips / 2).astype(np.int64)
+        strip = (across / CELL_M + strips / 2).astype(np.int64)
         strip += strips * np.arange(ANGLES)[:, None]
         held = np.bincount(strip.reshape(-1), minlength=strips * ANGLES).reshape(ANGLES, strips)
         out += (held.astype(np.float64) ** 2).sum(axis=1)

@@ -20,7 +20,6 @@ from topobatch.cli.workspace import Workspace
 from topobatch.merge.document import write_merged
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.robust import Means
-from topobatch.merge.robust.screening import ScreeningSettings
 from topobatch.merge.workers import Workers
 
 from ..viz.readback import Readback
@@ -165,10 +164,8 @@ def test_a_wrong_address_of_a_cluster_is_told_also_if_nothing_needs_it(topobatch
 @pytest.fixture
 def large(monkeypatch):
     """Eighteen runs are a large merge."""
-    monkeypatch.setattr(
-        "topobatch.merge.robust.screening.SCREENING", ScreeningSettings(most_pairs=100)
-    )
-    monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 100)
+    monkeypatch.setattr("topobatch.merge.robust.screening.MOST_PAIRS", 100)
+    monkeypatch.setattr("topobatch.merge.merging.MOST_PAIRS", 100)
 
 
 def test_readers_cope_with_pairs_that_are_only_counted(topobatch, workspace, large):

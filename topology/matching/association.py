@@ -15,11 +15,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import take
+from ..connected import connected
 from ..ragged import numbered
 from .correspondence import (
     DEFAULT_GROWTH,
@@ -92,7 +91,7 @@ def _reached(links: Links, seeds: IntArray) -> Links:
     """The links that lead, one after the other, to one of the nodes with the codes `seeds`."""
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
-    component = components(inverse[:size], inverse[size:], len(code))
+    component = connected(inverse[:size], inverse[size:], len(code))
     reached = np.isin(component[inverse[:size]], component[np.isin(code, seeds)])
     return Links(*(column[reached] for column in links))
 
@@ -224,7 +223,7 @@ def _assembled(a: Structure, b: Structure, links: Links, settings: GrowthSetting
     size = len(links.start)
     code, inverse = np.unique(np.concatenate([links.start, links.end]), return_inverse=True)
     nodes = decode(a, b, code, rectilinear)
-    component = components(inverse[:size], inverse[size:], len(code))
+    component = connected(inverse[:size], inverse[size:], len(code))
     number = int(component.max(initial=-1)) + 1
     # A branch driven in both maps whose corridors do not pair is an incompatibility.
     satisfied = _satisfied(a, b, links, inverse, rectilinear)
@@ -244,28 +243,6 @@ def _assembled(a: Structure, b: Structure, links: Links, settings: GrowthSetting
         link_component=of_link,
         rectilinear=rectilinear,
     )
-
-
-def components(start: IntArray, end: IntArray, count: int) -> IntArray:
-    """(count,) component of each node, numbered by their first nodes."""
-    # Strategy: most links are chance matches that touch no other link. Each is a component of its
-    # own and is left out of the search for components.
-    degree = np.bincount(start, minlength=count) + np.bincount(end, minlength=count)
-    alone = (degree[start] == 1) & (degree[end] == 1)
-    root = np.arange(count)
-    root[np.maximum(start[alone], end[alone])] = np.minimum(start[alone], end[alone])
-    start, end = start[~alone], end[~alone]
-    met = np.zeros(count, np.bool_)
-    met[start] = met[end] = True
-    nodes, place = np.flatnonzero(met), np.cumsum(met) - 1
-    order = np.argsort(start, kind="stable")
-    row = np.searchsorted(start[order], np.append(nodes, count))
-    graph = csr_array((np.ones(len(start)), place[end[order]], row), shape=(len(nodes),) * 2)
-    labels = connected_components(graph, directed=False)[1]
-    first = np.zeros(len(nodes), np.int64)
-    first[labels[::-1]] = nodes[::-1]
-    root[nodes] = first[labels]
-    return np.asarray((np.cumsum(root == np.arange(count)) - 1)[root])
 
 
 def _out_of_bounds(

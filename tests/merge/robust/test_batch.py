@@ -19,10 +19,11 @@ def test_what_would_be_merged_is_held_against_every_rival(drawn):
     edges = [(i + n * k, j + n * k) for k in range(3) for i, j in EDGES]
     matcher = Pairwise([drawn("a", points, edges), drawn("b", POINTS, EDGES)], two)
     batch = Batch(matcher)
-    (found,) = matcher.candidates(np.array([pair]))
-    view = assess(*matcher.prepared, found, batch.threshold(pair))
-    assert [(len(w.candidate), w.candidate.rival) for w in view.ranked] == 2 * [(n, False)]
-    beside = batch.beside_rivals([pair])
-    assert list(beside) == [pair]
-    assert [w.candidate.rival for w in beside[pair].ranked].count(True) == 1
-    assert beside[pair].verdict is Verdict.AMBIGUOUS
+    batch.match_likely()
+    (plain,), (thorough,) = (
+        found(np.array([pair])) for found in (matcher.candidates, matcher.thorough)
+    )
+    assert [(len(c), c.rival) for c in plain] == 2 * [(n, False)]
+    assert [c.rival for c in thorough].count(True) == 1
+    threshold = batch.threshold(pair)
+    assert assess(*matcher.prepared, thorough, threshold).verdict is Verdict.AMBIGUOUS

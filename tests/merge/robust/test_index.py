@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from topobatch.merge.merging import merge_maps
-from topobatch.merge.robust.screening import ScreeningSettings
 from topobatch.simulation.worlds import make_world
 
 
@@ -24,10 +23,8 @@ def buildings(see):
 @pytest.fixture
 def large(monkeypatch):
     """Fifteen runs are a large merge."""
-    monkeypatch.setattr(
-        "topobatch.merge.robust.screening.SCREENING", ScreeningSettings(most_pairs=50)
-    )
-    monkeypatch.setattr("topobatch.merge.merging.MOST_LISTED", 50)
+    monkeypatch.setattr("topobatch.merge.robust.screening.MOST_PAIRS", 50)
+    monkeypatch.setattr("topobatch.merge.merging.MOST_PAIRS", 50)
 
 
 def test_screening_loses_nothing(buildings, request):

@@ -10,7 +10,7 @@ from topobatch.merge.robust.components import Components, as_alignment
 from topobatch.merge.robust.pairing import Pairwise
 from topobatch.merge.robust.rematching import Rematcher
 from topobatch.merge.robust.repetition import default_copies
-from topobatch.merge.robust.verdict import Threshold, counted_bits
+from topobatch.merge.robust.verdict import Threshold
 
 SETTINGS = RobustSettings()
 EXACT = {"centre_m": 0.02, "branch_rad": 0.02, "bend_m": 0.0, "missed": 0.0, "branch_fault": -1.0}
@@ -53,7 +53,7 @@ def rematched(three, found, need_bits, never=(), asked=None, **others):
 
 
 def test_two_merged_runs_say_of_a_third_what_neither_says_alone(three, found):
-    alone = max(counted_bits(found[pair][0]) for pair in ((0, 2), (1, 2)))
+    alone = max(found[pair][0].counted_bits for pair in ((0, 2), (1, 2)))
     parts, reunions = rematched(three, found, alone + 5.0)
     assert parts.together(0, 2)
     assert set(reunions) == {(0, 2), (1, 2)}

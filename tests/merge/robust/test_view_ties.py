@@ -53,7 +53,7 @@ def test_maps_with_one_wrong_match_are_laid_out_by_their_views() -> None:
     ties = view_ties(prepare(a), prepare(b), views)
     best = Alignment(T_a_b, 20.0, wrong, 0.1, ties=ties)
     pair = PairVerdict("a", "b", Verdict.MERGED, True, 20.0, "", best=best)
-    pose = fuse_component([a, b], [pair]).poses["b"]
+    pose = fuse_component([a, b], [pair])[0].poses["b"]
     apart = apply(pose, b.xy) - apply(T_a_b, b.xy)
     assert np.hypot(*apart.T).max() < 1.0
 
