@@ -101,7 +101,7 @@ class ViewEvidence:
 
     def laid_out(self, a: Views, b: Views) -> LaidOut | None:
         """How the parts that agree lie in the two maps, whose views are given; None if fewer than
-        `FEWEST` agree."""
+        `MATCH.fewest` agree."""
         good = self.z > LEAST_Z
         cell = np.unique(self.cell[good], return_inverse=True)[1]
         there = compose(a.pose[self.first[good]], self.transform[good])
@@ -109,7 +109,7 @@ class ViewEvidence:
             np.stack([_means(cell, pose[:, k]) for k in (0, 1)], axis=1) @ np.array([1, 1j])
             for pose in (there, b.pose[self.second[good]])
         )
-        if len(one) < FEWEST:
+        if len(one) < MATCH.fewest:
             return None
         one, two = one - one.mean(), two - two.mean()
         spread = float((np.abs(two) ** 2).sum())
