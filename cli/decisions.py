@@ -235,7 +235,7 @@ def _discard_run(place: Workspace, run: str) -> None:
     """Remove a run's files, its map last, so that an interrupted call can be repeated."""
     place.rename_decided({run: None})
     exported = (place.exports / f"{run}{each}" for some in ENDINGS.values() for each in some)
-    made = (*place.recordings_of(run), *exported, place.map_views(run))
+    made = (place.map_rrd(run), *exported, place.map_views(run))
     for path in (place.ingest_record(run), *made, place.map_json(run)):
         path.unlink(missing_ok=True)
 
@@ -251,7 +251,7 @@ def rename(
 
     In its map, in locks and in the merges. Its pieces (RUN#2 and so on) are renamed with it. Its
     log, ingested again, goes by the new name. The recording of its map shows the old name until
-    then; those of explanations are to be made anew, and exports stay as they are.
+    then; exports stay as they are.
 
     \b
       topobatch rename run1 monday
@@ -300,7 +300,7 @@ def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None
             [names.get(run, run) for run in some] for some in (record.runs, record.views)
         )
         write_json(place.ingest_record(new), asdict(replace(record, runs=runs, views=views)))
-    gone = (*place.recordings_of(old), place.map_views(old), place.ingest_record(old))
+    gone = (place.map_rrd(old), place.map_views(old), place.ingest_record(old))
     for path in (*gone, place.map_json(old)):
         path.unlink(missing_ok=True)
 

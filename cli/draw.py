@@ -81,9 +81,10 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     if found.run is not None:
         return drawings.draw_map(place.read_map(found.run), theme)
     if found.pair is not None:
+        from ..viz.draw_pair import draw_decision
         from .explain import decided
 
-        return drawings.draw_decision(*decided(place, found.pair), theme)
+        return draw_decision(*decided(place, found.pair), theme)
     result = found.place.read_result()
     if found.site is None:
         return drawings.draw_merged(result, theme, maps=walled(place, result.components))

@@ -33,9 +33,8 @@ def view(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="RUN|A:B",
-            help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
-            "topobatch explain found; the merged map without.",
+            metavar="[RUN]",
+            help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
             show_default=False,
             autocompletion=complete_run,
         ),
@@ -57,7 +56,7 @@ def view(
         ),
     ] = 0,
 ) -> None:
-    """Open the merged map, a run's, or the explanation of a pair, in the rerun viewer.
+    """Open the merged map, or a run's, in the rerun viewer.
 
     Drag the time line below a run's map: the robot drives on it. The viewer opens MCAP logs as
     well: rerun maps/RUN.rrd run.mcap.
@@ -69,8 +68,6 @@ def view(
       topobatch view
       topobatch view run1
       topobatch view --web --port 9090
-      topobatch explain run1 run2
-      topobatch view run1:run2
     """
     place = Workspace(workspace)
     if port and not web:
@@ -96,8 +93,8 @@ def _recording(place: Workspace, what: str) -> Path:
     if found.run is not None:
         recording, how = place.map_rrd(found.run), f"ingest the log of {found.run} again"
     elif found.pair is not None:
-        recording = place.explain_rrd(*found.pair)
-        how = f"{place.call('explain', *found.pair)} makes it"
+        drawn = place.call("draw", what, "why.svg")
+        raise UsageError(f"a pair of runs has no recording; its picture: {drawn}")
     else:
         recording, how = found.place.merged_rrd, "merge again"
         if not recording.is_file():

@@ -1,4 +1,4 @@
-"""Static drawings (SVG, PNG): one run's map, a merge, the decision on a pair."""
+"""Static drawings (SVG, PNG): one run's map, a merge."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..merge.decision import Decision
-from ..merge.decision_text import advice, because, headline
 from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
 from ..topology.arrays import FloatArray
@@ -32,7 +30,6 @@ from .drawing import (
 from .pages import corridor_told, map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import Mark, decision_picture
 from .sheet import Cell, corners_of, fitting, outline, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
@@ -62,7 +59,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     _corridors_of(canvas, whole, turn)
     _unexplored(canvas, whole, turn)
-    _walls(canvas, [topomap.views], turn, theme["wall"])
+    draw_walls(canvas, [topomap.views], turn, theme["wall"])
     _junctions_of(canvas, topomap, turn)
     _turned_of(canvas, topomap, turn)
     canvas.finish([topomap.run, f"{map_told(topomap)}{_turned_by(turn)}"])
@@ -80,7 +77,7 @@ LEAST_CELL_PT = 1.0
 the file than the page has room for."""
 
 
-def _walls(
+def draw_walls(
     canvas: Canvas,
     views: Sequence[Views],
     T: FloatArray,
@@ -210,7 +207,7 @@ def draw_merged(
     parts = lay_out(result, seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
-    canvas = _sheet(cells, theme, width, "merged")
+    canvas = sheet_canvas(cells, theme, width, "merged")
     rank = ranks(result)
     several = [part.component for part in parts if len(part.component.poses) > 1]
     for component in several:
@@ -223,7 +220,7 @@ def draw_merged(
         (*(title + turn for title in part.titles[:2]), *part.titles)
         for part, turn in zip(parts, turned, strict=True)
     ]
-    _frames(canvas, cells, titles)
+    draw_frames(canvas, cells, titles)
     pen = _pen_pt(canvas, result.fused)
     spoken_of = _spoken_of(result.fused, numbers, drives)
     for part in parts:
@@ -235,7 +232,7 @@ def draw_merged(
             _numbered(
                 canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
             )
-        _walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
+        draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
         if drives is not None:
             site = of_sites(result, [part.component.id]).fused
             _unexplored(canvas, site, part.cell.T_sheet_map)
@@ -296,11 +293,12 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
 
 
-def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
+def sheet_canvas(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
+    """An empty drawing of the cells of a sheet."""
     return Canvas(*bounds([corners_of(cells)], margin=SHEET_MARGIN), theme, width_pt, name)
 
 
-def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
+def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
     """With more than one cell, draw each one's frame and title, in the longest form that fits."""
     if len(cells) < 2:
         return
@@ -342,59 +340,3 @@ def _fused(
         (shared, "shared", 2.1, Order.TIE, "junction seen by several runs"),
     ):
         canvas.dots(xy[which & ~turned], canvas.theme[ink], pens * pen_pt, order=order, key=key)
-
-
-def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
-    """Draw why two runs were merged or not: the placements of b over a, with lines between matched
-    junctions, the links that speak for a placement and what speaks against it."""
-    a, b = with_turning_points(a), with_turning_points(b)
-    seen = [wall_points(walls_of([m.views], m.frame)) for m in (a, b)]
-    picture = decision_picture(a, b, decision, (seen[0], seen[1]))
-    canvas = _sheet(picture.cells, theme, WIDTH_PT, "pair")
-    _frames(canvas, picture.cells, [(title,) for title in picture.titles])
-    for mark in picture.marks:
-        _mark(canvas, mark)
-    for T_sheet_a, T_sheet_b in picture.laid:
-        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"], key=f"walls of {a.run}")
-        # Those of a show through.
-        key = f"walls of {b.run}"
-        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75, key=key)
-    heading = [headline(decision), because(decision), advice(decision)]
-    heading += [f"Note: {note}" for note in decision.notes]
-    canvas.finish(heading)
-    return canvas
-
-
-PEN_PT, RING_PT, DOT_PT = 1.6, 6.5, 3.6
-"""Width of a run's line in the picture of a pair, of the ring round a junction, and of a dot."""
-
-TINY_M = 1e-3
-"""Length of the line that is drawn for a cell of a wall."""
-
-
-def _mark(canvas: Canvas, mark: Mark) -> None:
-    """Draw a mark: in one piece, or one by one if something is said of each."""
-    colour, order, told, key = canvas.theme[mark.ink], mark.order, mark.told, mark.key
-    if mark.form == "cell":
-        at = np.stack(mark.xy)
-        width_pt = float(np.max(mark.pens)) * canvas.points_per_m
-        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt, key=key)
-    elif mark.form == "line" and len(told) > 1:
-        pens = PEN_PT * np.broadcast_to(mark.pens, len(mark.xy))
-        for path, own, pen_pt in zip(mark.xy, told, pens.tolist(), strict=True):
-            canvas.lines([path], colour, pen_pt, order=order, told=[own], key=key)
-    elif mark.form == "line":
-        pen_pt = PEN_PT * float(np.max(mark.pens))
-        canvas.lines(mark.xy, colour, pen_pt, order=order, told=told, key=key)
-    elif mark.form == "number":
-        for xy, number in zip(mark.xy, told, strict=True):
-            canvas.words(xy + 7.0 / canvas.points_per_m * ASIDE, number, size_pt=SMALL_PT)
-    else:
-        ring = mark.form == "ring"
-        size_pt = RING_PT if ring else DOT_PT
-        xy = np.stack(mark.xy)
-        canvas.dots(xy, colour, size_pt, order=order, told=told, ring=ring, key=key)
-
-
-ASIDE = np.array([-1.0, 1.0])
-"""Where a number stands from its junction."""

@@ -20,7 +20,15 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from . import palette
-from .drawing import SHEET_MARGIN, Strand, bounds, branch_arrows, pen_m, strands
+from .drawing import (
+    SHEET_MARGIN,
+    Strand,
+    bounds,
+    branch_arrows,
+    contradiction_spots,
+    pen_m,
+    strands,
+)
 from .pages import merge_page
 from .parts import (
     CLASS,
@@ -33,7 +41,6 @@ from .parts import (
     spans_of,
     verdict_matrix,
 )
-from .placements import contradiction_spots
 from .recording import (
     HAIR,
     UP,

@@ -12,16 +12,13 @@ from urllib.request import urlopen
 import rerun as rr
 
 
-def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None:
+def test_a_pair_is_explained_in_words_and_drawn(topobatch, workspace, monkeypatch) -> None:
     ws = workspace
-    missing = topobatch("view", "run2:run1", "-w", ws).error(1)
-    assert missing.endswith(f"is not there; topobatch explain run1 run2 -w {ws} makes it")
     said = topobatch("explain", "run1", "run2", "-w", ws)
     assert f"not merged yet (topobatch merge --all -w {ws})" in " ".join(said.out.split())
-    hint = f"(look at it: topobatch view run1:run2 -w {ws})"
-    assert said.out.splitlines()[-1].endswith(hint)
-    recording = ws / "explain" / "run1+run2.rrd"
-    assert str(recording) in topobatch("view", "run1:run2", "-w", ws).out
+    drawn = f"topobatch draw run1:run2 why.svg -w {ws}"
+    assert said.out.splitlines()[-1] == f"as a picture: {drawn}"
+    assert topobatch("view", "run1:run2", "-w", ws).error(2).endswith(drawn)
     # The usual workspace is not named.
     monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(ws))
     assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out
