@@ -11,9 +11,9 @@ from ..merge.changes import changes as changes_of
 from ..topology.wording import counted
 from .options import (
     DEFAULT_WORKSPACE,
-    ComponentOption,
     JsonOption,
     MergeOption,
+    SiteArgument,
     WorkspaceOption,
     verb,
 )
@@ -23,14 +23,7 @@ from .workspace import MERGED, Workspace
 
 @verb
 def changes(
-    site: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SITE",
-            help="Only this site (topobatch list).",
-        ),
-    ] = None,
-    component: ComponentOption = None,
+    site: SiteArgument = None,
     everything: Annotated[
         bool, typer.Option("--all", help="Also differences that may be due to chance.")
     ] = False,
@@ -53,9 +46,8 @@ def changes(
     place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}
-    component = place.component(result, component, site)
+    several = [c for c in place.chosen_sites(result, site) if len(c.poses) > 1]
     found: list[Change] = []
-    several = [c for c in result.components if len(c.poses) > 1 and component in (None, c.id)]
     for one in several:
         maps = place.maps_as_merged(result, one.id, sorted(one.poses))
         with place.document_at_fault():

@@ -48,7 +48,6 @@ def test_changes_are_told_with_dates(topobatch, place) -> None:
 
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     assert "topobatch ingest" in topobatch("changes", "-w", tmp_path).error(1)
-    assert "no component 9" in topobatch("changes", "--component", 9, "-w", place.root).error(2)
     alone = Workspace(tmp_path / "alone")
     one = place.read_map("run1")
     write_map(alone.map_json("run1"), one)
