@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import replace
 from typing import Annotated
 
@@ -48,19 +47,13 @@ def lock(
             'the numbers their maps give them: "3,7".',
         ),
     ] = None,
-    yes: Annotated[
-        bool,
-        typer.Option(
-            "--yes", "-y", help="Keep the lock whatever the maps say, without asking on a terminal."
-        ),
-    ] = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Say that two runs belong together, or never do.
 
     Kept in the workspace (locks.json) and honoured by every later merge. Where the maps speak
-    against --same (it may be another copy of the place, they contradict each other), that is shown
-    first, and on a terminal asked back. Without runs, lists the locks.
+    against --same (it may be another copy of the place, they contradict each other), a warning says
+    so; --clear takes the lock back. Without runs, lists the locks.
 
     \b
       topobatch lock run1 run2 --same
@@ -84,8 +77,8 @@ def lock(
     if wanted is not None:
         place.chosen_runs([a, b])
         _check_lock(place, wanted)
-        if wanted.decision == "same" and not _confirmed(place, wanted, yes):
-            raise typer.Exit(1)
+        if wanted.decision == "same":
+            _warn_of_doubts(place, wanted)
     with place.held():
         locks = place.locks()
         kept = without_lock(locks, a, b) if wanted is None else with_lock(locks, wanted)
@@ -116,8 +109,8 @@ def _check_lock(place: Workspace, lock: Lock) -> None:
             raise UsageError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
 
 
-def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
-    """Whether two runs are to be locked as the same, also if their maps speak against it."""
+def _warn_of_doubts(place: Workspace, lock: Lock) -> None:
+    """Say what the maps of two runs have against it that they are one place."""
     from ..merge.robust.entries import doubt
     from .explain import decided
 
@@ -125,16 +118,12 @@ def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
         *_, decision = decided(place, (lock.a, lock.b))
     except DataError as error:
         warn(f"what the maps say is not known: {error}")
-        return True
+        return
     # The verdict of a merge may be by an older lock; the placement is that of the maps.
     best = decision.placements[0].alignment if decision.placements else decision.pair.best
-    why = doubt(replace(decision.pair, best=best))
-    if not why:
-        return True
-    see = place.call("explain", lock.a, lock.b)
-    warn(f"by the maps of {lock.a} and {lock.b}, {why}; see: {see}")
-    asked = not yes and sys.stdin.isatty() and sys.stderr.isatty()
-    return not asked or typer.confirm("lock them as the same?", err=True)
+    if why := doubt(replace(decision.pair, best=best)):
+        see = place.call("explain", lock.a, lock.b)
+        warn(f"by the maps of {lock.a} and {lock.b}, {why}; see: {see}")
 
 
 def _show_locks(locks: tuple[Lock, ...]) -> None:

@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
-import time
-from contextlib import ExitStack
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote
@@ -23,9 +21,6 @@ from .workspace import MERGED, Workspace
 
 HOST = "127.0.0.1"
 """Where the viewer is served: to this machine alone."""
-
-POLL_S = 0.1
-"""Between looks whether the server is there."""
 
 
 @verb
@@ -50,11 +45,11 @@ def view(
         int,
         typer.Option(
             metavar="N",
-            min=0,
+            min=1,
             max=65534,
-            help="With --web: port of the page, N + 1 that of the data; 0: free ones.",
+            help="With --web: port of the page, N + 1 that of the data.",
         ),
-    ] = 0,
+    ] = 9090,
 ) -> None:
     """Open the merged map, or a run's, in the rerun viewer.
 
@@ -67,11 +62,9 @@ def view(
     \b
       topobatch view
       topobatch view run1
-      topobatch view --web --port 9090
+      topobatch view --web
     """
     place = Workspace(workspace)
-    if port and not web:
-        raise UsageError("--port goes with --web")
     recording = _recording(place, what)
     screens = sys.platform in ("darwin", "win32")
     if web:
@@ -105,26 +98,18 @@ def _recording(place: Workspace, what: str) -> Path:
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
+    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C; rerun says if a port is
     taken."""
-    page, data = _ports(port)
-    ports = ("--bind", HOST, "--web-viewer-port", str(page), "--port", str(data))
-    call = [_viewer(), "--serve-web", *ports, str(recording)]
+    source = quote(f"rerun+http://{HOST}:{port + 1}/proxy", safe="")
+    say(f"http://{HOST}:{port}/?url={source}  (Ctrl-C ends it)")
+    sys.stdout.flush()
+    ports = ("--bind", HOST, "--web-viewer-port", str(port), "--port", str(port + 1))
     # Rerun reports its use over the network unless it runs for CI.
-    server = subprocess.Popen(call, env={**os.environ, "CI": "1", "RUST_LOG": "error"})
-    try:
-        if _answers(server, page):
-            source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-            say(f"http://{HOST}:{page}/?url={source}  (Ctrl-C ends it)")
-            sys.stdout.flush()
-        code = server.wait()
-    except KeyboardInterrupt:
-        code = 0
-    finally:
-        server.terminate()
-        server.wait()
-    if code:
-        raise typer.Exit(1)
+    environment = {**os.environ, "CI": "1", "RUST_LOG": "error"}
+    with suppress(KeyboardInterrupt):
+        call = [_viewer(), "--serve-web", *ports, str(recording)]
+        if subprocess.call(call, env=environment):
+            raise typer.Exit(1)
 
 
 def _viewer() -> str:
@@ -138,27 +123,3 @@ def _viewer() -> str:
     if found is None:
         raise DataError(f"{folder}: rerun's viewer is not there; install rerun-sdk again")
     return found
-
-
-def _ports(port: int) -> tuple[int, int]:
-    """Ports of the page and of its data; UsageError if those asked for are taken."""
-    with ExitStack() as bound:
-        found = []
-        for number in (port, port + 1) if port else (0, 0):
-            try:
-                probe = bound.enter_context(socket.create_server((HOST, number)))
-            except OSError as error:
-                reason = error.strerror or error
-                raise UsageError(f"port {number}: {reason}; name another --port") from error
-            found.append(probe.getsockname()[1])
-    return found[0], found[1]
-
-
-def _answers(server: subprocess.Popen[bytes], port: int) -> bool:
-    """Wait until the server answers; False if it ended before."""
-    while server.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex((HOST, port)) == 0:
-                return True
-        time.sleep(POLL_S)
-    return False

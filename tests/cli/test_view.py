@@ -6,7 +6,8 @@ import signal
 import socket
 import subprocess
 import sys
-from urllib.parse import urlsplit
+import time
+from urllib.error import URLError
 from urllib.request import urlopen
 
 import rerun as rr
@@ -24,6 +25,17 @@ def test_a_pair_is_explained_in_words_and_drawn(topobatch, workspace, monkeypatc
     assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out
 
 
+def page_at(address: str) -> str:
+    """The page, once it is served."""
+    for _ in range(300):
+        try:
+            with urlopen(address) as page:
+                return page.read().decode()
+        except URLError:
+            time.sleep(0.1)
+    return ""
+
+
 def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, tmp_path) -> None:
     with rr.RecordingStream("topobatch") as recording:
         recording.save(tmp_path / "merged.rrd")
@@ -32,19 +44,19 @@ def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, tmp_path) 
     # Tests may run in the background, where processes are started deaf to Ctrl-C.
     heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     code = f"{heeding}; from topobatch.cli.main import main; main()"
-    call = [sys.executable, "-c", code, *view, "--web"]
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    call = [sys.executable, "-c", code, *view, "--web", "--port", str(port)]
     with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as served:
         try:
             address = served.stdout.readline().split()[0]
-            with urlopen(address) as page:
-                assert "Rerun" in page.read().decode()
-            port = urlsplit(address).port
-            error = topobatch(*view, "--web", "--port", port).error(2)
-            assert f"port {port}: " in error
+            assert "Rerun" in page_at(address)
+            again = subprocess.run(call, capture_output=True, text=True, check=False)
+            assert again.returncode == 1
+            assert "Address already in use" in again.stderr
         finally:
             served.send_signal(signal.SIGINT)
-    assert address.startswith("http://127.0.0.1:")
+    assert address.startswith(f"http://127.0.0.1:{port}/")
     assert served.returncode == 0
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
-    assert "--port goes with --web" in topobatch(*view, "--port", 9).error(2)
