@@ -62,13 +62,7 @@ DOUBTFUL = (106, 84, 126)
 WALL = (66, 76, 94)
 UNLIT = (31, 35, 42)
 
-# Of verdicts.
 MERGED = (72, 199, 116)
-AMBIGUOUS = (245, 166, 35)
-JOINED = (38, 104, 68)
-KEPT_OUT = (188, 92, 84)
-UNRELATED = (58, 63, 74)
-DIAGONAL = (30, 33, 39)
 
 DEGREES = np.array(
     [
