@@ -9,7 +9,6 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from math import isnan, nan
 from pathlib import Path
 from typing import Annotated, Any
@@ -185,10 +184,8 @@ def _verdict(result: MergeResult, a: str, b: str) -> str:
     return next((f"{v.verdict}, {v.reason}" for v in found), "nothing is said of them")
 
 
-MOST_BYTES = 16 << 20
+MOST_BYTES = 4 << 20
 """Largest table: a site has some hundreds of places."""
-MOST_VALUES = 1 << 20
-"""Limit on cells of the table, of a hundred bytes each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,10 +215,7 @@ def read_places(path: Path) -> tuple[list[str], list[Place]]:
             wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
             raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
         reader.fieldnames = names
-        most = MOST_VALUES // len(names)
-        places = [_place(path, reader.line_num, row) for row in islice(reader, most)]
-        if next(reader, None) is not None:
-            raise DataError(f"{path}: holds more than {most:,} places; cut it into parts")
+        places = [_place(path, reader.line_num, row) for row in reader]
     except (csv.Error, UnicodeDecodeError) as error:
         raise DataError(f"{path}: is not CSV in UTF-8: {error}") from error
     if not places:

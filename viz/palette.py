@@ -30,7 +30,6 @@ class Order(IntEnum):
     STUB = auto()
     EVIDENCE = auto()
     CORRIDOR = auto()
-    BRANCH = auto()
     UNEXPLORED = auto()
     RING = auto()
     JUNCTION = auto()

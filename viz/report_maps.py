@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 from base64 import b64encode
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +20,7 @@ from PIL import Image
 
 from ..merge.change import Change
 from ..merge.drive import Drive
-from ..merge.result import Component, FusedMap, MergeResult, fused_of, site_views
+from ..merge.result import Component, FusedMap, MergeResult, site_views
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.driven_branches import driven_branches
 from ..topology.polyline import simplify
@@ -31,7 +30,7 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
 from .drawing import TURNED, TURNED_MARKERS, bounds, strands
-from .pages import corridor_told, questions
+from .pages import corridor_told
 from .palette import LIGHT
 from .parts import ranks, rows_of
 from .sheet import upright_rad
@@ -84,7 +83,6 @@ def site_map(
         site.walls(walls)
     site.corridors()
     site.runs(ranks(result))
-    site.closures(maps)
     site.unexplored()
     site.changes([c for c in changes if c.component == own.id and c.sure])
     site.drives(begun)
@@ -212,32 +210,6 @@ class _Site:
         look = {"line_color": "ink", "line_width": PEN_PX * 0.8}
         self.plot.multi_line("xs", "ys", source=source, name="runs", **look)
 
-    def closures(self, maps: Mapping[str, TopoMap]) -> None:
-        """Junctions that a run recognised when it came again, and passes that it did not take for
-        one place."""
-        fused = fused_of(self.fused.members)
-        again: Counter[int] = Counter()
-        apart: list[tuple[FloatArray, str]] = []
-        for run, m in sorted(maps.items()):
-            for asked in questions(m):
-                if None in asked.rows:
-                    continue
-                at = [int(m.observation_vertex[k]) for k in asked.rows if k is not None]
-                here = [fused[run, v] for v in at if (run, v) in fused]
-                if len(here) < 2:
-                    continue
-                if asked.closure.accepted:
-                    again[here[1]] += 1
-                elif here[0] != here[1]:
-                    apart.append((self.fused.xy[here], f"{run}: {asked.told}"))
-        if apart:
-            ends, words = zip(*apart, strict=True)
-            look = {"line_width": 1.5, "line_dash": "dashed"}
-            self._lines(ends, words, BAD, "closures refused", **look)
-        rows = sorted(again)
-        told = [f"Junction {v} was recognised {counted(again[v], 'time')}" for v in rows]
-        self._dots(self.fused.xy[rows], told, GOOD, "closures", 14.0, ring=True)
-
     def unexplored(self) -> None:
         """Branches that nobody drove."""
         f, branches = self.fused, self.fused.branches
@@ -356,7 +328,6 @@ class _Site:
             line_cap="round",
             line_join="round",
             name=layer or None,
-            visible=layer not in HIDDEN,
             nonselection_line_alpha=look.get("line_alpha", 1.0),
             selection_line_color=CHOSEN,
             **look,
@@ -390,7 +361,6 @@ class _Site:
             line_color=ink,
             line_width=2.5 if ring else 0,
             name=layer or None,
-            visible=layer not in HIDDEN,
             nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0,
             selection_fill_color=CHOSEN,
@@ -431,9 +401,6 @@ class _Site:
 DRIVES = "drives to record"
 NUMBERS = "junction numbers"
 """The page shows this layer where the map is large enough."""
-
-HIDDEN = ("closures", "closures refused")
-"""Layers that are switched on by hand."""
 
 
 def described_change(change: Change, site: str) -> str:
