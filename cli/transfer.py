@@ -64,8 +64,8 @@ def transfer(
         str,
         typer.Option(
             "--to",
-            metavar="RUN|merged",
-            help="The run, or merged, to carry them to.",
+            metavar="RUN|SITE",
+            help="The run, or the site of --from (its name, or merged), to carry them to.",
             autocompletion=complete_run,
         ),
     ],
@@ -160,11 +160,15 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
         raise UsageError(f"the places are in {source} already")
     result = place.read_result()
     home = {run: c.id for c in result.components for run in c.poses}
-    named = [source] if target in (MERGED, place.merge) else [source, target]
+    names = {run: c.name for c in result.components for run in c.poses}
+    to_site = target not in home and target in (MERGED, place.merge, *names.values())
+    named = [source] if to_site else [source, target]
     for run in named:
         if run not in home:
             place.chosen_runs([run])
             raise UsageError(f"{place.merged_json}: has no run {run!r}; merge it first")
+    if to_site and target in names.values() and target != names[source]:
+        return None, f"{source} is of the site {names[source]}, not of {target}"
     if len({home[run] for run in named}) > 1:
         return None, f"{source} and {target} are not merged: {_verdict(result, source, target)}"
     maps = place.maps_as_merged(result, home[source], named)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
+from ..merge.change import Change
 from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
 from ..topology.arrays import FloatArray
@@ -24,6 +26,7 @@ from .drawing import (
     TURNED_MARKERS,
     bounds,
     branch_arrows,
+    changed_path,
     extent,
     strands,
 )
@@ -175,12 +178,13 @@ def draw_sites(
     maps: Mapping[str, TopoMap] = NO_MAPS,
     *,
     drives: Sequence[Drive] | None = None,
+    changes: Sequence[Change] | None = None,
 ) -> Canvas:
     """Draw components of a merge, with the numbers that their junctions have in the document. maps,
-    drives: as of `draw_merged`."""
+    drives, changes: as of `draw_merged`."""
     numbers = np.flatnonzero(np.isin(result.fused.component, [*components])).tolist()
     part = of_sites(result, components)
-    return draw_merged(part, theme, numbers=numbers, maps=maps, drives=drives)
+    return draw_merged(part, theme, numbers=numbers, maps=maps, drives=drives, changes=changes)
 
 
 def draw_merged(
@@ -190,13 +194,15 @@ def draw_merged(
     numbers: Sequence[int] = (),
     maps: Mapping[str, TopoMap] = NO_MAPS,
     drives: Sequence[Drive] | None = None,
+    changes: Sequence[Change] | None = None,
 ) -> Canvas:
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
     numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions, of more beside
-    those that `drives` speak of; maps: of runs whose walls are drawn as well; drives: to record
-    next, for a picture of these and of branches that nobody drove.
+    those that `drives` or `changes` speak of; maps: of runs whose walls are drawn as well; drives:
+    to record next, for a picture of these and of branches that nobody drove; changes: for a picture
+    of these.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
     ways = {c.id: [d for d in drives or () if d.component == c.id] for c in result.components}
@@ -222,7 +228,11 @@ def draw_merged(
     ]
     draw_frames(canvas, cells, titles)
     pen = _pen_pt(canvas, result.fused)
-    spoken_of = _spoken_of(result.fused, numbers, drives)
+    row = {number: k for k, number in enumerate(numbers)}
+    drawn = [
+        replace(c, junctions=tuple(row.get(v, -1) for v in c.junctions)) for c in changes or ()
+    ]
+    spoken_of = _spoken_of(result.fused, numbers, drives, changes or ())
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers:
@@ -237,6 +247,7 @@ def draw_merged(
             site = of_sites(result, [part.component.id]).fused
             _unexplored(canvas, site, part.cell.T_sheet_map)
             _drives(canvas, part, drives)
+        _changes(canvas, result.fused, part, drawn)
     count = result.standings()
     joined = count[Standing.JOINED]
     runs = sum(len(c.poses) for c in result.components)
@@ -252,23 +263,31 @@ def draw_merged(
     if len(parts) == 1 and parts[0].component.site:
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     title = title if drives is None else f"What to record next: {title}"
-    told_drives = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
-    canvas.finish([title, told, *told_drives])
+    title = title if changes is None else f"What changed: {title}"
+    names = {c.id: c.name for c in result.components}
+    lines = [f"{'; '.join(d.words)}; {d.way}" for d in drives or ()]
+    lines += ["; ".join(c.words(names[c.component])) for c in changes or ()]
+    canvas.finish([title, told, *(f"{k}. {line}" for k, line in enumerate(lines, 1))])
     return canvas
 
 
-def _spoken_of(fused: FusedMap, numbers: Sequence[int], drives: Sequence[Drive] | None) -> set[int]:
+def _spoken_of(
+    fused: FusedMap,
+    numbers: Sequence[int],
+    drives: Sequence[Drive] | None,
+    changes: Sequence[Change],
+) -> set[int]:
     """The junctions that a plan of drives speaks of: with branches that nobody drove, and on the
-    way of a drive."""
-    if drives is None:
-        return set()
-    stops = {stop.junction for drive in drives for stop in drive.stops}
-    on_the_way = {k for k, number in enumerate(numbers) if number in stops}
-    return on_the_way | set(fused.branches.owner[~driven_branches(fused)].tolist())
+    way of a drive; and those of changes."""
+    named = {stop.junction for drive in drives or () for stop in drive.stops}
+    named |= {junction for change in changes for junction in change.junctions}
+    found = {k for k, number in enumerate(numbers) if number in named}
+    free = [] if drives is None else fused.branches.owner[~driven_branches(fused)].tolist()
+    return found | {*free}
 
 
 DRIVE_PT = 7.0
-"""Width of a drive to record, below the lines of runs."""
+"""Width of a drive to record and of a changed corridor, below the lines of runs."""
 
 
 def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
@@ -291,6 +310,20 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         at = apply(T, np.array(xy))
         canvas.dots(at[None], canvas.theme["unexplored"], 2 * DRIVE_PT, order=Order.RING, ring=True)
         canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
+
+
+def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change]) -> None:
+    """Draw what changed in a component, each with its number in the list."""
+    T, aside = part.cell.T_sheet_map, 1.6 * TEXT_PT / canvas.points_per_m
+    colour, key = canvas.theme["against"], "what changed"
+    for k, change in enumerate(changes, 1):
+        if change.component != part.component.id:
+            continue
+        path = [apply(T, changed_path(fused, part.edges, change))]
+        at, told = apply(T, np.array(change.xy)), [f"change {k}"]
+        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, told=told, key=key)
+        canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
+        canvas.words(at + aside, str(k), bold=True)
 
 
 def sheet_canvas(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:

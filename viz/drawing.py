@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 
+from ..merge.change import Change
 from ..merge.result import FusedMap
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.polyline import way_of
@@ -121,6 +122,17 @@ def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
     ]
     beside = ribbons(paths, aside)
     return [Strand(*known, path) for known, path in zip(whose, beside, strict=True)]
+
+
+def changed_path(fused: FusedMap, edges: IntArray, change: Change) -> FloatArray:
+    """(k, 2) the corridor of the given ones that a change is about, or its junction alone."""
+    ends = sorted(change.junctions)
+    same = [e for e in edges.tolist() if sorted((fused.source[e], fused.target[e])) == ends]
+    if change.length is None or not same:
+        return np.array([change.xy, change.xy])
+    off = [abs(float(fused.length[e]) - change.length) for e in same]
+    path: FloatArray = fused.paths[same[int(np.argmin(off))]]
+    return path
 
 
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:

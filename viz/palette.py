@@ -77,7 +77,7 @@ DEGREES = np.array(
 
 _RUNS: tuple[tuple[Colour, str], ...] = (
     ((80, 165, 250), "#1f77d0"),
-    ((255, 134, 66), "#e8590c"),
+    ((255, 160, 60), "#e07b00"),
     ((52, 205, 140), "#12934f"),
     ((244, 110, 186), "#d1359c"),
     ((248, 230, 90), "#a88400"),
@@ -118,8 +118,8 @@ _INKS = {
     "corridor": ("#6c93c2", CORRIDOR),
     "single": ("#7b8490", SINGLE),
     "shared": ("#1b1f24", WHITE),
-    "unexplored": ("#d97f00", UNEXPLORED),
-    "planned": ("#f7c27a", (140, 90, 20)),
+    "unexplored": ("#7c3aed", (178, 132, 255)),
+    "planned": ("#cdb8fb", (84, 52, 150)),
     "agrees": ("#1f9d55", MERGED),
     "against": ("#d43a3a", REFUSED),
     "degree 0": ("#8b929b", DEGREES[0]),

@@ -29,7 +29,7 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
-from .drawing import TURNED, TURNED_MARKERS, bounds, strands
+from .drawing import TURNED, TURNED_MARKERS, bounds, changed_path, strands
 from .pages import corridor_told
 from .palette import LIGHT
 from .parts import ranks, rows_of
@@ -40,7 +40,7 @@ INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"
 """Text and junctions, corridors, and what was clicked: a contrast of 4 or more, 2.5, and 4 on white
 and on the dark page."""
 
-GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#d97f00"
+GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#8b5cf6"
 
 PICTURE_PX = 700.0
 """A map's width on a page of usual width."""
@@ -228,22 +228,11 @@ class _Site:
         if not shown:
             return
         paths, told = (
-            [self._changed(c) for c in shown],
+            [changed_path(self.fused, self.edges, c) for c in shown],
             [described_change(c, self.own.name) for c in shown],
         )
         self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
         self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
-
-    def _changed(self, change: Change) -> FloatArray:
-        """The corridor that a change is about, or its junction alone."""
-        f, ends = self.fused, sorted(change.junctions)
-        if change.thing == "corridor":
-            same = [e for e in self.edges.tolist() if sorted((f.source[e], f.target[e])) == ends]
-            if same:
-                off = [abs(float(f.length[e]) - (change.length or 0.0)) for e in same]
-                path: FloatArray = f.paths[same[int(np.argmin(off))]]
-                return path
-        return np.array([change.xy, change.xy])
 
     def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""
@@ -400,7 +389,7 @@ class _Site:
 
 DRIVES = "drives to record"
 NUMBERS = "junction numbers"
-"""The page shows this layer where the map is large enough."""
+"""Of this layer the page shows what has room."""
 
 
 def described_change(change: Change, site: str) -> str:
