@@ -219,6 +219,22 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert sum(map(float, filter(None, sums))) == pytest.approx(6.0)
 
 
+def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    old = [replace(m, observation_time_ns=m.observation_time_ns + 10**18) for m in maps[:1]]
+    (bars,) = Page(page_of(result, [*old, *maps[1:]])).sources("time")[None]
+    wide = np.subtract(bars["right"], bars["left"])
+    assert wide.min() > 0.1 * (max(bars["right"]) - min(bars["left"]))
+
+
+def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
+    page = Page(
+        page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "a: 1 junction 3"])
+    )
+    assert "What to record next" in page.text
+    assert "a: 1 junction 3" in page.text
+
+
 def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
     result, maps = merge_of([[f"a{HOSTILE}", "b"], ["c"]])
     pair = replace(result.verdicts[0], reason=HOSTILE, advice=HOSTILE)
