@@ -54,7 +54,7 @@ def changes(
       topobatch changes north -o changes.svg
       topobatch changes --all --json
     """
-    form = output and picture_form(output)
+    form = None if output is None else picture_form(output)
     place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}

@@ -130,8 +130,15 @@ def _run_names(
             x = left + NAMES_SHARE * (right - left)
             at += [(x, y) for y in np.linspace(high, low, MOST_NAMES + 2)[1 : len(own) + 1]]
     if runs:
-        look = {"radii": 0.0, "colors": [colours[run] for run in runs], "labels": runs}
-        recording.dots((FUSED, "names"), at, palette.Order.WORDS, show_labels=True, **look)
+        recording.dots(
+            (FUSED, "names"),
+            at,
+            palette.Order.WORDS,
+            radii=0.0,
+            colors=[colours[run] for run in runs],
+            labels=runs,
+            show_labels=True,
+        )
 
 
 MOST_NAMES, NAMES_SHARE = 16, 0.1
