@@ -286,7 +286,7 @@ def _spoken_of(
     return found | {*free}
 
 
-DRIVE_PT = 7.0
+DRIVE_PT, CHANGE_PT = 7.0, 12.0
 """Width of a drive to record and of a changed corridor, below the lines of runs."""
 
 
@@ -321,7 +321,7 @@ def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Chan
             continue
         path = [apply(T, changed_path(fused, part.edges, change))]
         at, told = apply(T, np.array(change.xy)), [f"change {k}"]
-        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, told=told, key=key)
+        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, told=told, key=key)
         canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
         canvas.words(at + aside, str(k), bold=True)
 
