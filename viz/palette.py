@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import colorsys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, auto
 
@@ -95,21 +94,6 @@ def by_degree(degree: IntArray) -> Colours:
     return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
 
 
-def of_rank(rank: int) -> Colour:
-    """The colour of a rank, from 0: the first ten chosen by hand, later ones by steps of the golden
-    angle in hue."""
-    if rank < len(_RUNS):
-        return _RUNS[rank][0]
-    return stepped(rank - len(_RUNS), 0.45, 0.95)
-
-
-def stepped(step: int, saturation: float, value: float) -> Colour:
-    """The colour after `step` golden-angle steps in hue."""
-    hue = (0.31 + 0.61803398875 * step) % 1.0
-    red, green, blue = colorsys.hsv_to_rgb(hue, saturation, value)
-    return round(255 * red), round(255 * green), round(255 * blue)
-
-
 _INKS = {
     "paper": ("#ffffff", BACKGROUND),
     "ink": ("#1b1f24", TITLE),
@@ -149,8 +133,12 @@ class Theme:
     half-way to the paper, for its walls ("pale 0")."""
 
     inks: Mapping[str, str]
-    run: Callable[[int], str]
-    """The colour of a run by its rank among those drawn together, from 0."""
+    runs: Sequence[str]
+
+    def run(self, rank: int) -> str:
+        """The colour of a run by its rank among those drawn together, from 0; after ten they come
+        again."""
+        return self.runs[rank % len(self.runs)]
 
     def __getitem__(self, ink: str) -> str:
         if ink in self.inks:
@@ -163,14 +151,7 @@ class Theme:
         return colour
 
 
-def _light_run(rank: int) -> str:
-    """The first ten chosen by hand, later ones by steps of the golden angle in hue."""
-    if rank < len(_RUNS):
-        return _RUNS[rank][1]
-    return _hex(stepped(rank - len(_RUNS), 0.65, 0.72))
-
-
-LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, _light_run)
+LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, [light for _, light in _RUNS])
 DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, lambda rank: _hex(of_rank(rank))
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, [_hex(dark) for dark, _ in _RUNS]
 )
