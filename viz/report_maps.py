@@ -50,7 +50,7 @@ PEN_PX, PEN_SHARE = 2.4, 0.12
 drawings."""
 
 SCALE_BAR = 0.04
-"""Room for the scale bar below a map, over its extent."""
+"""Room for the scale bar below a map, and for numbers at its right, over its extent."""
 
 STRAIGHT_M = 0.05
 """Corridors are drawn with as few points as stay within it of the whole line [m]."""
@@ -114,7 +114,8 @@ def map_figure(points: Sequence[FloatArray]) -> Any:
     """An empty figure that holds all points, (k, 2) each [m]; the page keeps both axes to one
     scale."""
     low, high = bounds(points)
-    low[1] -= SCALE_BAR * float((high - low).max())
+    spare = SCALE_BAR * float((high - low).max())
+    low[1], high[0] = low[1] - spare, high[0] + spare
     plot = blank_figure((low[0], high[0]), (low[1], high[1]), "pan,tap")
     wheel = WheelZoomTool(modifiers="ctrl")
     plot.add_tools(wheel)
