@@ -98,8 +98,8 @@ def _recording(place: Workspace, what: str) -> Path:
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C; rerun says if a port is
-    taken."""
+    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError if it
+    ends with an error: where a port is taken, rerun itself may say nothing."""
     source = quote(f"rerun+http://{HOST}:{port + 1}/proxy", safe="")
     say(f"http://{HOST}:{port}/?url={source}  (Ctrl-C ends it)")
     sys.stdout.flush()
@@ -109,7 +109,9 @@ def _serve(recording: Path, port: int) -> None:
     with suppress(KeyboardInterrupt):
         call = [_viewer(), "--serve-web", *ports, str(recording)]
         if subprocess.call(call, env=environment):
-            raise typer.Exit(1)
+            raise UsageError(
+                f"ports {port} and {port + 1} cannot be served on; name another --port"
+            )
 
 
 def _viewer() -> str:
