@@ -60,7 +60,6 @@ DOUBTFUL = (106, 84, 126)
 WALL = (66, 76, 94)
 UNLIT = (31, 35, 42)
 
-MERGED = (72, 199, 116)
 
 DEGREES = np.array(
     [
@@ -104,7 +103,7 @@ _INKS = {
     "shared": ("#1b1f24", WHITE),
     "unexplored": ("#7c3aed", (178, 132, 255)),
     "planned": ("#cdb8fb", (84, 52, 150)),
-    "agrees": ("#1f9d55", MERGED),
+    "agrees": ("#1f9d55", (72, 199, 116)),
     "against": ("#d43a3a", REFUSED),
     "degree 0": ("#8b929b", DEGREES[0]),
     "degree 1": ("#d6304f", DEGREES[1]),
