@@ -1,19 +1,22 @@
-"""What a person decides about the runs of a workspace: `topobatch lock`, `discard` and `site`."""
+"""What a person decides about the runs of a workspace: `topobatch lock`, `discard`, `rename` and
+`site`."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Annotated
 
 import typer
 
 from ..merge.locks import Lock, with_lock, without_lock
 from ..merge.merged_schema import is_site_name
+from ..topology.document import write_map
 from ..topology.errors import DataError, DocumentError, UsageError
-from ..topology.files import read_json
+from ..topology.files import read_json, write_atomically, write_json
 from ..topology.wording import listed
 from ..viz.exports import ENDINGS
+from .ingest_record import PIECE
 from .journal import note
 from .options import DEFAULT_WORKSPACE, QuietOption, WorkspaceOption, complete_run, verb
 from .output import say, show, warn
@@ -219,10 +222,75 @@ def _sorted_out(place: Workspace, what: list[str], undo: bool) -> tuple[list[str
 
 def _discard_run(place: Workspace, run: str) -> None:
     """Remove a run's files, its map last, so that an interrupted call can be repeated."""
-    place.forget_decided(run)
+    place.rename_decided({run: None})
     exported = (place.exports / f"{run}{each}" for some in ENDINGS.values() for each in some)
     made = (place.map_rrd(run), *exported, place.map_views(run))
     for path in (place.ingest_record(run), *made, place.map_json(run)):
+        path.unlink(missing_ok=True)
+
+
+@verb
+def rename(
+    old: Annotated[str, typer.Argument(metavar="OLD", help="A run.", autocompletion=complete_run)],
+    new: Annotated[str, typer.Argument(metavar="NEW", help="Its new name.")],
+    workspace: WorkspaceOption = DEFAULT_WORKSPACE,
+    quiet: QuietOption = False,
+) -> None:
+    """Give a run another name.
+
+    In its map, in locks and in the merges. Its pieces (RUN#2 and so on) are renamed with it. Its
+    log, ingested again, goes by the new name. The recording of its map shows the old name until
+    then; exports stay as they are.
+
+    \b
+      topobatch rename run1 monday
+    """
+    from .merges import made_again
+
+    show(quiet=quiet)
+    place = Workspace(workspace)
+    checked_file_name(new)
+    with place.held():
+        names = _names(place, old, new)
+        for before, after in names.items():
+            _rename(place, before, after, names)
+        place.rename_decided(names)
+        note(place, "rename", f"{old} → {new}")
+        say(f"{old} is {new} now")
+        made_again(place, names, names)
+
+
+def _names(place: Workspace, old: str, new: str) -> dict[str, str]:
+    """New names by old ones, of a run and its pieces."""
+    known = place.runs()
+    place.chosen_runs([old])
+    if "#" in new or PIECE.search(old):
+        raise UsageError("pieces of a run are named after it (RUN#2): rename RUN, without any #")
+    pieces = (run for run in known if run.startswith(old) and PIECE.fullmatch(run[len(old) :]))
+    names = {run: f"{new}{run[len(old) :]}" for run in (old, *pieces)}
+    taken = sorted(set(names.values()) & set(known))
+    if taken:
+        raise UsageError(f"there is a run {taken[0]!r} already")
+    for name in names.values():
+        place.check_run(name)
+    return names
+
+
+def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None:
+    """Move the files of a run; new ones are written before old ones are removed."""
+    topomap = replace(place.read_map(old), run=new)
+    if place.map_rrd(old).is_file() and not place.map_rrd(old).is_symlink():
+        content = place.map_rrd(old).read_bytes()
+        write_atomically(place.map_rrd(new), lambda path: path.write_bytes(content))
+    write_map(place.map_json(new), topomap)
+    record = place.ingested(old)
+    if record.log is not None:  # by which the log is known to be this run
+        runs, views = (
+            [names.get(run, run) for run in some] for some in (record.runs, record.views)
+        )
+        write_json(place.ingest_record(new), asdict(replace(record, runs=runs, views=views)))
+    gone = (place.map_rrd(old), place.map_views(old), place.ingest_record(old))
+    for path in (*gone, place.map_json(old)):
         path.unlink(missing_ok=True)
 
 

@@ -63,7 +63,7 @@ def history(
 ) -> None:
     """Show what was done to the workspace.
 
-    What was ingested, merged, locked and discarded, and when.
+    What was ingested, merged, locked, discarded and renamed, and when.
 
     \b
       topobatch history --last 5

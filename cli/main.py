@@ -48,6 +48,7 @@ COMMANDS = {
     "site": ("decisions.site", "Name sites: the places where merged runs were recorded."),
     "lock": ("decisions.lock", "Say that two runs belong together, or never do."),
     "discard": ("decisions.discard", "Take back runs, or matches of two runs."),
+    "rename": ("decisions.rename", "Give a run another name."),
     "history": ("journal.history", "Show what was done to the workspace."),
     "simulate": ("simulate.simulate", "Write logs of simulated robots, to try things out on."),
     "schema": ("schema.schema", "Print the JSON Schema of a document."),

@@ -1,5 +1,5 @@
-"""Making the merges of a workspace, with the names of their sites, and again where runs or names of
-sites changed."""
+"""Making the merges of a workspace, with the names of their sites, and again where runs or names
+changed."""
 
 from __future__ import annotations
 
@@ -66,14 +66,16 @@ def _write(place: Workspace, result: MergeResult, maps: Sequence[TopoMap]) -> No
         )
 
 
-def made_again(place: Workspace, affected: Collection[str]) -> None:
-    """Repeat the merges that had one of the affected runs, each with the runs that still exist. The
-    caller holds the workspace's lock."""
+def made_again(
+    place: Workspace, affected: Collection[str], new: Mapping[str, str | None] | None = None
+) -> None:
+    """Repeat the merges that had one of the affected runs, each with the runs that still exist;
+    new: new names of runs. The caller holds the workspace's lock."""
     for each in place.merges():
-        _repeat(each, affected)
+        _repeat(each, affected, {run: name for run, name in (new or {}).items() if name})
 
 
-def _repeat(place: Workspace, affected: Collection[str]) -> None:
+def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str]) -> None:
     """Repeat one merge; see `made_again`."""
     try:
         document = read_merged(place.merged_json)
@@ -85,7 +87,7 @@ def _repeat(place: Workspace, affected: Collection[str]) -> None:
         return
     if not graph.home.keys() & set(affected):
         return
-    runs = sorted(graph.home.keys() & set(place.runs()))
+    runs = sorted({new.get(run, run) for run in graph.home} & set(place.runs()))
     if not runs:
         place.merged_json.unlink()
         place.merged_rrd.unlink(missing_ok=True)
@@ -93,13 +95,23 @@ def _repeat(place: Workspace, affected: Collection[str]) -> None:
         return
     documents = contents(place, runs)
     maps, _ = read_maps(place, runs)
-    met = tuple(m for m in settings.paper.meetings if {m.run_a, m.run_b} <= set(runs))
-    settings = replace(settings, paper=replace(settings.paper, meetings=met))
-    result, moved = made(place, maps, documents, settings, graph.sites)
+    # A run alone is a site of its own name, old or new.
+    before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
+    result, moved = made(place, maps, documents, _about(settings, new, runs), before)
     name = "" if place.merge == MERGED else f", {place.merge}"
     say(f"merged again{name}: {counted(len(maps), 'run')}, {pairs_told(result)}")
     for each in moved:
         say(each)
+
+
+def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:
+    """Settings with the meetings of these runs alone; new: new names of runs."""
+    met = (
+        replace(m, run_a=new.get(m.run_a, m.run_a), run_b=new.get(m.run_b, m.run_b))
+        for m in settings.paper.meetings
+    )
+    kept = tuple(m for m in met if {m.run_a, m.run_b} <= set(runs))
+    return replace(settings, paper=replace(settings.paper, meetings=kept))
 
 
 def named_again(place: Workspace) -> None:
@@ -110,12 +122,12 @@ def named_again(place: Workspace) -> None:
         try:
             result = each.read_result()
         except DocumentError:
-            _repeat(each, place.runs())  # or say that it cannot be
+            _repeat(each, place.runs(), {})  # or say that it cannot be
             continue
         before = {run: c.site or "" for c in result.components for run in c.poses}
         known = result.info.get("maps") or {}
         if before.keys() - known.keys() or changed_since(place, known, [*before]):
-            _repeat(each, before)
+            _repeat(each, before, {})
             continue
         maps, _ = read_maps(each, sorted(before))
         renamed, _ = _with_sites(each, result, maps, before)

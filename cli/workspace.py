@@ -7,7 +7,7 @@ import shlex
 import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from itertools import chain
 from pathlib import Path
@@ -411,12 +411,18 @@ class Workspace:
             elif given is not None:
                 self.root.joinpath(f"{name}.json").unlink(missing_ok=True)
 
-    def forget_decided(self, run: str) -> None:
-        """Forget what a person decided about a run."""
+    def rename_decided(self, names: Mapping[str, str | None]) -> None:
+        """Give runs new names in what a person decided; what is about a run that gets None goes."""
+
+        def renamed(*runs: str) -> list[str]:
+            return [new for run in runs if (new := names.get(run, run)) is not None]
+
+        locks = [(lock, renamed(lock.a, lock.b)) for lock in self.locks()]
+        pairs = [renamed(*pair) for pair in self.discards()]
         self.decide(
-            locks=[lock for lock in self.locks() if run not in (lock.a, lock.b)],
-            discards=[pair for pair in self.discards() if run not in pair],
-            sites={site: [r for r in own if r != run] for site, own in self.sites().items()},
+            locks=[replace(lock, a=new[0], b=new[1]) for lock, new in locks if len(new) == 2],
+            discards=[(min(pair), max(pair)) for pair in pairs if len(pair) == 2],
+            sites={site: renamed(*runs) for site, runs in self.sites().items()},
         )
 
     # Who works on it

@@ -37,7 +37,7 @@ def test_help_and_version(topobatch):
     assert shown.code == 0
     commands = (
         "ingest merge view draw report list info explain export transfer changes lock discard "
-        "history simulate schema"
+        "rename history simulate schema"
     )
     for command in commands.split():
         assert f"  {command} " in shown.out

@@ -66,8 +66,10 @@ def test_a_merge_of_fewer_runs_does_not_replace_a_larger_one(topobatch, workspac
     assert [list(c["runs"]) for c in document["graph"]["components"]] == [[b]]
 
 
-def test_what_was_discarded_is_left_out_unasked(topobatch, workspace):
+def test_what_was_discarded_or_renamed_is_left_out_unasked(topobatch, workspace):
     merge = ("merge", "--all", "-w", workspace)
+    assert topobatch(*merge).code == 0
+    assert topobatch("rename", a, "new", "-w", workspace).code == 0
     assert topobatch(*merge).code == 0
     assert topobatch("discard", b, "-w", workspace).code == 0
     assert topobatch(*merge).code == 0

@@ -92,7 +92,7 @@ def test_the_examples_of_every_help_work(topobatch, own_site, command):
 OF_A_WORKSPACE = (
     "merge --all", "view", "view run1", "draw run1 a.png", "draw merged a.png", "report", "list",
     "explain run1 run2", "export run1 -f csv", "export merged -f csv", "changes", "lock",
-    "lock run1 run2 --same", "discard", "discard run1", "history",
+    "lock run1 run2 --same", "discard", "discard run1", "rename run1 b", "history",
     "transfer docks.csv --from run1 --to run2",
 )  # fmt: skip
 
@@ -110,7 +110,7 @@ def test_a_workspace_that_is_not_there(topobatch, site, tmp_path, monkeypatch, c
 
 OF_A_RUN = (
     "merge {} run2", "view {}", "draw {} a.png", "explain {} run2", "export {} -f csv",
-    "lock {} run2 --same", "discard {}", "discard {}:run2",
+    "lock {} run2 --same", "discard {}", "discard {}:run2", "rename {} b",
     "transfer docks.csv --from {} --to run2", "transfer docks.csv --from run2 --to {}",
 )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Seeing runs and taking them back: list, discard, history, completion, info of many."""
+"""Seeing runs and taking them back: list, discard, rename, history, completion, info of many."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import pytest
 
 from topobatch.cli.options import complete_run
 from topobatch.topology.document import read_map, write_map
+from topobatch.topology.files import read_json
 from topobatch.topology.view_file import views_path
 from topobatch.topology.views import FREE, SIDE, WALL, Views
 
@@ -134,6 +135,11 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
     assert not (merged / "alone.json").exists()
     assert f"\n{merged / 'alone.json'}: removed; none of its runs is left" in done.out
     assert (merged / "mine.json").read_text() == "{}"
+    assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
+    for name in ("two", "rest", "merged"):
+        text = (merged / f"{name}.json").read_text()
+        assert '"new name"' in text
+        assert f'"{kept}"' not in text
 
 
 @pytest.mark.parametrize("content", ['{"my": "notes"}', '["topobatch.map/1"]', "no json"])
@@ -179,6 +185,52 @@ def test_a_match_that_was_discarded_is_not_locked(topobatch, merged):
     assert topobatch("lock", b, a, "--never", "-w", merged).code == 0
     assert topobatch("discard", f"{a}:{b}", "--undo", "-q", "-w", merged).code == 0
     assert topobatch("lock", b, a, "--same", "-w", merged).code == 0
+
+
+def test_rename(topobatch, merged):
+    a, b = accepted_pair(merged)
+    topobatch("lock", a, b, "--same", "-w", merged)
+    topobatch("merge", "--all", "-j", 1, "-q", "-w", merged)
+    before = document(merged)
+    done = topobatch("rename", a, "zz new", "-w", merged)
+    assert done.code == 0, done
+    assert not (merged / "maps" / f"{a}.json").exists()
+    assert read_json(merged / "maps" / "zz new.json")["graph"]["run"] == "zz new"
+    after = document(merged)
+    renamed = {
+        "zz new" if run == a else run for c in before["graph"]["components"] for run in c["runs"]
+    }
+    assert {run for c in after["graph"]["components"] for run in c["runs"]} == renamed
+    assert entries(merged)[b, "zz new"]["locked"] == "same"
+    assert len(after["nodes"]) == len(before["nodes"])
+    assert topobatch("rename", "zz new", a, "-w", merged).code == 0
+    assert document(merged) == before
+
+
+@pytest.mark.parametrize("new", ["../x", "", "a/b", ".x", "x#2", "a:b"])
+def test_names_that_cannot_be(topobatch, merged, new):
+    run = sorted(p.stem for p in (merged / "maps").glob("*.json"))[0]
+    assert topobatch("rename", run, new, "-w", merged).code == 2
+
+
+def test_a_name_that_is_taken(topobatch, merged):
+    a, b, *_ = sorted(p.stem for p in (merged / "maps").glob("*.json"))
+    assert "already" in topobatch("rename", a, b, "-w", merged).error(2)
+    assert "no map of" in topobatch("rename", "nobody", "x", "-w", merged).error(2)
+
+
+def test_a_renamed_run_stays_renamed_when_its_log_is_read_again(topobatch, logs, tmp_path):
+    log = logs["mcap"]
+    ws = tmp_path / "ws"
+    assert topobatch("ingest", log, "-w", ws).code == 0
+    (run,) = (p.stem for p in (ws / "maps").glob("*.json"))
+    for old, new in ((run, "b"), ("b", "c")):
+        assert topobatch("rename", old, new, "-w", ws).code == 0
+    again = topobatch("ingest", log, "-w", ws)
+    assert "unchanged, kept" in again.out
+    assert [p.stem for p in (ws / "maps").glob("*.json")] == ["c"]
+    assert topobatch("ingest", log, "--force", "-w", ws).code == 0
+    assert [p.stem for p in (ws / "maps").glob("*.json")] == ["c"]
 
 
 def test_history(topobatch, merged):
@@ -234,7 +286,7 @@ def test_verbose(topobatch, merged, logs, tmp_path):
 
 
 def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):
-    """They are read and removed with its map, and a merge without them says so."""
+    """They are read, renamed and removed with its map, and a merge without them says so."""
     place = tmp_path / "ws"
     shutil.copytree(two_buildings, place)
     path = min((place / "maps").glob("*.json"))
@@ -245,14 +297,17 @@ def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):
     run = path.stem
     merge = ("merge", "--all", "-j", 1, "-w", place)
     assert "lost" not in topobatch(*merge).out
-    kept = views_path(path).read_bytes()
-    views_path(path).unlink()
+    assert topobatch("rename", run, "monday", "-w", place).code == 0
+    assert not views_path(path).exists()
+    assert len(read_map(place / "maps" / "monday.json").views) == 4
+    kept = views_path(place / "maps" / "monday.json").read_bytes()
+    views_path(place / "maps" / "monday.json").unlink()
     shown = topobatch(*merge)
     assert shown.code == 0
-    assert f"the views of run '{run}' are lost or damaged" in shown.out + shown.err
-    views_path(path).write_bytes(kept)
+    assert "the views of run 'monday' are lost or damaged" in shown.out + shown.err
+    views_path(place / "maps" / "monday.json").write_bytes(kept)
     assert "lost" not in topobatch(*merge).out
-    assert topobatch("discard", run, "-w", place).code == 0
+    assert topobatch("discard", "monday", "-w", place).code == 0
     assert not [*(place / "maps").glob("*.views")]
 
 

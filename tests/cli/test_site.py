@@ -40,16 +40,18 @@ def test_a_given_name_is_kept_whatever_happens(place, topobatch) -> None:
     assert shown.code == 0
     assert shown.out.startswith("site north: ")
     assert sites(place)["north"] == runs
+    assert topobatch("rename", runs[0], "zz", "-w", place).code == 0
+    assert sites(place)["north"] == sorted([*runs[1:], "zz"])
     assert topobatch("discard", runs[1], "-w", place).code == 0
-    assert sites(place)["north"] == [runs[0], *runs[2:]]
+    assert sites(place)["north"] == sorted([*runs[2:], "zz"])
     (place / "merged.json").unlink()
     assert topobatch("merge", "--all", "-w", place).code == 0
-    assert sites(place)["north"] == [runs[0], *runs[2:]]
+    assert sites(place)["north"] == sorted([*runs[2:], "zz"])
     history = topobatch("history", "-w", place).out
     assert f"north: {', '.join(runs)}" in history
     # By its name it can be called otherwise.
     assert topobatch("site", "north", "annex", "-w", place).code == 0
-    assert sites(place)["annex"] == [runs[0], *runs[2:]]
+    assert sites(place)["annex"] == sorted([*runs[2:], "zz"])
     kept = json.loads((place / "sites.json").read_text())["sites"]
     assert [entry["site"] for entry in kept] == ["annex"]
 

@@ -126,6 +126,7 @@ def _calls(workspace: Path, ground: Ground, rng: random.Random) -> tuple[str, Ca
             ("list", command(["list", "-w", workspace])),
             ("history", command(["history", "-w", workspace])),
             ("discard", command(["discard", "a", "-w", workspace])),
+            ("rename", command(["rename", "a", "z", "-w", workspace])),
             ("ingest", ingest(workspace, ground.logs)),
             ("export", command(["export", "merged", "-f", rng.choice(FORMATS), "-w", workspace])),
             ("export", command(["export", "a", "-f", rng.choice(FORMATS), "-w", workspace])),
