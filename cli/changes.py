@@ -15,9 +15,9 @@ from ..topology.wording import counted
 from .draw import picture_form, quiet_fonts, walled
 from .options import (
     DEFAULT_WORKSPACE,
+    ComponentOption,
     JsonOption,
     MergeOption,
-    SiteArgument,
     WorkspaceOption,
     verb,
 )
@@ -30,7 +30,14 @@ if TYPE_CHECKING:  # which loads matplotlib
 
 @verb
 def changes(
-    site: SiteArgument = None,
+    site: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SITE",
+            help="Only this site (topobatch list).",
+        ),
+    ] = None,
+    component: ComponentOption = None,
     everything: Annotated[
         bool, typer.Option("--all", help="Also differences that may be due to chance.")
     ] = False,
@@ -58,8 +65,9 @@ def changes(
     place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}
-    several = [c for c in place.chosen_sites(result, site) if len(c.poses) > 1]
+    component = place.component(result, component, site)
     found: list[Change] = []
+    several = [c for c in result.components if len(c.poses) > 1 and component in (None, c.id)]
     for one in several:
         maps = place.maps_as_merged(result, one.id, sorted(one.poses))
         with place.document_at_fault():

@@ -319,7 +319,7 @@ def site(
 
     \b
       topobatch site run1 north
-      topobatch export north --format nav2
+      topobatch export --site north --format nav2
       topobatch draw north north.svg
     """
     from .merges import named_again

@@ -96,7 +96,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     result = found.place.read_result()
     if found.site is None:
         return drawings.draw_merged(result, theme, maps=walled(place, result.components))
-    (site,) = found.place.chosen_sites(result, found.site)
+    (site,) = (c for c in result.components if c.site == found.site)
     return drawings.draw_sites(result, [site.id], theme, walled(place, [site]))
 
 

@@ -25,6 +25,7 @@ from .options import (
     verb,
 )
 from .output import say, say_json, say_lines, width
+from .paper_options import PaperOptions
 from .unchanged import changed_since, told_changed
 from .workspace import MERGED, Workspace
 
@@ -50,6 +51,7 @@ def explain(
         ),
     ] = "robust",
     merge: MergeOption = MERGED,
+    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
     as_json: JsonOption = False,
     rows: Annotated[
         int | None,
@@ -72,7 +74,7 @@ def explain(
     Runs that were not merged yet are explained by their two maps alone; a note says so.
 
     The paper's method takes the settings of merged.json, or of the merge that --merge names, if
-    that is a merge by it, else the defaults.
+    that is a merge by it, else the defaults; its options given here take the place of those.
 
     \b
       topobatch explain run1 run2
@@ -89,8 +91,9 @@ def explain(
         raise UsageError(f"two runs are needed, got {a!r} twice")
     first, second = place.chosen_runs([a, b])
     if method == "paper":
-        _by_paper(place, (first, second), as_json, rows)
+        _by_paper(place, (first, second), paper, as_json, rows)
     else:
+        paper.refuse()
         _by_evidence(place, (first, second), as_json, rows)
 
 
@@ -160,14 +163,21 @@ def _holds(document: MergedDocument, pair: tuple[str, str]) -> bool:
     return document.graph.home.keys() >= set(pair)
 
 
-def _by_paper(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
+def _by_paper(
+    place: Workspace,
+    pair: tuple[str, str],
+    options: PaperOptions,
+    as_json: bool,
+    rows: int | None,
+) -> None:
     """Show the result of the paper's method."""
     from ..merge.paper.explain import explain as explained
     from ..merge.paper.explain import lines, to_document
 
     map_a, map_b = (place.read_map(run) for run in pair)
     document = _last_merge(place)
-    found = explained(map_a, map_b, settings_of(place, document).paper)
+    settings = settings_of(place, document).paper
+    found = explained(map_a, map_b, options.over(settings))
     said = None if document is None else document.entry(*pair)
     if as_json:
         say_json(to_document(found) | {"verdict": said and said.model_dump()})

@@ -22,8 +22,10 @@ from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_texts, log_of
 from .options import (
     DEFAULT_WORKSPACE,
+    ComponentOption,
     JsonOption,
     QuietOption,
+    SiteOption,
     WorkspaceOption,
     complete_run,
     verb,
@@ -68,6 +70,8 @@ def export(
             help="File to write, - for the standard output; default: in the workspace's exports/.",
         ),
     ] = None,
+    site: SiteOption = None,
+    component: ComponentOption = None,
     tolerance: Annotated[
         float,
         typer.Option(
@@ -98,7 +102,7 @@ def export(
     \b
       topobatch export --format nav2
       topobatch site run1 north
-      topobatch export north --format nav2 --output north.geojson
+      topobatch export --site north --format nav2 --output north.geojson
       topobatch export run1 --format tum
     """
     show(quiet=quiet or as_json)
@@ -108,7 +112,7 @@ def export(
     if as_json and output == STDOUT:
         raise UsageError("--json tells of files; with --output - the map itself is printed")
     found = place.named(what)
-    sources = _sources(found)
+    sources = _sources(found, component, site)
     texts = _texts(place, sources, form, tolerance, log, partial(_path, place, output, sources))
     if not texts:
         why = "nobody drove its maps, which are of grids: no trajectories"
@@ -116,7 +120,7 @@ def export(
     one = len(texts) == 1
     if output == STDOUT:
         if not one:
-            why = "name one of the sites" if len(sources) > 1 else "write them to files"
+            why = "choose one by --site" if len(sources) > 1 else "write them to files"
             raise UsageError(f"{len(texts)} files do not go to the standard output; {why}")
         for text in texts.values():
             say_text(str(text))
@@ -125,7 +129,7 @@ def export(
     write_files(paths)
     for path in paths:
         say(str(path))
-    whole = (found.run, found.site) == (None, None)
+    whole = (found.run, found.site, site, component) == (None,) * 4
     if whole and output is None:
         for path in _superseded(found.place, form, paths):
             path.unlink(missing_ok=True)
@@ -133,16 +137,20 @@ def export(
         say_json({"format": form, "files": sorted(map(str, paths))})
 
 
-def _sources(found: Named) -> list[Exported]:
+def _sources(found: Named, component: int | None, site: str | None) -> list[Exported]:
     """The maps to export: a run's, or one for each chosen component of a merge."""
     place = found.place
     if found.pair is not None:
         raise UsageError("one map is exported, of a run or of a site; a pair has none of its own")
     if found.run is not None:
+        if component is not None or site is not None:
+            option = "--site" if component is None else "--component"
+            raise UsageError(f"{option} goes with the merged map; {found.run!r} is a run")
         topomap = place.read_map(found.run)
         return [Exported(found.run, topomap, {found.run: topomap})]
     result = place.read_result()
-    chosen = place.chosen_sites(result, found.site)
+    one = place.component(result, component, site or found.site)
+    chosen = [c for c in result.components if one in (None, c.id)]
     stem = "" if place.merge == MERGED else f"{place.merge}-"
     names = {c.id: f"{stem}{c.site or f'{MERGED}-{c.id}'}" for c in chosen}
     return [_component(place, result, c, names[c.id]) for c in chosen]

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import typer
 import typer.main
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 from typer.exceptions import TyperException
 
 from ..topology.errors import TopobatchError, UsageError
@@ -57,6 +57,24 @@ COMMANDS = {
 `--help` answers at once."""
 
 
+class Sectioned(TyperCommand):
+    """A command whose help has the options of a panel in a section of their own, after the
+    others."""
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments and options."""
+        sections: dict[str, list[tuple[str, str]]] = {"Arguments": [], "Options": []}
+        for param in self.get_params(ctx):
+            kind = f"{param.param_type_name.capitalize()}s"
+            title = getattr(param, "rich_help_panel", None) or kind
+            if (record := param.get_help_record(ctx)) is not None:
+                sections.setdefault(title, []).append(record)
+        for title, records in sections.items():
+            if records:
+                with formatter.section(title):
+                    formatter.write_dl(records)
+
+
 # Plain help: rich's boxes would double the time that `--help` takes.
 STYLE: dict[str, Any] = {
     "rich_markup_mode": None,
@@ -70,7 +88,7 @@ def command_named(name: str) -> Any:
     """A command by its name."""
     home, _, function = COMMANDS[name][0].partition(".")
     alone = typer.Typer(**STYLE)
-    alone.command(name)(getattr(import_module(f".{home}", __package__), function))
+    alone.command(name, cls=Sectioned)(getattr(import_module(f".{home}", __package__), function))
     return typer.main.get_command(alone)
 
 

@@ -96,11 +96,11 @@ def merge(
         bool,
         typer.Option("--replace", help="Overwrite a merge of runs that this one leaves out."),
     ] = False,
+    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
     where: MatchOptions = MatchOptions(),  # noqa: B008 - frozen
     as_json: JsonOption = False,
     quiet: QuietOption = False,
     verbose: VerboseOption = False,
-    paper: PaperOptions = PaperOptions(),  # noqa: B008 - frozen
 ) -> None:
     """Merge the maps of many runs, where they overlap.
 

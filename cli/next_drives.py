@@ -15,7 +15,7 @@ from ..topology.errors import UsageError
 from ..topology.wording import counted, listed
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
-from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, SiteArgument, WorkspaceOption, verb
+from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, verb
 from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import MERGED, Workspace
 
@@ -28,7 +28,13 @@ MOST_JUNCTIONS = 12
 
 @verb
 def next_drives(
-    site: SiteArgument = None,
+    site: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SITE",
+            help="Only drives that begin at this site, or join it.",
+        ),
+    ] = None,
     most: Annotated[
         int, typer.Option("--drives", "-n", metavar="N", min=1, help="How many drives to list.")
     ] = 5,
@@ -49,13 +55,12 @@ def next_drives(
     """Tell what to record next, so that more runs come together.
 
     A few drives, best first: where each begins, which way it goes, how many metres, and what it
-    would settle; of a SITE those that begin at it or join it. Two sites with an ambiguous pair
-    of runs are joined by one drive through enough places of both, as the pair's best placement has
-    them. Where no pair is open, a drive leads into the unknown, by a branch that nobody drove.
-    Drives are ranked by the evidence that they are expected to bring, in bits for each metre; below
-    one bit none is proposed, and a line says so. Junctions have the numbers of merged.json, which
-    the picture shows; SITE:9 is junction 9 of another site. After the drive: ingest its log, and
-    merge again.
+    would settle. Two sites with an ambiguous pair of runs are joined by one drive through enough
+    places of both, as the pair's best placement has them. Where no pair is open, a drive leads into
+    the unknown, by a branch that nobody drove. Drives are ranked by the evidence that they are
+    expected to bring, in bits for each metre; below one bit none is proposed, and a line says so.
+    Junctions have the numbers of merged.json, which the picture shows; SITE:9 is junction 9 of
+    another site. After the drive: ingest its log, and merge again.
 
     \b
       topobatch next
@@ -66,9 +71,11 @@ def next_drives(
             raise UsageError(f"{path}: a plan's name ends in .svg, .png, .csv or .geojson")
     place = Workspace(workspace, merge)
     result = place.read_result()
-    chosen = place.chosen_sites(result, site)
-    found = drives(result, most, None if site is None else chosen[0].id)
-    shown = {c.name for c in chosen}
+    names = {c.name: c.id for c in result.components}
+    if site is not None and site not in names:
+        raise place.no_site(site, list(names))
+    found = drives(result, most, None if site is None else names[site])
+    shown = {*names} if site is None else {site}
     write_files({path: _plan(path, found, result, shown, place) for path in output or ()})
     if as_json:
         say_json([drive_to_document(d) for d in found])

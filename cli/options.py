@@ -95,8 +95,16 @@ MergeOption = Annotated[
     typer.Option("--merge", metavar="NAME", help="The merge to use, by its --output NAME."),
 ]
 
-SiteArgument = Annotated[
-    str | None, typer.Argument(metavar="SITE", help="Only this site (topobatch list).")
+SiteOption = Annotated[
+    str | None,
+    typer.Option(
+        "--site", metavar="NAME", help="Only this site of the merged map (topobatch list)."
+    ),
+]
+
+ComponentOption = Annotated[
+    int | None,
+    typer.Option(metavar="N", min=0, help="Only this component of the merged map, by its number."),
 ]
 
 FalseMergeRate = Annotated[

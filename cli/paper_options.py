@@ -1,4 +1,4 @@
-"""Options of a merge by the paper's method, and the settings from them."""
+"""Options of the paper's method, shared by commands, and the settings from them."""
 
 from __future__ import annotations
 
@@ -12,6 +12,9 @@ from ..topology.errors import UsageError
 if TYPE_CHECKING:
     from ..merge.paper.method import PaperSettings
 
+PANEL = "Options of --method paper"
+"""The section of a command's help that they are in."""
+
 
 @dataclass(frozen=True, slots=True)
 class PaperOptions:
@@ -20,7 +23,8 @@ class PaperOptions:
     degree: Annotated[
         Literal["exact", "inexact"] | None,
         typer.Option(
-            help="--method paper: must matched junctions have equally many branches (exact: a "
+            rich_help_panel=PANEL,
+            help="Must matched junctions have equally many branches (exact: a "
             "static world, the default), or may doors open and close, so that one may be missing "
             "(inexact)? (§2.1)",
         ),
@@ -29,7 +33,8 @@ class PaperOptions:
         float | None,
         typer.Option(
             metavar="P",
-            help="--method paper: probability that a correct match passes the comparison of its "
+            rich_help_panel=PANEL,
+            help="Probability that a correct match passes the comparison of its "
             "corridors' lengths; default 0.999. Closer to 1: fewer correct matches are rejected, "
             "but more agree by chance, so that each is weaker evidence.",
         ),
@@ -37,7 +42,8 @@ class PaperOptions:
     confidence_of: Annotated[
         Literal["match", "corridor"] | None,
         typer.Option(
-            help="--method paper: what --confidence applies to. match, the default: all corridors "
+            rich_help_panel=PANEL,
+            help="What --confidence applies to. match, the default: all corridors "
             "of a match together; corridor: each by itself, so that a correct match of k corridors "
             "passes with P ** k. As published: --confidence 0.95 --confidence-of corridor. (§5)",
         ),
@@ -45,7 +51,8 @@ class PaperOptions:
     weights: Annotated[
         Literal["equal", "reweighted"] | None,
         typer.Option(
-            help="--method paper: weights of matched junctions when one map is fitted to the "
+            rich_help_panel=PANEL,
+            help="Weights of matched junctions when one map is fitted to the "
             "other. equal, the default: all count alike, so that one far off shows a bad match; "
             "reweighted: junctions far off count less, for maps that are bent in places. (§3.1)",
         ),
@@ -54,7 +61,8 @@ class PaperOptions:
         bool | None,
         typer.Option(
             "--iterative/--once",
-            help="--method paper: how matches are clustered. --once: by their own transforms, as "
+            rich_help_panel=PANEL,
+            help="How matches are clustered. --once: by their own transforms, as "
             "published. --iterative: also matches of other transforms join, as those of few "
             "junctions may have, if the cluster's transform lays their junctions on each other; "
             "repeated until nothing changes. (§5)",
@@ -64,7 +72,8 @@ class PaperOptions:
         list[str] | None,
         typer.Option(
             metavar="RUN@TIME,RUN@TIME",
-            help="--method paper: two robots were near each other, each at a time of its own log: "
+            rich_help_panel=PANEL,
+            help="Two robots were near each other, each at a time of its own log: "
             "matches are grown from junctions near both only. In nanoseconds, or in seconds with a "
             "decimal point. May be given several times. (§4.2)",
         ),

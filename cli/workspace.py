@@ -25,7 +25,7 @@ from ..merge.locks import (
     locks_to_document,
 )
 from ..merge.merged_schema import MergedDocument
-from ..merge.result import Component, MergeResult
+from ..merge.result import MergeResult
 from ..merge.sites import sites_from_document, sites_to_document
 from ..topology.document import read_map
 from ..topology.errors import DataError, DocumentError, UsageError
@@ -210,9 +210,8 @@ class Workspace:
         merge = self if what == MERGED else self.merge_named(what)
         if merge is not None:
             return Named(merge)
-        for each in self.merges():
-            if what in each.read_merged().graph.sites.values():
-                return Named(each, site=what)
+        if self.merged_json.is_file() and what in self.read_merged().graph.sites.values():
+            return Named(self, site=what)
         raise self.unknown([what], "run, site, merge or pair A:B named")
 
     def merges(self) -> list[Workspace]:
@@ -238,15 +237,24 @@ class Workspace:
         if run.casefold() == MERGED or (run not in DECISIONS and os.path.lexists(merge)):
             raise UsageError(f"{run!r} cannot name a run: a merge is called so")
 
-    def chosen_sites(self, result: MergeResult, site: str | None) -> list[Component]:
-        """The component that is called so, or without a name all of them; UsageError if there is
-        none."""
-        chosen = [c for c in result.components if site in (None, c.name)]
-        if site is None or chosen:
-            return chosen
-        there = sorted(c.name for c in result.components)
-        meant, known = _meant([site], there), listed(there) or "none"
-        raise UsageError(f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}")
+    def component(
+        self, result: MergeResult, number: int | None = None, site: str | None = None
+    ) -> int | None:
+        """The component of a number, or of a site's name; None if neither is given. UsageError if
+        there is none, or both are given."""
+        if number is not None and site is not None:
+            raise UsageError("name a site or a --component, not both")
+        if number is not None and number not in {c.id for c in result.components}:
+            there = listed([str(c.id) for c in result.components]) or "none"
+            raise UsageError(
+                f"{self.merged_json}: there is no component {number}; there are: {there}"
+            )
+        if site is None:
+            return number
+        ids = {c.site: c.id for c in result.components if c.site}
+        if site not in ids:
+            raise self.no_site(site, list(ids))
+        return ids[site]
 
     # What to say where something is missing
 
@@ -263,6 +271,13 @@ class Workspace:
             meant = f"; did you mean --workspace {names[0]}?"
         return UsageError(
             f"no {what} {listed(names)} in {self.root}{meant} there are: {listed(known)}"
+        )
+
+    def no_site(self, site: str, there: Sequence[str]) -> UsageError:
+        """What to say where a site is named that the merge does not have."""
+        meant, known = _meant([site], there), listed(sorted(there)) or "none"
+        return UsageError(
+            f"{self.merged_json}: there is no site {site!r}{meant} there are: {known}"
         )
 
     def no_maps(self) -> DataError:

@@ -60,6 +60,7 @@ def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_
 
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:
     assert "topobatch ingest" in topobatch("changes", "-w", tmp_path).error(1)
+    assert "no component 9" in topobatch("changes", "--component", 9, "-w", place.root).error(2)
     alone = Workspace(tmp_path / "alone")
     one = place.read_map("run1")
     write_map(alone.map_json("run1"), one)

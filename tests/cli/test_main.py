@@ -124,7 +124,11 @@ def test_workers(tmp_path, before, after, code):
 
 
 def test_the_options_of_the_papers_method_come_last(topobatch) -> None:
-    before, degree, after = topobatch("merge", "--help").out.partition("--degree")
-    assert degree
-    assert "--verbose" in before
-    assert "--method paper: " in after
+    for command in ("merge", "explain"):
+        before, title, after = topobatch(command, "--help").out.partition(
+            "\nOptions of --method paper:\n"
+        )
+        assert title
+        assert "--degree" in after
+        assert "--degree" not in before
+        assert "--workspace" in before

@@ -339,9 +339,11 @@ def test_the_papers_method_and_its_options(topobatch, clean, tmp_path, option):
         assert (str(held[key]) == (value or ["True"])[0]) == (name in option)
 
 
-def test_explain_takes_the_options_of_the_merge(topobatch, clean, tmp_path):
+def test_explain_takes_options_in_place_of_the_merges_own(topobatch, clean, tmp_path):
     workspace = shutil.copytree(clean, tmp_path / "ws")
     topobatch("merge", "--all", "--method", "paper", "--degree", "inexact", "-w", workspace)
+    shown = topobatch("explain", *PAPER, "--confidence", "0.9", "-w", workspace)
+    assert "degree inexact, confidence 0.9 of each match" in shown.out
     mine = ("--output", "mine", "--replace")
     topobatch("merge", "--all", "--method", "paper", "--degree", "inexact", *mine, "-w", workspace)
     topobatch("merge", "--all", "-w", workspace)
@@ -365,6 +367,7 @@ def test_settings_that_make_no_sense(topobatch, workspace):
     path.write_text(json.dumps(document))
     explain = ["explain", a, b, "-w", workspace]
     assert "graph.settings" in topobatch(*explain, "--method", "paper").error(1)
+    assert "belong to --method paper" in topobatch(*explain, "--iterative").error(2)
 
 
 def test_a_merge_ends_with_its_sites_and_what_to_do_next(tmp_path, monkeypatch):

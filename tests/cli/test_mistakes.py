@@ -154,6 +154,8 @@ def test_a_merge_that_is_not_there(topobatch, merged_site, monkeypatch, call):
         ("ingest run1.mcap -j -1", "must be greater than or equal to 0; see `topobatch ingest -"),
         ("merge --all -w", "requires an argument; see `topobatch merge --help`"),
         ("merg --all", "did you mean 'merge'? see `topobatch --help`"),
+        ("changes --component 9", "there is no component 9; there are: 0"),
+        ("export merged -f nav2 --component 9", "there is no component 9; there are: 0"),
         ("lock run1 run2 --never --at 3,7", "--at goes with --same"),
         ("ingest run2.bag --name run1", "give this one another --name"),
         ("run1.mcap", "no such command 'run1.mcap'; did you mean `topobatch ingest run1.mcap`? "),

@@ -94,12 +94,13 @@ def test_pictures_changes_and_exports_go_by_site(place, topobatch, tmp_path) -> 
         f"{site}.geojson" for site in sites(place)
     )
     north = (place / "exports" / "north.geojson").read_text()
-    assert topobatch("export", "north", "-f", "nav2", "-o", "-", "-w", place).out == north
+    for call in (["--site", "north"], ["north"], ["merged", "--site", "north"]):
+        assert topobatch("export", *call, "-f", "nav2", "-o", "-", "-w", place).out == north
 
 
 def test_the_calls_that_cannot_be(place, topobatch) -> None:
     sorted_sites = sorted(sites(place).items(), key=lambda item: -len(item[1]))
-    (_, a), (_, b) = sorted_sites[:2]
+    (one, a), (_, b) = sorted_sites[:2]
     for call, told in (
         (("site", "nobody", "north"), "no run or site named nobody"),
         (("site", a[0], b[0]), "a run is called so"),
@@ -107,7 +108,9 @@ def test_the_calls_that_cannot_be(place, topobatch) -> None:
         (("site", a[0], "x/y"), "must work as a file name"),
         (("site", a[0], "x:y"), "holds a colon"),
         (("changes", "nowhere"), "there is no site 'nowhere'; there are: "),
-        (("export", "nowhere", "-f", "nav2"), "no run, site, merge or pair A:B named nowhere"),
+        (("export", "-f", "nav2", "--site", "nowhere"), "there is no site 'nowhere'"),
+        (("export", "-f", "nav2", "--site", one, "--component", 0), "not both"),
+        (("export", a[0], "-f", "nav2", "--site", one), "--site goes with the merged map"),
         (("merge", a[0], "--output", "sites"), "something else is called so"),
     ):
         assert told in topobatch(*call, "-w", place).error(2), call
