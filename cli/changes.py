@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..merge.change import Change, change_to_document
 from ..merge.changes import changes as changes_of
+from ..merge.result import Component, MergeResult
 from ..topology.wording import counted
+from .draw import picture_form, quiet_fonts, walled
 from .options import (
     DEFAULT_WORKSPACE,
     ComponentOption,
@@ -17,8 +21,11 @@ from .options import (
     WorkspaceOption,
     verb,
 )
-from .output import say, say_folded, say_json
+from .output import say, say_folded, say_json, write_files
 from .workspace import MERGED, Workspace
+
+if TYPE_CHECKING:  # which loads matplotlib
+    from ..viz.canvas import Canvas
 
 
 @verb
@@ -34,6 +41,10 @@ def changes(
     everything: Annotated[
         bool, typer.Option("--all", help="Also differences that may be due to chance.")
     ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Also draw them there (.svg, .png)."),
+    ] = None,
     merge: MergeOption = MERGED,
     as_json: JsonOption = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
@@ -47,9 +58,10 @@ def changes(
     \b
       topobatch changes
       topobatch site run1 north
-      topobatch changes north
+      topobatch changes north -o changes.svg
       topobatch changes --all --json
     """
+    form = None if output is None else picture_form(output)
     place = Workspace(workspace, merge)
     result = place.read_result()
     names = {c.id: c.name for c in result.components}
@@ -64,6 +76,8 @@ def changes(
     shown.sort(
         key=lambda c: (names[c.component], 0 if c.between is None else c.between[1].first_ns)
     )
+    if output is not None and form is not None:
+        write_files({output: _drawn(place, result, several, shown).as_bytes(form)})
     if as_json:
         sites = {c.id: c.site or None for c in result.components}
         say_json([change_to_document(c) | {"site": sites[c.component]} for c in shown])
@@ -82,4 +96,19 @@ def changes(
         else "no two runs were merged: nothing to compare"
     )
     if any(c.sure for c in shown):
-        say(f"times are UTC; on the map, with numbers: {place.call('report', *place.of_merge)}")
+        named = () if site is None else (site,)
+        drawn = place.call("changes", *named, *place.of_merge, "-o", "changes.svg")
+        say(f"times are UTC; on the map: {output or drawn}")
+
+
+def _drawn(
+    place: Workspace, result: MergeResult, sites: Sequence[Component], shown: Sequence[Change]
+) -> Canvas:
+    """The maps of the sites in which something changed, of all if nothing did."""
+    from ..viz.draw import draw_sites
+    from ..viz.palette import LIGHT
+
+    quiet_fonts()
+    changed = {c.component for c in shown}
+    drawn = [c for c in sites if c.id in changed or not changed] or result.components
+    return draw_sites(result, [c.id for c in drawn], LIGHT, walled(place, drawn), changes=shown)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import re
-import sys
 from dataclasses import asdict, replace
 from typing import Annotated
 
@@ -51,19 +50,13 @@ def lock(
             'the numbers their maps give them: "3,7".',
         ),
     ] = None,
-    yes: Annotated[
-        bool,
-        typer.Option(
-            "--yes", "-y", help="Keep the lock whatever the maps say, without asking on a terminal."
-        ),
-    ] = False,
     workspace: WorkspaceOption = DEFAULT_WORKSPACE,
 ) -> None:
     """Say that two runs belong together, or never do.
 
     Kept in the workspace (locks.json) and honoured by every later merge. Where the maps speak
-    against --same (it may be another copy of the place, they contradict each other), that is shown
-    first, and on a terminal asked back. Without runs, lists the locks.
+    against --same (it may be another copy of the place, they contradict each other), a warning says
+    so; --clear takes the lock back. Without runs, lists the locks.
 
     \b
       topobatch lock run1 run2 --same
@@ -87,8 +80,8 @@ def lock(
     if wanted is not None:
         place.chosen_runs([a, b])
         _check_lock(place, wanted)
-        if wanted.decision == "same" and not _confirmed(place, wanted, yes):
-            raise typer.Exit(1)
+        if wanted.decision == "same":
+            _warn_of_doubts(place, wanted)
     with place.held():
         locks = place.locks()
         kept = without_lock(locks, a, b) if wanted is None else with_lock(locks, wanted)
@@ -119,8 +112,8 @@ def _check_lock(place: Workspace, lock: Lock) -> None:
             raise UsageError(f"{run} has junctions 0 … {junctions - 1}, not {vertex}")
 
 
-def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
-    """Whether two runs are to be locked as the same, also if their maps speak against it."""
+def _warn_of_doubts(place: Workspace, lock: Lock) -> None:
+    """Say what the maps of two runs have against it that they are one place."""
     from ..merge.robust.entries import doubt
     from .explain import decided
 
@@ -128,16 +121,12 @@ def _confirmed(place: Workspace, lock: Lock, yes: bool) -> bool:
         *_, decision = decided(place, (lock.a, lock.b))
     except DataError as error:
         warn(f"what the maps say is not known: {error}")
-        return True
+        return
     # The verdict of a merge may be by an older lock; the placement is that of the maps.
     best = decision.placements[0].alignment if decision.placements else decision.pair.best
-    why = doubt(replace(decision.pair, best=best))
-    if not why:
-        return True
-    see = place.call("explain", lock.a, lock.b)
-    warn(f"by the maps of {lock.a} and {lock.b}, {why}; see: {see}")
-    asked = not yes and sys.stdin.isatty() and sys.stderr.isatty()
-    return not asked or typer.confirm("lock them as the same?", err=True)
+    if why := doubt(replace(decision.pair, best=best)):
+        see = place.call("explain", lock.a, lock.b)
+        warn(f"by the maps of {lock.a} and {lock.b}, {why}; see: {see}")
 
 
 def _show_locks(locks: tuple[Lock, ...]) -> None:
@@ -235,7 +224,7 @@ def _discard_run(place: Workspace, run: str) -> None:
     """Remove a run's files, its map last, so that an interrupted call can be repeated."""
     place.rename_decided({run: None})
     exported = (place.exports / f"{run}{each}" for some in ENDINGS.values() for each in some)
-    made = (*place.recordings_of(run), *exported, place.map_views(run))
+    made = (place.map_rrd(run), *exported, place.map_views(run))
     for path in (place.ingest_record(run), *made, place.map_json(run)):
         path.unlink(missing_ok=True)
 
@@ -251,7 +240,7 @@ def rename(
 
     In its map, in locks and in the merges. Its pieces (RUN#2 and so on) are renamed with it. Its
     log, ingested again, goes by the new name. The recording of its map shows the old name until
-    then; those of explanations are to be made anew, and exports stay as they are.
+    then; exports stay as they are.
 
     \b
       topobatch rename run1 monday
@@ -300,7 +289,7 @@ def _rename(place: Workspace, old: str, new: str, names: dict[str, str]) -> None
             [names.get(run, run) for run in some] for some in (record.runs, record.views)
         )
         write_json(place.ingest_record(new), asdict(replace(record, runs=runs, views=views)))
-    gone = (*place.recordings_of(old), place.map_views(old), place.ingest_record(old))
+    gone = (place.map_rrd(old), place.map_views(old), place.ingest_record(old))
     for path in (*gone, place.map_json(old)):
         path.unlink(missing_ok=True)
 

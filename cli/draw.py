@@ -59,13 +59,21 @@ def draw(
     """
     from ..viz.palette import DARK, LIGHT
 
-    suffix = checked_output(out).suffix.lower()
-    if suffix not in (".svg", ".png"):
-        raise UsageError(f"{out}: a picture's name ends in .svg or .png")
+    form = picture_form(out)
     quiet_fonts()
     canvas = _drawn(Workspace(workspace), what, DARK if theme == "dark" else LIGHT)
-    write_files({out: canvas.as_bytes("svg" if suffix == ".svg" else "png")})
+    write_files({out: canvas.as_bytes(form)})
     say(f"{out}")
+
+
+def picture_form(out: Path) -> Literal["svg", "png"]:
+    """The form of a picture by its file's name; UsageError if that cannot be written."""
+    match checked_output(out).suffix.lower():
+        case ".svg":
+            return "svg"
+        case ".png":
+            return "png"
+    raise UsageError(f"{out}: a picture's name ends in .svg or .png")
 
 
 def quiet_fonts() -> None:
@@ -81,9 +89,10 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     if found.run is not None:
         return drawings.draw_map(place.read_map(found.run), theme)
     if found.pair is not None:
+        from ..viz.draw_pair import draw_decision
         from .explain import decided
 
-        return drawings.draw_decision(*decided(place, found.pair), theme)
+        return draw_decision(*decided(place, found.pair), theme)
     result = found.place.read_result()
     if found.site is None:
         return drawings.draw_merged(result, theme, maps=walled(place, result.components))

@@ -24,7 +24,7 @@ from .options import (
     complete_run,
     verb,
 )
-from .output import say, say_json, say_lines, warn, width
+from .output import say, say_json, say_lines, width
 from .paper_options import PaperOptions
 from .unchanged import changed_since, told_changed
 from .workspace import MERGED, Workspace
@@ -68,8 +68,8 @@ def explain(
     The verdict; the placement with the matched junctions; the evidence for and against it, link by
     link, in bits; the threshold and what it is made of; the next best placement and its distance.
     With --method paper the figures of Huang & Beevers instead: the table of vertex pairs with the
-    hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). The evidence is
-    drawn in a recording, explain/A+B.rrd, which topobatch view A:B opens.
+    hypotheses they belong to (Fig. 1), the clusters in transform space (Fig. 2). topobatch draw A:B
+    draws the evidence; a click on a pair in the report shows it as well.
 
     Runs that were not merged yet are explained by their two maps alone; a note says so.
 
@@ -99,24 +99,15 @@ def explain(
 
 def _by_evidence(place: Workspace, pair: tuple[str, str], as_json: bool, rows: int | None) -> None:
     """Explain the decision of the robust method."""
-    from ..viz.decision_recording import write_decision_recording  # which loads rerun
-
-    a, b, decision = decided(place, pair)
+    *_, decision = decided(place, pair)
     if as_json:
         say_json(to_document(decision))
-    else:
-        # Pictures and recordings, which may be moved, have the call without the workspace.
-        notes = [n.replace(TO_MERGE, place.call("merge", "--all")) for n in decision.notes]
-        for line in lines(replace(decision, notes=tuple(notes)), rows, width()):
-            say_lines(line)
-    recording = place.explain_rrd(*pair)
-    try:
-        write_decision_recording(recording, a, b, decision)
-    except OSError as error:
-        warn(f"{recording}: not written: {error.strerror or error}")
         return
-    if not as_json:
-        say(f"recording: {recording}  (look at it: {place.call('view', ':'.join(pair))})")
+    # Pictures, which may be moved, have the call without the workspace.
+    notes = [n.replace(TO_MERGE, place.call("merge", "--all")) for n in decision.notes]
+    for line in lines(replace(decision, notes=tuple(notes)), rows, width()):
+        say_lines(line)
+    say(f"as a picture: {place.call('draw', ':'.join(pair), 'why.svg')}")
 
 
 def decided(place: Workspace, pair: tuple[str, str]) -> tuple[TopoMap, TopoMap, Decision]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -16,12 +16,10 @@ from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.files import read_json, write_json
 from ..topology.map_pose_graph import map_pose_graph
 from ..topology.odometry import Odometry
-from ..topology.run import Run
 from ..topology.topomap import TopoMap
-from ..topology.wording import listed, utc
+from ..topology.wording import listed
 from ..viz.exports import corrected_tum, map_texts, pose_graph_g2o, recorded_tum
 from .export_grid import PICTURE, Exported, grid_texts, log_of
-from .ingest_record import origin
 from .options import (
     DEFAULT_WORKSPACE,
     ComponentOption,
@@ -36,10 +34,6 @@ from .output import checked_output, say, say_json, say_text, show, warn, write_f
 from .workspace import MERGED, Named, Workspace
 
 STDOUT = Path("-")
-
-CLOCKS_APART_NS = 10**9
-"""How far passes may lie before or after all odometry."""
-
 
 Format = Literal["nav2", "lif", "rmf", "tmap2", "graphml", "grid", "g2o", "tum", "csv"]
 
@@ -250,47 +244,9 @@ def _trajectories(place: Workspace, source: Exported, log: Path | None) -> dict[
 
 
 def _odometry(place: Workspace, topomap: TopoMap, log: Path | None) -> Odometry:
-    """A run's odometry from its log, with the recorded settings of its ingest, if any.
-
-    UsageError if another log was named than the one that the map was made from, DataError if that
-    one changed.
-    """
-    run, record = topomap.run, place.ingested(topomap.run)
-    at = log or log_of(place, run)
-    found = read_run(at, record.settings())
-    why = _differs(topomap, found)
-    if why is None:
-        return found.odometry
-    if log is None or record.log == origin(at):
-        raise DataError(
-            f"{at}: changed since the map of run {run} was made from it ({why}); ingest it again"
-        )
-    raise UsageError(
-        f"{at}: is not the log that the map of run {run} was made from "
-        f"({record.log or 'it is not recorded which that was'}): {why}; name that log, wherever it "
-        "is now"
-    )
-
-
-def _differs(topomap: TopoMap, found: Run) -> str | None:
-    """What shows that a map was not made from this log: the number of messages on a topic that both
-    name, or times of passes before or after its odometry; None if nothing does."""
-    source = topomap.info.get("source")
-    stated: Mapping[str, Any] = source if isinstance(source, Mapping) else {}
-    for what in ("odometry", "junctions"):
-        here, there = found.source.get(what), stated.get(what)
-        if not isinstance(here, Mapping) or not isinstance(there, Mapping):
-            continue
-        count, before = here.get("messages"), there.get("messages")
-        if here.get("topic") == there.get("topic") and count != before:
-            return f"{count} messages on {here.get('topic')}, where the map has {before}"
-    passed, driven = topomap.observation_time_ns, found.odometry.time_ns
-    if not len(passed) or not len(driven):
-        return None
-    begin, end = (int(driven[k]) for k in (0, -1))
-    if passed.min() < begin - CLOCKS_APART_NS or passed.max() > end + CLOCKS_APART_NS:
-        return f"driven {utc(begin)} to {utc(end)}, where the map begins {utc(int(passed.min()))}"
-    return None
+    """A run's odometry from its log, with the recorded settings of its ingest, if any."""
+    at = log_of(place, topomap.run, log)
+    return read_run(at, place.ingested(topomap.run).settings()).odometry
 
 
 def _path(

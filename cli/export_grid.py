@@ -82,15 +82,20 @@ def grid_texts(
     }
 
 
-def log_of(place: Workspace, run: str) -> LogPath:
-    """The log that a run's map was made from; remote ones are not checked to exist. DataError if it
-    is not recorded or does not exist."""
-    log = place.ingested(run).log
-    if log is None:
+def log_of(place: Workspace, run: str, named: LogPath | None = None) -> LogPath:
+    """The log that a run's map was made from, where a person named it or ingest read it. DataError
+    if that is not recorded, or its content is another."""
+    record = place.ingested(run)
+    if named is None and record.log is None:
         raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
-    at = log_path(log)
+    at = named or log_path(str(record.log))
     if isinstance(at, Path) and not log_exists(at):
-        raise DataError(f"{log}: the log of run {run} is not there any more; name it by --log")
+        raise DataError(f"{at}: the log of run {run} is not there; name it by --log")
+    if record.content not in (None, log_fingerprint(at)):
+        raise DataError(
+            f"{at}: is not the log that the map of run {run} was made from, or changed since; "
+            "ingest it again"
+        )
     return at
 
 
@@ -124,7 +129,7 @@ class _Logs:
         try:
             if run in self.gone:
                 return None
-            return read(self._named or log_of(self._place, run))
+            return read(log_of(self._place, run, self._named))
         except (TopobatchError, OSError) as error:
             if self._named is not None:
                 raise
@@ -144,8 +149,8 @@ class _Logs:
 
         def read(at: LogPath) -> Grid:
             found = read_log(at, record.settings(), on_bytes=on_bytes)
-            if record.content != log_fingerprint(at) or not isinstance(found, GridLog):
-                raise DataError(f"{at}: changed since the map of {topomap.run} was made from it")
+            if not isinstance(found, GridLog):
+                raise DataError(f"{at}: is not the saved map that {topomap.run} was made from")
             return found.grid
 
         return self._read(topomap.run, read)

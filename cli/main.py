@@ -35,7 +35,7 @@ COMMANDS = {
     "init": ("init.init", "Have a workspace remember options."),
     "ingest": ("ingest.ingest", "Turn logs into topological maps, one per run."),
     "merge": ("merge.merge", "Merge the maps of many runs, where they overlap."),
-    "view": ("view.view", "Open a map, or why a pair was merged, in the rerun viewer."),
+    "view": ("view.view", "Open a map in the rerun viewer."),
     "draw": ("draw.draw", "Draw a map, the merged map, or the decision on a pair of runs."),
     "report": ("report.report", "Write a page about all runs and their merge, for a browser."),
     "list": ("listing.list_runs", "List the runs of the workspace, by site."),

@@ -16,7 +16,7 @@ from ..topology.wording import counted, listed
 from ..viz.exports.drives import drives_csv, drives_geojson
 from .draw import quiet_fonts, walled
 from .options import DEFAULT_WORKSPACE, JsonOption, MergeOption, WorkspaceOption, verb
-from .output import checked_output, folded, say, say_json, write_files
+from .output import checked_output, folded, say, say_folded, say_json, write_files
 from .workspace import MERGED, Workspace
 
 PLANS, PICTURES = (".csv", ".geojson"), (".svg", ".png")
@@ -80,7 +80,10 @@ def next_drives(
     if as_json:
         say_json([drive_to_document(d) for d in found])
         return
-    for line in _lines(found, result) if found else _nothing(result, shown, place):
+    if not found:
+        for line in nothing_worth(result, shown, place):
+            say_folded(line, indent="  ")
+    for line in _lines(found, result) if found else ():
         say(line)
     for path in output or ():
         say(f"{path}")
@@ -103,28 +106,28 @@ def _lines(found: Sequence[Drive], result: MergeResult) -> list[str]:
     return [*out, "after the drive, ingest its log and merge again"]
 
 
-def _nothing(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
-    """That no drive is worth it, why, and where the map is not complete."""
+def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace) -> list[str]:
+    """That no drive is worth it, why, and where the maps of the sites shown are not complete."""
     open_ = result.standings()[Standing.AMBIGUOUS]
-    out = folded(
+    why = (
         "nothing to record would join sites: no pair of runs is open, and no drive into the "
         "unknown is expected to bring a bit of evidence"
     )
     if open_:
         are = "is" if open_ == 1 else "are"
         lock = place.call("lock", "A", "B", "--same")
-        out = folded(
+        why = (
             f"{counted(open_, 'pair')} of runs {are} open, but no drive is likely to settle any: "
             f"what it would find looks alike elsewhere; if you know: {lock}, or --never"
         )
     ways = {name: own for name, own in never_driven(result).items() if name in shown}
     if not ways:
-        return [*out, "every branch was driven"]
-    out.append("branches that nobody drove, which would complete a map, are at")
+        return [why, "every branch was driven"]
+    out = [why, "branches that nobody drove, which would complete a map, are at"]
     for name, own in ways.items():
         told = len(own) <= MOST_JUNCTIONS or len(shown) == 1
         which = f" {listed([str(v) for v in own], len(own))}" if told else ""
-        out += folded(f"  {name}: {counted(len(own), 'junction')}{which}", indent="    ")
+        out.append(f"  {name}: {counted(len(own), 'junction')}{which}")
     return out
 
 

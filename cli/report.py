@@ -21,6 +21,7 @@ from ..topology.errors import UsageError
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
 from .matching import kept_results, settings_of
+from .next_drives import nothing_worth
 from .options import DEFAULT_WORKSPACE, MergeOption, WorkspaceOption, verb
 from .output import Advance, begin, checked_output, complain, progress, say, write_files
 from .unchanged import changed_since, told_changed
@@ -81,6 +82,9 @@ def report(
         document = place.read_merged() if result is not None and not notes else None
         decisions = _decisions(place, result, document, maps, advance) if result else {}
         advance(0, doing="drawing the page")
+        found = drives(result, MOST_DRIVES) if result else ()
+        sites = {c.name for c in result.components if len(c.poses) > 1} if result else set()
+        lines = nothing_worth(result, sites, place) if result and not found else ()
         html = report_page(
             Report(
                 maps,
@@ -92,7 +96,8 @@ def report(
                     ("Python", python_version()),
                     *((name, version(name)) for name in STANDS_ON),
                 ],
-                drives(result, MOST_DRIVES) if result else (),
+                found,
+                lines,
                 _changes(result, maps) if result and document else (),
                 decisions=decisions,
                 where=place.where,

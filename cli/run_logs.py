@@ -77,24 +77,13 @@ def _packed_below(path: LogPath) -> str:
     """A hint about archived logs below a folder, which are skipped; "" without any."""
     if not isinstance(path, Path) or not path.is_dir():
         return ""
-    packed = [file for file in _files_below(path) if _PACKED_LOG.search(file)]
-    names = sorted(os.path.relpath(file, path) for file in packed)
+    names = []
+    for folder, below, files in os.walk(path):
+        below[:] = [name for name in below if not name.startswith(".")]
+        packed = [name for name in files if _PACKED_LOG.search(name) and name[0] != "."]
+        names += [os.path.relpath(os.path.join(folder, name), path) for name in packed]
     what = f"{counted(len(names), 'packed log')} passed over, to be unpacked first"
-    return f"{what}: {listed(names)}" if names else ""
-
-
-def _files_below(folder: Path) -> Iterator[str]:
-    """Files in a folder and below that are not hidden; folders that cannot be listed are skipped,
-    since `find_logs` has reported them."""
-    waiting = [str(folder)]  # no recursion, as `os.walk`: folders can lie deeper than the stack
-    while waiting:
-        try:
-            with os.scandir(waiting.pop()) as found:
-                shown = [entry for entry in found if not entry.name.startswith(".")]
-        except OSError:
-            continue
-        waiting += [e.path for e in shown if e.is_dir(follow_symlinks=False)]
-        yield from (entry.path for entry in shown if entry.is_file(follow_symlinks=False))
+    return f"{what}: {listed(sorted(names))}" if names else ""
 
 
 class _Location(NamedTuple):

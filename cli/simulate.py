@@ -65,27 +65,10 @@ def simulate(
         typer.Option(
             metavar="N",
             min=0,
-            help="How often every run's odometry jumps while the robot drives on.",
+            help="How often every run's odometry jumps, by 0.5 m and 30°, while the robot drives "
+            "on.",
         ),
     ] = 0,
-    jump_m: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            min=0,
-            max=1000,  # more than most buildings measure
-            help="How far it jumps; default 0.5. Goes with --jumps.",
-        ),
-    ] = None,
-    jump_deg: Annotated[
-        float | None,
-        typer.Option(
-            metavar="DEGREES",
-            min=0,
-            max=180,
-            help="How far it turns; default 30. Goes with --jumps.",
-        ),
-    ] = None,
     changes: Annotated[
         int,
         typer.Option(
@@ -115,15 +98,6 @@ def simulate(
     detections: Annotated[
         bool, typer.Option("--detections", help="With --laser: write the detections as well.")
     ] = False,
-    corridor_m: Annotated[
-        float | None,
-        typer.Option(
-            metavar="METRES",
-            min=0.5,
-            max=2.2,  # corridors of most worlds lie at least 2.5 m apart
-            help="With --laser: width of the corridors; default 1.4.",
-        ),
-    ] = None,
     formats: Annotated[
         list[str] | None,
         typer.Option(
@@ -157,10 +131,8 @@ def simulate(
     """
     if out.exists() and (not out.is_dir() or any(out.iterdir())) and not force:
         raise UsageError(f"{out}: is not an empty folder; choose another, or use --force")
-    if not jumps and (jump_m is not None or jump_deg is not None):
-        raise UsageError("--jump-m and --jump-deg say how far a jump goes; give --jumps as well")
-    if not laser and (detections or corridor_m is not None):
-        raise UsageError("--detections and --corridor-m are of runs with a laser; give --laser too")
+    if detections and not laser:
+        raise UsageError("--detections is of runs with a laser; give --laser too")
     from ..simulation.scenario import simulate_scenario
     from ..simulation.settings import DRIFTS, LASERS, ScenarioSettings
     from ..simulation.writing import FORMATS, write_scenario
@@ -168,20 +140,15 @@ def simulate(
     if unknown := [name for name in formats or () if name not in FORMATS]:
         raise UsageError(f"no format {unknown[0]!r}: choose one of {', '.join(FORMATS)}")
     show(quiet=quiet)
-    how_far = {"jump_m": jump_m, "jump_deg": jump_deg}
-    asked = {name: value for name, value in how_far.items() if value is not None}
-    scanner = LASERS[faults] if laser else None
-    if scanner is not None and corridor_m is not None:
-        scanner = replace(scanner, corridor_m=corridor_m)
     settings = ScenarioSettings(
         world=world,
         runs=runs,
         unrelated_runs=unrelated,
         overlap=overlap,
         junctions_per_run=junctions,
-        drift=replace(DRIFTS[drift], jumps=jumps, **asked),
+        drift=replace(DRIFTS[drift], jumps=jumps),
         faults=faults,
-        laser=scanner,
+        laser=LASERS[faults] if laser else None,
         tells_junctions=detections or not laser,
         changes=changes,
         days=days,

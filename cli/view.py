@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 import shlex
 import shutil
-import socket
 import subprocess
 import sys
-import time
-from contextlib import ExitStack
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 from urllib.parse import quote
@@ -24,18 +22,14 @@ from .workspace import MERGED, Workspace
 HOST = "127.0.0.1"
 """Where the viewer is served: to this machine alone."""
 
-POLL_S = 0.1
-"""Between looks whether the server is there."""
-
 
 @verb
 def view(
     what: Annotated[
         str,
         typer.Argument(
-            metavar="RUN|A:B",
-            help="Run whose map to open, the --output NAME of a merge, or two runs, for what "
-            "topobatch explain found; the merged map without.",
+            metavar="[RUN]",
+            help="Run whose map to open, or the --output NAME of a merge; the merged map without.",
             show_default=False,
             autocompletion=complete_run,
         ),
@@ -51,13 +45,13 @@ def view(
         int,
         typer.Option(
             metavar="N",
-            min=0,
+            min=1,
             max=65534,
-            help="With --web: port of the page, N + 1 that of the data; 0: free ones.",
+            help="With --web: port of the page, N + 1 that of the data.",
         ),
-    ] = 0,
+    ] = 9090,
 ) -> None:
-    """Open the merged map, a run's, or the explanation of a pair, in the rerun viewer.
+    """Open the merged map, or a run's, in the rerun viewer.
 
     Drag the time line below a run's map: the robot drives on it. The viewer opens MCAP logs as
     well: rerun maps/RUN.rrd run.mcap.
@@ -68,13 +62,9 @@ def view(
     \b
       topobatch view
       topobatch view run1
-      topobatch view --web --port 9090
-      topobatch explain run1 run2
-      topobatch view run1:run2
+      topobatch view --web
     """
     place = Workspace(workspace)
-    if port and not web:
-        raise UsageError("--port goes with --web")
     recording = _recording(place, what)
     screens = sys.platform in ("darwin", "win32")
     if web:
@@ -96,8 +86,8 @@ def _recording(place: Workspace, what: str) -> Path:
     if found.run is not None:
         recording, how = place.map_rrd(found.run), f"ingest the log of {found.run} again"
     elif found.pair is not None:
-        recording = place.explain_rrd(*found.pair)
-        how = f"{place.call('explain', *found.pair)} makes it"
+        drawn = place.call("draw", what, "why.svg")
+        raise UsageError(f"a pair of runs has no recording; its picture: {drawn}")
     else:
         recording, how = found.place.merged_rrd, "merge again"
         if not recording.is_file():
@@ -108,26 +98,20 @@ def _recording(place: Workspace, what: str) -> Path:
 
 
 def _serve(recording: Path, port: int) -> None:
-    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError for ports that are
-    taken."""
-    page, data = _ports(port)
-    ports = ("--bind", HOST, "--web-viewer-port", str(page), "--port", str(data))
-    call = [_viewer(), "--serve-web", *ports, str(recording)]
+    """Serve a recording and rerun's viewer on 127.0.0.1 until Ctrl-C. UsageError if it
+    ends with an error: where a port is taken, rerun itself may say nothing."""
+    source = quote(f"rerun+http://{HOST}:{port + 1}/proxy", safe="")
+    say(f"http://{HOST}:{port}/?url={source}  (Ctrl-C ends it)")
+    sys.stdout.flush()
+    ports = ("--bind", HOST, "--web-viewer-port", str(port), "--port", str(port + 1))
     # Rerun reports its use over the network unless it runs for CI.
-    server = subprocess.Popen(call, env={**os.environ, "CI": "1", "RUST_LOG": "error"})
-    try:
-        if _answers(server, page):
-            source = quote(f"rerun+http://{HOST}:{data}/proxy", safe="")
-            say(f"http://{HOST}:{page}/?url={source}  (Ctrl-C ends it)")
-            sys.stdout.flush()
-        code = server.wait()
-    except KeyboardInterrupt:
-        code = 0
-    finally:
-        server.terminate()
-        server.wait()
-    if code:
-        raise typer.Exit(1)
+    environment = {**os.environ, "CI": "1", "RUST_LOG": "error"}
+    with suppress(KeyboardInterrupt):
+        call = [_viewer(), "--serve-web", *ports, str(recording)]
+        if subprocess.call(call, env=environment):
+            raise UsageError(
+                f"ports {port} and {port + 1} cannot be served on; name another --port"
+            )
 
 
 def _viewer() -> str:
@@ -141,27 +125,3 @@ def _viewer() -> str:
     if found is None:
         raise DataError(f"{folder}: rerun's viewer is not there; install rerun-sdk again")
     return found
-
-
-def _ports(port: int) -> tuple[int, int]:
-    """Ports of the page and of its data; UsageError if those asked for are taken."""
-    with ExitStack() as bound:
-        found = []
-        for number in (port, port + 1) if port else (0, 0):
-            try:
-                probe = bound.enter_context(socket.create_server((HOST, number)))
-            except OSError as error:
-                reason = error.strerror or error
-                raise UsageError(f"port {number}: {reason}; name another --port") from error
-            found.append(probe.getsockname()[1])
-    return found[0], found[1]
-
-
-def _answers(server: subprocess.Popen[bytes], port: int) -> bool:
-    """Wait until the server answers; False if it ended before."""
-    while server.poll() is None:
-        with socket.socket() as probe:
-            if probe.connect_ex((HOST, port)) == 0:
-                return True
-        time.sleep(POLL_S)
-    return False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import shlex
 import stat
@@ -51,7 +50,7 @@ USUAL = Path("topobatch-workspace")
 NAME_BYTES = 200
 """Longest run name: file names have 255 bytes for it and suffixes."""
 
-FOLDERS = ("maps", "explain", "exports", "cache", "cache/ingest", "cache/merged", "cache/exports")
+FOLDERS = ("maps", "exports", "cache", "cache/ingest", "cache/merged", "cache/exports")
 FILES = (".lock", "cache/kept.sqlite", "cache/kept.sqlite-journal")
 """What the program opens or clears without looking."""
 
@@ -151,21 +150,6 @@ class Workspace:
     def ingest_record(self, run: str) -> Path:
         """The record of how a run's map was made; may be deleted at any time."""
         return self.root / "cache" / "ingest" / f"{plain_name(run)}.json"
-
-    def explain_rrd(self, a: str, b: str) -> Path:
-        """The recording of a pair's match. Names that are too long together are cut."""
-        name = f"{plain_name(a)}+{plain_name(b)}"
-        if len(name.encode()) > NAME_BYTES:
-            digest = hashlib.sha256(name.encode()).hexdigest()[:12]
-            short = (run.encode()[:80].decode(errors="ignore") for run in (a, b))
-            name = "+".join((*short, digest))
-        return self.root / "explain" / f"{name}.rrd"
-
-    def recordings_of(self, run: str) -> Iterator[Path]:
-        """The recordings in which a run may be: of its map, and of pairs."""
-        yield self.map_rrd(run)
-        for other in self.runs():
-            yield self.explain_rrd(*sorted((run, other)))
 
     # Calls of the command, for messages
 

@@ -1,4 +1,4 @@
-"""A decision in words: one screen of a terminal, and the texts of a recording.
+"""A decision in words: one screen of a terminal, and the texts of drawings and of the report.
 
 Degrees and decimals for people; documents hold radians.
 """

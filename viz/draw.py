@@ -1,14 +1,14 @@
-"""Static drawings (SVG, PNG): one run's map, a merge, the decision on a pair."""
+"""Static drawings (SVG, PNG): one run's map, a merge."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 
-from ..merge.decision import Decision
-from ..merge.decision_text import advice, because, headline
+from ..merge.change import Change
 from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
 from ..topology.arrays import FloatArray
@@ -26,13 +26,13 @@ from .drawing import (
     TURNED_MARKERS,
     bounds,
     branch_arrows,
+    changed_path,
     extent,
     strands,
 )
 from .pages import corridor_told, map_told
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
-from .placements import Mark, decision_picture
 from .sheet import Cell, corners_of, fitting, outline, upright_rad
 from .walls import FINE_M, wall_points, walls_of
 
@@ -62,7 +62,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     canvas = Canvas(low, high, theme, WIDTH_PT, name)
     _corridors_of(canvas, whole, turn)
     _unexplored(canvas, whole, turn)
-    _walls(canvas, [topomap.views], turn, theme["wall"])
+    draw_walls(canvas, [topomap.views], turn, theme["wall"])
     _junctions_of(canvas, topomap, turn)
     _turned_of(canvas, topomap, turn)
     canvas.finish([topomap.run, f"{map_told(topomap)}{_turned_by(turn)}"])
@@ -80,7 +80,7 @@ LEAST_CELL_PT = 1.0
 the file than the page has room for."""
 
 
-def _walls(
+def draw_walls(
     canvas: Canvas,
     views: Sequence[Views],
     T: FloatArray,
@@ -178,12 +178,13 @@ def draw_sites(
     maps: Mapping[str, TopoMap] = NO_MAPS,
     *,
     drives: Sequence[Drive] | None = None,
+    changes: Sequence[Change] | None = None,
 ) -> Canvas:
     """Draw components of a merge, with the numbers that their junctions have in the document. maps,
-    drives: as of `draw_merged`."""
+    drives, changes: as of `draw_merged`."""
     numbers = np.flatnonzero(np.isin(result.fused.component, [*components])).tolist()
     part = of_sites(result, components)
-    return draw_merged(part, theme, numbers=numbers, maps=maps, drives=drives)
+    return draw_merged(part, theme, numbers=numbers, maps=maps, drives=drives, changes=changes)
 
 
 def draw_merged(
@@ -193,13 +194,15 @@ def draw_merged(
     numbers: Sequence[int] = (),
     maps: Mapping[str, TopoMap] = NO_MAPS,
     drives: Sequence[Drive] | None = None,
+    changes: Sequence[Change] | None = None,
 ) -> Canvas:
     """Draw the fused map of every component: each corridor as parallel strands, one for each run
     that drove it; junctions seen by several runs are larger.
 
     numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions, of more beside
-    those that `drives` speak of; maps: of runs whose walls are drawn as well; drives: to record
-    next, for a picture of these and of branches that nobody drove.
+    those that `drives` or `changes` speak of; maps: of runs whose walls are drawn as well; drives:
+    to record next, for a picture of these and of branches that nobody drove; changes: for a picture
+    of these.
     """
     views = {c.id: site_views(result.fused, c, maps) for c in result.components}
     ways = {c.id: [d for d in drives or () if d.component == c.id] for c in result.components}
@@ -210,7 +213,7 @@ def draw_merged(
     parts = lay_out(result, seen)
     cells = [part.cell for part in parts]
     width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
-    canvas = _sheet(cells, theme, width, "merged")
+    canvas = sheet_canvas(cells, theme, width, "merged")
     rank = ranks(result)
     several = [part.component for part in parts if len(part.component.poses) > 1]
     for component in several:
@@ -223,9 +226,13 @@ def draw_merged(
         (*(title + turn for title in part.titles[:2]), *part.titles)
         for part, turn in zip(parts, turned, strict=True)
     ]
-    _frames(canvas, cells, titles)
+    draw_frames(canvas, cells, titles)
     pen = _pen_pt(canvas, result.fused)
-    spoken_of = _spoken_of(result.fused, numbers, drives)
+    row = {number: k for k, number in enumerate(numbers)}
+    drawn = [
+        replace(c, junctions=tuple(row.get(v, -1) for v in c.junctions)) for c in changes or ()
+    ]
+    spoken_of = _spoken_of(result.fused, numbers, drives, changes or ())
     for part in parts:
         _fused(canvas, result.fused, part, rank, pen)
         if numbers:
@@ -235,11 +242,12 @@ def draw_merged(
             _numbered(
                 canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
             )
-        _walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
+        draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
         if drives is not None:
             site = of_sites(result, [part.component.id]).fused
             _unexplored(canvas, site, part.cell.T_sheet_map)
             _drives(canvas, part, drives)
+        _changes(canvas, result.fused, part, drawn)
     count = result.standings()
     joined = count[Standing.JOINED]
     runs = sum(len(c.poses) for c in result.components)
@@ -255,23 +263,31 @@ def draw_merged(
     if len(parts) == 1 and parts[0].component.site:
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
     title = title if drives is None else f"What to record next: {title}"
-    told_drives = [f"{k}. {'; '.join(d.words)}; {d.way}" for k, d in enumerate(drives or (), 1)]
-    canvas.finish([title, told, *told_drives])
+    title = title if changes is None else f"What changed: {title}"
+    names = {c.id: c.name for c in result.components}
+    lines = [f"{'; '.join(d.words)}; {d.way}" for d in drives or ()]
+    lines += ["; ".join(c.words(names[c.component])) for c in changes or ()]
+    canvas.finish([title, told, *(f"{k}. {line}" for k, line in enumerate(lines, 1))])
     return canvas
 
 
-def _spoken_of(fused: FusedMap, numbers: Sequence[int], drives: Sequence[Drive] | None) -> set[int]:
+def _spoken_of(
+    fused: FusedMap,
+    numbers: Sequence[int],
+    drives: Sequence[Drive] | None,
+    changes: Sequence[Change],
+) -> set[int]:
     """The junctions that a plan of drives speaks of: with branches that nobody drove, and on the
-    way of a drive."""
-    if drives is None:
-        return set()
-    stops = {stop.junction for drive in drives for stop in drive.stops}
-    on_the_way = {k for k, number in enumerate(numbers) if number in stops}
-    return on_the_way | set(fused.branches.owner[~driven_branches(fused)].tolist())
+    way of a drive; and those of changes."""
+    named = {stop.junction for drive in drives or () for stop in drive.stops}
+    named |= {junction for change in changes for junction in change.junctions}
+    found = {k for k, number in enumerate(numbers) if number in named}
+    free = [] if drives is None else fused.branches.owner[~driven_branches(fused)].tolist()
+    return found | {*free}
 
 
-DRIVE_PT = 7.0
-"""Width of a drive to record, below the lines of runs."""
+DRIVE_PT, CHANGE_PT = 7.0, 12.0
+"""Width of a drive to record and of a changed corridor, below the lines of runs."""
 
 
 def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
@@ -296,11 +312,26 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
         canvas.words(at + np.array([0.0, away_m]), ", ".join(numbers), bold=True)
 
 
-def _sheet(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
+def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change]) -> None:
+    """Draw what changed in a component, each with its number in the list."""
+    T, aside = part.cell.T_sheet_map, 1.6 * TEXT_PT / canvas.points_per_m
+    colour, key = canvas.theme["against"], "what changed"
+    for k, change in enumerate(changes, 1):
+        if change.component != part.component.id:
+            continue
+        path = [apply(T, changed_path(fused, part.edges, change))]
+        at, told = apply(T, np.array(change.xy)), [f"change {k}"]
+        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, told=told, key=key)
+        canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
+        canvas.words(at + aside, str(k), bold=True)
+
+
+def sheet_canvas(cells: Sequence[Cell], theme: Theme, width_pt: float, name: str) -> Canvas:
+    """An empty drawing of the cells of a sheet."""
     return Canvas(*bounds([corners_of(cells)], margin=SHEET_MARGIN), theme, width_pt, name)
 
 
-def _frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
+def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence[str]]) -> None:
     """With more than one cell, draw each one's frame and title, in the longest form that fits."""
     if len(cells) < 2:
         return
@@ -342,59 +373,3 @@ def _fused(
         (shared, "shared", 2.1, Order.TIE, "junction seen by several runs"),
     ):
         canvas.dots(xy[which & ~turned], canvas.theme[ink], pens * pen_pt, order=order, key=key)
-
-
-def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> Canvas:
-    """Draw why two runs were merged or not: the placements of b over a, with lines between matched
-    junctions, the links that speak for a placement and what speaks against it."""
-    a, b = with_turning_points(a), with_turning_points(b)
-    seen = [wall_points(walls_of([m.views], m.frame)) for m in (a, b)]
-    picture = decision_picture(a, b, decision, (seen[0], seen[1]))
-    canvas = _sheet(picture.cells, theme, WIDTH_PT, "pair")
-    _frames(canvas, picture.cells, [(title,) for title in picture.titles])
-    for mark in picture.marks:
-        _mark(canvas, mark)
-    for T_sheet_a, T_sheet_b in picture.laid:
-        _walls(canvas, [a.views], T_sheet_a, theme["pale 0"], key=f"walls of {a.run}")
-        # Those of a show through.
-        key = f"walls of {b.run}"
-        _walls(canvas, [b.views], T_sheet_b, theme["pale 1"], alpha=0.75, key=key)
-    heading = [headline(decision), because(decision), advice(decision)]
-    heading += [f"Note: {note}" for note in decision.notes]
-    canvas.finish(heading)
-    return canvas
-
-
-PEN_PT, RING_PT, DOT_PT = 1.6, 6.5, 3.6
-"""Width of a run's line in the picture of a pair, of the ring round a junction, and of a dot."""
-
-TINY_M = 1e-3
-"""Length of the line that is drawn for a cell of a wall."""
-
-
-def _mark(canvas: Canvas, mark: Mark) -> None:
-    """Draw a mark: in one piece, or one by one if something is said of each."""
-    colour, order, told, key = canvas.theme[mark.ink], mark.order, mark.told, mark.key
-    if mark.form == "cell":
-        at = np.stack(mark.xy)
-        width_pt = float(np.max(mark.pens)) * canvas.points_per_m
-        canvas.lines(list(np.stack([at - TINY_M, at], axis=1)), colour, width_pt, key=key)
-    elif mark.form == "line" and len(told) > 1:
-        pens = PEN_PT * np.broadcast_to(mark.pens, len(mark.xy))
-        for path, own, pen_pt in zip(mark.xy, told, pens.tolist(), strict=True):
-            canvas.lines([path], colour, pen_pt, order=order, told=[own], key=key)
-    elif mark.form == "line":
-        pen_pt = PEN_PT * float(np.max(mark.pens))
-        canvas.lines(mark.xy, colour, pen_pt, order=order, told=told, key=key)
-    elif mark.form == "number":
-        for xy, number in zip(mark.xy, told, strict=True):
-            canvas.words(xy + 7.0 / canvas.points_per_m * ASIDE, number, size_pt=SMALL_PT)
-    else:
-        ring = mark.form == "ring"
-        size_pt = RING_PT if ring else DOT_PT
-        xy = np.stack(mark.xy)
-        canvas.dots(xy, colour, size_pt, order=order, told=told, ring=ring, key=key)
-
-
-ASIDE = np.array([-1.0, 1.0])
-"""Where a number stands from its junction."""

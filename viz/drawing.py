@@ -3,13 +3,14 @@ the viewer."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
 
+from ..merge.change import Change
 from ..merge.result import FusedMap
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.polyline import way_of
@@ -123,6 +124,17 @@ def strands(fused: FusedMap, edges: IntArray, pen: float) -> list[Strand]:
     return [Strand(*known, path) for known, path in zip(whose, beside, strict=True)]
 
 
+def changed_path(fused: FusedMap, edges: IntArray, change: Change) -> FloatArray:
+    """(k, 2) the corridor of the given ones that a change is about, or its junction alone."""
+    ends = sorted(change.junctions)
+    same = [e for e in edges.tolist() if sorted((fused.source[e], fused.target[e])) == ends]
+    if change.length is None or not same:
+        return np.array([change.xy, change.xy])
+    off = [abs(float(fused.length[e]) - change.length) for e in same]
+    path: FloatArray = fused.paths[same[int(np.argmin(off))]]
+    return path
+
+
 def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
     """Indices of the track's points to draw, about `spacing_m` of path apart, with the first and
     the last one; all for a spacing of 0."""
@@ -143,3 +155,24 @@ def bounds(points: Sequence[FloatArray], margin: float = MARGIN) -> tuple[FloatA
     low, high = joined.min(axis=0), joined.max(axis=0)
     spare = margin * max(float((high - low).max()), 4.0)
     return low - spare, high + spare
+
+
+def contradiction_spots(
+    against: Iterable[tuple[str, tuple[Sequence[int], Sequence[int]]]],
+    of_a: FloatArray,
+    of_b: FloatArray,
+    *,
+    apart: bool = False,
+) -> list[tuple[FloatArray, str]]:
+    """Where contradictions are drawn, (2,) each, and their texts. against: texts, and the junctions
+    of a and of b that each concerns; of_a, of_b: their positions, (n, 2) each, in one frame.
+
+    At a junction that the other run did not see, or amid two corridors that cross; of maps that are
+    drawn apart on one of them.
+    """
+    spots = []
+    for told, (a, b) in against:
+        ends = [of[list(rows)] for of, rows in ((of_a, a), (of_b, b)) if len(rows)]
+        shown = [points for points in ends if len(points) == 1] or ends
+        spots.append((np.concatenate(shown[:1] if apart else shown).mean(axis=0), told))
+    return spots

@@ -75,7 +75,6 @@ def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
     low, high = bounds(shown)
     hidden = rrb.EntityBehavior(visible=False)
     overrides: dict[str, rrb.EntityBehavior | rrb.VisibleTimeRanges] = {
-        entity((*MAP, "branches driven")): hidden,
         entity((*MAP, "closures", "refused")): hidden,
     }
     if track is not None:

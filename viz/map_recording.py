@@ -59,7 +59,7 @@ def write_map_recording(
         if grid is not None:
             write_grid(recording, (*MAP, "grid"), grid)
         _corridors(recording, whole)
-        _branches(recording, whole)
+        _unexplored(recording, whole)
         _junctions(recording, whole)
         _closures(recording, topomap, asked)
         _events(recording, topomap, asked, odometry)
@@ -92,24 +92,19 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
     )
 
 
-def _branches(recording: Recording, topomap: TopoMap) -> None:
-    driven = driven_branches(topomap)
-    pen = pen_m([topomap])
-    origins, vectors = branch_arrows(topomap, 7 * pen)
-    layers = (
-        ("branches driven", driven, palette.DIM, palette.Order.BRANCH),
-        ("branches never driven", ~driven, palette.UNEXPLORED, palette.Order.UNEXPLORED),
-    )
-    for name, which, colour, order in layers:
-        if which.any():
-            arrows = rr.Arrows2D(
-                origins=origins[which],
-                vectors=vectors[which],
-                radii=pen / 3,
-                colors=colour,
-                draw_order=order,
-            )
-            recording.static((*MAP, name), arrows)
+def _unexplored(recording: Recording, topomap: TopoMap) -> None:
+    """Write the branches that were never driven."""
+    free, pen = ~driven_branches(topomap), pen_m([topomap])
+    if free.any():
+        origins, vectors = branch_arrows(topomap, 7 * pen)
+        arrows = rr.Arrows2D(
+            origins=origins[free],
+            vectors=vectors[free],
+            radii=pen / 3,
+            colors=palette.UNEXPLORED,
+            draw_order=palette.Order.UNEXPLORED,
+        )
+        recording.static((*MAP, "branches never driven"), arrows)
 
 
 def _junctions(recording: Recording, topomap: TopoMap) -> None:

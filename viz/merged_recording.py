@@ -1,5 +1,4 @@
-"""The recording of a merge, `merged.rrd`: the fused map, each run's own map in its place, and the
-matrix of verdicts."""
+"""The recording of a merge, `merged.rrd`: the fused map, and each run's own map in its place."""
 
 from __future__ import annotations
 
@@ -10,7 +9,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from ..merge.result import FusedMap, MergeResult, Standing, site_views
+from ..merge.result import FusedMap, MergeResult, site_views
 from ..topology.arrays import FloatArray
 from ..topology.columns import take
 from ..topology.driven_branches import driven_branches
@@ -20,22 +19,23 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from . import palette
-from .drawing import SHEET_MARGIN, Strand, bounds, branch_arrows, pen_m, strands
+from .drawing import (
+    SHEET_MARGIN,
+    Strand,
+    bounds,
+    branch_arrows,
+    contradiction_spots,
+    pen_m,
+    strands,
+)
 from .pages import merge_page
 from .parts import (
-    CLASS,
-    DIAGONAL,
     Part,
     colours_of,
     lay_out,
     rows_of,
-    runs_in_order,
-    spans_of,
-    verdict_matrix,
 )
-from .placements import contradiction_spots
 from .recording import (
-    HAIR,
     UP,
     PathParts,
     Recording,
@@ -48,7 +48,7 @@ from .recording import (
     write_grid,
     write_recording,
 )
-from .sheet import Cell, corners_of, outline
+from .sheet import Cell, corners_of
 from .walls import FINE_M, wall_points, walls_of
 
 RECORDING_ID = "merged"
@@ -64,7 +64,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
     a name, OSError if the file cannot be written.
     """
     by_name = _by_name(result, maps)
-    runs, colours = runs_in_order(result), colours_of(result)
+    colours = colours_of(result)
     pen = pen_m([result.fused])
 
     def fill(recording: Recording) -> rrb.Blueprint:
@@ -88,9 +88,9 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
                 _own_map(recording, own, by_name[run], colours[run], pen)
         _unexplored(recording, result.fused, parts, pen)
         _contradictions(recording, result, by_name, parts, pen)
-        _matrix(recording, result, runs, colours)
+        _run_names(recording, parts, colours)
         recording.static(("summary",), markdown(merge_page(result)))
-        return _blueprint(sheet, runs)
+        return _blueprint(sheet)
 
     write_recording(path, RECORDING_ID, fill)
 
@@ -106,33 +106,43 @@ def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]
     return {run: with_turning_points(by_name[run]) for run in sorted(needed)}
 
 
-def _blueprint(sheet: list[Cell], runs: list[str]) -> rrb.Blueprint:
-    """The fused map and those of the runs, beside them the summary and the matrix of verdicts."""
+def _blueprint(sheet: list[Cell]) -> rrb.Blueprint:
+    """The fused map and those of the runs, beside them the summary."""
     low, high = bounds([corners_of(sheet)], margin=SHEET_MARGIN)
     maps = [map_view([root], name, low, high) for root, name in ((FUSED, "Map"), (RUNS, "Runs"))]
-    verdicts = []
-    if len(runs) > 1:
-        low, high = _matrix_bounds(runs)
-        verdicts.append(
-            rrb.Spatial2DView(
-                origin=f"/{MATRIX}",
-                name="Verdicts",
-                background=palette.BACKGROUND,
-                visual_bounds=rrb.VisualBounds2D(
-                    x_range=[low[0], high[0]], y_range=[low[1], high[1]]
-                ),
-            )
-        )
     summary = rrb.TextDocumentView(origin="/summary", name="Summary")
-    return blueprint(
-        rrb.Horizontal(
-            rrb.Tabs(*maps, active_tab=0, name="Maps"),
-            rrb.Vertical(summary, *verdicts, name="Verdicts"),
-            column_shares=[5, 2],
-            name="Merged map",
-        ),
-        rrb.TimePanel(state="hidden"),
+    root = rrb.Horizontal(
+        rrb.Tabs(*maps, active_tab=0, name="Maps"), summary, column_shares=[5, 2], name="Merged map"
     )
+    return blueprint(root, rrb.TimePanel(state="hidden"))
+
+
+def _run_names(
+    recording: Recording, parts: Sequence[Part], colours: Mapping[str, palette.Colour]
+) -> None:
+    """Write the names of the runs of each site in their colours, one below the other."""
+    runs, at = [], []
+    for part in parts:
+        own = sorted(part.component.poses)
+        (left, low), (right, high) = part.cell.low, part.cell.high
+        if 1 < len(own) <= MOST_NAMES:
+            runs += own
+            x = left + NAMES_SHARE * (right - left)
+            at += [(x, y) for y in np.linspace(high, low, MOST_NAMES + 2)[1 : len(own) + 1]]
+    if runs:
+        recording.dots(
+            (FUSED, "names"),
+            at,
+            palette.Order.WORDS,
+            radii=0.0,
+            colors=[colours[run] for run in runs],
+            labels=runs,
+            show_labels=True,
+        )
+
+
+MOST_NAMES, NAMES_SHARE = 16, 0.1
+"""Sites of up to so many runs have these named, at this share of their width."""
 
 
 MOST_VIEWS = 5000
@@ -281,89 +291,3 @@ def _own_map(
             labels=[*map(str, range(len(m)))],
             show_labels=False,
         )
-
-
-MATRIX = "verdicts"
-"""Its entity root."""
-
-MOST_NAMES = 16
-"""Above this many runs the matrix shows their names on hovering only."""
-
-MOST_DOTS = 300
-"""Above this many runs the matrix has no dots."""
-
-FULL_DOT_BITS = 100.0
-"""Evidence of the largest dot [bits]."""
-
-_CLASSES = (
-    (DIAGONAL, "same run", palette.DIAGONAL),
-    (CLASS[Standing.UNRELATED], "unrelated", palette.UNRELATED),
-    (CLASS[Standing.AMBIGUOUS], "ambiguous", palette.AMBIGUOUS),
-    (CLASS[Standing.KEPT_OUT], "fits, but kept out by a later check", palette.KEPT_OUT),
-    (CLASS[Standing.JOINED], "joined through other runs", palette.JOINED),
-    (CLASS[Standing.MERGED], "merged", palette.MERGED),
-)
-
-
-def _matrix(
-    recording: Recording,
-    result: MergeResult,
-    runs: list[str],
-    colours: Mapping[str, palette.Colour],
-) -> None:
-    """Write the verdicts of all pairs as an image and their evidence as dots, the runs of a site
-    framed, and at the left a mark for each run with its name."""
-    if not runs:
-        return
-    count = len(runs)
-    recording.static((MATRIX,), rr.AnnotationContext(_CLASSES))
-    matrix = verdict_matrix(result, runs)
-    recording.static((MATRIX, "pairs"), rr.SegmentationImage(matrix, opacity=1.0))
-    frames = [outline((k, k), (n, n)) for _, k, n in spans_of(result) if n - k > 1]
-    order = palette.Order.RING
-    recording.lines((MATRIX, "components"), frames, order, radii=HAIR, colors=palette.DIM)
-    recording.dots(
-        (MATRIX, "runs"),
-        np.stack([np.full(count, -0.5 * _names_width(runs)), np.arange(count) + 0.5], axis=-1),
-        palette.Order.CONTRADICTION,
-        {"run": runs},
-        radii=0.012 * count,
-        colors=[colours[run] for run in runs],
-        labels=runs,
-        show_labels=count <= MOST_NAMES,
-    )
-    if count <= MOST_DOTS:
-        _matrix_evidence(recording, result, runs)
-
-
-def _matrix_bounds(runs: list[str]) -> tuple[FloatArray, FloatArray]:
-    """Low and high corner (2,) of the matrix with its names; a cell is one unit, y points down."""
-    return np.array([-_names_width(runs), -0.2]), np.full(2, 1.01 * len(runs) + 0.2)
-
-
-def _names_width(runs: list[str]) -> float:
-    """Room for the names at the left [cells], from their share of a view of typical width."""
-    longest = max(map(len, runs), default=0) if len(runs) <= MOST_NAMES else 0
-    share = min(0.08 + 0.024 * longest, 0.6)
-    return len(runs) * share / (1 - share)
-
-
-def _matrix_evidence(recording: Recording, result: MergeResult, runs: list[str]) -> None:
-    """Write the evidence as dots with the pair's attributes, below the diagonal."""
-    row = {run: i for i, run in enumerate(runs)}
-    pairs = [p for p in result.verdicts if p.a in row and p.b in row]
-    if not pairs:
-        return
-    ends = np.array([sorted((row[p.a], row[p.b])) for p in pairs])
-    bits = np.array([p.evidence_bits for p in pairs])
-    told = {
-        "pair": [f"{p.a} - {p.b}" for p in pairs],
-        "verdict": [str(p.standing) for p in pairs],
-        "accepted": [p.accepted for p in pairs],
-        "evidence_bits": bits,
-        "reason": [p.reason for p in pairs],
-        "advice": [p.advice or "" for p in pairs],
-    }
-    radii = 0.2 * np.sqrt(np.clip(bits / FULL_DOT_BITS, 0.01, 1.0))
-    look = {"radii": radii, "colors": palette.BACKGROUND}
-    recording.dots((MATRIX, "evidence"), ends + 0.5, palette.Order.JUNCTION, told, **look)

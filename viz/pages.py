@@ -41,16 +41,13 @@ it and open the panels at the top right; the left one shows and hides layers.
 MERGE_LEGEND = """\
 ## How to read it
 
-**Map**: every corridor is a ribbon with one strand for each run that drove it, in the colour that
-its name has beside *Verdicts*; junctions seen by several runs are white, others grey. **Red** dots:
+**Map**: every corridor is a ribbon with one strand for each run that drove it, in the colour of
+its name; junctions seen by several runs are white, others grey. **Red** dots:
 where joined runs contradict each other. Under the map: what the lasers of all runs saw, walls
 **slate**, free space a little brighter than what is not known. Short strokes: branches that nobody
 drove. **Runs**: each run's own map, laid into its component.
 
-**Verdicts**, a square for every pair of runs: **green** merged, **dark green** joined through
-other runs, **orange** ambiguous, **red** fitting, but kept out by a later check, **grey**
-unrelated; the diagonal is dark. The larger the dot, the more evidence; point at it for the bits,
-the reason and what would settle it.
+The verdict on every pair of runs, with its evidence: `topobatch report`.
 
 Point at anything for what is known about it, or select it and open the panels at the top right;
 the left one shows and hides runs."""

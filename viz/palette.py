@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import colorsys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, auto
 
@@ -30,7 +29,6 @@ class Order(IntEnum):
     STUB = auto()
     EVIDENCE = auto()
     CORRIDOR = auto()
-    BRANCH = auto()
     UNEXPLORED = auto()
     RING = auto()
     JUNCTION = auto()
@@ -62,13 +60,6 @@ DOUBTFUL = (106, 84, 126)
 WALL = (66, 76, 94)
 UNLIT = (31, 35, 42)
 
-# Of verdicts.
-MERGED = (72, 199, 116)
-AMBIGUOUS = (245, 166, 35)
-JOINED = (38, 104, 68)
-KEPT_OUT = (188, 92, 84)
-UNRELATED = (58, 63, 74)
-DIAGONAL = (30, 33, 39)
 
 DEGREES = np.array(
     [
@@ -84,7 +75,7 @@ DEGREES = np.array(
 
 _RUNS: tuple[tuple[Colour, str], ...] = (
     ((80, 165, 250), "#1f77d0"),
-    ((255, 134, 66), "#e8590c"),
+    ((255, 160, 60), "#e07b00"),
     ((52, 205, 140), "#12934f"),
     ((244, 110, 186), "#d1359c"),
     ((248, 230, 90), "#a88400"),
@@ -102,21 +93,6 @@ def by_degree(degree: IntArray) -> Colours:
     return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
 
 
-def of_rank(rank: int) -> Colour:
-    """The colour of a rank, from 0: the first ten chosen by hand, later ones by steps of the golden
-    angle in hue."""
-    if rank < len(_RUNS):
-        return _RUNS[rank][0]
-    return stepped(rank - len(_RUNS), 0.45, 0.95)
-
-
-def stepped(step: int, saturation: float, value: float) -> Colour:
-    """The colour after `step` golden-angle steps in hue."""
-    hue = (0.31 + 0.61803398875 * step) % 1.0
-    red, green, blue = colorsys.hsv_to_rgb(hue, saturation, value)
-    return round(255 * red), round(255 * green), round(255 * blue)
-
-
 _INKS = {
     "paper": ("#ffffff", BACKGROUND),
     "ink": ("#1b1f24", TITLE),
@@ -125,9 +101,9 @@ _INKS = {
     "corridor": ("#6c93c2", CORRIDOR),
     "single": ("#7b8490", SINGLE),
     "shared": ("#1b1f24", WHITE),
-    "unexplored": ("#d97f00", UNEXPLORED),
-    "planned": ("#f7c27a", (140, 90, 20)),
-    "agrees": ("#1f9d55", MERGED),
+    "unexplored": ("#7c3aed", (178, 132, 255)),
+    "planned": ("#cdb8fb", (84, 52, 150)),
+    "agrees": ("#1f9d55", (72, 199, 116)),
     "against": ("#d43a3a", REFUSED),
     "degree 0": ("#8b929b", DEGREES[0]),
     "degree 1": ("#d6304f", DEGREES[1]),
@@ -156,8 +132,12 @@ class Theme:
     half-way to the paper, for its walls ("pale 0")."""
 
     inks: Mapping[str, str]
-    run: Callable[[int], str]
-    """The colour of a run by its rank among those drawn together, from 0."""
+    runs: Sequence[str]
+
+    def run(self, rank: int) -> str:
+        """The colour of a run by its rank among those drawn together, from 0; after ten they come
+        again."""
+        return self.runs[rank % len(self.runs)]
 
     def __getitem__(self, ink: str) -> str:
         if ink in self.inks:
@@ -170,14 +150,7 @@ class Theme:
         return colour
 
 
-def _light_run(rank: int) -> str:
-    """The first ten chosen by hand, later ones by steps of the golden angle in hue."""
-    if rank < len(_RUNS):
-        return _RUNS[rank][1]
-    return _hex(stepped(rank - len(_RUNS), 0.65, 0.72))
-
-
-LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, _light_run)
+LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, [light for _, light in _RUNS])
 DARK = Theme(
-    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, lambda rank: _hex(of_rank(rank))
+    {name: _hex(dark) for name, (_, dark) in _INKS.items()}, [_hex(dark) for dark, _ in _RUNS]
 )

@@ -97,7 +97,7 @@ def colours_of(result: MergeResult) -> dict[str, palette.Colour]:
     """The viewer's colour of each run; runs that merged with none are grey."""
     rank = ranks(result)
     return {
-        run: palette.of_rank(rank[run]) if len(c.poses) > 1 else palette.SINGLE
+        run: palette.rgb(palette.DARK.run(rank[run])) if len(c.poses) > 1 else palette.SINGLE
         for c in result.components
         for run in c.poses
     }

@@ -172,12 +172,6 @@ def markdown(text: str) -> rr.TextDocument:
     return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
 
 
-def screen(lines: Iterable[str]) -> rr.TextDocument:
-    """A page of lines as a terminal shows them."""
-    fence = 40 * "~"  # longer than any in a name
-    return markdown("\n".join([f"{fence}text", *lines, fence]))
-
-
 def map_view(
     roots: Sequence[str], name: str, low: FloatArray, high: FloatArray, overrides: Any = None
 ) -> rrb.Spatial2DView:

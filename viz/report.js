@@ -33,15 +33,25 @@ function zoom(plot, by, aside = 0, up = 0) {
 const KEYS = {"+": [.67], "=": [.67], "-": [1.5], ArrowLeft: [1, -.15], ArrowRight: [1, .15],
   ArrowUp: [1, 0, .15], ArrowDown: [1, 0, -.15]};
 
-// Dots and lines shrink where corridors are drawn shorter than the first, numbers go where they are
-// shorter than the second; less where only some junctions are numbered [px].
-const LARGE_PX = 30, NUMBERED_PX = 42, SOME_NUMBERED_PX = 22, LEAST = .4, NUMBERS = "junction numbers";
+// Dots and lines shrink where corridors are drawn shorter than this [px].
+const LARGE_PX = 30, LEAST = .4, NUMBERS = "junction numbers";
+// One number in each such rectangle of the picture: the others would lie over each other [px].
+const ROOM_PX = [34, 20];
+function renumber(plot, px_per_m) {
+  for (const r of plot.renderers) if (r.name === NUMBERS) {
+    const source = r.data_source, taken = new Set();
+    if (source.data.text !== source.fewer) source.every = source.data.text;
+    const place = k => ["x", "y"].map((side, n) => Math.floor(source.data[side][k] * px_per_m / ROOM_PX[n])).join();
+    source.fewer = source.every.map((text, k) => taken.has(place(k)) ? "" : (taken.add(place(k)), text));
+    source.data = {...source.data, text: source.fewer};
+  }
+}
 function rescale(plot) {
-  const usual_px = plot.usual * plot.inner_width / (plot.x_range.end - plot.x_range.start);
+  const px_per_m = plot.inner_width / (plot.x_range.end - plot.x_range.start), usual_px = plot.usual * px_per_m;
   if (!(usual_px > 0)) return;
+  if (!(Math.abs(px_per_m / plot.px_per_m - 1) < .05)) renumber(plot, plot.px_per_m = px_per_m);
   const scale = Math.min(1, Math.max(LEAST, usual_px / LARGE_PX));
   for (const r of plot.renderers) {
-    if (r.name === NUMBERS) r.visible = usual_px > plot.numbered_px && !plot.unnumbered;
     if (Math.abs(scale - (plot.scale ?? 0)) < .05) continue;
     for (const glyph of [r.glyph, r.selection_glyph, r.nonselection_glyph])
       for (const part of ["size", "line_width", "length"]) if (typeof glyph?.[part]?.value === "number") {
@@ -57,7 +67,6 @@ async function map(place) {
   const plot = await draw(place);
   plot.box = shown(plot);
   plot.usual = plot.tags[0] ?? 1;
-  plot.numbered_px = plot.tags.length ? NUMBERED_PX : SOME_NUMBERED_PX;
   const fit = () => show(plot, plot.box);
   for (const side of ["inner_width", "inner_height"]) plot.properties[side].change.connect(fit);
   plot.x_range.change.connect(() => rescale(plot));
@@ -86,12 +95,8 @@ async function site(place) {
   const layers = new Map();
   for (const r of plot.renderers) if (r.name) layers.set(r.name, [...layers.get(r.name) ?? [], r]);
   for (const [name, renderers] of layers) {
-    const checked = name === NUMBERS || renderers[0].visible;
-    const box = made("input", "", {type: "checkbox", checked}), label = made("label", "");
-    box.onchange = () => {
-      if (name !== NUMBERS) renderers.forEach(r => { r.visible = box.checked; });
-      else { plot.unnumbered = !box.checked; rescale(plot); }
-    };
+    const box = made("input", "", {type: "checkbox", checked: true}), label = made("label", "");
+    box.onchange = () => renderers.forEach(r => { r.visible = box.checked; });
     label.append(box, ` ${name}`);
     find(".layers", section).append(label);
   }
@@ -161,6 +166,7 @@ function fill(plot, a, b, placed) {
   const spare = .05 * Math.max(high(0) - low(0), high(1) - low(1), 4);
   plot.usual = a.map.usual;
   plot.box = [low(0) - spare, high(0) + spare, low(1) - spare, high(1) + spare];
+  plot.px_per_m = 0;  // what is numbered is new
   show(plot, plot.box);
   rescale(plot);
 }

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 from bokeh.embed import json_item
-from bokeh.models import ColumnDataSource, DatetimeTickFormatter
+from bokeh.models import ColumnDataSource, FixedTicker
 from bokeh.resources import Resources
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
@@ -25,6 +25,7 @@ from ..merge.change import Change
 from ..merge.decision import Decision
 from ..merge.drive import Drive
 from ..merge.result import Component, MergeResult, Standing, of_sites, shown_bits
+from ..topology.arrays import FloatArray, IntArray
 from ..topology.made_from import describe_junctions
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted, legible, listed, to_turning_points, utc
@@ -42,7 +43,10 @@ SHORTEST = 0.01
 """A run is at least so long in the time line, over the time of all."""
 
 MS_NS = 1_000_000
-"""Nanoseconds of a millisecond, in which browsers count time."""
+"""Nanoseconds of a millisecond: a run lasts at least so long."""
+
+MOST_TICKS = 4
+"""About so many times stand below the time line, also on a telephone."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +56,8 @@ class Report:
     maps: of every readable run, by name; as_merged: whether they are those that were merged;
     result: the last merge or None; warnings: runs that cannot be read or have changed since the
     merge; locks: decisions by a person, as text; versions: of the program and its libraries;
-    drives: what to record next; changes: in all components; decisions: on the pairs whose evidence
+    drives: what to record next; without any, unexplored: why, and where branches were never driven;
+    changes: in all components; decisions: on the pairs whose evidence
     is shown line by line; where: options that name the workspace in a call.
     """
 
@@ -62,6 +67,7 @@ class Report:
     locks: Sequence[str] = ()
     versions: Sequence[tuple[str, str]] = ()
     drives: Sequence[Drive] = ()
+    unexplored: Sequence[str] = ()
     changes: Sequence[Change] = ()
     decisions: Mapping[tuple[str, str], Decision] = field(default_factory=dict)
     where: Sequence[str] = ()
@@ -91,6 +97,7 @@ def report_page(report: Report) -> str:
         digests=[_digest(library), _digest(script)],
         sites=sites,
         drives=[(k, d, shown_bits(d.bits)) for k, d in enumerate(report.drives, 1)],
+        unexplored=report.unexplored,
         changes=_changes(report),
         legend=_legend(result),
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
@@ -264,9 +271,9 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
     }
     if not spans:
         return 0
-    low, high = min(a for a, _ in spans.values()), max(b for _, b in spans.values())
-    least = max(int(SHORTEST * (high - low)), MS_NS)
-    free: list[int] = []
+    knots, places, ticks = _clock(sorted(spans.values()))
+    least = SHORTEST * places[-1]
+    free: list[float] = []
     bars: dict[str, list[Any]] = {k: [] for k in ("left", "right", "top", "bottom", "ink", "told")}
     labels: dict[float, str] = {}
     for name, own in groups:
@@ -276,19 +283,20 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
                 continue
             labels[first + 0.5] = name
             begin, end = spans[run]
-            row = next((k for k in range(first, len(free)) if free[k] < begin), len(free))
+            left, right = np.interp(np.subtract((begin, end), knots[0]), knots - knots[0], places)
+            right = max(right, left + least)
+            row = next((k for k in range(first, len(free)) if free[k] < left), len(free))
             if row == len(free):
-                free.append(0)
-            free[row] = max(end, begin + least) + least // 4
-            bars["left"].append(begin // MS_NS)
-            bars["right"].append(max(end, begin + least) // MS_NS)
+                free.append(0.0)
+            free[row] = right + least / 4
+            bars["left"].append(round(float(left), 2))
+            bars["right"].append(round(float(right), 2))
             bars["bottom"].append(row + 0.15)
             bars["top"].append(row + 0.85)
             bars["ink"].append(LIGHT.run(rank) if run in grouped else INK)
             bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
-    spare = (high + least - low) / 50
-    across = ((low - spare) / MS_NS, (high + least + spare) / MS_NS)
-    plot = blank_figure(across, (len(free), 0), "xpan,tap", x_axis_type="datetime")
+    spare = places[-1] / 50
+    plot = blank_figure((-spare, places[-1] + least + spare), (len(free), 0), "xpan,tap")
     plot.quad(
         "left", "right", "top", "bottom",
         source=ColumnDataSource(bars), fill_color="ink", line_color=None,
@@ -302,13 +310,39 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
         axis_line_color=INK,
         major_tick_line_color=INK,
         minor_tick_line_color=None,
-        formatter=DatetimeTickFormatter(
-            seconds="%H:%M:%S", minutes="%H:%M", hours="%H:%M", days="%d %b", months="%b %Y"
-        ),
+        ticker=FixedTicker(ticks=[*ticks]),
+        major_label_overrides=ticks,
     )
     named_axis(plot.yaxis[0], labels)
     items["time"] = _item("time", plot)
     return len(free)
+
+
+def _clock(spans: Sequence[tuple[int, int]]) -> tuple[IntArray, FloatArray, dict[float, str]]:
+    """The axis of the time line: times (k,) [ns] and their places on it [s], between which it is
+    linear; and the texts of its ticks. spans: of the runs, by time.
+
+    Gaps between recordings are shortened to the mean time recorded between two of them, so that
+    years without any take no more room than the runs.
+    """
+    whole: list[list[int]] = []
+    for begin, end in spans:
+        if whole and begin <= whole[-1][1]:
+            whole[-1][1] = max(end, whole[-1][1])
+        else:
+            whole.append([begin, max(end, begin + MS_NS)])
+    knots = np.array(whole).ravel()
+    step = np.diff(knots, prepend=knots[0]) / 1e9
+    recorded, gaps = step[1::2], step[2::2]
+    gaps[:] = np.minimum(gaps, recorded.mean())
+    places = np.cumsum(step)
+    at = places[::2] if len(whole) > 1 else np.linspace(0.0, places[-1], MOST_TICKS)
+    times = np.interp(at, places, knots - knots[0])
+    ticks: dict[float, str] = {}
+    for x, time in zip(at.tolist(), times.tolist(), strict=True):
+        if not ticks or x - max(ticks) >= places[-1] / MOST_TICKS:
+            ticks[round(x, 2)] = utc(int(time) + int(knots[0]), "%Y-%m-%d %H:%M")
+    return knots, places, ticks
 
 
 def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[str]]]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 from base64 import b64encode
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -21,7 +20,7 @@ from PIL import Image
 
 from ..merge.change import Change
 from ..merge.drive import Drive
-from ..merge.result import Component, FusedMap, MergeResult, fused_of, site_views
+from ..merge.result import Component, FusedMap, MergeResult, site_views
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.driven_branches import driven_branches
 from ..topology.polyline import simplify
@@ -30,8 +29,8 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
-from .drawing import TURNED, TURNED_MARKERS, bounds, strands
-from .pages import corridor_told, questions
+from .drawing import TURNED, TURNED_MARKERS, bounds, changed_path, strands
+from .pages import corridor_told
 from .palette import LIGHT
 from .parts import ranks, rows_of
 from .sheet import upright_rad
@@ -41,7 +40,7 @@ INK, FAINT, CHOSEN = "#6f7682", "#9aa2ae", "#c026d3"
 """Text and junctions, corridors, and what was clicked: a contrast of 4 or more, 2.5, and 4 on white
 and on the dark page."""
 
-GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#d97f00"
+GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#8b5cf6"
 
 PICTURE_PX = 700.0
 """A map's width on a page of usual width."""
@@ -51,7 +50,7 @@ PEN_PX, PEN_SHARE = 2.4, 0.12
 drawings."""
 
 SCALE_BAR = 0.04
-"""Room for the scale bar below a map, over its extent."""
+"""Room for the scale bar below a map, and for numbers at its right, over its extent."""
 
 STRAIGHT_M = 0.05
 """Corridors are drawn with as few points as stay within it of the whole line [m]."""
@@ -84,7 +83,6 @@ def site_map(
         site.walls(walls)
     site.corridors()
     site.runs(ranks(result))
-    site.closures(maps)
     site.unexplored()
     site.changes([c for c in changes if c.component == own.id and c.sure])
     site.drives(begun)
@@ -116,7 +114,8 @@ def map_figure(points: Sequence[FloatArray]) -> Any:
     """An empty figure that holds all points, (k, 2) each [m]; the page keeps both axes to one
     scale."""
     low, high = bounds(points)
-    low[1] -= SCALE_BAR * float((high - low).max())
+    spare = SCALE_BAR * float((high - low).max())
+    low[1], high[0] = low[1] - spare, high[0] + spare
     plot = blank_figure((low[0], high[0]), (low[1], high[1]), "pan,tap")
     wheel = WheelZoomTool(modifiers="ctrl")
     plot.add_tools(wheel)
@@ -212,32 +211,6 @@ class _Site:
         look = {"line_color": "ink", "line_width": PEN_PX * 0.8}
         self.plot.multi_line("xs", "ys", source=source, name="runs", **look)
 
-    def closures(self, maps: Mapping[str, TopoMap]) -> None:
-        """Junctions that a run recognised when it came again, and passes that it did not take for
-        one place."""
-        fused = fused_of(self.fused.members)
-        again: Counter[int] = Counter()
-        apart: list[tuple[FloatArray, str]] = []
-        for run, m in sorted(maps.items()):
-            for asked in questions(m):
-                if None in asked.rows:
-                    continue
-                at = [int(m.observation_vertex[k]) for k in asked.rows if k is not None]
-                here = [fused[run, v] for v in at if (run, v) in fused]
-                if len(here) < 2:
-                    continue
-                if asked.closure.accepted:
-                    again[here[1]] += 1
-                elif here[0] != here[1]:
-                    apart.append((self.fused.xy[here], f"{run}: {asked.told}"))
-        if apart:
-            ends, words = zip(*apart, strict=True)
-            look = {"line_width": 1.5, "line_dash": "dashed"}
-            self._lines(ends, words, BAD, "closures refused", **look)
-        rows = sorted(again)
-        told = [f"Junction {v} was recognised {counted(again[v], 'time')}" for v in rows]
-        self._dots(self.fused.xy[rows], told, GOOD, "closures", 14.0, ring=True)
-
     def unexplored(self) -> None:
         """Branches that nobody drove."""
         f, branches = self.fused, self.fused.branches
@@ -256,22 +229,11 @@ class _Site:
         if not shown:
             return
         paths, told = (
-            [self._changed(c) for c in shown],
+            [changed_path(self.fused, self.edges, c) for c in shown],
             [described_change(c, self.own.name) for c in shown],
         )
         self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
         self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
-
-    def _changed(self, change: Change) -> FloatArray:
-        """The corridor that a change is about, or its junction alone."""
-        f, ends = self.fused, sorted(change.junctions)
-        if change.thing == "corridor":
-            same = [e for e in self.edges.tolist() if sorted((f.source[e], f.target[e])) == ends]
-            if same:
-                off = [abs(float(f.length[e]) - (change.length or 0.0)) for e in same]
-                path: FloatArray = f.paths[same[int(np.argmin(off))]]
-                return path
-        return np.array([change.xy, change.xy])
 
     def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""
@@ -356,7 +318,6 @@ class _Site:
             line_cap="round",
             line_join="round",
             name=layer or None,
-            visible=layer not in HIDDEN,
             nonselection_line_alpha=look.get("line_alpha", 1.0),
             selection_line_color=CHOSEN,
             **look,
@@ -390,7 +351,6 @@ class _Site:
             line_color=ink,
             line_width=2.5 if ring else 0,
             name=layer or None,
-            visible=layer not in HIDDEN,
             nonselection_fill_alpha=1.0,
             nonselection_line_alpha=1.0,
             selection_fill_color=CHOSEN,
@@ -430,10 +390,7 @@ class _Site:
 
 DRIVES = "drives to record"
 NUMBERS = "junction numbers"
-"""The page shows this layer where the map is large enough."""
-
-HIDDEN = ("closures", "closures refused")
-"""Layers that are switched on by hand."""
+"""Of this layer the page shows what has room."""
 
 
 def described_change(change: Change, site: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 
 import pytest
@@ -41,9 +42,20 @@ def test_changes_are_told_with_dates(topobatch, place) -> None:
         assert words in shown.out
     *_, count, hint = shown.out.splitlines()
     assert f"{len(told)} changes" in count
-    assert "topobatch report" in hint
+    assert f"topobatch changes -o changes.svg -w {place.root}" in hint
     every = json.loads(topobatch("changes", "-w", place.root, "--json", "--all").out)
     assert len(every) >= len(told)
+
+
+def test_changes_are_drawn_with_the_numbers_of_their_list(topobatch, place, tmp_path) -> None:
+    shown = topobatch("changes", "-o", tmp_path / "changes.svg", "-w", place.root)
+    assert (shown.code, shown.err) == (0, "")
+    svg = (tmp_path / "changes.svg").read_text()
+    assert "What changed: " in svg
+    assert "1. " in svg
+    assert "<title>change 1</title>" in svg
+    assert "gone: corridor of" in " ".join(re.findall(r">([^<>]*)</text>", svg))
+    assert "ends in .svg or .png" in topobatch("changes", "-o", "a.txt", "-w", place.root).error(2)
 
 
 def test_calls_that_cannot_be(topobatch, place, tmp_path) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
-
 RUNS = ("run1", "run2")
 
 
@@ -95,11 +93,9 @@ def test_no_answer_takes_a_write(topobatch, merged, tmp_path, monkeypatch) -> No
         return made(**how)
 
     monkeypatch.setattr(tempfile, "mkstemp", mkstemp)
-    shutil.rmtree(merged / "explain", ignore_errors=True)
     done = topobatch("explain", a, b, "-w", merged)
     assert done.code == 0
     assert "bits of evidence" in done.out
-    assert "not written: Permission denied" in done.err
     assert topobatch("draw", "merged", tmp_path / "m.svg", "-w", merged).code == 0
     assert topobatch("report", tmp_path / "r.html", "-w", merged).code == 0
     done = topobatch("report", "-w", merged)

@@ -406,14 +406,8 @@ def test_a_run_is_not_called_like_a_merge(topobatch, logs, tmp_path):
     assert "a merge is called so" in done.error(2)
 
 
-def test_the_size_of_jumps_goes_with_their_number(topobatch, tmp_path):
-    for option in ("--jump-m", "--jump-deg"):
-        assert "--jumps" in topobatch("simulate", tmp_path / "out", option, "1").error(2)
-
-
 def test_what_is_of_lasers_goes_with_a_laser(topobatch, tmp_path):
-    for options in (["--corridor-m", "2"], ["--detections"]):
-        assert "--laser" in topobatch("simulate", tmp_path / "out", *options).error(2)
+    assert "--laser" in topobatch("simulate", tmp_path / "out", "--detections").error(2)
 
 
 def test_what_is_broken_in_a_folder_costs_no_other_log(topobatch, logs, tmp_path):

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
-import subprocess
-import sys
 
 import pytest
 
@@ -61,7 +58,7 @@ def test_what_may_be_a_copy_is_said_before_the_lock_is_kept_and_after(
     assert MAYBE_COPY in topobatch("lock", "rows1", "rows2", "--same", "-w", workspace).err
 
 
-def test_what_the_maps_say_as_well_is_not_asked_back(topobatch, workspace):
+def test_what_the_maps_say_as_well_is_no_warning(topobatch, workspace):
     for call in (
         ("lock", "maze1", "maze2", "--same"),
         ("lock", "maze1", "maze2", "--clear"),
@@ -73,31 +70,7 @@ def test_what_the_maps_say_as_well_is_not_asked_back(topobatch, workspace):
         assert (done.code, done.err) == (0, "")
 
 
-def test_runs_with_nothing_in_common_are_asked_back(topobatch, workspace):
-    done = topobatch("lock", "maze1", "rows2", "--same", "--yes", "-w", workspace)
+def test_of_runs_with_nothing_in_common_it_is_said(topobatch, workspace):
+    done = topobatch("lock", "maze1", "rows2", "--same", "-w", workspace)
     assert "by the maps of maze1 and rows2, " in done.err
     assert len(locks(workspace)) == 1
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="terminals of Unix")
-def test_on_a_terminal_it_is_asked_back(workspace):
-    import pty
-
-    ours, theirs = pty.openpty()
-    call = ["lock", "rows1", "rows2", "--same", "-w", str(workspace)]
-    process = subprocess.Popen(
-        [sys.executable, "-m", "topobatch.cli", *call],
-        stdin=theirs,
-        stderr=theirs,
-        stdout=subprocess.PIPE,
-        env=os.environ | {"TERM": "dumb"},
-    )
-    os.close(theirs)
-    os.write(ours, b"n\n")
-    process.communicate(timeout=120)
-    shown = os.read(ours, 10_000).decode()
-    os.close(ours)
-    assert MAYBE_COPY in " ".join(shown.split())
-    assert "lock them as the same? [y/N]" in shown
-    assert process.returncode == 1
-    assert not locks(workspace)

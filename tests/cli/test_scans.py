@@ -25,18 +25,15 @@ def test_simulated_lasers(topobatch, tmp_path):
     assert "/junctions" not in out
     truth = json.loads((tmp_path / "a" / "truth.json").read_text())
     assert truth["runs"]["run1"]["settings"]["laser"]["corridor_m"] == 1.4
-    done = topobatch(
-        "simulate", tmp_path / "b", "--laser", "--detections", "--corridor-m", 1.8, *small
-    )
+    done = topobatch("simulate", tmp_path / "b", "--laser", "--detections", *small)
     assert done.code == 0, done
     out = topobatch("info", tmp_path / "b").out
     assert "junctions: default name; taken before what sensors show, each of confidence 1" in out
     assert "shows the walls around places; --junctions-from scan finds" in out
     out = topobatch("info", tmp_path / "b", "--junctions-from", "scan").out
     assert "scans: default name; asked for in place of detections" in out
-    for option, value in (("--corridor-m", 9), ("--corridor-m", "nan"), ("--format", "rar")):
-        error = topobatch("simulate", tmp_path / "c", "--laser", option, value).error(2)
-        assert option in error or "choose one of mcap" in error
+    error = topobatch("simulate", tmp_path / "c", "--format", "rar").error(2)
+    assert "choose one of mcap" in error
     assert not (tmp_path / "c").exists()
 
 

@@ -74,6 +74,12 @@ def test_places_are_carried_with_what_they_are(topobatch, place, table) -> None:
     assert back.code == 0
     again = rows_of((place.root / "there.csv").read_text())
     assert np.allclose([float(again[0]["x"]), float(again[0]["y"])], [20, 1], atol=0.05)
+    result = place.read_result()
+    named = tuple(replace(c, site=f"site-{min(c.poses)}") for c in result.components)
+    write_merged(place.merged_json, replace(result, components=named))
+    call = ("transfer", table(shown.out), "--from", "two", "-w", place.root, "--to")
+    assert rows_of(topobatch(*call, "site-one").out) == again
+    assert "two is of the site site-one, not of site-else" in topobatch(*call, "site-else").error(1)
 
 
 def test_what_cannot_be_carried_is_said_line_by_line(topobatch, place, table) -> None:

@@ -6,25 +6,34 @@ import signal
 import socket
 import subprocess
 import sys
-from urllib.parse import urlsplit
+import time
+from urllib.error import URLError
 from urllib.request import urlopen
 
 import rerun as rr
 
 
-def test_what_explain_found_is_opened(topobatch, workspace, monkeypatch) -> None:
+def test_a_pair_is_explained_in_words_and_drawn(topobatch, workspace, monkeypatch) -> None:
     ws = workspace
-    missing = topobatch("view", "run2:run1", "-w", ws).error(1)
-    assert missing.endswith(f"is not there; topobatch explain run1 run2 -w {ws} makes it")
     said = topobatch("explain", "run1", "run2", "-w", ws)
     assert f"not merged yet (topobatch merge --all -w {ws})" in " ".join(said.out.split())
-    hint = f"(look at it: topobatch view run1:run2 -w {ws})"
-    assert said.out.splitlines()[-1].endswith(hint)
-    recording = ws / "explain" / "run1+run2.rrd"
-    assert str(recording) in topobatch("view", "run1:run2", "-w", ws).out
+    drawn = f"topobatch draw run1:run2 why.svg -w {ws}"
+    assert said.out.splitlines()[-1] == f"as a picture: {drawn}"
+    assert topobatch("view", "run1:run2", "-w", ws).error(2).endswith(drawn)
     # The usual workspace is not named.
     monkeypatch.setenv("TOPOBATCH_WORKSPACE", str(ws))
     assert "next: topobatch merge --all\n" in topobatch("lock", "run1", "run2", "--never").out
+
+
+def page_at(address: str) -> str:
+    """The page, once it is served."""
+    for _ in range(300):
+        try:
+            with urlopen(address) as page:
+                return page.read().decode()
+        except URLError:
+            time.sleep(0.1)
+    return ""
 
 
 def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, tmp_path) -> None:
@@ -35,19 +44,19 @@ def test_the_viewer_is_served_to_this_machine_until_ctrl_c(topobatch, tmp_path) 
     # Tests may run in the background, where processes are started deaf to Ctrl-C.
     heeding = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"
     code = f"{heeding}; from topobatch.cli.main import main; main()"
-    call = [sys.executable, "-c", code, *view, "--web"]
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    call = [sys.executable, "-c", code, *view, "--web", "--port", str(port)]
     with subprocess.Popen(call, stdout=subprocess.PIPE, text=True) as served:
         try:
             address = served.stdout.readline().split()[0]
-            with urlopen(address) as page:
-                assert "Rerun" in page.read().decode()
-            port = urlsplit(address).port
-            error = topobatch(*view, "--web", "--port", port).error(2)
-            assert f"port {port}: " in error
+            assert "Rerun" in page_at(address)
+            again = subprocess.run(call, capture_output=True, text=True, check=False)
+            assert again.returncode == 2
+            assert f"ports {port} and {port + 1} cannot be served on" in again.stderr
         finally:
             served.send_signal(signal.SIGINT)
-    assert address.startswith("http://127.0.0.1:")
+    assert address.startswith(f"http://127.0.0.1:{port}/")
     assert served.returncode == 0
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
-    assert "--port goes with --web" in topobatch(*view, "--port", 9).error(2)

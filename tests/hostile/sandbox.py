@@ -70,7 +70,7 @@ def load() -> None:
     import topobatch.merge.document
     import topobatch.merge.merging
     import topobatch.merge.paper.explain
-    import topobatch.viz.decision_recording
+    import topobatch.viz.draw_pair
     import topobatch.viz.map_recording
     import topobatch.viz.merged_recording  # noqa: F401
 

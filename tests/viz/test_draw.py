@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from topobatch.merge.result import Verdict
 from topobatch.viz.draw import (
-    draw_decision,
     draw_map,
     draw_merged,
     draw_sites,
@@ -14,7 +12,6 @@ from topobatch.viz.draw import (
 from topobatch.viz.palette import DARK, LIGHT
 
 from ..topology.floors import floor, views_at
-from .test_decision_recording import decision, placement
 
 SVG = "{http://www.w3.org/2000/svg}"
 
@@ -72,27 +69,6 @@ def test_a_site_is_drawn_with_the_numbers_of_its_junctions(merge_of) -> None:
     texts, _ = seen(draw_sites(result, [1], LIGHT))
     assert {"5", "6", "7", "8", "9"} <= set(texts)
     assert not {"0", "4", "a"} & set(texts)
-
-
-def test_a_merged_pair_is_tied_junction_by_junction(make_map) -> None:
-    told = decision(Verdict.MERGED, [placement(30.0)])
-    a, b = make_map("a/1"), make_map("b", (1.0, 2.0, 0.4))
-    texts, titles = seen(draw_decision(a, b, told, LIGHT))
-    assert "a/1 and b: merged: 30.0 bits of evidence, 12.6 needed" in texts
-    assert {"placement: 30.0 bits", "the 5 matched junctions tied"} <= set(texts)
-    assert {f"junction {k} = junction {k}" for k in range(5)} <= set(titles)
-    assert "+29.0 bits: corridor" in titles
-    assert "-2.0 bits: junction unseen in a corridor" in titles
-    assert {"matched junctions, tied", "link that speaks for it", "what speaks against it"} <= set(
-        texts
-    )
-
-
-def test_an_ambiguous_pair_shows_both_placements(make_map) -> None:
-    told = decision(Verdict.AMBIGUOUS, [placement(9.0), placement(8.0)])
-    a, b = make_map("a"), make_map("b", (1.0, 2.0, 0.4))
-    texts, _ = seen(draw_decision(a, b, told, LIGHT))
-    assert {"placement: 9.0 bits", "next best: 8.0 bits"} <= set(texts)
 
 
 def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> None:

@@ -36,7 +36,6 @@ def test_a_map_is_written_and_read_back(tmp_path: Path, make_map: Make, drive: D
         "/map",
         "/map/corridors",
         "/map/junctions",
-        "/map/branches\\ driven",
         "/map/branches\\ never\\ driven",
         "/map/closures/accepted",
         "/map/closures/refused",

@@ -13,7 +13,6 @@ from topobatch.merge.decision import Decision, Placement, Requirement, Term
 from topobatch.merge.drive import Drive, Stop
 from topobatch.merge.result import Standing, Unlisted
 from topobatch.viz.report import Report, report_page
-from topobatch.viz.report_maps import HIDDEN
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\"'{{7*7}}`${1}"
 VERSIONS = [("topobatch", "1.2.3")]
@@ -175,13 +174,11 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
     assert set(layers) == {
         None,
         "runs",
-        "closures",
         "branches never driven",
         "changes",
         "drives to record",
         "junction numbers",
         "axes",
-        "closures refused",
     } - {None if not layers.get(None) else ""}
     corridors, *dots = layers[None]
     assert corridors["told"][0] == ("Corridor 0 to 1: 10.00 ± 0.10 m, driven 2 times by a, b")
@@ -189,16 +186,9 @@ def test_a_site_has_layers_and_says_what_is_clicked(merge_of) -> None:
         "Junction 0: 3 branches, 1 pass by a (0), b (0); at (0.00, 0.00) m"
     )
     assert len(layers["runs"][0]["xs"]) == 10  # a strand for each run
-    assert (
-        layers["closures"][0]["told"][0].endswith("time")
-        or "times" in (layers["closures"][0]["told"][0])
-    )
-    assert "recognised" in layers["closures"][0]["told"][0]
-    assert "not taken for" in layers["closures refused"][0]["told"][0]
     assert layers["changes"][0]["told"][0].startswith("Gone: corridor")
     assert any("drive 1" in d.get("text", ()) for d in layers["drives to record"])
     assert {t for d in layers["junction numbers"] for t in d["text"]} == {*"01234", "12"}
-    assert set(HIDDEN) <= set(layers)
     assert "data-site-1" not in page.scripts  # it stands alone: its run's own map is there
 
 
@@ -227,6 +217,22 @@ def test_every_pair_is_in_the_page_with_its_reason(merge_of) -> None:
     assert any(line.startswith("Needed: log2(6 pairs / rate 0.001)") for line in shown["told"])
     sums = [row[-2] for row in shown["rows"] if row[0] == 0]
     assert sum(map(float, filter(None, sums))) == pytest.approx(6.0)
+
+
+def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
+    result, maps = merge_of([["a", "b"], ["c"]])
+    old = [replace(m, observation_time_ns=m.observation_time_ns + 10**18) for m in maps[:1]]
+    (bars,) = Page(page_of(result, [*old, *maps[1:]])).sources("time")[None]
+    wide = np.subtract(bars["right"], bars["left"])
+    assert wide.min() > 0.1 * (max(bars["right"]) - min(bars["left"]))
+
+
+def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
+    page = Page(
+        page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "a: 1 junction 3"])
+    )
+    assert "What to record next" in page.text
+    assert "a: 1 junction 3" in page.text
 
 
 def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
