@@ -174,8 +174,8 @@ def _evidence(
     tied = [*np.stack(ends, axis=1)]
     canvas.lines(tied, theme["ink"], 0.5 * PEN_PT, order=Order.TIE, told=same)
     for xy in ends:
-        look = {"order": Order.RING, "ring": True, "key": "matched junctions, tied"}
-        canvas.dots(xy, theme["ink"], RING_PT, told=same, **look)
+        key = "matched junctions, tied"
+        canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, told=same, key=key)
     for k in sides if len(pairs) <= MOST_NUMBERED else ():
         aside = 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])
         for xy, number in zip(ends[k], pairs[:, k].tolist(), strict=True):
@@ -191,8 +191,13 @@ def _evidence(
     terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
     against = ((_bits_told(t, digits), (t.a, t.b)) for t in terms)
     for xy, words in contradiction_spots(against, *at, apart=apart):
-        look = {"order": Order.CONTRADICTION, "ring": True, "key": CONTRADICTIONS}
-        canvas.dots(xy[None], theme["against"], RING_PT, told=[words], **look)
+        canvas.dots(
+            *(xy[None], theme["against"], RING_PT),
+            order=Order.CONTRADICTION,
+            ring=True,
+            told=[words],
+            key=CONTRADICTIONS,
+        )
 
 
 def _bits_told(term: Term, digits: int) -> str:
