@@ -182,7 +182,7 @@ def _merged_before(place: Workspace, chosen: list[str], everything: bool) -> dic
             raise UsageError(f"{error}; {OVERWRITE}") from error
         warn(f"{error}; it is overwritten")
         return {}
-    if lost := before.keys() - set(chosen):
+    if lost := {run for run in before.keys() - set(chosen) if not _was_piece(place, run, chosen)}:
         why = ", without a map (their logs, ingested again, make them)" if everything else ""
         raise UsageError(_leaves_out(place, before, lost, why))
     return before
@@ -194,6 +194,16 @@ def _leaves_out(place: Workspace, before: Collection[str], lost: set[str], why: 
         f"{place.merged_json}: is the merge of {counted(len(before), 'run')}, and this one leaves "
         f"out {listed(sorted(lost))}{why}; {OVERWRITE}"
     )
+
+
+def _was_piece(place: Workspace, run: str, chosen: Collection[str]) -> bool:
+    """Whether a run was a piece (RUN#2) of a chosen one whose log, ingested again, gives it no
+    more."""
+    whole, mark, _ = run.rpartition("#")
+    if not mark or whole not in chosen:
+        return False
+    gives = place.ingested(whole).runs
+    return bool(gives) and run not in gives
 
 
 def _show(result: MergeResult, place: Workspace) -> None:

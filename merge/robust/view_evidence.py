@@ -114,10 +114,10 @@ class ViewEvidence:
         one, two = one - one.mean(), two - two.mean()
         spread = float((np.abs(two) ** 2).sum())
         size = (np.conj(two) * one).sum() / spread
-        off = one - size * two
-        squares = float((np.abs(off) ** 2).sum()) / (2 * len(one) - 4)
-        off_m = float(np.sqrt((np.abs(off) ** 2).mean()))
-        return LaidOut(float(np.abs(size)) - 1.0, max(squares, SIGMA_M**2) / spread, off_m)
+        unlike, off = (np.abs(one - fit * two) for fit in (size, size / np.abs(size)))
+        squares = max(float((unlike**2).sum()) / (2 * len(one) - 4), SIGMA_M**2)
+        off_m = float(np.sqrt((off**2).mean()))
+        return LaidOut(float(np.abs(size)) - 1.0, squares / spread, off_m)
 
     def most_against(self, away_m: FloatArray) -> FloatArray:
         """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
@@ -141,7 +141,7 @@ class LaidOut(NamedTuple):
     they lie in the second.
 
     larger: size of the first map over that of the second, minus 1; variance: of that; off_m: root
-    mean square distance after the best similarity [m].
+    mean square distance after the best rigid motion [m].
     """
 
     larger: float

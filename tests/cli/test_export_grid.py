@@ -55,7 +55,7 @@ def test_where_the_log_is_gone_views_show_the_walls(topobatch, place, tmp_path) 
     call = ("export", "office-1", "-f", "grid", "-o", out, *w(place))
     shown = topobatch(*call)
     assert shown.code == 0
-    assert "not there any more" in shown.err
+    assert "not there" in shown.err
     assert "those of its views, in cells of 0.2 m" in shown.err
     assert "# views of office-1\n" in out.read_text()
     assert 'image: "office.pgm"' in out.read_text()

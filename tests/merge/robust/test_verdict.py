@@ -24,6 +24,7 @@ from topobatch.merge.robust.verdict import (
 from topobatch.merge.robust.view_evidence import NO_VIEW_EVIDENCE
 from topobatch.simulation.world import straight, world_of_links
 from topobatch.simulation.worlds import make_world
+from topobatch.topology.views import SIDE, Views
 
 from .plans import COPIES, EDGES, POINTS, SETTINGS
 
@@ -77,6 +78,27 @@ def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
         assert _repetition(answers) == max(asked, uniformity(a, other))
         assert (found.why == MISFITS) == bool(asked)
     assert fits_by_noise(a, b, told.corridors[:0]) == 1.0
+
+
+def test_furniture_shifts_junctions_not_walls(drawn):
+    """Where the walls of three parts agree in one placement, lengths that differ are no doubt."""
+    a, b = prepare(drawn("a", POINTS, EDGES)), prepare(drawn("b", POINTS, EDGES))
+    told = match(a, b, SETTINGS)[0]
+    i, j = told.corridors.T
+    few = np.arange(len(j)) % 3 == 0
+    length = b.length.copy()
+    length[j] = a.length[i] + few * 2.9 * np.sqrt(a.variance[i] + b.variance[j])
+    pose = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]])
+    views = Views(np.zeros(3, np.int64), pose, np.zeros((3, SIDE, SIDE), np.uint8))
+    a, b = replace(a, views=views), replace(b, views=views, length=length)
+    three = np.arange(3)
+    evidence = replace(
+        NO_VIEW_EVIDENCE, first=three, second=three, cell=three, z=np.full(3, 4.0), bits=np.ones(3)
+    )
+    for off_m, asked in ((0.0, 0.0), (0.6, 1.0)):
+        transform = np.array([[0.0, 0.0, 0.0], [off_m, 0.0, 0.0], [0.0, 0.0, 0.0]])
+        seen = replace(told, views=replace(evidence, transform=transform))
+        assert misfits(a, b, seen) == asked
 
 
 def _repetition(answers):

@@ -1,8 +1,10 @@
 """Placements that views propose."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from topobatch.merge.robust.view_search import pictured, placements
+from topobatch.merge.robust.view_search import ANGLES, _turns, pictured, placements
 from topobatch.topology.se2 import apply, wrap
 
 from .rooms import line, views_of, walls_of
@@ -18,3 +20,19 @@ def test_the_true_placement_comes_first() -> None:
     there = apply(T_B_WORLD, np.array([20.0, 20.0]))
     assert np.hypot(*(apply(found[0], there) - [20.0, 20.0])) < 1.0
     assert abs(wrap(found[0, 2] + 2.0)) < 0.05
+
+
+def test_a_stretch_that_furniture_misleads_is_turned_as_the_others_are() -> None:
+    walls = walls_of(1)
+    a = pictured(views_of(walls, line((5, 20), (35, 20))))
+    b = pictured(views_of(walls, line((5, 20), (35, 20)), T_B_WORLD))
+    first, *_ = b.stretches
+    (turn,) = _turns(a, b, first)
+    aside = ANGLES // 3  # 30 degrees
+    misled = replace(first, directions=np.roll(first.directions, aside))
+    wrong, right = _turns(a, b, misled)
+    quarter = np.pi / 2
+    assert (
+        abs((wrong - turn + aside * quarter / ANGLES + quarter / 2) % quarter - quarter / 2) < 0.04
+    )
+    assert abs((right - turn + quarter / 2) % quarter - quarter / 2) < 0.04
