@@ -18,7 +18,6 @@ from ..topology.closure.estimate import optimise, set_apart
 from ..topology.closure.incremental import (
     Closed,
     closure_without_grid,
-    first_round,
     full_closure,
 )
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
@@ -238,11 +237,8 @@ def close_loops(
         fit = fitted(first)
         closed = most_likely_closure(reckoning, first, fit.reckoning, settings.rounds)
         return closed, fit if closed is first else fitted(closed)
-    if settings.closure == "gated":
-        closed = first_round(reckoning, settings.rounds)
-    else:
-        place = np.arange(len(reckoning), dtype=np.int64)
-        closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
+    place = np.arange(len(reckoning), dtype=np.int64)
+    closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
     return closed, fitted(closed)
 
 

@@ -13,7 +13,7 @@ from ..topology.mapbuilding import MapBuildingSettings
 RADII_M = (0.05, 2.0)
 """Least and largest radius of a robot: a cell of a grid, and a large vehicle indoors."""
 
-ClosureMode = Literal["none", "gated", "full"]
+ClosureMode = Literal["none", "full"]
 
 
 @dataclass(frozen=True, slots=True)

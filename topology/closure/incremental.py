@@ -109,14 +109,6 @@ def closure_without_grid(
     return _in_rounds(_Closure(reckoning, None, settings))
 
 
-def first_round(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Make the identifications that dead reckoning makes certain, and no others: the first round of
-    `closure_without_grid`. A baseline for comparison (`--closure gated`)."""
-    under_way = _Closure(reckoning, None, settings)
-    under_way.identify(under_way.certain(1))
-    return under_way.result()
-
-
 def _in_rounds(under_way: _Closure) -> Closed:
     # Terminates: every round but the first adds an identification or is the last, and those taken
     # back are blocked.
