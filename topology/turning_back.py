@@ -32,12 +32,16 @@ from .track import (
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
 
+NO_TIMES = np.zeros((0, 2), np.int64)
+
 
 class _Excursion(NamedTuple):
     """One drive from a vertex to its farthest point, and back unless the track begins or ends
     there.
 
-    path: (p, 2) [m] from the vertex; length: of it [m]; time_ns: when it arrived at the farthest
+    path: (p, 2) [m] from the vertex; length: of it [m]; visit: the visit that it begins with;
+    far_way_m: distance driven [m] up to the farthest point; begins, ends: whether there is no visit
+    at that end because the track begins or ends there; time_ns: when it arrived at the farthest
     point; traversal_ns: (t, 2) when it was at the vertex and at that point.
     """
 
@@ -46,8 +50,12 @@ class _Excursion(NamedTuple):
     kind: str
     path: FloatArray
     length: float
-    time_ns: int
-    traversal_ns: IntArray
+    visit: int
+    far_way_m: float
+    begins: bool
+    ends: bool
+    time_ns: int = 0
+    traversal_ns: IntArray = NO_TIMES
 
 
 def turning_points(
@@ -151,33 +159,8 @@ def _excursions(topomap: TopoMap, odometry: Odometry, visits: Visits) -> Iterato
     for k, d in enumerate(drives):
         out, back = between[k, 0], between[k, 1, ::-1]
         whole = [] if d.begins else [out]
-        yield _Excursion(
-            vertex=d.vertex,
-            branch=d.branch,
-            kind=TRACK_END if d.at_end else TURNING_POINT,
-            path=d.path,
-            length=float(way_of(d.path)[-1]),
-            time_ns=int(arrival[k]),
-            traversal_ns=np.array(whole if d.ends else [*whole, back]),
-        )
-
-
-class _Drive(NamedTuple):
-    """The drive from a visit to the next one.
-
-    begins, ends: whether there is no visit at that end because the track begins or ends there;
-    at_end: whether its farthest point is that end of the track; far_way_m: distance driven [m] up
-    to the farthest point.
-    """
-
-    visit: int
-    vertex: int
-    branch: int
-    path: FloatArray
-    far_way_m: float
-    begins: bool
-    ends: bool
-    at_end: bool
+        times_ns = np.array(whole if d.ends else [*whole, back])
+        yield d._replace(time_ns=int(arrival[k]), traversal_ns=times_ns)
 
 
 def _drives(
@@ -185,7 +168,7 @@ def _drives(
     visits: Visits,
     xy: FloatArray,
     known: tuple[BoolArray, IntArray, IntArray],
-) -> Iterator[_Drive]:
+) -> Iterator[_Excursion]:
     """Drives out and back, or only one way at the ends of the track.
 
     visits: including the ends of the track; xy: (n, 2) of all vertices; known: (v,) each: whether a
@@ -209,20 +192,23 @@ def _drives(
         halves = [] if begins else [(points[: far + 1], out if out != NO_BRANCH else back)]
         halves += [] if ends else [(points[far:][::-1], back if back != NO_BRANCH else out)]
         # Detours only lengthen a drive: the shorter one of out and back is nearer to the corridor.
-        path, branch = min(
-            ((_line(half, xy[vertex]), branch) for half, branch in halves),
-            key=lambda line: float(way_of(line[0])[-1]),
+        lines = ((centre_line(half, xy[vertex], half[-1]), branch) for half, branch in halves)
+        length, path, branch = min(
+            ((float(way_of(path)[-1]), path, branch) for path, branch in lines),
+            key=lambda line: line[0],
         )
         beyond = at[far] - at[0] if begins else at[-1] - at[far]
-        yield _Drive(
-            visit=visit,
+        at_end = (begins or ends) and beyond <= DRAWING.passable_m
+        yield _Excursion(
             vertex=vertex,
             branch=branch,
+            kind=TRACK_END if at_end else TURNING_POINT,
             path=path,
+            length=length,
+            visit=visit,
             far_way_m=float(at[far]),
             begins=begins,
             ends=ends,
-            at_end=bool((begins or ends) and beyond <= DRAWING.passable_m),
         )
 
 
@@ -230,11 +216,6 @@ def _is_corridor(points: FloatArray, out: int, back: int) -> bool:
     """Whether a drive back to its start left and returned by two branches around an obstacle: a
     corridor."""
     return out != back and NO_BRANCH not in (out, back) and is_ring(points)
-
-
-def _line(half: FloatArray, centre: FloatArray) -> FloatArray:
-    """(p, 2) centre line from a vertex to the last point driven."""
-    return centre_line(half, centre, half[-1])
 
 
 def _branches_driven(
