@@ -24,10 +24,11 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -41,11 +42,9 @@ from uncertainty import judge_map, recorded
 
 from topobatch.ingest import mapping, pass_source
 from topobatch.ingest.mapping import build_map_with_errors, dead_reckoned
-from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
-from topobatch.ingest.odometry import calibration, heading_likelihood, motion_errors, noise
+from topobatch.ingest.odometry import calibration, heading_likelihood, motion_errors
 from topobatch.ingest.odometry.heading_evidence import Rows
 from topobatch.ingest.scans import detection
-from topobatch.ingest.scans import views as scan_views
 from topobatch.ingest.scans.views import closed_by_views
 from topobatch.simulation.settings import DRIFTS, FAULTS
 from topobatch.simulation.truth import Truth, true_vertex_of_passes
@@ -53,16 +52,19 @@ from topobatch.topology.arrays import BoolArray, FloatArray, IntArray
 from topobatch.topology.closure import (
     alternatives,
     candidates,
-    evidence,
+    estimate,
     growth,
     incremental,
     joint_compatibility,
+    lattice,
+    manhattan,
     missed_detections,
     negative_information,
     resolution,
     variance_components,
     view_loops,
 )
+from topobatch.topology.closure import evidence as closure_evidence
 from topobatch.topology.document import map_to_document
 from topobatch.topology.ragged import Ragged
 from topobatch.topology.run import Detections, Run
@@ -90,31 +92,50 @@ as in `laser.py`."""
 ALWAYS = 1e9
 STATED = ("length", "near", "far", "place", "heading")
 
-SETTINGS: dict[str, dict[str, float]] = {
-    "one wrong in all runs": {"rounds.wrong_share": 1.0},
-    "caution": {"rounds.caution": 1.0},
-    "grid": {"rounds.grid.least_share": 2.0},
-    "grid: wander": {"rounds.grid.most_wander": ALWAYS},
-    "hard core: the shortest": {"rounds.candidates.evidence.core_quantile": 0.0},
-    "inflation": {"rounds.candidates.evidence.inflation": 1.0},
-    "rarity: bandwidth": {"rounds.candidates.evidence.bandwidth_rad": 0.0},
-    "lattice": {"rounds.candidates.evidence.pattern.regular": ALWAYS},
-    "lead": {"rounds.candidates.evidence.lead": 0.0},
-    "growth: caps": {
-        "rounds.candidates.growth.leg_cap": ALWAYS,
-        "rounds.candidates.growth.branch_cap": ALWAYS,
-    },
-    "growth: discount": {"rounds.candidates.growth.discount": 1.0},
-    "grid kernel": {"rounds.estimate.grid_kernel": ALWAYS},
-    "closed again": {"rounds.most_crossing": ALWAYS},
-    "closed again: strict": {"rounds.strict_wrong_share": 0.1},
-    "phantoms": {"driven_by.least_odds": ALWAYS},
-    "phantoms: straight": {"driven_by.straight_gain": 0.0},
-    "phantoms: least miss rate": {"driven_by.least_miss_rate": 1e-6},
-    "phantoms: least rate": {"driven_by.least_phantom_rate": 1e-6},
-    "calibration doubt": {"calibration_doubt": 1.0},
+NUMBERS: dict[str, dict[str, float]] = {
+    "caution": {"ROUNDS.caution": 1.0},
+    "grid": {"RECTILINEAR.least_share": 2.0},
+    "grid: wander": {"RECTILINEAR.most_wander": ALWAYS},
+    "hard core: the shortest": {"EVIDENCE.core_quantile": 0.0},
+    "inflation": {"EVIDENCE.inflation": 1.0},
+    "rarity: bandwidth": {"EVIDENCE.bandwidth_rad": 0.0},
+    "lattice": {"LATTICE.regular": ALWAYS},
+    "lead": {"EVIDENCE.lead": 0.0},
+    "growth: discount": {"GROWTH.discount": 1.0},
+    "grid kernel": {"ESTIMATE.grid_kernel": ALWAYS},
+    "closed again": {"ROUNDS.most_crossing": ALWAYS},
+    "closed again: strict": {"ROUNDS.strict_wrong_share": 0.1},
+    "phantoms": {"DRIVEN_BY.least_odds": ALWAYS},
+    "phantoms: straight": {"DRIVEN_BY.straight_gain": 0.0},
+    "phantoms: least miss rate": {"DRIVEN_BY.least_miss_rate": 1e-6},
+    "phantoms: least rate": {"DRIVEN_BY.least_phantom_rate": 1e-6},
+    "views: loops": {"VIEW_LOOPS.tests": 0},
+    "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
+    "views: lead": {"VIEW_LOOPS.lead": 0.0},
+    "views: known": {"VIEW_LOOPS.known_m": 0.0},
 }
-"""Mechanisms, and the fields of MappingSettings that disable each."""
+"""Mechanisms, and the numbers that disable each: a constant of `CONSTANTS`, and a field of it."""
+
+CONSTANTS = {
+    "ROUNDS": incremental.ROUNDS,
+    "RECTILINEAR": manhattan.RECTILINEAR,
+    "EVIDENCE": closure_evidence.EVIDENCE,
+    "LATTICE": lattice.LATTICE,
+    "GROWTH": growth.GROWTH,
+    "ESTIMATE": estimate.ESTIMATE,
+    "DRIVEN_BY": missed_detections.DRIVEN_BY,
+    "VIEW_LOOPS": view_loops.VIEW_LOOPS,
+}
+
+
+def other_numbers(fields):
+    """Patches of the constants with these fields, in all modules that use them."""
+    for path, value in fields.items():
+        name, field = path.split(".")
+        constant = CONSTANTS[name]
+        for module in list(sys.modules.values()):
+            if getattr(module, name, None) is constant:
+                yield module, name, replace(constant, **{field: value})
 
 
 def _none(*args: Any, **more: Any) -> None:
@@ -126,11 +147,12 @@ def _zeros(of: int):
     return lambda *args, **more: np.zeros(len(args[of]))
 
 
-def _one_hop(state, a, b, aligned, settings):
-    return growth.grow(state, a, b, aligned, replace(settings, hops=1))
+def _one_hop(state, a, b, aligned):
+    with mock.patch.object(growth, "GROWTH", replace(growth.GROWTH, hops=1)):
+        return growth.grow(state, a, b, aligned)
 
 
-def _no_missed(state, front, pairs, settings):
+def _no_missed(state, front, pairs):
     none = np.zeros(0, np.int64)
     return growth.take(pairs, none), none
 
@@ -183,7 +205,7 @@ REPLACED = {
         lambda alike, nulls, slack, f=candidates.calibrated_odds: f(alike, nulls, 0.0),
     ),
     "null pairs: one step off": (
-        evidence.Lattice,
+        lattice.Lattice,
         "is_step",
         lambda lattice, shift: np.zeros(len(shift), bool),
     ),
@@ -195,7 +217,7 @@ REPLACED = {
     "passed: along branches": (
         missed_detections,
         "_along_branches",
-        lambda track, places, near, row, settings: np.ones(len(row), bool),
+        lambda track, places, near, row: np.ones(len(row), bool),
     ),
     "resolution": (
         missed_detections,
@@ -204,23 +226,13 @@ REPLACED = {
             reckoning, place, estimate, 0.0
         ),
     ),
-    "fitted noise: smoothed": (
-        variance_components,
-        "_smoothed",
-        lambda odometry, passes: np.zeros((len(passes), 2)),
-    ),
-    "fitted noise: expected weight": (
-        variance_components._Edges,
-        "_expected_weight",
-        lambda edges: np.ones(len(edges.kernel)),
-    ),
-    "fitted noise: stiffness": (variance_components, "_stiffness", lambda chi2, *args: 1.0),
     "fitted noise: level": (variance_components, "_odometry_level", lambda *args: 1.0),
     "errors shared by passes": (mapping, "seen_alike", lambda *args: None),
 }
 """Mechanisms without such a field: module or class, function, and its replacement."""
 
 WHOLE = {
+    "calibration doubt": (mapping, "CALIBRATION_DOUBT", 1.0),
     "calibration": (pass_source, "calibrate", lambda *args: calibration.Calibration()),
     "calibration: lag": (
         calibration,
@@ -242,26 +254,8 @@ WHOLE = {
         "_walk_covariance",
         lambda walked, away, noise: np.zeros((*walked.shape, *walked.shape[1:])),
     ),
-    "noise: faults of repeats": (noise.Repeats, "faults", lambda repeats: (0.0, 0)),
-    "noise: branches of repeats": (
-        noise.Repeats,
-        "branch_sigma",
-        lambda repeats, prior, worth: prior,
-    ),
 }
 """The same of the odometry, which dead reckoning rests on."""
-
-
-@contextmanager
-def _with_views(**fields):
-    """`view_loops` by other settings."""
-    settings = replace(view_loops.ViewLoopSettings(), **fields)
-
-    def found(reckoning, views, way):
-        return view_loops.view_loops(reckoning, views, way, settings)
-
-    with mock.patch.object(scan_views, "view_loops", found):
-        yield
 
 
 def _search_without(name, replacement):
@@ -269,9 +263,6 @@ def _search_without(name, replacement):
 
 
 VIEWS = {
-    "views: loops": partial(_with_views, tests=0),
-    "views: doubt": partial(_with_views, doubt=1.0),
-    "views: lead": partial(_with_views, lead=0.0),
     "views: copies": _search_without("_copied", lambda search, null: None),
     "views: support": _search_without(
         "_support", lambda search, t, asked, own: np.zeros(len(asked))
@@ -280,7 +271,6 @@ VIEWS = {
     "views: leads": _search_without(
         "_leads", lambda search, likely, total: np.ones(len(likely), bool)
     ),
-    "views: known": partial(_with_views, known_m=0.0),
 }
 """The same of the loops that views close."""
 
@@ -362,14 +352,6 @@ def cases(args):
         yield from map(of_laser, logs(folder))
 
 
-def changed(settings, path, value):
-    """Frozen settings with the field at a dotted path replaced."""
-    name, _, rest = path.partition(".")
-    if rest:
-        value = changed(getattr(settings, name), rest, value)
-    return replace(settings, **{name: value})
-
-
 class Outcome(NamedTuple):
     """The map of a run: a digest of its document, its places, and what it states."""
 
@@ -382,24 +364,27 @@ class Outcome(NamedTuple):
 
 def outcome(one, name, seed, usual=None):
     """What comes of a run without a mechanism; `usual`, if that is the same map."""
-    settings = DEFAULT_MAPPING
-    for path, value in SETTINGS.get(name, {}).items():
-        settings = changed(settings, path, value)
-    run, patches = one.run, [REPLACED[name]] if name in REPLACED else []
+    patches = [*other_numbers(NUMBERS.get(name, {}))]
+    run = one.run
+    patches += [REPLACED[name]] if name in REPLACED else []
     patches += [WHOLE[name]] if name in WHOLE else []
-    if name in VIEWS:
+    if name.startswith("views"):
         if one.views is None:
             return usual
-        with VIEWS[name]():
+        with ExitStack() as stack:
+            for patch in patches:
+                stack.enter_context(mock.patch.object(*patch))
+            if name in VIEWS:
+                stack.enter_context(VIEWS[name]())
             odometry, views, loops = closed_by_views(*one.views)
         scanned = replace(run.scanned, views=views, loops=loops)
         run = replace(run, odometry=odometry, scanned=scanned)
-    elif name not in WHOLE and name != "calibration doubt":
+    elif name not in WHOLE:
         patches += [(mapping, "dead_reckoned", lambda *args: one.reckoned)]
     with ExitStack() as stack:
         for patch in patches:
             stack.enter_context(mock.patch.object(*patch))
-        topomap, errors = build_map_with_errors(run, settings)
+        topomap, errors = build_map_with_errors(run)
     doc = map_to_document(topomap)
     for left_out in ("settings", "closures"):  # settings differ, and odds with them
         doc["graph"].pop(left_out, None)
@@ -462,7 +447,7 @@ def main():
     parser.add_argument("--only", nargs="*", help="mechanisms")
     parser.add_argument("--list", action="store_true")
     args = parser.parse_args()
-    every = [*SETTINGS, *REPLACED, *WHOLE, *VIEWS]
+    every = [*NUMBERS, *REPLACED, *WHOLE, *VIEWS]
     if args.list:
         print("\n".join(every))
         return

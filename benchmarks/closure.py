@@ -39,7 +39,7 @@ from topobatch.simulation.settings import DRIFTS, ScenarioSettings
 from topobatch.simulation.truth import true_vertex_of_passes
 from topobatch.topology.closure.alternatives import most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
-from topobatch.topology.closure.incremental import RoundSettings, full_closure
+from topobatch.topology.closure.incremental import full_closure
 from topobatch.topology.closure.missed_detections import correct_detections
 from topobatch.topology.closure.variance_components import fitted_noise
 from topobatch.topology.se2 import apply, between, compose, fit_rigid
@@ -375,7 +375,7 @@ def growth(seed):
         clock.append(time.process_time())
         fit = fitted_noise(reckoning, odometry, first.place, first.estimate, grid=first.grid)
         clock.append(time.process_time())
-        closed = most_likely_closure(reckoning, first, fit.reckoning, RoundSettings())
+        closed = most_likely_closure(reckoning, first, fit.reckoning)
         clock.append(time.process_time())
         corrected = correct_detections(reckoning, odometry, closed.place, closed.estimate)
         clock.append(time.process_time())

@@ -24,7 +24,6 @@ from itertools import pairwise
 import numpy as np
 
 from topobatch.ingest.mapping import build_map, close_loops, dead_reckoned
-from topobatch.ingest.mapping_settings import DEFAULT_MAPPING
 from topobatch.simulation.scenario import simulate_scenario
 from topobatch.simulation.settings import DRIFTS, FAULTS, ScenarioSettings
 from topobatch.simulation.truth import Truth, true_vertex_of_nodes, true_vertex_of_passes
@@ -80,7 +79,7 @@ def rows_of(kind: str, run: Run, truth: Truth) -> list[Row]:
     known = np.unique(vertex[vertex >= 0])
     place = np.where(vertex >= 0, np.searchsorted(known, vertex), -1)
     told = dead_reckoning(odometry, passes, true_noise(passes), reckoning.systematic)
-    closed, fit = close_loops(reckoning, odometry, DEFAULT_MAPPING)
+    closed, fit = close_loops(reckoning, odometry)
     ideal = optimise(told, place, closed.estimate.pose, grid=fit.grid)
     errors = place_errors(told, ideal, place, np.arange(len(known)), fit.grid)
     between: dict[frozenset[int], list[int]] = {}

@@ -60,7 +60,7 @@ def ingest(
     base_frame: str | None = None,
     robot_radius: float = 0.25,
     time: Literal["header", "log"] = "header",
-    closure: Literal["none", "gated", "full"] = "full",
+    closure: Literal["none", "full"] = "full",
     strict: bool = False,
     separate: bool = False,
     allow_scan: bool = False,

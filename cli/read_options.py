@@ -145,10 +145,9 @@ class MapOptions:
         ),
     ] = 0.25
     closure: Annotated[
-        Literal["none", "gated", "full"],
+        Literal["none", "full"],
         typer.Option(
-            help="How to close loops: not at all; only where the odometry alone is certain; or by "
-            "everything that is known."
+            help="Whether to close loops: not at all, or by everything that is known."
         ),
     ] = "full"
 

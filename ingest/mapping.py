@@ -14,12 +14,12 @@ from ..topology.closure.alternatives import most_likely_closure
 from ..topology.closure.answers import Identification
 from ..topology.closure.certainty import place_errors, seen_alike
 from ..topology.closure.dead_reckoning import DeadReckoning, SystematicErrors, dead_reckoning
-from ..topology.closure.estimate import optimise, set_apart
+from ..topology.closure.estimate import set_apart
 from ..topology.closure.incremental import (
     Closed,
     closure_without_grid,
-    first_round,
     full_closure,
+    unclosed,
 )
 from ..topology.closure.missed_detections import CorrectedPlaces, correct_detections
 from ..topology.closure.variance_components import Fitted, fitted_noise
@@ -32,6 +32,7 @@ from ..topology.passes import Passes
 from ..topology.run import NO_DETECTIONS, NOT_SEEN_AGAIN, Detections, Run
 from ..topology.se2 import compose
 from ..topology.topomap import Closure, RunNoise, TopoMap
+from ..topology.track import BEYOND_M
 from ..topology.turning_back import turning_points
 from ..topology.vertex_errors import VertexErrors
 from ..topology.views import Views
@@ -44,7 +45,9 @@ from .odometry.calibration import Calibration, apply_calibration
 from .odometry.motion_errors import describe_scale, motion_errors, refine_scale
 from .odometry.noise import refine_noise
 from .pass_source import USUAL, PassSource
-from .passes import PASSES
+
+CALIBRATION_DOUBT = 1.5
+"""Factor on the calibration's own sigma, which assumes straight corridors."""
 
 _PHANTOM = "taken back: driven by unseen, so that the place is taken for a phantom"
 
@@ -94,15 +97,18 @@ def build_map_with_errors(
     run: Run, settings: MappingSettings = DEFAULT_MAPPING
 ) -> tuple[TopoMap, VertexErrors]:
     """`build_map`, and the joint errors of its vertices, which its sigmas are derived from."""
-    run, odometry, reckoning, calibration = dead_reckoned(run, settings)
+    run, odometry, reckoning, calibration = dead_reckoned(run)
     source = PassSource(run)
-    odometry, reckoning, closed, fitted = _close_loops(odometry, reckoning, source, settings)
+    if settings.closure == "full":
+        odometry, reckoning, closed, fitted = _close_loops(odometry, reckoning, source)
+    else:
+        closed = unclosed(reckoning)
+        fitted = _fitted(reckoning, odometry, closed)
     places = correct_detections(
         closed.reckoning,
         odometry,
         closed.place,
         set_apart(reckoning, closed.place, fitted.estimate),
-        settings.driven_by,
         resolution_m=source.resolution_m if settings.closure == "full" else 0.0,
     )
     measured, shared_m = _measure_hidden_errors(
@@ -121,9 +127,8 @@ def build_map_with_errors(
         errors=errors,
         askew_rad=source.askew_rad,
         fitted_noise=likely,
-        settings=settings.drawing,
     )
-    topomap = _add_turning_points(topomap, odometry, places.visits, source, settings)
+    topomap = _add_turning_points(topomap, odometry, places.visits, source)
     topomap = _add_views(topomap, run, odometry, places)
     info = _info(run, settings, calibration, reckoning, odometry)
     info["driven"] = driven_shares(topomap, odometry, places.visits)
@@ -139,9 +144,7 @@ def seen_on_the_way(run: Run, odometry: Odometry) -> Views:
     return replace(run.views, pose=compose(body, run.views.pose))
 
 
-def dead_reckoned(
-    run: Run, settings: MappingSettings = DEFAULT_MAPPING
-) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
+def dead_reckoned(run: Run) -> tuple[Run, Odometry, DeadReckoning, Calibration]:
     """The run with detections seen from the point that its odometry refers to; its calibrated
     odometry, and its passes with the noise known before loop closure."""
     source = PassSource(run)
@@ -156,7 +159,7 @@ def dead_reckoned(
         passes = source.passes(odometry)
         noise = source.noise(odometry, passes)
     again = run.scanned.loops if run.scanned is not None else NOT_SEEN_AGAIN
-    systematic = _systematic(calibration, settings)
+    systematic = _systematic(calibration)
     reckoning = dead_reckoning(odometry, passes, noise, systematic, again)
     return run, odometry, reckoning, calibration
 
@@ -185,18 +188,18 @@ def _require_motion(run: Run) -> None:
     if len(xy) == 0:
         return
     reached = np.maximum.reduceat(xy, first) - np.minimum.reduceat(xy, first)
-    if np.hypot(*reached.T).max() < PASSES.reach_m:
+    if np.hypot(*reached.T).max() < BEYOND_M:
         resets = " between its resets" if len(first) > 1 else ""
         raise DataError(
             f"run {run.name}: the odometry does not move: all of it lies within "
-            f"{PASSES.reach_m:g} m{resets}; nothing can be mapped"
+            f"{BEYOND_M:g} m{resets}; nothing can be mapped"
         )
 
 
-def _systematic(calibration: Calibration, settings: MappingSettings) -> SystematicErrors:
+def _systematic(calibration: Calibration) -> SystematicErrors:
     """Constant errors left by the calibration: its sigma, and what it did not apply."""
     left = np.hypot(calibration.sigma, np.subtract(calibration.estimate, calibration.applied))
-    left = settings.calibration_doubt * left
+    left = CALIBRATION_DOUBT * left
     return SystematicErrors(
         turn_rad_per_m=float(left[0]) if np.isfinite(left[0]) else USUAL.turn_rad_per_m,
         turn_rad_per_rad=float(left[1]) if np.isfinite(left[1]) else USUAL.turn_rad_per_rad,
@@ -204,46 +207,36 @@ def _systematic(calibration: Calibration, settings: MappingSettings) -> Systemat
 
 
 def _close_loops(
-    odometry: Odometry, reckoning: DeadReckoning, source: PassSource, settings: MappingSettings
+    odometry: Odometry, reckoning: DeadReckoning, source: PassSource
 ) -> tuple[Odometry, DeadReckoning, Closed, Fitted]:
     """`close_loops`, with the jumps of the odometry measured by the places seen on both sides, or
     the odometry broken there; the odometry and dead reckoning with these jumps come first."""
-    if not len(odometry.jumps) or settings.closure != "full":
-        return odometry, reckoning, *close_loops(reckoning, odometry, settings)
+    if not len(odometry.jumps):
+        return odometry, reckoning, *close_loops(reckoning, odometry)
 
     def reckoning_of(track: Odometry) -> DeadReckoning:
         return dead_reckoning(track, source.passes(track), reckoning.noise, reckoning.systematic)
 
-    measured = bridged(odometry, reckoning_of, lambda w: closure_without_grid(w, settings.rounds))
+    measured = bridged(odometry, reckoning_of, closure_without_grid)
     driven = reckoning_of(measured)
-    closed, fitted = close_loops(driven, measured, settings)
+    closed, fitted = close_loops(driven, measured)
     sure = confirmed(odometry, measured, driven, closed.place)
     if len(sure.breaks) > len(measured.breaks):
         driven = reckoning_of(sure)
-        closed, fitted = close_loops(driven, sure, settings)
+        closed, fitted = close_loops(driven, sure)
     return sure, driven, closed, fitted
 
 
-def close_loops(
-    reckoning: DeadReckoning, odometry: Odometry, settings: MappingSettings
-) -> tuple[Closed, Fitted]:
-    """The places of the passes, by the chosen kind of loop closure, and the noise that these
-    show."""
+def close_loops(reckoning: DeadReckoning, odometry: Odometry) -> tuple[Closed, Fitted]:
+    """The places of the passes, and the noise that these show."""
+    first = full_closure(reckoning)
+    fitted = _fitted(reckoning, odometry, first)
+    closed = most_likely_closure(reckoning, first, fitted.reckoning)
+    return closed, fitted if closed is first else _fitted(reckoning, odometry, closed)
 
-    def fitted(closed: Closed) -> Fitted:
-        return fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
 
-    if settings.closure == "full":
-        first = full_closure(reckoning, settings.rounds)
-        fit = fitted(first)
-        closed = most_likely_closure(reckoning, first, fit.reckoning, settings.rounds)
-        return closed, fit if closed is first else fitted(closed)
-    if settings.closure == "gated":
-        closed = first_round(reckoning, settings.rounds)
-    else:
-        place = np.arange(len(reckoning), dtype=np.int64)
-        closed = Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
-    return closed, fitted(closed)
+def _fitted(reckoning: DeadReckoning, odometry: Odometry, closed: Closed) -> Fitted:
+    return fitted_noise(reckoning, odometry, closed.place, closed.estimate, grid=closed.grid)
 
 
 def _measure_hidden_errors(
@@ -295,12 +288,11 @@ def _add_turning_points(
     odometry: Odometry,
     visits: Visits,
     source: PassSource,
-    settings: MappingSettings,
 ) -> TopoMap:
     """The map with the turning points that its source of passes does not report as junctions."""
     if source.shows_bends:
         return topomap
-    turned = turning_points(topomap, odometry, visits, source.resolution_m, settings.drawing)
+    turned = turning_points(topomap, odometry, visits, source.resolution_m)
     return replace(topomap, turning_points=turned, shows_bends=False)
 
 

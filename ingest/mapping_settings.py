@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal, get_args
 
-from ..topology.closure.incremental import RoundSettings
-from ..topology.closure.missed_detections import DrivenBySettings
 from ..topology.errors import UsageError, check_choice
-from ..topology.mapbuilding import MapBuildingSettings
 
 RADII_M = (0.05, 2.0)
 """Least and largest radius of a robot: a cell of a grid, and a large vehicle indoors."""
 
-ClosureMode = Literal["none", "gated", "full"]
+ClosureMode = Literal["none", "full"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,11 +20,6 @@ class MappingSettings:
     closure: ClosureMode = "full"
     robot_radius_m: float = 0.25
     """Of the robot that drives the corridors of saved grids: a small one's."""
-    calibration_doubt: float = 1.5
-    """Factor on the calibration's own sigma, which assumes straight corridors."""
-    rounds: RoundSettings = field(default_factory=RoundSettings)
-    driven_by: DrivenBySettings = field(default_factory=DrivenBySettings)
-    drawing: MapBuildingSettings = field(default_factory=MapBuildingSettings)
 
     def __post_init__(self) -> None:
         check_choice("--closure", self.closure, get_args(ClosureMode))

@@ -33,10 +33,6 @@ class PassSettings:
     """Share of a pass's messages that must report a branch."""
     least_messages_share: float = 0.12
     """Passes with a smaller share of the median number of messages are dropped as flicker."""
-    reach_m: float = 0.95
-    """Distance from the centre at which the track shows the branch driven."""
-    match_rad: float = 0.7
-    """Largest angle between the branch driven and the track's direction."""
 
 
 PASSES = PassSettings()
@@ -84,15 +80,15 @@ def scanned_passes(odometry: Odometry, seen: ScanPasses) -> Passes:
     owner = seen.branches.owner
     heading = np.asarray(wrap(seen.branches.values + pose[owner, 2]))
     branches = Ragged(seen.branches.offsets, heading[np.lexsort((heading, owner))])
-    track = track_directions(odometry, seen.time_ns, centre, reach_m=PASSES.reach_m)
+    track = track_directions(odometry, seen.time_ns, centre)
     return Passes(
         time_ns=seen.time_ns,
         start_ns=seen.start_ns,
         end_ns=seen.end_ns,
         centre=centre,
         branches=branches,
-        entry=nearest_branch(branches, track.arriving, PASSES.match_rad),
-        exit=nearest_branch(branches, track.leaving, PASSES.match_rad),
+        entry=nearest_branch(branches, track.arriving),
+        exit=nearest_branch(branches, track.leaving),
         messages=seen.windows,
         confidence=seen.confidence,
     )
@@ -163,15 +159,15 @@ def _fuse(
     nearest = time_ns[np.lexsort((distance, group))[offsets[:-1]]]
     owner = seen.owner
     branches = _cluster_branches(seen.values + pose[owner, 2], owner, group[owner], counts)
-    track = track_directions(odometry, nearest, fused, reach_m=PASSES.reach_m)
+    track = track_directions(odometry, nearest, fused)
     return Passes(
         time_ns=nearest,
         start_ns=time_ns[offsets[:-1]],
         end_ns=time_ns[offsets[1:] - 1],
         centre=fused,
         branches=branches,
-        entry=nearest_branch(branches, track.arriving, PASSES.match_rad),
-        exit=nearest_branch(branches, track.leaving, PASSES.match_rad),
+        entry=nearest_branch(branches, track.arriving),
+        exit=nearest_branch(branches, track.leaving),
         messages=counts,
         confidence=np.ones(len(counts)),
     )

@@ -18,7 +18,7 @@ from .corridor_lengths import (
     turning_variance,
 )
 from .odometry import Odometry
-from .passes import NO_BRANCH, Passes, nearest_branch
+from .passes import NO_BRANCH, ONE_WAY_RAD, Passes, nearest_branch
 from .polyline import join_centres, loop_erased, loop_width, simplify, way_of, with_corners
 from .ragged import Ragged
 from .se2 import wrap
@@ -35,14 +35,8 @@ _Ends = tuple[int, int, int, int]
 class MapBuildingSettings:
     """Geometry of the final map."""
 
-    slot_gap_rad: float = 0.35
-    """Readings of different branches are at least this far apart."""
     least_share: float = 0.5
     """A branch that was never driven is kept if this share of the vertex's passes saw it."""
-    match_rad: float = 0.7
-    """The driven branch is within this angle of the track's direction."""
-    straight_rad: float = 0.35
-    """Two branches that are opposite to within this angle are no bend."""
     path_step_m: float = 0.1
     path_tolerance_m: float = 0.08
     """Tolerance of simplified paths."""
@@ -58,10 +52,9 @@ class MapBuildingSettings:
     corner_rad: float = 0.5
     """A turn at least this large is a corner of the corridor, a smaller one a bend."""
     standing_m: float = 0.05
-    """Time that the robot spends within this path length of a centre, standing or turning on the
-    spot, is not counted as driving time."""
-    moved_m: float = 0.05
-    """A robot that drove less than this between two visits did not move."""
+    """A robot that drove less than this between two visits did not move. Time that it spends within
+    this path length of a centre, standing or turning on the spot, is not counted as driving
+    time."""
     same_length_m: float = 1.5
     """A leg with an unknown branch belongs to a corridor whose median length differs by at most
     this."""
@@ -69,6 +62,9 @@ class MapBuildingSettings:
     """A leg within this of its corridor's median length was driven straight through."""
     repeated_m: float = 50.0
     """Prior for the variance of wandering: this length driven again without any."""
+
+
+DRAWING = MapBuildingSettings()
 
 
 def build_topomap(
@@ -81,7 +77,6 @@ def build_topomap(
     errors: VertexErrors,
     askew_rad: float = 0.0,
     fitted_noise: RunNoise | None = None,
-    settings: MapBuildingSettings = MapBuildingSettings(),
 ) -> TopoMap:
     """The map of a run whose passes have been assigned to places.
 
@@ -91,14 +86,14 @@ def build_topomap(
     xy, visits = places.xy, places.visits
     track = track_directions(odometry, visits.time_ns, visits.centre)
     arriving, leaving = track.arriving + visits.pose[:, 2], track.leaving + visits.pose[:, 2]
-    slots, votes, keep = _slots(passes, places, (arriving, leaving), settings)
+    slots, votes, keep = _slots(passes, places, (arriving, leaving))
     branches = Ragged.by_owner(slots.owner[keep], slots.mean[keep], len(xy))
     there = branches.take(visits.vertex)
-    exit_ = nearest_branch(there, leaving, settings.match_rad)
-    entry = nearest_branch(there, arriving, settings.match_rad)
-    legs = _legs(odometry, visits, exit_, entry, xy=xy, settings=settings)
-    edges = _edges(legs, xy, settings)
-    paths = _paths(legs, edges, settings)
+    exit_ = nearest_branch(there, leaving)
+    entry = nearest_branch(there, arriving)
+    legs = _legs(odometry, visits, exit_, entry, xy=xy)
+    edges = _edges(legs, xy)
+    paths = _paths(legs, edges)
     seen = np.flatnonzero(places.place >= 0)
     observed = places.place[seen]
     piece = np.zeros(len(xy), np.int64)
@@ -111,7 +106,7 @@ def build_topomap(
         frame=odometry.frame,
         xy=xy,
         branches=branches,
-        kind=tuple(_kind(branches[i], settings) for i in range(len(xy))),
+        kind=tuple(_kind(branches[i]) for i in range(len(xy))),
         source=edges.source,
         target=edges.target,
         source_branch=edges.source_branch,
@@ -142,7 +137,6 @@ def _slots(
     passes: Passes,
     places: PassesAtPlaces,
     driven_rad: tuple[FloatArray, FloatArray],
-    settings: MapBuildingSettings,
 ) -> tuple[AngleClusters, IntArray, BoolArray]:
     """Branches of every vertex as clusters of readings, the number of passes that saw each, and
     which are kept: driven ones, and those seen by enough passes. driven_rad: two arrays (v,) of
@@ -152,7 +146,7 @@ def _slots(
     known = pass_vertex[owner] >= 0
     angle = (passes.branches.values + places.turn[owner])[known]
     home = pass_vertex[owner][known]
-    slots = cluster_angles(angle, home, settings.slot_gap_rad)
+    slots = cluster_angles(angle, home, ONE_WAY_RAD)
     votes = slots.votes(owner[known])
     visits = np.bincount(pass_vertex[pass_vertex >= 0])
     share = votes / visits[slots.owner]
@@ -160,18 +154,18 @@ def _slots(
     driven = np.zeros(len(slots), bool)
     there = rows.take(visited)
     for direction in driven_rad:
-        local = nearest_branch(there, direction, settings.match_rad)
+        local = nearest_branch(there, direction)
         hit = local != NO_BRANCH
         driven[rows.offsets[visited[hit]] + local[hit]] = True
-    return slots, votes, driven | slots.well_seen(share, settings.least_share)
+    return slots, votes, driven | slots.well_seen(share, DRAWING.least_share)
 
 
-def _kind(branches: FloatArray, settings: MapBuildingSettings) -> str:
+def _kind(branches: FloatArray) -> str:
     if len(branches) == 1:
         return "dead_end"
     if len(branches) == 2:
         opposite = abs(abs(float(wrap(branches[0] - branches[1]))) - np.pi)
-        return "junction" if opposite < settings.straight_rad else "bend"
+        return "junction" if opposite < ONE_WAY_RAD else "bend"
     return "junction"
 
 
@@ -201,25 +195,24 @@ def _legs(
     entry: IntArray,
     *,
     xy: FloatArray,
-    settings: MapBuildingSettings,
 ) -> _Legs:
     """Legs within unbroken parts of the track, without those that turn back in a corridor."""
     first = np.arange(len(visits.time_ns) - 1)
     u, v = visits.vertex[:-1], visits.vertex[1:]
     a, b = exit_[:-1], entry[1:]
     loop = (u == v) & ((a == b) | (a == NO_BRANCH) | (b == NO_BRANCH))
-    driven = np.diff(way_at(odometry, visits.time_ns)) > settings.moved_m
+    driven = np.diff(way_at(odometry, visits.time_ns)) > DRAWING.standing_m
     fine = (np.diff(visits.piece) == 0) & ~loop & driven
-    path = _between_centres(odometry, visits, xy, first[fine], settings)
+    path = _between_centres(odometry, visits, xy, first[fine])
     length = np.array([way_of(p)[-1] for p in path])
-    away = (u != v)[fine] | np.array([is_ring(p, settings) for p in path], bool)
+    away = (u != v)[fine] | np.array([is_ring(p) for p in path], bool)
     first, u, v, a, b = (x[fine][away] for x in (first, u, v, a, b))
     path, length = [p for p, some in zip(path, away.tolist(), strict=True) if some], length[away]
     # Corridors have one direction: from the smaller (vertex, branch).
     swap = (u > v) | ((u == v) & (a > b))
     s, t = np.where(swap, v, u), np.where(swap, u, v)
     sb, tb = np.where(swap, b, a), np.where(swap, a, b)
-    time_ns = times_between(odometry, visits.time_ns, first, settings.standing_m)
+    time_ns = times_between(odometry, visits.time_ns, first, DRAWING.standing_m)
     return _Legs(s, t, sb, tb, length, path, swap, time_ns)
 
 
@@ -228,7 +221,6 @@ def _between_centres(
     visits: Visits,
     xy: FloatArray,
     first: IntArray,
-    settings: MapBuildingSettings,
 ) -> list[FloatArray]:
     """For each leg its path between the centres of both junctions, in the map's frame.
 
@@ -236,13 +228,13 @@ def _between_centres(
     and back, is no part of the corridor's path. In between the track is interpolated between its
     placements at both junctions.
     """
-    track = draw_track(odometry, visits, xy, first, settings.path_step_m)
+    track = draw_track(odometry, visits, xy, first, DRAWING.path_step_m)
     out = []
     for k, visit in enumerate(first.tolist()):
         drawn = track.xy[track.offsets[k] : track.offsets[k + 1]]
         begin, end = xy[visits.vertex[visit : visit + 2]]
         loop = visits.vertex[visit] == visits.vertex[visit + 1]
-        out.append(centre_line(drawn, begin, end, settings, loop=bool(loop)))
+        out.append(centre_line(drawn, begin, end, loop=bool(loop)))
     return out
 
 
@@ -250,26 +242,25 @@ def centre_line(
     drawn: FloatArray,
     begin: FloatArray,
     end: FloatArray,
-    settings: MapBuildingSettings,
     *,
     loop: bool = False,
 ) -> FloatArray:
     """(p, 2) the corridor's path between the centres of two junctions, or back to the same one
     (loop), from a track (k, 2) in the map's frame that was driven between them."""
-    path = join_centres(drawn, begin, end, settings.junction_m)
+    path = join_centres(drawn, begin, end, DRAWING.junction_m)
     # The angles where the track is connected to a centre are no corners.
     inner = path[1:-1]
     if not loop:
-        inner = loop_erased(inner, settings.passable_m)
-    inner = with_corners(inner, settings.corner_m, settings.corner_rad)
+        inner = loop_erased(inner, DRAWING.passable_m)
+    inner = with_corners(inner, DRAWING.corner_m, DRAWING.corner_rad)
     return np.concatenate([path[:1], inner, path[-1:]])
 
 
-def is_ring(path: FloatArray, settings: MapBuildingSettings) -> bool:
+def is_ring(path: FloatArray) -> bool:
     """Whether a path back to its beginning goes round something. A robot that turns about in a
     junction or a corridor may seem to leave by one branch and enter by another."""
-    long = float(way_of(path)[-1]) > 2 * settings.junction_m
-    return long and loop_width(path) > settings.passable_m
+    long = float(way_of(path)[-1]) > 2 * DRAWING.junction_m
+    return long and loop_width(path) > DRAWING.passable_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -292,19 +283,19 @@ class _Edges:
     """Largest plausible detour [m] (`_chosen_detour`)."""
 
 
-def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges:
+def _edges(legs: _Legs, xy: FloatArray) -> _Edges:
     """Legs between the same branches of the same vertices are one corridor.
 
     A leg with an unknown branch joins the corridor between its vertices that fits its length.
     """
-    groups = _corridors(legs, settings)
+    groups = _corridors(legs)
     keys = sorted(groups)
     members = [np.array(groups[key]) for key in keys]
-    sound = [_sound(legs, member, settings) for member in members]
+    sound = [_sound(legs, member) for member in members]
     line = np.hypot(*(xy[legs.target] - xy[legs.source]).T)
     length, leg = corridor_lengths(legs.length, line, sound)
     excess = sum(float(np.var(legs.length[some]) * len(some)) for some in sound)
-    way = settings.repeated_m + sum(
+    way = DRAWING.repeated_m + sum(
         float(shown * (len(some) - 1)) for shown, some in zip(length, sound, strict=True)
     )
     at = np.where(legs.turned[:, None], legs.time_ns[:, ::-1], legs.time_ns)
@@ -325,15 +316,15 @@ def _edges(legs: _Legs, xy: FloatArray, settings: MapBuildingSettings) -> _Edges
     )
 
 
-def _sound(legs: _Legs, member: IntArray, settings: MapBuildingSettings) -> IntArray:
+def _sound(legs: _Legs, member: IntArray) -> IntArray:
     """The legs that were driven straight through a corridor, shortest first."""
     ordered = member[np.argsort(legs.length[member], kind="stable")]
     middle = legs.length[ordered[len(ordered) // 2]]
-    sound: IntArray = ordered[np.abs(legs.length[ordered] - middle) < settings.sound_m]
+    sound: IntArray = ordered[np.abs(legs.length[ordered] - middle) < DRAWING.sound_m]
     return sound
 
 
-def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[int]]:
+def _corridors(legs: _Legs) -> dict[_Ends, list[int]]:
     """Indices of the legs through each corridor, by its ends."""
     rows = np.stack([legs.source, legs.target, legs.source_branch, legs.target_branch], axis=1)
     between: dict[tuple[int, int], dict[_Ends, list[int]]] = defaultdict(dict)
@@ -345,7 +336,7 @@ def _corridors(legs: _Legs, settings: MapBuildingSettings) -> dict[_Ends, list[i
             between[s, t].setdefault((s, t, sb, tb), []).append(k)
     for k, ends in vague:
         corridors = between[ends[:2]]
-        corridors.setdefault(_fitting(legs, corridors, ends, k, settings), []).append(k)
+        corridors.setdefault(_fitting(legs, corridors, ends, k), []).append(k)
     return {ends: member for some in between.values() for ends, member in some.items()}
 
 
@@ -376,10 +367,9 @@ def _fitting(
     corridors: dict[_Ends, list[int]],
     ends: _Ends,
     k: int,
-    settings: MapBuildingSettings,
 ) -> _Ends:
     """The corridor that leg k, with an unknown branch, belongs to; its own ends if none fits."""
-    best, best_off = ends, settings.same_length_m
+    best, best_off = ends, DRAWING.same_length_m
     for key, member in corridors.items():
         if any(mine not in (NO_BRANCH, its) for mine, its in zip(ends[2:], key[2:], strict=True)):
             continue
@@ -389,10 +379,10 @@ def _fitting(
     return best
 
 
-def _paths(legs: _Legs, edges: _Edges, settings: MapBuildingSettings) -> tuple[FloatArray, ...]:
+def _paths(legs: _Legs, edges: _Edges) -> tuple[FloatArray, ...]:
     """Path of every edge from vertex to vertex in the map's frame, simplified."""
     ways = (legs.path[k][:: -1 if legs.turned[k] else 1] for k in edges.leg.tolist())
-    return tuple(simplify(way, settings.path_tolerance_m) for way in ways)
+    return tuple(simplify(way, DRAWING.path_tolerance_m) for way in ways)
 
 
 def _length_sigma(

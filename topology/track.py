@@ -9,6 +9,11 @@ import numpy as np
 from .arrays import FloatArray, IntArray
 from .odometry import Odometry
 
+BEYOND_M = 0.95
+"""Distance from a place's centre at which the track shows the branch driven."""
+SEARCH_M, SEARCH_STEP_M = 3.0, 0.05
+"""How far along the track that point is looked for, and how finely."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrackDirections:
@@ -111,15 +116,11 @@ def track_directions(
     odometry: Odometry,
     time_ns: IntArray,
     centre: FloatArray,
-    *,
-    reach_m: float = 0.95,
-    search_m: float = 3.0,
-    step_m: float = 0.05,
 ) -> TrackDirections:
-    """Directions in which the track leaves a circle of radius `reach_m` [m] around each place.
+    """Directions in which the track leaves a circle of radius `BEYOND_M` around each place.
 
     time_ns: (p,) when the robot was at the place; centre: (p, 2) its position in the odometry
-    frame. The track is searched `search_m` [m] either way. O(p · search / step + n).
+    frame. The track is searched `SEARCH_M` either way. O(p · SEARCH_M / step + n).
     """
     way = way_along(odometry)
     here = way_at(odometry, time_ns)
@@ -127,13 +128,13 @@ def track_directions(
     edges = np.concatenate([[0], odometry.cuts, [len(odometry)]])
     first, last = way[edges[stretch]], way[edges[stretch + 1] - 1]
     # All places at once: a table (places, steps) of track points before and after.
-    steps = np.arange(0.0, search_m + step_m, step_m)
+    steps = np.arange(0.0, SEARCH_M + SEARCH_STEP_M, SEARCH_STEP_M)
 
     def towards(sign: float) -> FloatArray:
         at = here[:, None] + sign * steps
         dx, dy = np.moveaxis(point_at(odometry, at) - centre[:, None], -1, 0)
         inside = (at >= first[:, None] - 1e-9) & (at <= last[:, None] + 1e-9)
-        out = inside & (dx * dx + dy * dy >= reach_m * reach_m)
+        out = inside & (dx * dx + dy * dy >= BEYOND_M**2)
         hit = out.argmax(axis=1)
         rows = np.arange(len(here))
         heading = np.arctan2(dy[rows, hit], dx[rows, hit])

@@ -14,7 +14,8 @@ import numpy as np
 
 from .arrays import BoolArray, FloatArray, IntArray
 from .columns import joined, take
-from .mapbuilding import MapBuildingSettings, centre_line, is_ring
+from .driven_branches import LEAVING_M
+from .mapbuilding import DRAWING, centre_line, is_ring
 from .odometry import Odometry
 from .passes import NO_BRANCH, nearest_branch
 from .polyline import Ways, leaving_over, simplify, way_of
@@ -31,15 +32,16 @@ from .track import (
 from .turning_points import NO_TURNING_POINTS, TRACK_END, TURNING_POINT, TurningPoints
 from .visits import Visits, draw_track
 
-LEAVING_M = 1.5
-"""The heading of a turning point is measured over this distance [m], as scans measure branches."""
+NO_TIMES = np.zeros((0, 2), np.int64)
 
 
 class _Excursion(NamedTuple):
     """One drive from a vertex to its farthest point, and back unless the track begins or ends
     there.
 
-    path: (p, 2) [m] from the vertex; length: of it [m]; time_ns: when it arrived at the farthest
+    path: (p, 2) [m] from the vertex; length: of it [m]; visit: the visit that it begins with;
+    far_way_m: distance driven [m] up to the farthest point; begins, ends: whether there is no visit
+    at that end because the track begins or ends there; time_ns: when it arrived at the farthest
     point; traversal_ns: (t, 2) when it was at the vertex and at that point.
     """
 
@@ -48,8 +50,12 @@ class _Excursion(NamedTuple):
     kind: str
     path: FloatArray
     length: float
-    time_ns: int
-    traversal_ns: IntArray
+    visit: int
+    far_way_m: float
+    begins: bool
+    ends: bool
+    time_ns: int = 0
+    traversal_ns: IntArray = NO_TIMES
 
 
 def turning_points(
@@ -57,24 +63,23 @@ def turning_points(
     odometry: Odometry,
     visits: Visits,
     least_m: float,
-    settings: MapBuildingSettings,
 ) -> TurningPoints:
     """The turning points more than `least_m` [m] from their vertex that no corridor of the map
     leads to.
 
     Which those are is decided by `group_by_dead_end`; corridors within `least_m` count as the same.
     """
-    every = _excursions(topomap, odometry, visits, settings)
+    every = _excursions(topomap, odometry, visits)
     found = sorted((e for e in every if e.length > least_m), key=lambda e: (-e.length, e.time_ns))
     corridors = Ways(topomap.paths, least_m / 4)
     kept = group_by_dead_end(
         ((e.time_ns, e) for e in found),
         topomap,
         lambda vertex: corridors,
-        sound_m=settings.sound_m,
+        sound_m=DRAWING.sound_m,
         near_m=least_m,
     )
-    return _as_points(kept, topomap, settings)
+    return _as_points(kept, topomap)
 
 
 class Drive(Protocol):
@@ -137,52 +142,25 @@ def group_by_dead_end(
     return [kept[key] for key in sorted(kept)]
 
 
-def _excursions(
-    topomap: TopoMap, odometry: Odometry, visits: Visits, settings: MapBuildingSettings
-) -> Iterator[_Excursion]:
+def _excursions(topomap: TopoMap, odometry: Odometry, visits: Visits) -> Iterator[_Excursion]:
     """All drives between two consecutive visits of the same vertex, and before the first and after
     the last visit of each unbroken piece of the track."""
-    branches = _branches_driven(topomap, odometry, visits, settings)
+    branches = _branches_driven(topomap, odometry, visits)
     visits, real, xy = _with_ends(odometry, visits, topomap.xy)
     away, home = (np.full(len(real), NO_BRANCH) for _ in range(2))
     away[real], home[real] = branches
-    drives = list(_drives(odometry, visits, xy, (real, away, home), settings))
+    drives = list(_drives(odometry, visits, xy, (real, away, home)))
     visit = np.array([d.visit for d in drives], np.int64)
     far_m = np.array([d.far_way_m for d in drives])
     arrival, departure = (in_milliseconds(odometry, t) for t in seconds_at(odometry, far_m))
     times = np.stack([visits.time_ns[visit], arrival, departure, visits.time_ns[visit + 1]], axis=1)
     halves = (4 * np.arange(len(drives))[:, None] + np.array([0, 2])).ravel().astype(np.int64)
-    between = times_between(odometry, times.ravel(), halves, settings.standing_m).reshape(-1, 2, 2)
+    between = times_between(odometry, times.ravel(), halves, DRAWING.standing_m).reshape(-1, 2, 2)
     for k, d in enumerate(drives):
         out, back = between[k, 0], between[k, 1, ::-1]
         whole = [] if d.begins else [out]
-        yield _Excursion(
-            vertex=d.vertex,
-            branch=d.branch,
-            kind=TRACK_END if d.at_end else TURNING_POINT,
-            path=d.path,
-            length=float(way_of(d.path)[-1]),
-            time_ns=int(arrival[k]),
-            traversal_ns=np.array(whole if d.ends else [*whole, back]),
-        )
-
-
-class _Drive(NamedTuple):
-    """The drive from a visit to the next one.
-
-    begins, ends: whether there is no visit at that end because the track begins or ends there;
-    at_end: whether its farthest point is that end of the track; far_way_m: distance driven [m] up
-    to the farthest point.
-    """
-
-    visit: int
-    vertex: int
-    branch: int
-    path: FloatArray
-    far_way_m: float
-    begins: bool
-    ends: bool
-    at_end: bool
+        times_ns = np.array(whole if d.ends else [*whole, back])
+        yield d._replace(time_ns=int(arrival[k]), traversal_ns=times_ns)
 
 
 def _drives(
@@ -190,8 +168,7 @@ def _drives(
     visits: Visits,
     xy: FloatArray,
     known: tuple[BoolArray, IntArray, IntArray],
-    settings: MapBuildingSettings,
-) -> Iterator[_Drive]:
+) -> Iterator[_Excursion]:
     """Drives out and back, or only one way at the ends of the track.
 
     visits: including the ends of the track; xy: (n, 2) of all vertices; known: (v,) each: whether a
@@ -199,58 +176,56 @@ def _drives(
     """
     real, away, home = known
     way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
-    within = (np.diff(visits.piece) == 0) & (np.diff(way) > settings.moved_m)
+    within = (np.diff(visits.piece) == 0) & (np.diff(way) > DRAWING.standing_m)
     first = np.flatnonzero(within & ((real[:-1] & real[1:] & (u == v)) | (real[:-1] != real[1:])))
-    track = draw_track(odometry, visits, xy, first, settings.path_step_m)
+    track = draw_track(odometry, visits, xy, first, DRAWING.path_step_m)
     for k, visit in enumerate(first.tolist()):
         rows = slice(track.offsets[k], track.offsets[k + 1])
         points, at = track.xy[rows], track.way[rows]
         out, back = int(away[visit]), int(home[visit + 1])
         begins, ends = not real[visit], not real[visit + 1]
-        if not (begins or ends) and _is_corridor(points, out, back, settings):
+        if not (begins or ends) and _is_corridor(points, out, back):
             continue
-        far = farthest(points[::-1] if begins else points, settings.passable_m)
+        far = farthest(points[::-1] if begins else points, DRAWING.passable_m)
         far = len(points) - 1 - far if begins else far
         vertex = int(v[visit] if begins else u[visit])
         halves = [] if begins else [(points[: far + 1], out if out != NO_BRANCH else back)]
         halves += [] if ends else [(points[far:][::-1], back if back != NO_BRANCH else out)]
         # Detours only lengthen a drive: the shorter one of out and back is nearer to the corridor.
-        path, branch = min(
-            ((_line(half, xy[vertex], settings), branch) for half, branch in halves),
-            key=lambda line: float(way_of(line[0])[-1]),
+        lines = ((centre_line(half, xy[vertex], half[-1]), branch) for half, branch in halves)
+        length, path, branch = min(
+            ((float(way_of(path)[-1]), path, branch) for path, branch in lines),
+            key=lambda line: line[0],
         )
         beyond = at[far] - at[0] if begins else at[-1] - at[far]
-        yield _Drive(
-            visit=visit,
+        at_end = (begins or ends) and beyond <= DRAWING.passable_m
+        yield _Excursion(
             vertex=vertex,
             branch=branch,
+            kind=TRACK_END if at_end else TURNING_POINT,
             path=path,
+            length=length,
+            visit=visit,
             far_way_m=float(at[far]),
             begins=begins,
             ends=ends,
-            at_end=bool((begins or ends) and beyond <= settings.passable_m),
         )
 
 
-def _is_corridor(points: FloatArray, out: int, back: int, settings: MapBuildingSettings) -> bool:
+def _is_corridor(points: FloatArray, out: int, back: int) -> bool:
     """Whether a drive back to its start left and returned by two branches around an obstacle: a
     corridor."""
-    return out != back and NO_BRANCH not in (out, back) and is_ring(points, settings)
-
-
-def _line(half: FloatArray, centre: FloatArray, settings: MapBuildingSettings) -> FloatArray:
-    """(p, 2) centre line from a vertex to the last point driven."""
-    return centre_line(half, centre, half[-1], settings)
+    return out != back and NO_BRANCH not in (out, back) and is_ring(points)
 
 
 def _branches_driven(
-    topomap: TopoMap, odometry: Odometry, visits: Visits, settings: MapBuildingSettings
+    topomap: TopoMap, odometry: Odometry, visits: Visits
 ) -> tuple[IntArray, IntArray]:
     """(v,) each: branches by which the robot left its visits, and by which it arrived."""
     track = track_directions(odometry, visits.time_ns, visits.centre)
     there, turn = topomap.branches.take(visits.vertex), visits.pose[:, 2]
-    leaving = nearest_branch(there, track.leaving + turn, settings.match_rad)
-    return leaving, nearest_branch(there, track.arriving + turn, settings.match_rad)
+    leaving = nearest_branch(there, track.leaving + turn)
+    return leaving, nearest_branch(there, track.arriving + turn)
 
 
 def _with_ends(
@@ -305,16 +280,14 @@ def farthest(points: FloatArray, near_m: float) -> int:
     return int(one[int(np.argmax(np.where(np.isfinite(away), away, -1.0)))])
 
 
-def _as_points(
-    kept: list[list[_Excursion]], topomap: TopoMap, settings: MapBuildingSettings
-) -> TurningPoints:
+def _as_points(kept: list[list[_Excursion]], topomap: TopoMap) -> TurningPoints:
     """Groups of drives to the same dead ends, the deepest first, as turning points."""
     if not kept:
         return NO_TURNING_POINTS
     deepest = [group[0] for group in kept]
     vertex = np.array([e.vertex for e in deepest])
     length = np.array([e.length for e in deepest])
-    paths = tuple(simplify(e.path, settings.path_tolerance_m) for e in deepest)
+    paths = tuple(simplify(e.path, DRAWING.path_tolerance_m) for e in deepest)
     noise = topomap.measured
     way = noise.along_m_per_sqrt_m**2 * length + (noise.scale * length) ** 2
     sigma = np.sqrt(way + noise.centre_m**2)

@@ -16,8 +16,8 @@ import numpy as np
 
 from ...topology.arrays import FloatArray
 from ...topology.columns import columns_and
-from ...topology.mapbuilding import MapBuildingSettings
-from ...topology.passes import NO_BRANCH
+from ...topology.mapbuilding import DRAWING
+from ...topology.passes import DRIVEN_RAD, NO_BRANCH
 from ...topology.polyline import Ways
 from ...topology.ragged import Ragged
 from ...topology.se2 import apply, wrap
@@ -26,7 +26,6 @@ from ...topology.turning_back import group_by_dead_end
 from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run, fused_of
 
-DRAWING = MapBuildingSettings()
 """The settings of single runs' maps."""
 
 
@@ -116,7 +115,7 @@ def _ends(
             its = NO_BRANCH
             if branch != NO_BRANCH:
                 off = np.abs(wrap(fused.branches[at] - (m.branches[vertex][branch] + T[2])))
-                its = int(off.argmin()) if off.min() <= DRAWING.match_rad else NO_BRANCH
+                its = int(off.argmin()) if off.min() <= DRIVEN_RAD else NO_BRANCH
             yield _End(m, row, at, its, path, float(T[2]))
 
 

@@ -99,7 +99,7 @@ def test_finished_runs_are_kept_until_something_changes(topobatch, logs, tmp_pat
     assert "unchanged" in topobatch(*call).out
     assert document.stat().st_mtime_ns == first
     assert "1 map of 1 log in " in topobatch(*call, "--closure", "none").out
-    assert "unchanged" not in topobatch(*call, "--closure", "gated").out
+    assert "unchanged" not in topobatch(*call, "--closure", "full").out
     assert "unchanged" not in topobatch(*call, "--force").out
     document.unlink()
     assert "unchanged" not in topobatch(*call).out

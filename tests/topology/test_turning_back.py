@@ -9,7 +9,7 @@ import pytest
 
 from topobatch.topology.document import map_from_document, map_to_document
 from topobatch.topology.errors import DocumentError
-from topobatch.topology.mapbuilding import MapBuildingSettings, build_topomap
+from topobatch.topology.mapbuilding import build_topomap
 from topobatch.topology.topomap import RunNoise, TopoMap
 from topobatch.topology.turning_back import turning_points
 from topobatch.topology.turning_points import TRACK_END, TURNING_POINT
@@ -20,7 +20,6 @@ from topobatch.topology.visits import PassesAtPlaces, Visits
 from .tracks import EAST, NORTH, SOUTH, WEST, passes_at, track
 
 LEAST_M = 1.0
-SETTINGS = MapBuildingSettings()
 
 
 def driven(
@@ -47,7 +46,7 @@ def driven(
         noise=RunNoise(),
         errors=VertexErrors(np.zeros((n, 3, 1))),
     )
-    turned = turning_points(m, odometry, visits, LEAST_M, SETTINGS)
+    turned = turning_points(m, odometry, visits, LEAST_M)
     return replace(m, turning_points=turned)
 
 

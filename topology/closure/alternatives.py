@@ -19,8 +19,8 @@ from .branches import ANYWHERE
 from .dead_reckoning import DeadReckoning, scale_noise
 from .estimate import Estimate, optimise
 from .evidence import background
-from .incremental import Closed, RoundSettings, closure_without_grid, full_closure, map_state
-from .variance_components import ComponentSettings
+from .incremental import ROUNDS, Closed, closure_without_grid, full_closure, map_state, needed_odds
+from .variance_components import PRIOR
 
 _STRIP = 256
 """Corridors that are compared with all others at once, to bound memory."""
@@ -36,7 +36,6 @@ def most_likely_closure(
     reckoning: DeadReckoning,
     first: Closed,
     fitted: DeadReckoning,
-    settings: RoundSettings,
 ) -> Closed:
     """The closure that explains the run best: `first`, unless many corridors of its map cross and
     another one leads by the odds that identifications need by stricter rules, on a map that does
@@ -44,36 +43,36 @@ def most_likely_closure(
 
     reckoning: with the noise known before closure; fitted: with that shown by `first`.
     """
-    if crossing_share(first) < settings.most_crossing:
+    if crossing_share(first) < ROUNDS.most_crossing:
         return first
-    strict = replace(settings, wrong_share=settings.strict_wrong_share)
-    best, best_odds = first, _log_likelihood(fitted, first, settings)
-    best_odds += strict.least_odds(len(reckoning))
-    others = [full_closure(fitted, settings), full_closure(fitted, strict)]
+    strict = ROUNDS.strict_wrong_share
+    best, best_odds = first, _log_likelihood(fitted, first)
+    best_odds += needed_odds(len(reckoning), strict)
+    others = [full_closure(fitted), full_closure(fitted, strict)]
     if any(closed.grid is not None for closed in (first, *others)):
-        others.append(closure_without_grid(fitted, settings))
+        others.append(closure_without_grid(fitted))
     for other in others:
-        odds = _log_likelihood(fitted, other, settings)
-        if odds > best_odds and not _repeats(other, settings):
+        odds = _log_likelihood(fitted, other)
+        if odds > best_odds and not _repeats(other):
             best, best_odds = other, odds
     if best is first:
         return first
     # Matching counts with the noise known before closure, as after any other closure.
-    return replace(best, reckoning=scale_noise(reckoning, settings.caution))
+    return replace(best, reckoning=scale_noise(reckoning, ROUNDS.caution))
 
 
-def _repeats(closed: Closed, settings: RoundSettings) -> bool:
+def _repeats(closed: Closed) -> bool:
     """Whether a map repeats itself: then a closure one step of its pattern off explains the run as
     well, and is not among those compared."""
-    state = map_state(closed.reckoning, closed.place, closed.estimate, settings)
+    state = map_state(closed.reckoning, closed.place, closed.estimate)
     return state.common.lattice.repeats
 
 
-def _log_likelihood(fitted: DeadReckoning, closed: Closed, settings: RoundSettings) -> float:
+def _log_likelihood(fitted: DeadReckoning, closed: Closed) -> float:
     """Log marginal likelihood of a closure's places, all with one noise and without a grid, which
     not all of them have."""
-    estimate = optimise(fitted, closed.place, closed.estimate.pose, settings=settings.estimate)
-    density = background(fitted, fitted.noise, settings.candidates.evidence).density
+    estimate = optimise(fitted, closed.place, closed.estimate.pose)
+    density = background(fitted, fitted.noise).density
     return log_marginal_likelihood(estimate, density)
 
 
@@ -90,13 +89,13 @@ def log_marginal_likelihood(estimate: Estimate, density: float) -> float:
     and any heading, factors of information Ω, and the normal matrix H of d unknowns:
     n ln(ρ / 2π) + ½ Σ ln |Ω / 2π| - ½ ln |H / 2π| - ½ f (ln s² + 1), f = Σ rank Ω - d. The level s²
     of the noise is the most likely one, χ² / f, as wrong identifications look like noise; its prior
-    counts like `ComponentSettings.prior_freedom` more measurements that fit the stated noise.
+    counts like `PRIOR.freedom` more measurements that fit the stated noise.
     """
     solution = estimate.solution
     factor = Marginals.of(estimate.graph, solution).factor
     measured, numbers = _log_density_of_no_error(estimate.graph.information)
     unknowns = factor.pattern.size
-    stated = ComponentSettings().prior_freedom
+    stated = PRIOR.freedom
     freedom = numbers - unknowns + stated
     level = (solution.cost + stated) / freedom
     anywhere = len(estimate.xy) * (np.log(density) - ANYWHERE)

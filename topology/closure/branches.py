@@ -23,7 +23,7 @@ from ..matching.branches import (
     unit_headings,
 )
 from ..matching.likelihood import LIKELIHOOD, log_density
-from .evidence import Background, EvidenceSettings
+from .evidence import EVIDENCE, Background
 from .places import Places
 
 ANYWHERE = float(np.log(2 * np.pi))
@@ -46,14 +46,14 @@ class Branches:
     variance: float
 
 
-def branches_of(places: Places, common: Background, settings: EvidenceSettings) -> Branches:
+def branches_of(places: Places, common: Background) -> Branches:
     """The branches of all places. O(n · references)."""
     unit = unit_headings(places.heading)
     # Rate at which a pass lacks the branch: as among the passes by this place, or by a fault.
     seldom = np.log(np.maximum(1.0 - places.share, common.fault_rate))
     lack = np.where(unit != 0, seldom * places.confidence[:, None], 0.0)
     variance = 2 * common.branch_sigma**2
-    return Branches(unit, lack, _commonness(unit, lack, variance, settings), variance)
+    return Branches(unit, lack, _commonness(unit, lack, variance), variance)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -145,9 +145,7 @@ def _turned(
     return odds - 0.5 * (turn / sigma) ** 2, turn
 
 
-def _commonness(
-    unit: ComplexArray, lack: FloatArray, variance: float, settings: EvidenceSettings
-) -> FloatArray:
+def _commonness(unit: ComplexArray, lack: FloatArray, variance: float) -> FloatArray:
     """(n,) log likelihood of each place's branches at some other place of this run.
 
     A kernel density estimate: the mean, over a fixed sample of places, of the likelihood of these
@@ -155,15 +153,15 @@ def _commonness(
     nowhere else.
     """
     n = len(unit)
-    sample = np.arange(0, n, max(1, n // settings.references))
-    wide = np.array([settings.bandwidth_rad**2 + variance], np.float32)
+    sample = np.arange(0, n, max(1, n // EVIDENCE.references))
+    wide = np.array([EVIDENCE.bandwidth_rad**2 + variance], np.float32)
     # Slots come first, and few places at a time: reductions over a short last axis and tables
     # larger than the cache are slow. Single precision suffices for odds.
     x, y = unit.real.T.astype(np.float32), unit.imag.T.astype(np.float32)
     cost = lack.T.astype(np.float32)
     out = np.empty(n)
-    for begin in range(0, n, settings.strip):
-        rows = slice(begin, begin + settings.strip)
+    for begin in range(0, n, EVIDENCE.strip):
+        rows = slice(begin, begin + EVIDENCE.strip)
         cosine = x[:, None, rows, None] * x[None, :, None, sample]
         cosine += y[:, None, rows, None] * y[None, :, None, sample]
         near, back = cosine.max(axis=1), cosine.max(axis=0)

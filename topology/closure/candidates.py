@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -15,13 +15,13 @@ from .branches import align
 from .dead_reckoning import dead_reckoning_covariance
 from .estimate import Estimate
 from .evidence import (
+    EVIDENCE,
     Background,
-    EvidenceSettings,
     among_neighbours,
     best_position_odds,
     position_odds,
 )
-from .growth import GrowthSettings, MapState, grow
+from .growth import GROWTH, MapState, grow
 from .negative_information import DrivenGround, driven_ground
 from .places import Places
 
@@ -38,8 +38,9 @@ class CandidateSettings:
     most_strangers: int = 3000
     """Size of the sample of null pairs: estimates a tail probability of 1/100 to a fifth of
     itself."""
-    evidence: EvidenceSettings = field(default_factory=EvidenceSettings)
-    growth: GrowthSettings = field(default_factory=GrowthSettings)
+
+
+CANDIDATES = CandidateSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,7 +108,6 @@ def candidates(
     state: MapState,
     place: IntArray,
     estimate: Estimate,
-    settings: CandidateSettings = CandidateSettings(),
     *,
     exact: bool,
 ) -> Candidates:
@@ -118,14 +118,14 @@ def candidates(
     graph if `exact`; otherwise the bounds are used in their place.
     """
     common = state.common
-    pairs = _known_apart(state, place, estimate, settings)
-    null_pairs = _null_pairs(state, pairs, settings)
+    pairs = _known_apart(state, place, estimate)
+    null_pairs = _null_pairs(state, pairs)
     spread = pairs.cov[:, 0, 0] + pairs.cov[:, 1, 1] + 4 * common.centre_sigma**2
     pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
-    pairs = _nearest(pairs, settings.most_pairs * len(state.places))
+    pairs = _nearest(pairs, CANDIDATES.most_pairs * len(state.places))
     if exact:
         best = best_position_odds(common, pairs.shift)
-        pairs = take(pairs, best + _surroundings(state, pairs, settings).sum() > 0.0)
+        pairs = take(pairs, best + _surroundings(state, pairs).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(estimate, pairs.a, pairs.b))
     odds, d2 = pairs.odds(common)
     # Without exact covariances only clear cases are kept: they make the others easier.
@@ -138,13 +138,13 @@ def candidates(
     odds = among_neighbours(common, odds, pairs.shift, pairs.noisy(common))
     sure = odds > least
     pairs, odds, ground, fits = take(pairs, sure), odds[sure], ground[sure], fits[sure]
-    found = _surroundings(state, pairs, settings)
+    found = _surroundings(state, pairs)
     # Branches that no rotation within reach aligns are those of two places.
     known = found.branches > -np.inf
     pairs, odds, ground, fits = take(pairs, known), odds[known], ground[known], fits[known]
     found = take(found, known)
     alike = found.sum()
-    slack = settings.evidence.lead if common.lattice.repeats else 0.0
+    slack = EVIDENCE.lead if common.lattice.repeats else 0.0
     aliasing_penalty = np.maximum(alike - calibrated_odds(alike, null_pairs, slack), 0.0)
     return Candidates(
         pairs.a,
@@ -160,16 +160,14 @@ def candidates(
     )
 
 
-def _known_apart(
-    state: MapState, place: IntArray, estimate: Estimate, settings: CandidateSettings
-) -> _Apart:
+def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Apart:
     """Pairs of places within reach, in one piece of odometry, with bounds of their covariance.
 
     Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
     """
     reckoning, places = state.reckoning, state.places
-    reach_m = settings.growth.hops * state.common.leg_m
-    a, b = pairs_within(estimate.xy, reach_m, settings.most_tabled).T
+    reach_m = GROWTH.hops * state.common.leg_m
+    a, b = pairs_within(estimate.xy, reach_m, CANDIDATES.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
     same = reckoning.piece[i] == reckoning.piece[j]
     a, b = a[same], b[same]
@@ -179,7 +177,7 @@ def _known_apart(
     return _Apart(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 
-def _null_pairs(state: MapState, pairs: _Apart, settings: CandidateSettings) -> FloatArray:
+def _null_pairs(state: MapState, pairs: _Apart) -> FloatArray:
     """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, i.e. pairs that
     position excludes.
 
@@ -190,12 +188,12 @@ def _null_pairs(state: MapState, pairs: _Apart, settings: CandidateSettings) -> 
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
     aside = state.common.lattice.is_step(pairs.shift[rows])
-    if aside.sum() >= np.exp(settings.evidence.lead):
+    if aside.sum() >= np.exp(EVIDENCE.lead):
         # The places that could be confused lie one lattice step off; so many of these pairs
         # suffice for odds of `lead`.
         rows = rows[aside]
-    rows = rows[:: -(-len(rows) // settings.most_strangers) or 1]
-    return np.sort(_surroundings(state, take(pairs, rows), settings).sum())
+    rows = rows[:: -(-len(rows) // CANDIDATES.most_strangers) or 1]
+    return np.sort(_surroundings(state, take(pairs, rows)).sum())
 
 
 def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
@@ -251,13 +249,13 @@ class _Surroundings:
         return out
 
 
-def _surroundings(state: MapState, pairs: _Apart, settings: CandidateSettings) -> _Surroundings:
+def _surroundings(state: MapState, pairs: _Apart) -> _Surroundings:
     a, b = pairs.a, pairs.b
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(state.branches, a, b, turn_sigma=turn_sigma)
-    grown = grow(state, a, b, aligned, settings.growth)
+    grown = grow(state, a, b, aligned)
     # Adjacent legs are not independent: each hop counts `lead` at most.
-    cap = settings.growth.hops * settings.evidence.lead
+    cap = GROWTH.hops * EVIDENCE.lead
     gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
     return _Surroundings(aligned.odds, gain, loss, aligned.turn)
 

@@ -10,6 +10,7 @@ import numpy as np
 from ..arrays import FloatArray, IntArray
 from ..circular import cluster_angles
 from ..matching.likelihood import LIKELIHOOD
+from ..passes import ONE_WAY_RAD
 from ..posegraph.graph import PoseGraph, Priors, SharedErrors
 from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
@@ -17,7 +18,6 @@ from ..posegraph.solve import Solution, SolverSettings, solve
 from ..se2 import turned, wrap
 from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
 from .manhattan import GridCorridors, GridHeadings
-from .places import ONE_WAY_RAD
 
 _SWING = 0.5
 """A heading error that accumulates uniformly along a leg rotates its end about its start by half as
@@ -37,6 +37,9 @@ class EstimateSettings:
     its standard deviation."""
     samples: int = 64
     """Samples for covariances of many nodes: standard error of a variance √(2 / 64) = 18 %."""
+
+
+ESTIMATE = EstimateSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +88,6 @@ def optimise(
     turn: FloatArray | None = None,
     grid: GridHeadings | None = None,
     corridors: GridCorridors | None = None,
-    settings: EstimateSettings = EstimateSettings(),
 ) -> Estimate:
     """Most likely poses of passes and places, from odometry and identifications.
 
@@ -126,7 +128,7 @@ def optimise(
     sensitivity = np.zeros((edges, 3, 2))
     sensitivity[:row] = systematic_modes(reckoning, legs.row, legs.row + 1)
     kernel = np.full(edges, np.inf)
-    kernel[observed.stop :] = settings.grid_kernel
+    kernel[observed.stop :] = ESTIMATE.grid_kernel
     s = reckoning.systematic
     graph = PoseGraph(
         pose=np.vstack([start, guess, pose]),
@@ -135,11 +137,11 @@ def optimise(
         measurement=np.vstack([part.measurement for part in parts]),
         information=np.concatenate([part.information for part in parts]),
         kernel=kernel,
-        priors=_priors(grid, corridors, count + len(several), settings),
+        priors=_priors(grid, corridors, count + len(several)),
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
         swing=np.where(np.arange(edges) < row, _SWING, 0.0),
     )
-    graph, solution, chi2 = _solved(graph, observed, settings)
+    graph, solution, chi2 = _solved(graph, observed)
     freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
     return Estimate(
         pose=solution.pose[:count],
@@ -152,7 +154,7 @@ def optimise(
         freedom=freedom,
         graph=graph,
         solution=solution,
-        samples=settings.samples,
+        samples=ESTIMATE.samples,
     )
 
 
@@ -201,15 +203,13 @@ def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> Float
     return np.column_stack([xy, wrap(turn)])
 
 
-def _solved(
-    graph: PoseGraph, observed: slice, settings: EstimateSettings
-) -> tuple[PoseGraph, Solution, FloatArray]:
+def _solved(graph: PoseGraph, observed: slice) -> tuple[PoseGraph, Solution, FloatArray]:
     """Solve without robust kernels on observations and loops, then, if some do not fit, with
     kernels.
 
     A new identification may move places by far, which a robust kernel would reject at first.
     """
-    given = SolverSettings(relative_tolerance=0.0, absolute_tolerance=settings.settled_chi2)
+    given = SolverSettings(relative_tolerance=0.0, absolute_tolerance=ESTIMATE.settled_chi2)
     solution = solve(graph, given)
     gate = LIKELIHOOD.gate_sigmas
     if np.all(solution.edge_chi2[observed] < gate**2):
@@ -235,13 +235,12 @@ def _priors(
     grid: GridHeadings | None,
     corridors: GridCorridors | None,
     line: int,
-    settings: EstimateSettings,
 ) -> Priors:
     """Priors of the headings of passes, and of the directions of lines (nodes from `line` on)."""
     if grid is None:
         return Priors.empty()
     row, turn, sigma = grid.row, grid.turn, grid.sigma
-    kernel = np.full(len(row), settings.grid_kernel)
+    kernel = np.full(len(row), ESTIMATE.grid_kernel)
     if corridors is not None:
         count = len(corridors.direction)
         row = np.concatenate([row, line + np.arange(count)])

@@ -16,7 +16,7 @@ from ..arrays import FloatArray
 from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
 from .dead_reckoning import DeadReckoning
-from .lattice import Lattice, LatticeSettings, lattice_of, no_lattice, squared_mahalanobis
+from .lattice import Lattice, lattice_of, no_lattice, squared_mahalanobis
 from .negative_information import DrivenGround
 from .places import Places
 
@@ -43,7 +43,9 @@ class EvidenceSettings:
     """Log odds [nats] by which one answer must exceed its alternatives, 20 to one: sets of
     identifications over those that exclude one of them, each candidate that joins a set
     (`joint_compatibility.py`), and likeness over what is nearly as much alike (`candidates.py`)."""
-    pattern: LatticeSettings = field(default_factory=LatticeSettings)
+
+
+EVIDENCE = EvidenceSettings()
 
 
 PRIOR_PASSES = 25.0
@@ -103,39 +105,33 @@ def measured_rates(places: Places, noise: RunNoise) -> RunNoise:
     )
 
 
-def background(
-    reckoning: DeadReckoning, noise: RunNoise, settings: EvidenceSettings = EvidenceSettings()
-) -> Background:
+def background(reckoning: DeadReckoning, noise: RunNoise) -> Background:
     """The statistics of a run. noise: as far as the run has shown it."""
     legs = reckoning.leg[np.isfinite(reckoning.leg)]
     # Chords: the length of a leg that turns back or winds does not bound the junctions' distance.
     chord = np.hypot(*np.diff(reckoning.passes.centre, axis=0).T)
     chord = chord[np.isfinite(reckoning.leg)]
     # Legs of a standing robot have no length but the noise of the two centres.
-    centre_sigma = settings.inflation * noise.centre_m
+    centre_sigma = EVIDENCE.inflation * noise.centre_m
     moved = chord[chord > LIKELIHOOD.gate_sigmas * np.sqrt(2) * centre_sigma]
-    core_m = float(np.quantile(moved, settings.core_quantile)) if len(moved) else 1.0
+    core_m = float(np.quantile(moved, EVIDENCE.core_quantile)) if len(moved) else 1.0
     typical = float(np.median(legs)) if len(legs) else core_m
     return Background(
         leg_m=max(typical, core_m),
         core_m=core_m,
-        reach_m=float(np.quantile(reckoning.aside, 1.0 - settings.core_quantile)),
+        reach_m=float(np.quantile(reckoning.aside, 1.0 - EVIDENCE.core_quantile)),
         lengths=Lengths.of(legs),
-        branch_sigma=settings.inflation * noise.branch_rad,
+        branch_sigma=EVIDENCE.inflation * noise.branch_rad,
         centre_sigma=centre_sigma,
         fault_rate=max(noise.branch_fault_rate, LIKELIHOOD.fault_floor),
         miss_rate=max(noise.miss_rate, LIKELIHOOD.fault_floor),
     )
 
 
-def with_lattice(
-    common: Background, places: Places, xy: FloatArray, settings: EvidenceSettings
-) -> Background:
+def with_lattice(common: Background, places: Places, xy: FloatArray) -> Background:
     """The background with the arrangement of neighbouring junctions, for places at `xy` (n, 2)
     [m]."""
-    found = lattice_of(
-        places, xy, core_m=common.core_m, typical_m=common.leg_m, settings=settings.pattern
-    )
+    found = lattice_of(places, xy, core_m=common.core_m, typical_m=common.leg_m)
     return replace(common, lattice=found)
 
 

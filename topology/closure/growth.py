@@ -28,13 +28,12 @@ class GrowthSettings:
     discount: float = 0.85
     """Weight of each hop relative to the one before: legs are not independent of each other. Tried:
     with 1 a run on tiles is closed wrongly under three times the noise."""
-    leg_cap: float = LIKELIHOOD.most
-    """Bound on the evidence of one pair of legs [nats]."""
-    branch_cap: float = LIKELIHOOD.most
-    """Bound on the evidence of the branches at their far ends [nats]."""
     wobble_m: float = 0.08
     """1 sigma of the length driven through one corridor [m]. Tried: with 0 rows close less
     often."""
+
+
+GROWTH = GrowthSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,9 +92,8 @@ def grow(
     a: IntArray,
     b: IntArray,
     aligned: Alignment,
-    settings: GrowthSettings = GrowthSettings(),
 ) -> Support:
-    """Support of the hypotheses "place a[k] is place b[k]", grown over `settings.hops`
+    """Support of the hypotheses "place a[k] is place b[k]", grown over `GROWTH.hops`
     corridors."""
     places, common = state.places, state.common
     k = len(a)
@@ -104,15 +102,15 @@ def grow(
     seen = _keys(front.hypothesis, a, b, len(places))
     weight, miss = 1.0, float(np.log(common.miss_rate))
     turn_sigma = float(np.sqrt(state.branches.variance))
-    for _ in range(settings.hops):
+    for _ in range(GROWTH.hops):
         pairs = _leave(places, front)
         if len(pairs.row) == 0:
             break
-        reached, torn = _compare(state, front, pairs, settings)
+        reached, torn = _compare(state, front, pairs)
         loss += weight * -miss * np.bincount(front.hypothesis[torn], minlength=k)
         h = front.hypothesis[reached.row]
-        var = _leg_variance(state, reached.la, reached.lb, settings)
-        odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, settings.leg_cap)
+        var = _leg_variance(state, reached.la, reached.lb)
+        odds = np.clip(length_odds(common, reached.la, reached.lb, var), 0.0, LIKELIHOOD.most)
         odds = odds + miss * reached.missed
         same = reached.qa == reached.qb
         # Both legs end at one place: by one branch they agree, by two branches they disagree.
@@ -126,7 +124,7 @@ def grow(
             turn_mean=front.turn[reached.row[further]],
         )
         fit = ends.odds
-        odds[further] += np.clip(fit, 2 * miss, settings.branch_cap)
+        odds[further] += np.clip(fit, 2 * miss, LIKELIHOOD.most)
         gain += weight * np.bincount(h, np.maximum(odds, 0.0), minlength=k)
         loss += weight * np.bincount(h, np.maximum(-odds, 0.0), minlength=k)
         good = (fit > 0.5 * miss) & (reached.missed[further] < 2)
@@ -143,7 +141,7 @@ def grow(
             front.turn[reached.row[pick]],
             ends.partner[np.flatnonzero(good)[at]],
         )
-        weight *= settings.discount
+        weight *= GROWTH.discount
     return Support(gain, loss)
 
 
@@ -167,23 +165,21 @@ def _leave(places: Places, front: _Front) -> _Reached:
     return _Reached(row[use], qa[use], qb[use], ea[use], eb[use], la[use], lb[use], none)
 
 
-def _compare(
-    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
-) -> tuple[_Reached, IntArray]:
+def _compare(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reached, IntArray]:
     """Pairs of legs that agree, possibly past one missed junction; and rows of the front of the
     others."""
-    agree = _agree(state, front, pairs, settings)
+    agree = _agree(state, front, pairs)
     rest = np.flatnonzero(~agree)
-    through = _past_missed(state, front, take(pairs, rest), settings)
+    through = _past_missed(state, front, take(pairs, rest))
     found = np.zeros(len(rest), bool)
     found[through[1]] = True
     torn = pairs.row[rest[~found]]
     return joined([take(pairs, np.flatnonzero(agree)), through[0]]), torn
 
 
-def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings) -> BoolArray:
+def _agree(state: MapState, front: _Front, pairs: _Reached) -> BoolArray:
     """(m,) whether lengths are equal, and ends coincide if the two places do, within the gate."""
-    var = _leg_variance(state, pairs.la, pairs.lb, settings)
+    var = _leg_variance(state, pairs.la, pairs.lb)
     near = np.abs(pairs.la - pairs.lb) < LIKELIHOOD.gate_sigmas * np.sqrt(var)
     da = state.xy[pairs.qa] - state.xy[front.a[pairs.row]]
     db = state.xy[pairs.qb] - state.xy[front.b[pairs.row]]
@@ -193,9 +189,7 @@ def _agree(state: MapState, front: _Front, pairs: _Reached, settings: GrowthSett
     return result
 
 
-def _past_missed(
-    state: MapState, front: _Front, pairs: _Reached, settings: GrowthSettings
-) -> tuple[_Reached, IntArray]:
+def _past_missed(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reached, IntArray]:
     """Pairs of legs that agree after extending the shorter leg past its end by one more leg.
 
     Returns these pairs, and for each the index into `pairs` that it came from.
@@ -218,7 +212,7 @@ def _past_missed(
         lb=pairs.lb[index] + np.where(first, 0.0, more),
         missed=np.ones(len(index), np.int64),
     )
-    fine = np.flatnonzero(_agree(state, front, tried, settings))
+    fine = np.flatnonzero(_agree(state, front, tried))
     # One continuation per pair: the one nearest in length.
     off = np.abs(tried.la[fine] - tried.lb[fine])
     order = fine[np.lexsort((off, index[fine]))]
@@ -226,10 +220,8 @@ def _past_missed(
     return take(tried, once), index[once]
 
 
-def _leg_variance(
-    state: MapState, la: FloatArray, lb: FloatArray, settings: GrowthSettings
-) -> FloatArray:
+def _leg_variance(state: MapState, la: FloatArray, lb: FloatArray) -> FloatArray:
     along = state.reckoning.noise.along_m_per_sqrt_m**2 * (la + lb)
-    fixed = 2 * settings.wobble_m**2 + 4 * state.common.centre_sigma**2
+    fixed = 2 * GROWTH.wobble_m**2 + 4 * state.common.centre_sigma**2
     out: FloatArray = fixed + along
     return out

@@ -7,7 +7,7 @@ uncertainty on to the next round.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import count, product
 
 import numpy as np
@@ -30,16 +30,15 @@ from .answers import (
     taken_back,
 )
 from .branches import branches_of
-from .candidates import Candidates, CandidateSettings, candidates
+from .candidates import Candidates, candidates
 from .dead_reckoning import DeadReckoning, scale_noise
-from .estimate import Estimate, EstimateSettings, optimise
+from .estimate import Estimate, optimise
 from .evidence import background, measured_rates, with_lattice
 from .growth import MapState
 from .joint_compatibility import agreeing
 from .manhattan import (
     GridCorridors,
     GridHeadings,
-    RectilinearSettings,
     grid_corridors,
     grid_headings,
 )
@@ -67,16 +66,17 @@ class RoundSettings:
     simulated runs that are closed rightly 9 % have as many, of 13 in streets that are not, 12."""
     caution: float = 1.25
     """Factor on the estimated random errors: a dozen repeats estimate a sigma to a quarter."""
-    candidates: CandidateSettings = field(default_factory=CandidateSettings)
-    estimate: EstimateSettings = field(default_factory=EstimateSettings)
-    grid: RectilinearSettings = field(default_factory=RectilinearSettings)
 
-    def least_odds(self, passes: int) -> float:
-        """Log odds [nats] required of an identification in a run of `passes` passes.
 
-        Each pass is one chance of a wrong identification (Bonferroni bound).
-        """
-        return float(np.log(passes / self.wrong_share))
+ROUNDS = RoundSettings()
+
+
+def needed_odds(passes: int, wrong_share: float = ROUNDS.wrong_share) -> float:
+    """Log odds [nats] required of an identification in a run of `passes` passes.
+
+    Each pass is one chance of a wrong identification (Bonferroni bound).
+    """
+    return float(np.log(passes / wrong_share))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,25 +96,21 @@ class Closed:
     grid: GridHeadings | None
 
 
-def full_closure(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
+def full_closure(reckoning: DeadReckoning, wrong_share: float = ROUNDS.wrong_share) -> Closed:
     """Identify the passes of a run, with headings held by the grid of its building if it has
     one."""
-    return _in_rounds(_Closure(reckoning, grid_headings(reckoning, settings.grid), settings))
+    return _in_rounds(_Closure(reckoning, grid_headings(reckoning), wrong_share))
 
 
-def closure_without_grid(
-    reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()
-) -> Closed:
+def closure_without_grid(reckoning: DeadReckoning) -> Closed:
     """Identify the passes of a run without using the headings of a grid."""
-    return _in_rounds(_Closure(reckoning, None, settings))
+    return _in_rounds(_Closure(reckoning, None, ROUNDS.wrong_share))
 
 
-def first_round(reckoning: DeadReckoning, settings: RoundSettings = RoundSettings()) -> Closed:
-    """Make the identifications that dead reckoning makes certain, and no others: the first round of
-    `closure_without_grid`. A baseline for comparison (`--closure gated`)."""
-    under_way = _Closure(reckoning, None, settings)
-    under_way.identify(under_way.certain(1))
-    return under_way.result()
+def unclosed(reckoning: DeadReckoning) -> Closed:
+    """The run with every pass at a place of its own."""
+    place = np.arange(len(reckoning), dtype=np.int64)
+    return Closed(reckoning, place, optimise(reckoning, place), identifications=[], grid=None)
 
 
 def _in_rounds(under_way: _Closure) -> Closed:
@@ -135,10 +131,11 @@ class _Closure:
     """The state of a closure: identifications, the present estimate, and what is in doubt."""
 
     def __init__(
-        self, reckoning: DeadReckoning, grid: GridHeadings | None, settings: RoundSettings
+        self, reckoning: DeadReckoning, grid: GridHeadings | None, wrong_share: float
     ) -> None:
-        self._settings, self._grid = settings, grid
-        self._reckoning = self._unscaled = scale_noise(reckoning, settings.caution)
+        self._grid = grid
+        self._least_odds = needed_odds(len(reckoning), wrong_share)
+        self._reckoning = self._unscaled = scale_noise(reckoning, ROUNDS.caution)
         self._scale = 1.0
         self._corridors: GridCorridors | None = None
         self._links: list[Identification] = []
@@ -154,15 +151,15 @@ class _Closure:
         The first round uses cheap bounds of the covariances and makes only the clear
         identifications.
         """
-        exact, settings = number > 1, self._settings
+        exact = number > 1
         state = self._scene()
-        found = candidates(state, self._place, self._estimate, settings.candidates, exact=exact)
+        found = candidates(state, self._place, self._estimate, exact=exact)
         found = take(found, ~_blocked(found, self._blocked, self._place))
-        new = _certain(state.places, found, settings.least_odds(len(self._reckoning)))
+        new = _certain(state.places, found, self._least_odds)
         found = take(found, found.fits)
-        self._doubts = _doubted(self._doubts, state.places, found, settings, number)
+        self._doubts = _doubted(self._doubts, state.places, found, self._least_odds, number)
         if not new and exact:
-            new, reasons = _together(state, found, self._estimate, settings)
+            new, reasons = _together(state, found, self._estimate, self._least_odds)
             self._doubts |= explained(self._doubts, reasons)
         return [replace(q, round=number) for q in new]
 
@@ -206,12 +203,12 @@ class _Closure:
         If the map repeats itself, likeness is weak evidence and position must decide: the estimate
         is first improved by holding grid corridors straight.
         """
-        state = map_state(self._reckoning, self._place, self._estimate, self._settings)
+        state = map_state(self._reckoning, self._place, self._estimate)
         if self._grid is None or not state.common.lattice.repeats:
             return state
         self._corridors = _straight(self._corridors, self._grid, state, self._estimate)
         self._estimate = self._optimised(self._estimate.pose)
-        return map_state(self._reckoning, self._place, self._estimate, self._settings)
+        return map_state(self._reckoning, self._place, self._estimate)
 
     def _optimised(self, start: FloatArray | None, turn: FloatArray | None = None) -> Estimate:
         return optimise(
@@ -221,7 +218,6 @@ class _Closure:
             turn=turn,
             grid=self._grid,
             corridors=self._corridors,
-            settings=self._settings.estimate,
         )
 
 
@@ -235,16 +231,13 @@ def _straight(
     return with_shown_spread(corridors, estimate, grid)
 
 
-def map_state(
-    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, settings: RoundSettings
-) -> MapState:
+def map_state(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> MapState:
     """The state of the map at an estimate of its places."""
     places = tabulate(reckoning, place, estimate.pose[:, 2])
-    evidence = settings.candidates.evidence
     noise = measured_rates(places, reckoning.noise)
-    common = background(reckoning, noise, evidence)
-    common = with_lattice(common, places, estimate.xy, evidence)
-    return MapState(reckoning, places, estimate.xy, common, branches_of(places, common, evidence))
+    common = background(reckoning, noise)
+    common = with_lattice(common, places, estimate.xy)
+    return MapState(reckoning, places, estimate.xy, common, branches_of(places, common))
 
 
 def _fitting_scale(now: float, estimate: Estimate) -> float:
@@ -372,12 +365,10 @@ class _Likely:
 
 
 def _together(
-    state: MapState, found: Candidates, estimate: Estimate, settings: RoundSettings
+    state: MapState, found: Candidates, estimate: Estimate, least: float
 ) -> tuple[list[Identification], dict[tuple[int, int], str]]:
     """The candidates that are certain only jointly; or, by their passes, why these were refused."""
-    evidence = settings.candidates.evidence
-    least = settings.least_odds(len(state.reckoning))
-    agreed = agreeing(estimate, found, state.common, evidence, least_odds=least)
+    agreed = agreeing(estimate, found, state.common, least_odds=least)
     rows = agreed.rows.tolist()
     if agreed.reason:
         firsts = state.places.first
@@ -435,7 +426,7 @@ def _doubted(
     before: dict[tuple[int, int], Identification],
     places: Places,
     found: Candidates,
-    settings: RoundSettings,
+    least: float,
     number: int,
 ) -> dict[tuple[int, int], Identification]:
     """Doubtful identifications by their passes: earlier ones, and the candidates of this round.
@@ -446,7 +437,7 @@ def _doubted(
         pair: q if q.reason in (TORN, APART) else replace(q, reason=APART, round=number)
         for pair, q in before.items()
     }
-    total, least = found.total, settings.least_odds(len(places.entry))
+    total = found.total
     for k in np.flatnonzero(found.position + found.branches > 0).tolist():
         reason = UNSURE
         if found.conflict[k] > 2:

@@ -15,12 +15,12 @@ from scipy.cluster.hierarchy import linkage
 from scipy.spatial.distance import squareform
 
 from ..arrays import BoolArray, FloatArray, IntArray
+from ..passes import ONE_WAY_RAD
 from ..posegraph.marginals import Marginals
 from .candidates import Candidates
 from .estimate import Estimate
-from .evidence import Background, EvidenceSettings, among_neighbours, position_odds
+from .evidence import EVIDENCE, Background, among_neighbours, position_odds
 from .negative_information import DrivenGround
-from .places import ONE_WAY_RAD
 
 RIVALS = "sure together with others, but as many that exclude one of them are nearly as sure"
 STEP_OFF = "sure together with others, but all might be one step of the map's pattern off"
@@ -58,7 +58,6 @@ class _Beliefs:
     alike: FloatArray
     ground: DrivenGround
     common: Background
-    evidence: EvidenceSettings
 
     def odds(self) -> FloatArray:
         """(k,) log odds of each candidate [nats]."""
@@ -86,7 +85,6 @@ def agreeing(
     estimate: Estimate,
     found: Candidates,
     common: Background,
-    evidence: EvidenceSettings,
     *,
     least_odds: float,
 ) -> Agreement:
@@ -99,9 +97,7 @@ def agreeing(
     if len(rows) < 2:
         return _NOBODY
     a, b = found.a[rows], found.b[rows]
-    start = _Beliefs(
-        *_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common, evidence
-    )
+    start = _Beliefs(*_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common)
     shared, excluded = _sharing(a, b)
     # Candidates that share a place are not independent; each set holds one of them.
     sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]
@@ -111,9 +107,9 @@ def agreeing(
     if len(members) < 2 or worth[best] < least_odds:
         return _NOBODY
     rivals = [value for value, other in sets if excluded[np.ix_(members, np.array(other))].any()]
-    if worth[best] - max(rivals, default=-np.inf) < evidence.lead:
+    if worth[best] - max(rivals, default=-np.inf) < EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), RIVALS)
-    if _one_step_off(start, members) > -evidence.lead:
+    if _one_step_off(start, members) > -EVIDENCE.lead:
         return Agreement(rows[members], np.zeros(0), STEP_OFF)
     each = [_odds_given(start, k, members) for k in members.tolist()]
     return Agreement(rows[members], np.array(each))
@@ -210,7 +206,7 @@ def _grown(
     while allowed.any():
         odds = np.where(allowed, beliefs.odds() - support, -np.inf)
         best = int(odds.argmax())
-        if odds[best] < start.evidence.lead:
+        if odds[best] < EVIDENCE.lead:
             break
         value += float(odds[best])
         members.append(best)

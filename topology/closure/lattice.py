@@ -37,6 +37,9 @@ class LatticeSettings:
     place."""
 
 
+LATTICE = LatticeSettings()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
     """Neighbouring junctions, in the axes of the map.
@@ -83,7 +86,6 @@ def lattice_of(
     *,
     core_m: float,
     typical_m: float,
-    settings: LatticeSettings = LatticeSettings(),
 ) -> Lattice:
     """The arrangement of neighbours in a map with places at `xy` (n, 2) [m].
 
@@ -97,36 +99,34 @@ def lattice_of(
     step = csr_array((np.ones(len(source)), (source, target)), shape=(n, n)) + eye_array(n)
     step = ((step + step.T) > 0).astype(np.float64)
     around = step
-    for _ in range(settings.hops - 1):
+    for _ in range(LATTICE.hops - 1):
         around = around @ step
     a, b = around.nonzero()
     shift = xy[b] - xy[a]
     way = np.hypot(*shift.T)
-    beyond = (way > core_m) & (way < settings.hops * typical_m)
+    beyond = (way > core_m) & (way < LATTICE.hops * typical_m)
     shift, a = shift[beyond], a[beyond]
     _, piece = connected_components(step, directed=False)
     size = np.bincount(piece)
-    large = np.flatnonzero(size >= min(settings.least_places, size.max(initial=0)))
-    found = [_steps(shift[piece[a] == k], int(size[k]), settings) for k in large.tolist()]
+    large = np.flatnonzero(size >= min(LATTICE.least_places, size.max(initial=0)))
+    found = [_steps(shift[piece[a] == k], int(size[k])) for k in large.tolist()]
     steps = np.concatenate([np.zeros((0, 2)), *(steps for steps, _ in found)])
     share = np.concatenate([np.zeros(0), *(share for _, share in found)])
     if len(steps) == 0:
         return no_lattice()
-    sample = shift[:: -(-len(shift) // settings.sample)]
-    return Lattice(sample, len(shift) / n / len(sample), steps, share, settings.width_m)
+    sample = shift[:: -(-len(shift) // LATTICE.sample)]
+    return Lattice(sample, len(shift) / n / len(sample), steps, share, LATTICE.width_m)
 
 
-def _steps(
-    shift: FloatArray, places: int, settings: LatticeSettings
-) -> tuple[FloatArray, FloatArray]:
+def _steps(shift: FloatArray, places: int) -> tuple[FloatArray, FloatArray]:
     """(r, 2) lattice vectors of `shift` (k, 2) [m], and (r,) the share of the places that have
     them."""
-    cell = 2 * settings.width_m
+    cell = 2 * LATTICE.width_m
     _, home = np.unique(np.rint(shift / cell), axis=0, return_inverse=True)
     home = home.ravel()
     count = np.bincount(home)
     # The shifts of one lattice vector fall into four cells at most, with some in those around.
-    full = np.flatnonzero(count > settings.regular * places / 16)
+    full = np.flatnonzero(count > LATTICE.regular * places / 16)
     mean = np.stack([np.bincount(home, shift[:, k])[full] / count[full] for k in (0, 1)], axis=1)
     count = count[full]
     # The means of adjacent cells are less than two cells apart.
@@ -137,7 +137,7 @@ def _steps(
     rank = np.empty(len(full), np.int64)
     rank[np.argsort(-total, kind="stable")] = np.arange(len(full))
     leads = (~near | (rank[:, None] <= rank)).all(axis=1)
-    rows = np.flatnonzero((share > settings.regular) & leads)
+    rows = np.flatnonzero((share > LATTICE.regular) & leads)
     return (near @ (mean * count[:, None]))[rows] / total[rows, None], share[rows]
 
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..matching.likelihood import LIKELIHOOD
-from ..passes import Passes
+from ..passes import ONE_WAY_RAD, Passes
 from ..ragged import numbered
 from ..se2 import wrap
 from .dead_reckoning import DeadReckoning, dead_reckoning_covariance
-from .places import ONE_WAY_RAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +37,9 @@ class RectilinearSettings:
     """
 
 
+RECTILINEAR = RectilinearSettings()
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class GridHeadings:
     """Passes whose branches determine the rotation from the odometry frame to the map frame.
@@ -55,9 +57,7 @@ class GridHeadings:
     spread_rad: float
 
 
-def grid_headings(
-    reckoning: DeadReckoning, settings: RectilinearSettings = RectilinearSettings()
-) -> GridHeadings | None:
+def grid_headings(reckoning: DeadReckoning) -> GridHeadings | None:
     """Rotations of the passes by the building's grid; None if the building is not rectilinear."""
     branches = reckoning.passes.branches
     owner = branches.owner
@@ -65,10 +65,10 @@ def grid_headings(
     same = owner[1:] == owner[:-1]
     off = from_quarter(np.diff(branches.values)[same])
     # The tolerance includes the sensor's noise.
-    one = reckoning.noise.branch_rad**2 + settings.spread_rad**2
+    one = reckoning.noise.branch_rad**2 + RECTILINEAR.spread_rad**2
     tolerance = LIKELIHOOD.gate_sigmas * np.sqrt(2.0 * one)
     near = np.count_nonzero(np.abs(off) < tolerance)
-    if tolerance > 0.5 or (near + 1) / (len(off) + 2) < settings.least_share:
+    if tolerance > 0.5 or (near + 1) / (len(off) + 2) < RECTILINEAR.least_share:
         return None
     # Direction of the grid as each pass sees it: mean on the circle of quarter turns.
     count = len(reckoning)
@@ -82,18 +82,18 @@ def grid_headings(
     grid = np.angle(z[row]) / 4
     # The grid appears to turn as the odometry drifts, by little from pass to pass.
     step = from_quarter(np.diff(grid))
-    sigma = np.sqrt(reckoning.noise.branch_rad**2 / n[row] + settings.spread_rad**2)
+    sigma = np.sqrt(reckoning.noise.branch_rad**2 / n[row] + RECTILINEAR.spread_rad**2)
     drift = dead_reckoning_covariance(reckoning, row[:-1], row[1:])[:, 2, 2]
     excess = step**2 / (drift + sigma[1:] ** 2 + sigma[:-1] ** 2)
     joined = reckoning.piece[row[:-1]] == reckoning.piece[row[1:]]
-    if joined.any() and excess[joined].mean() > settings.most_wander:
+    if joined.any() and excess[joined].mean() > RECTILINEAR.most_wander:
         return None
     # Each piece of the odometry has a frame of its own.
     turn = -np.concatenate([[0.0], np.cumsum(step)])
     begin = np.flatnonzero(np.concatenate([[True], ~joined]))
     size = np.diff(begin, append=len(row))
     turn, axis = np.asarray(wrap(turn - np.repeat(turn[begin], size))), np.repeat(grid[begin], size)
-    return GridHeadings(row, turn, axis, sigma, settings.spread_rad)
+    return GridHeadings(row, turn, axis, sigma, RECTILINEAR.spread_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

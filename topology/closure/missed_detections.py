@@ -15,13 +15,14 @@ from scipy.spatial import cKDTree
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
 from ..odometry import Odometry
+from ..passes import DRIVEN_RAD, ONE_WAY_RAD
 from ..se2 import turned, wrap
 from ..track import seconds_at
 from ..visits import DrawnTrack, PassesAtPlaces, Visits, draw_track
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
-from .places import NOWHERE, ONE_WAY_RAD, Places, tabulate
+from .places import NOWHERE, Places, tabulate
 from .resolution import blurred, one_drive_by
 
 
@@ -32,8 +33,6 @@ class DrivenBySettings:
     reach_m: float = 0.7
     """The track passes a place if it comes this near to its centre [m]."""
     step_m: float = 0.1
-    match_rad: float = 0.6
-    """Tolerance between a branch of the place and the directions driven [rad]."""
     straight_gain: float = 4.5
     """Log odds [nats] of being a phantom added for a place with two opposite branches only."""
     least_odds: float = 2.0
@@ -42,6 +41,9 @@ class DrivenBySettings:
     """Lower bound of the miss rate of a junction that was missed once: causes persist."""
     least_phantom_rate: float = 0.01
     """Lower bound of the rate at which a junction seen once is spurious, whatever the run shows."""
+
+
+DRIVEN_BY = DrivenBySettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +62,6 @@ def correct_detections(
     odometry: Odometry,
     place: IntArray,
     estimate: Estimate,
-    settings: DrivenBySettings = DrivenBySettings(),
     *,
     resolution_m: float = 0.0,
 ) -> CorrectedPlaces:
@@ -81,11 +82,11 @@ def correct_detections(
     def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, DrivenBy]:
         places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn)
         visits = visits_of(reckoning, place, fair, estimate, xy)
-        return places, visits, driven_by(odometry, visits, xy, places, settings)
+        return places, visits, driven_by(odometry, visits, xy, places)
 
     places, _, found = driven(place, xy)
     unseen = np.bincount(found.place, minlength=len(places))
-    doubtful = phantoms(reckoning, places, unseen, settings)
+    doubtful = phantoms(reckoning, places, unseen)
     # A map needs a place: where a run shows no other, doubtful ones stay.
     real, number = _renumbered(~doubtful | doubtful.all())
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
@@ -124,7 +125,6 @@ def driven_by(
     visits: Visits,
     xy: FloatArray,
     places: Places,
-    settings: DrivenBySettings = DrivenBySettings(),
 ) -> DrivenBy:
     """Undetected places on the track between two visits. visits.vertex: place of each, none
     negative.
@@ -135,8 +135,8 @@ def driven_by(
     passed. O(way / step · log n).
     """
     first = np.flatnonzero(np.diff(visits.piece) == 0)
-    track = draw_track(odometry, visits, xy, first, settings.step_m)
-    found = cKDTree(xy).query(track.xy, distance_upper_bound=settings.reach_m)
+    track = draw_track(odometry, visits, xy, first, DRIVEN_BY.step_m)
+    found = cKDTree(xy).query(track.xy, distance_upper_bound=DRIVEN_BY.reach_m)
     distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
     hit = np.flatnonzero(np.isfinite(distance))
     if len(hit) == 0:
@@ -151,7 +151,7 @@ def driven_by(
     at_start = begin == track.offsets[track.owner[begin]]
     at_end = end == track.offsets[track.owner[end] + 1] - 1
     best = best[~(at_start | at_end)]
-    best = best[_along_branches(track, places, near, best, settings)]
+    best = best[_along_branches(track, places, near, best)]
     return _events(track, first, near, best)
 
 
@@ -166,18 +166,16 @@ def _events(track: DrawnTrack, first: IntArray, near: IntArray, row: IntArray) -
     )
 
 
-def _along_branches(
-    track: DrawnTrack, places: Places, near: IntArray, row: IntArray, settings: DrivenBySettings
-) -> BoolArray:
+def _along_branches(track: DrawnTrack, places: Places, near: IntArray, row: IntArray) -> BoolArray:
     """(k,) whether the place has a branch where the robot came from or where it went."""
-    reach = max(1, round(1.0 / settings.step_m))
+    reach = max(1, round(1.0 / DRIVEN_BY.step_m))
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
     heading = places.heading[near[row]]
     fits = np.zeros(len(row), np.int64)
     for other in (np.maximum(row - reach, low), np.minimum(row + reach, high)):
         step = track.xy[other] - track.xy[row]
         off = np.abs(wrap(heading - np.arctan2(step[:, 1], step[:, 0])[:, None]))
-        fits += np.where(np.isfinite(off), off, np.inf).min(axis=1) < settings.match_rad
+        fits += np.where(np.isfinite(off), off, np.inf).min(axis=1) < DRIVEN_RAD
     result: BoolArray = fits >= 1
     return result
 
@@ -186,25 +184,24 @@ def phantoms(
     reckoning: DeadReckoning,
     places: Places,
     unseen: IntArray,
-    settings: DrivenBySettings = DrivenBySettings(),
 ) -> BoolArray:
     """(n,) whether a place is more likely spurious than missed each time it was passed undetected.
 
     unseen: (n,) times each place was passed without a detection.
     """
     noise = reckoning.noise
-    miss = max(2 * noise.miss_rate, settings.least_miss_rate)
-    invented = max(noise.phantom_rate, settings.least_phantom_rate)
+    miss = max(2 * noise.miss_rate, DRIVEN_BY.least_miss_rate)
+    invented = max(noise.phantom_rate, DRIVEN_BY.least_phantom_rate)
     odds = places.visits * np.log(invented) - unseen * np.log(miss)
     count = np.isfinite(places.heading).sum(axis=1)
     first_two = np.sort(places.heading, axis=1)[:, :2]
     if first_two.shape[1] == 2:
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
-        odds = odds + settings.straight_gain * straight
+        odds = odds + DRIVEN_BY.straight_gain * straight
     # A place where the robot turned into a branch is real.
     turned = (places.driven > 0).sum(axis=1) > 2
-    result: BoolArray = (odds > settings.least_odds) & (unseen > 0) & ~turned
+    result: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0) & ~turned
     return result
 
 

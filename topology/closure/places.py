@@ -8,16 +8,11 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..circular import cluster_angles
-from ..passes import NO_BRANCH
+from ..passes import NO_BRANCH, ONE_WAY_RAD
 from .dead_reckoning import DeadReckoning
 
 NOWHERE = NO_BRANCH
 """Index of an unknown place."""
-
-
-ONE_WAY_RAD = 0.35
-"""Directions nearer to each other than this (20 degrees) are one branch: readings of one branch are
-14 degrees apart in one of 2,000 pairs with the usual noise of 0.05 rad."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

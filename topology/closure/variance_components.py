@@ -47,7 +47,7 @@ _WALKS, _BRANCH, _GRID = 3, 4, 5
 class ComponentSettings:
     """Priors and iteration of the estimate."""
 
-    prior_freedom: float = 4.0
+    freedom: float = 4.0
     """Degrees of freedom of the prior for the detector, the grid, and the ratios of the odometry's
     random walks: their variances are known to √(2 / freedom) of themselves. The prior of the
     odometry's level is much weaker (`_odometry_level`)."""
@@ -62,6 +62,9 @@ class ComponentSettings:
     streets bend together, while the model assumes independent deviations. In 60 walks of mazes,
     offices and rows at high and real drift 0.010 to 0.044, in three of streets taken for a grid
     0.09 to 0.15."""
+
+
+PRIOR = ComponentSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +84,6 @@ def fitted_noise(
     estimate: Estimate,
     *,
     grid: GridHeadings | None = None,
-    settings: ComponentSettings = ComponentSettings(),
 ) -> Fitted:
     """Dead reckoning with its most likely noise, and the estimate with that noise.
 
@@ -98,11 +100,11 @@ def fitted_noise(
     smoothed = _smoothed(odometry, reckoning.passes)
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
-    for left in reversed(range(settings.rounds)):
+    for left in reversed(range(PRIOR.rounds)):
         energy, freedom = _energy_and_freedom(
-            estimate, legs, smoothed, variance, grid, samples=settings.samples
+            estimate, legs, smoothed, variance, grid, samples=PRIOR.samples
         )
-        step = _step(energy, freedom, variance / prior, settings.prior_freedom, 2 if left else 1)
+        step = _step(energy, freedom, variance / prior, PRIOR.freedom, 2 if left else 1)
         if len(reckoning.loops):
             # The odometry was laid out by its loops: what is left does not show how it errs.
             step[:_WALKS] = 1.0
@@ -112,8 +114,8 @@ def fitted_noise(
             spread_rad = float(np.sqrt(variance[_GRID]))
             grid = with_spread(grid, reckoning.passes, reckoning.noise.branch_rad, spread_rad)
         estimate = optimise(reckoning, place, estimate.pose, grid=grid)
-    if grid is not None and grid.spread_rad > settings.most_spread_rad:
-        return fitted_noise(before, odometry, place, estimate, settings=settings)
+    if grid is not None and grid.spread_rad > PRIOR.most_spread_rad:
+        return fitted_noise(before, odometry, place, estimate)
     return Fitted(reckoning, estimate, grid)
 
 
@@ -121,7 +123,6 @@ def with_shown_spread(
     corridors: GridCorridors,
     estimate: Estimate,
     grid: GridHeadings,
-    settings: ComponentSettings = ComponentSettings(),
 ) -> GridCorridors:
     """The corridors with their deviations from the grid as the estimate shows them, separately for
     the two axes of the grid.
@@ -133,13 +134,13 @@ def with_shown_spread(
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
     off = prior_errors(graph, solution.pose)[lines, 2]
     # A subset represents all, for speed in long runs. Samples would depend on the frame.
-    some = slice(None, None, -(-len(off) // settings.samples) or 1)
+    some = slice(None, None, -(-len(off) // PRIOR.samples) or 1)
     node = graph.priors.node[lines][some]
     left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
     stood = np.bincount(side, minlength=2) / np.maximum(np.bincount(side[some], minlength=2), 1)
     freedom = stood * np.bincount(side[some], 1 - left / corridors.spread_rad[some] ** 2, 2)
-    prior = settings.prior_freedom * grid.spread_rad**2
-    variance = (np.bincount(side, off**2, 2) + prior) / (freedom + settings.prior_freedom)
+    prior = PRIOR.freedom * grid.spread_rad**2
+    variance = (np.bincount(side, off**2, 2) + prior) / (freedom + PRIOR.freedom)
     return replace(corridors, spread_rad=np.sqrt(variance)[side])
 
 

@@ -27,7 +27,7 @@ from ..ragged import numbered
 from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
 from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance
-from .estimate import Estimate, EstimateSettings, optimise
+from .estimate import Estimate, optimise
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +77,9 @@ class ViewLoopSettings:
     tracks of four buildings are .09 to .19 m, those of the truth included, and .02 rad."""
 
 
+VIEW_LOOPS = ViewLoopSettings()
+
+
 LEAST_TURN_RAD = 0.1
 """Turns are searched by this much beyond three sigmas: the noise may be believed too small."""
 TURNS = np.array([2, 4, 8, 18, 36])
@@ -109,13 +112,12 @@ def view_loops(
     reckoning: DeadReckoning,
     views: ViewIndex,
     way: FloatArray,
-    settings: ViewLoopSettings = ViewLoopSettings(),
 ) -> tuple[DeadReckoning, Estimate]:
     """The reckoning with its loops, and the estimate of its poses with these.
 
     reckoning: of the views' places, whose passes have no branches; way: (n,) distance driven [m].
     """
-    return _Search(reckoning, views, way, settings).run()
+    return _Search(reckoning, views, way).run()
 
 
 class _Search:
@@ -126,22 +128,20 @@ class _Search:
         reckoning: DeadReckoning,
         views: ViewIndex,
         way: FloatArray,
-        settings: ViewLoopSettings,
     ) -> None:
-        self._views, self._way, self._settings = views, way, settings
+        self._views, self._way = views, way
         self._given = reckoning
         self._place = np.arange(len(reckoning), dtype=np.int64)
-        self._own = EstimateSettings()
         self._tested = _Tested()
         self._kept = np.zeros(0, np.int64)
         self._blocked: set[int] = set()
-        self._estimate = optimise(reckoning, self._place, settings=self._own)
+        self._estimate = optimise(reckoning, self._place)
         self._different = np.zeros(0)
         self._elsewhere = _Tested()
         self._looked = np.zeros(0, np.int64)
 
     def run(self) -> tuple[DeadReckoning, Estimate]:
-        left = self._settings.tests * len(self._given)
+        left = VIEW_LOOPS.tests * len(self._given)
         if left:
             self._learn()
         while left > 0:
@@ -154,8 +154,8 @@ class _Search:
     def _open(self) -> tuple[IntArray, IntArray]:
         """Pairs of views that may be of one place and were not registered yet, the nearest."""
         xy, way, piece = self._estimate.pose[:, :2], self._way, self._given.piece
-        i, j = pairs_within(xy, float(np.ptp(xy, axis=0).sum()), self._settings.pairs).T
-        fine = (way[j] - way[i] >= self._settings.apart_m) & (piece[i] == piece[j])
+        i, j = pairs_within(xy, float(np.ptp(xy, axis=0).sum()), VIEW_LOOPS.pairs).T
+        fine = (way[j] - way[i] >= VIEW_LOOPS.apart_m) & (piece[i] == piece[j])
         known = self._tested.first * len(xy) + self._tested.second
         fine &= ~np.isin(i * len(xy) + j, known)
         return i[fine], j[fine]
@@ -165,22 +165,20 @@ class _Search:
         (k, 3, 3): before the first loop, that of dead reckoning with some doubt."""
         shift = between(self._estimate.pose[i], self._estimate.pose[j])
         if not len(self._kept):
-            doubt = self._settings.doubt**2
+            doubt = VIEW_LOOPS.doubt**2
             return shift, dead_reckoning_covariance(self._given, i, j) * doubt
         return shift, self._estimate.relative_covariance(i, j)
 
     def _learn(self) -> None:
         """Register pairs of places that position keeps apart, drawn from the whole run."""
-        drawn = np.random.default_rng(0).integers(
-            0, len(self._given), (20 * self._settings.nulls, 2)
-        )
+        drawn = np.random.default_rng(0).integers(0, len(self._given), (20 * VIEW_LOOPS.nulls, 2))
         i, j = np.unique(np.sort(drawn, axis=1), axis=0).T
-        fine = self._way[j] - self._way[i] >= self._settings.apart_m
+        fine = self._way[j] - self._way[i] >= VIEW_LOOPS.apart_m
         fine &= self._given.piece[i] == self._given.piece[j]
         i, j = i[fine], j[fine]
         shift, cov = self._relative(i, j)
         rows = np.flatnonzero(self._apart(shift, cov))
-        rows = rows[:: max(len(rows) // self._settings.nulls, 1)]
+        rows = rows[:: max(len(rows) // VIEW_LOOPS.nulls, 1)]
         nothing = np.zeros((len(rows), 3))
         nothing[:, 2] = shift[rows, 2]
         self._different = self._registered(i[rows], j[rows], nothing, cov[rows, 2, 2]).z
@@ -189,20 +187,20 @@ class _Search:
         """Register views with those of the run that they fit best, one per cell of the way."""
         rows = np.setdiff1d(rows, self._looked)
         self._looked = np.union1d(self._looked, rows)
-        cell = np.floor(self._way / self._settings.cell_m)
+        cell = np.floor(self._way / VIEW_LOOPS.cell_m)
         others = np.flatnonzero(np.diff(cell, prepend=-1) > 0)
-        others = others[:: -(-len(others) // self._settings.references)]
+        others = others[:: -(-len(others) // VIEW_LOOPS.references)]
         i, j = (x.ravel() for x in np.meshgrid(rows, others, indexing="ij"))
-        fine = np.abs(self._way[i] - self._way[j]) > self._settings.cell_m
+        fine = np.abs(self._way[i] - self._way[j]) > VIEW_LOOPS.cell_m
         fine &= self._given.piece[i] == self._given.piece[j]
         i, j = i[fine], j[fine]
         turn = wrap(self._estimate.pose[j, 2] - self._estimate.pose[i, 2])
         turns = turn[:, None] + np.arange(-1, 2) * TURN_RAD
-        reach_m = 0.5 * self._settings.cell_m
+        reach_m = 0.5 * VIEW_LOOPS.cell_m
         fit = coarse_fit(self._views, i, j, turns, reach_m)
         order = np.lexsort((-fit, i))
         nth = np.arange(len(i)) - np.searchsorted(i[order], i[order])
-        best = order[nth < self._settings.copies]
+        best = order[nth < VIEW_LOOPS.copies]
         i, j = i[best], j[best]
         found = register(self._views, self._views, i, j, turns[best], reach_m=reach_m)
         self._elsewhere.add(i, j, found)
@@ -228,20 +226,20 @@ class _Search:
     def _apart(self, shift: FloatArray, cov: FloatArray) -> BoolArray:
         """(k,) whether position certainly keeps pairs apart."""
         sigma = np.sqrt(cov[:, 0, 0] + cov[:, 1, 1])
-        least = np.sqrt(self._settings.gate_chi2) * sigma + 2 * self._settings.reach_m
+        least = np.sqrt(VIEW_LOOPS.gate_chi2) * sigma + 2 * VIEW_LOOPS.reach_m
         return np.asarray(np.hypot(shift[:, 0], shift[:, 1]) > least)
 
     def _test(self, most: int) -> int:
         """Register the pairs most likely to be of one place; their number."""
         i, j = self._open()
         shift, cov = self._relative(i, j)
-        reach2 = self._settings.reach_m**2
+        reach2 = VIEW_LOOPS.reach_m**2
         open_ = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
         variance = open_ + 0.25 * reach2
         near2 = shift[:, 0] ** 2 + shift[:, 1] ** 2
         odds = -0.5 * near2 / variance - np.log(variance)
-        near = near2 < self._settings.gate_chi2 * variance
-        rows = np.flatnonzero(near & (open_ > 0.5 * self._settings.known_m**2))
+        near = near2 < VIEW_LOOPS.gate_chi2 * variance
+        rows = np.flatnonzero(near & (open_ > 0.5 * VIEW_LOOPS.known_m**2))
         rows = rows[np.argsort(-odds[rows], kind="stable")[:most]]
         if len(rows):
             i, j, expected = i[rows], j[rows], shift[rows].copy()
@@ -266,7 +264,7 @@ class _Search:
             parts.append(
                 register(
                     *(self._views, self._views, i[own], j[own], turns),
-                    reach_m=self._settings.reach_m,
+                    reach_m=VIEW_LOOPS.reach_m,
                     centre=expected[own, :2],
                 )
             )
@@ -278,7 +276,7 @@ class _Search:
 
     def _close(self) -> bool:
         """Accept the loops that are certain by now, and lay the track out again."""
-        t, settings = self._tested, self._settings
+        t = self._tested
         null = self._null()
         own = null.odds(t.z)
         self._look_elsewhere(np.unique([t.first[own > 0], t.second[own > 0]]))
@@ -290,7 +288,7 @@ class _Search:
         total[asked] += self._support(t, asked, own)
         expected = self._relative(t.first[asked], t.second[asked])
         total[asked] += self._position(t.transform[asked], *expected)
-        need = float(np.log(len(self._given) / settings.wrong_share))
+        need = float(np.log(len(self._given) / VIEW_LOOPS.wrong_share))
         likely = asked[total[asked] >= need]
         new = likely[self._leads(likely, total)]
         if not len(new):
@@ -308,23 +306,23 @@ class _Search:
         """(k,) log odds [nats] of transforms by position: density where they are expected, against
         anywhere."""
         off = (transform - shift)[:, :2]
-        s = cov[:, :2, :2] + self._settings.sigma_m**2 * np.eye(2)
+        s = cov[:, :2, :2] + VIEW_LOOPS.sigma_m**2 * np.eye(2)
         d2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(s), off)
         vague = 2 * np.pi * np.sqrt(np.linalg.det(s))
-        odds = np.log(self._settings.place_m2 / vague) - 0.5 * d2
-        return np.asarray(np.minimum(odds, self._settings.lead))
+        odds = np.log(VIEW_LOOPS.place_m2 / vague) - 0.5 * d2
+        return np.asarray(np.minimum(odds, VIEW_LOOPS.lead))
 
     def _support(self, t: _Tested, asked: IntArray, own: FloatArray) -> FloatArray:
         """(k,) evidence [nats] of the pairs beside each of those asked that agree with it, one
         value per cell of the way."""
-        settings, way = self._settings, self._way
+        way = self._way
         good = np.flatnonzero(own > 0)
-        row, column = _within(way[t.first[asked]], way[t.first[good]], settings.beside_m)
+        row, column = _within(way[t.first[asked]], way[t.first[good]], VIEW_LOOPS.beside_m)
         gone_i = way[t.first[good[column]]] - way[t.first[asked[row]]]
         gone_j = way[t.second[good[column]]] - way[t.second[asked[row]]]
         # Both sides have to be other places.
         least = np.minimum(np.abs(gone_i), np.abs(gone_j))
-        beside = (least > 0.5 * settings.cell_m) & (np.abs(gone_j) < settings.beside_m)
+        beside = (least > 0.5 * VIEW_LOOPS.cell_m) & (np.abs(gone_j) < VIEW_LOOPS.beside_m)
         row, column, gone_i, gone_j = row[beside], column[beside], gone_i[beside], gone_j[beside]
         if not len(row):
             return np.zeros(len(asked))
@@ -337,34 +335,34 @@ class _Search:
         fits = np.hypot(off[:, 0], off[:, 1]) < LIKELIHOOD.gate_m + 0.02 * far
         fits &= np.abs(wrap(off[:, 2])) < 0.1
         row, other = row[fits], other[fits]
-        cell = np.rint(gone_i[fits] / settings.cell_m).astype(np.int64)
+        cell = np.rint(gone_i[fits] / VIEW_LOOPS.cell_m).astype(np.int64)
         keys, which = np.unique(row * 64 + cell + 32, return_inverse=True)
         mean = np.bincount(which, own[other]) / np.bincount(which)
         return np.asarray(np.bincount(keys // 64, mean, len(asked)), np.float64)
 
     def _leads(self, likely: IntArray, total: FloatArray) -> BoolArray:
         """Whether each of these pairs leads all others of its places that say something else."""
-        t, settings, way = self._tested, self._settings, self._way
+        t, way = self._tested, self._way
         pose, rivals = self._estimate.pose, np.flatnonzero(total > 0)
         out = np.ones(len(likely), bool)
         sides = (t.first, t.second, t.transform), (t.second, t.first, inverse(t.transform))
         for here, there, transform in sides:
             # Where each pair puts the place `there`, moved along the way to the same place.
-            row, column = _within(way[here[likely]], way[here[rivals]], 0.5 * settings.cell_m)
+            row, column = _within(way[here[likely]], way[here[rivals]], 0.5 * VIEW_LOOPS.cell_m)
             one, other = likely[row], rivals[column]
             to = between(pose[here[one]], pose[here[other]])
             placed = compose(pose[here[one]], compose(to, transform[other]))
             claimed = compose(pose[here[one]], transform[one])
             step = between(pose[there[other]], pose[there[one]])
             off = compose(placed, step)[:, :2] - claimed[:, :2]
-            against = np.hypot(off[:, 0], off[:, 1]) > settings.reach_m
-            against &= total[other] > total[one] - settings.lead
+            against = np.hypot(off[:, 0], off[:, 1]) > VIEW_LOOPS.reach_m
+            against &= total[other] > total[one] - VIEW_LOOPS.lead
             out[row[against]] = False
         return out
 
     def _optimise(self) -> None:
         start = self._estimate.pose
-        self._estimate = optimise(self._with_loops(), self._place, start, settings=self._own)
+        self._estimate = optimise(self._with_loops(), self._place, start)
 
     def _with_loops(self) -> DeadReckoning:
         t, kept = self._tested, self._kept
@@ -378,11 +376,10 @@ class _Search:
 
     def _information(self, walls: FloatArray, turn: FloatArray) -> FloatArray:
         """(k, 3, 3) of the loops, in the axes of their second views."""
-        settings = self._settings
         # Along bare corridors a registration stays within reach, and tells no more.
-        open_ = np.diag([1 / settings.reach_m**2] * 2 + [1 / 0.1**2])
+        open_ = np.diag([1 / VIEW_LOOPS.reach_m**2] * 2 + [1 / 0.1**2])
         cov = np.linalg.inv(walls + open_)
-        cov = cov + np.diag([settings.sigma_m**2] * 2 + [settings.sigma_rad**2])
+        cov = cov + np.diag([VIEW_LOOPS.sigma_m**2] * 2 + [VIEW_LOOPS.sigma_rad**2])
         R = turned_axes(-turn)
         out = np.linalg.inv(R @ cov @ R.transpose(0, 2, 1))
         return 0.5 * (out + out.transpose(0, 2, 1))

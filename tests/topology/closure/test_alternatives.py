@@ -13,20 +13,11 @@ from topobatch.simulation.settings import ScenarioSettings
 from topobatch.simulation.truth import true_vertex_of_passes
 from topobatch.topology.closure.alternatives import crossing_share, most_likely_closure
 from topobatch.topology.closure.dead_reckoning import dead_reckoning, scale_noise
-from topobatch.topology.closure.estimate import optimise
-from topobatch.topology.closure.incremental import Closed, RoundSettings
+from topobatch.topology.closure.incremental import ROUNDS, unclosed
 
 from .walks import NOISE, grid_world, partition, record, wander
 
-ROUNDS = RoundSettings()
 LOUD = replace(NOISE, heading_rad_per_sqrt_m=0.03)
-
-
-def unclosed(odometry, passes, noise):
-    """Dead reckoning of a walk, and its closure with no pass identified."""
-    reckoning = dead_reckoning(odometry, passes, noise)
-    place = np.arange(len(passes))
-    return reckoning, Closed(reckoning, place, optimise(reckoning, place), [], None)
 
 
 def walk(seed):
@@ -40,9 +31,10 @@ def walk(seed):
 @pytest.mark.parametrize("seed", range(2))
 def test_a_map_that_lies_over_itself_gives_way_to_the_closure_that_explains_the_run(seed):
     odometry, passes, truth = walk(seed)
-    reckoning, first = unclosed(odometry, passes, LOUD)
+    reckoning = dead_reckoning(odometry, passes, LOUD)
+    first = unclosed(reckoning)
     assert crossing_share(first) > ROUNDS.most_crossing
-    closed = most_likely_closure(reckoning, first, reckoning, ROUNDS)
+    closed = most_likely_closure(reckoning, first, reckoning)
     assert closed.place.tolist() == partition(truth).tolist()
     assert closed.reckoning.noise == scale_noise(reckoning, ROUNDS.caution).noise
 

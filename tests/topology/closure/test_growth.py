@@ -7,7 +7,7 @@ import numpy as np
 from topobatch.topology.closure.branches import align, branches_of
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
-from topobatch.topology.closure.evidence import EvidenceSettings, background
+from topobatch.topology.closure.evidence import background
 from topobatch.topology.closure.growth import MapState, grow
 from topobatch.topology.closure.places import tabulate
 
@@ -22,8 +22,8 @@ def test_corridors_tell_the_same_place_from_the_next_one():
     estimate = optimise(reckoning, partition(truth))
     alone = np.arange(len(passes))  # every pass as a place of its own, where it was
     places = tabulate(reckoning, alone, estimate.pose[:, 2])
-    common, evidence = background(reckoning, reckoning.noise), EvidenceSettings()
-    branches = branches_of(places, common, evidence)
+    common = background(reckoning, reckoning.noise)
+    branches = branches_of(places, common)
     state = MapState(reckoning, places, estimate.pose[:, :2], common, branches)
     apart = np.abs(np.array(truth)[:, None] - np.array(truth)).sum(axis=2)
     same, next_ = (

@@ -10,7 +10,7 @@ import pytest
 
 from topobatch.topology.closure.candidates import Candidates
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
-from topobatch.topology.closure.incremental import _certain, first_round, full_closure
+from topobatch.topology.closure.incremental import _certain, full_closure
 from topobatch.topology.closure.places import NOWHERE
 from topobatch.topology.se2 import apply, fit_rigid
 
@@ -43,18 +43,6 @@ def test_drifting_walks_are_closed_without_a_false_identification(seed):
     raw = np.hypot(*(passes.centre[-1] - world[0][truth[-1]]))
     assert np.hypot(*(closed.estimate.pose[-1, :2] - closed.estimate.xy[closed.place[-1]])) < 0.3
     assert raw > 0.3
-
-
-def test_the_first_round_is_honest_and_finds_less():
-    rng = np.random.default_rng(11)
-    world = grid_world(5, 5, rng)
-    odometry, passes, truth = record(world, wander(world[1], 80, rng), rng)
-    closed = first_round(dead_reckoning(odometry, passes, NOISE))
-    place = closed.place
-    groups = [{truth[i] for i in np.flatnonzero(place == k)} for k in range(place.max() + 1)]
-    assert all(len(group) == 1 for group in groups)
-    assert len(set(truth)) <= len(groups) < len(truth)
-    assert any(q.accepted for q in closed.identifications)
 
 
 def test_a_wrong_noise_costs_recall_at_most():

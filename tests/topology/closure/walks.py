@@ -8,7 +8,7 @@ import numpy as np
 
 from topobatch.topology.closure.branches import branches_of
 from topobatch.topology.closure.dead_reckoning import SystematicErrors
-from topobatch.topology.closure.evidence import EvidenceSettings, background
+from topobatch.topology.closure.evidence import background
 from topobatch.topology.closure.growth import MapState
 from topobatch.topology.closure.negative_information import DrivenGround
 from topobatch.topology.closure.places import tabulate
@@ -154,9 +154,7 @@ def scene_of(reckoning, estimate):
     """Dead reckoning laid out, every pass a place of its own."""
     places = tabulate(reckoning, np.arange(len(reckoning)), estimate.pose[:, 2])
     common = background(reckoning, reckoning.noise)
-    return MapState(
-        reckoning, places, estimate.xy, common, branches_of(places, common, EvidenceSettings())
-    )
+    return MapState(reckoning, places, estimate.xy, common, branches_of(places, common))
 
 
 def noisy_square(laps: int, noise: RunNoise, seed: int) -> tuple[Odometry, Passes, np.ndarray]:
