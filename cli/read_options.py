@@ -146,9 +146,7 @@ class MapOptions:
     ] = 0.25
     closure: Annotated[
         Literal["none", "full"],
-        typer.Option(
-            help="Whether to close loops: not at all, or by everything that is known."
-        ),
+        typer.Option(help="Whether to close loops: not at all, or by everything that is known."),
     ] = "full"
 
     def settings(self) -> MappingSettings:

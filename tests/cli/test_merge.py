@@ -97,7 +97,6 @@ def test_a_file_that_is_no_merge_is_not_overwritten(topobatch, workspace):
         "merged",
         "Locks",
         "maps",
-        "explain",
         "cache",
         "../x",
         ".hidden",
