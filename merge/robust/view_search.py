@@ -85,7 +85,7 @@ class Picture:
     def local_directions(self) -> FloatArray:
         """Sum of the directions of the stretches: in `directions` a few long walls outweigh the
         many that single stretches see."""
-        return np.asarray(np.sum([part.directions for part in self.stretches], axis=0))
+        return np.asarray(sum((part.directions for part in self.stretches), np.zeros(ANGLES)))
 
     @cached_property
     def whole(self) -> Pixels | None:

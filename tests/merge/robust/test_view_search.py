@@ -36,3 +36,11 @@ def test_a_stretch_that_furniture_misleads_is_turned_as_the_others_are() -> None
         abs((wrong - turn + aside * quarter / ANGLES + quarter / 2) % quarter - quarter / 2) < 0.04
     )
     assert abs((right - turn + quarter / 2) % quarter - quarter / 2) < 0.04
+
+
+def test_a_map_of_hardly_a_wall_is_searched_without_stretches() -> None:
+    bare = pictured(views_of(np.array([[18.0, 20.0, 19.0, 20.0]]), line((15, 19), (22, 19), 3)))
+    b = pictured(views_of(walls_of(1), line((5, 20), (35, 20))))
+    assert not bare.stretches
+    assert not bare.local_directions.any()
+    assert placements(bare, b).shape[1] == 3
