@@ -61,7 +61,7 @@ def test_where_the_log_is_gone_views_show_the_walls(topobatch, place, tmp_path) 
     assert 'image: "office.pgm"' in out.read_text()
     assert out.with_name("office.pgm").is_file()
     assert driven_free(read_saved_map(out)[0], place.read_map("office-1")) > 0.95
-    assert "holds no scans" in topobatch(*call, "--log", MAZE).error(1)
+    assert "is not the log" in topobatch(*call, "--log", MAZE).error(1)
 
 
 def test_detections_show_no_walls(topobatch, place) -> None:

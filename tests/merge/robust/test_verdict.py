@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from topobatch.merge.result import Verdict
+from topobatch.merge.result import CopyTest, Verdict
 from topobatch.merge.robust.alignment import match, same_placement
 from topobatch.merge.robust.prepare import prepare
 from topobatch.merge.robust.repetition import fits_by_noise
@@ -52,6 +52,12 @@ def test_few_junctions_carry_little_whatever_they_seem_to_tell(drawn):
     unasked = replace(answers, copy_test=None)
     assert unasked.bits == answers.carried
     assert _missing(unasked, None, among_many) == "chance offers as much too often"
+    # Beyond its threshold the test for copies bounds the less, the less likely a copy is.
+    for repetition, carried in ((1.0, 1.5), (0.5, 3.0), (0.0, np.inf)):
+        tested = CopyTest(bits=6.0, needed_bits=4.5, repetition=repetition)
+        assert replace(answers, copy_test=tested).from_copies == answers.need + carried
+    tested = CopyTest(bits=3.0, needed_bits=4.5, repetition=0.5)
+    assert replace(answers, copy_test=tested).from_copies == answers.need - 1.5
 
 
 def test_what_fits_worse_than_noise_is_asked_whether_it_is_a_copy(drawn):
@@ -90,7 +96,8 @@ def test_furniture_shifts_junctions_not_walls(drawn):
     length[j] = a.length[i] + few * 2.9 * np.sqrt(a.variance[i] + b.variance[j])
     pose = np.array([[0.0, 0.0, 0.0], [9.0, 0.0, 0.0], [0.0, 9.0, 0.0]])
     views = Views(np.zeros(3, np.int64), pose, np.zeros((3, SIDE, SIDE), np.uint8))
-    a, b = replace(a, views=views), replace(b, views=views, length=length)
+    a, b = (replace(m, topomap=replace(m.topomap, views=views)) for m in (a, b))
+    b = replace(b, length=length)
     three = np.arange(3)
     evidence = replace(
         NO_VIEW_EVIDENCE, first=three, second=three, cell=three, z=np.full(3, 4.0), bits=np.ones(3)
