@@ -168,21 +168,13 @@ def _usual_fault(m: Prepared) -> float:
     return float(np.mean(m.fault_rate + 1 - m.confidence))
 
 
-def size_sigmas(a: Prepared, b: Prepared, c: Candidate) -> float:
-    """By how many standard deviations one map is larger than the other, over all corridors and by
-    the walls that agree.
+def size_sigmas(a: Prepared, b: Prepared, corridors: IntArray) -> float:
+    """By how many standard deviations one map is larger than the other over all corridors.
 
     A copy of another size is larger throughout, which single corridors do not show because each may
-    be off by its odometry's scale.
+    be off by its odometry's scale. corridors: (c, 2) matched directed rows.
     """
-    mean, variance = size_difference(a, b, c.corridors)
-    walls = c.views.laid_out(a.views, b.views)
-    if walls is not None:
-        weight = variance / (variance + walls.variance) if np.isfinite(variance) else 1.0
-        mean, variance = (
-            (1 - weight) * mean + weight * walls.larger,
-            weight * walls.variance,
-        )
+    mean, variance = size_difference(a, b, corridors)
     return abs(mean) / float(np.sqrt(a.noise.scale**2 + b.noise.scale**2 + variance))
 
 

@@ -232,13 +232,17 @@ def falls_short(c: Candidate) -> float:
     return _share(2.0 - c.counted_bits / least) if least else 0.0
 
 
+def walls_fit(a: Prepared, b: Prepared, c: Candidate) -> bool:
+    """Whether the walls of several parts lie on each other in one placement: then lengths fit, too,
+    and neither map is larger, whatever junctions say. Furniture shifts junctions, not walls."""
+    return c.views.off_m(a.views, b.views) <= CONSISTENT_M
+
+
 def misfits(a: Prepared, b: Prepared, c: Candidate) -> float:
     """1 if lengths that agree differ by more than noise, so that the alignment is taken for a copy,
     else 0. Places of one design can agree in every junction, and differ by a little in many
-    corridors, of which each might be noise. Where walls agree in one placement, lengths do, too:
-    furniture shifts junctions, not walls."""
-    walls = c.views.laid_out(a.views, b.views)
-    if walls is not None and walls.off_m <= CONSISTENT_M:
+    corridors, of which each might be noise."""
+    if walls_fit(a, b, c):
         return 0.0
     return float(fits_by_noise(a, b, c.corridors) < MATCH.misfit_rate)
 
@@ -335,8 +339,8 @@ def _assess(
     no_worse = contested or any(_contests(other, first) for other in others[:1])
     why = NO_WORSE if contested else why
     if first.carried >= threshold.need_bits:
-        larger = size_sigmas(a, b, best) > threshold.settings.size_sigmas
-        why = OTHER_SIZE if larger else why
+        larger = size_sigmas(a, b, best.corridors) > threshold.settings.size_sigmas
+        why = OTHER_SIZE if larger and not walls_fit(a, b, best) else why
     if not why and best.image_bits > best.bits - MATCH.lead_bits:
         why = MIRRORED
     return Assessment(

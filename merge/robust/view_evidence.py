@@ -11,14 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
-from typing import NamedTuple
 
 import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.matching.likelihood import BIT
-from ...topology.matching.views import LEAST_SAME, SIGMA_M, Registered, register
-from ...topology.se2 import between, compose, rigid_from_sums
+from ...topology.matching.views import LEAST_SAME, Registered, register
+from ...topology.se2 import apply, between, compose, fit_rigid, rigid_from_sums
 from ...topology.views import Views
 from ..wording import AGREES_BITS
 from .settings import MATCH
@@ -99,25 +98,21 @@ class ViewEvidence:
         """0 to 1: how far the buildings repeat themselves, by the z of copies; 1 without views."""
         return _alike(*self.null) if len(self) else 1.0
 
-    def laid_out(self, a: Views, b: Views) -> LaidOut | None:
-        """How the parts that agree lie in the two maps, whose views are given; None if fewer than
-        `MATCH.fewest` agree."""
+    def off_m(self, a: Views, b: Views) -> float:
+        """Root mean square distance of the parts that agree, as they are registered in the first
+        map, from where one rigid motion of the second lays them [m]; inf for fewer than
+        `MATCH.fewest`. The views of both maps are given."""
         good = self.z > LEAST_Z
         cell = np.unique(self.cell[good], return_inverse=True)[1]
         there = compose(a.pose[self.first[good]], self.transform[good])
         one, two = (
-            np.stack([_means(cell, pose[:, k]) for k in (0, 1)], axis=1) @ np.array([1, 1j])
+            np.stack([_means(cell, pose[:, k]) for k in (0, 1)], axis=1)
             for pose in (there, b.pose[self.second[good]])
         )
         if len(one) < MATCH.fewest:
-            return None
-        one, two = one - one.mean(), two - two.mean()
-        spread = float((np.abs(two) ** 2).sum())
-        size = (np.conj(two) * one).sum() / spread
-        unlike, off = (np.abs(one - fit * two) for fit in (size, size / np.abs(size)))
-        squares = max(float((unlike**2).sum()) / (2 * len(one) - 4), SIGMA_M**2)
-        off_m = float(np.sqrt((off**2).mean()))
-        return LaidOut(float(np.abs(size)) - 1.0, squares / spread, off_m)
+            return np.inf
+        off = one - apply(fit_rigid(one, two), two)
+        return float(np.sqrt((off**2).sum(axis=1).mean()))
 
     def most_against(self, away_m: FloatArray) -> FloatArray:
         """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
@@ -134,19 +129,6 @@ class ViewEvidence:
         agree *= 1.0 - self.alike
         most = MATCH.most_bits + agree * (UNSEEN_BITS - MATCH.most_bits)
         return np.where(away_m.min(axis=1) < CELL_M / 2, most, np.inf)
-
-
-class LaidOut(NamedTuple):
-    """Parts of the overlap that agree: where they are registered in the first map against where
-    they lie in the second.
-
-    larger: size of the first map over that of the second, minus 1; variance: of that; off_m: root
-    mean square distance after the best rigid motion [m].
-    """
-
-    larger: float
-    variance: float
-    off_m: float
 
 
 NO_VIEW_EVIDENCE = ViewEvidence(
