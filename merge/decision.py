@@ -10,9 +10,14 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..topology.arrays import FloatArray
-from ..topology.digits import BITS, METRES, rounded, significant
+from ..topology.digits import BITS, METRES, rounded
 from ..topology.matching.views import Compared
-from .document import bits_to_document, pose_to_document, sigmas_to_document
+from .document import (
+    bits_to_document,
+    pose_to_document,
+    rounded_copy_test,
+    sigmas_to_document,
+)
 from .result import Alignment, PairVerdict
 
 DECISION_SCHEMA: Literal["topobatch.decision/1"] = "topobatch.decision/1"
@@ -116,7 +121,8 @@ class Decision:
 def to_document(decision: Decision) -> dict[str, Any]:
     """The decision as JSON values; angles in radians."""
     pair, need = decision.pair, decision.requirement
-    tested = decision.placements[0].alignment.copy_test if decision.placements else None
+    asked = decision.placements[0].alignment.copy_test if decision.placements else None
+    tested = {} if asked is None else rounded_copy_test(asked)
     return {
         "schema": DECISION_SCHEMA,
         "a": pair.a,
@@ -145,9 +151,9 @@ def to_document(decision: Decision) -> dict[str, Any]:
             "least_junctions": need.least_junctions,
             "lead_bits": need.lead_bits,
             "junction_bits": need.junction_bits,
-            "repetition": 0.0 if tested is None else significant(tested.repetition),
-            "same_place_bits": None if tested is None else rounded(tested.bits, BITS),
-            "same_place_needed": None if tested is None else rounded(tested.needed_bits, BITS),
+            "repetition": tested.get("repetition", 0.0),
+            "same_place_bits": tested.get("bits"),
+            "same_place_needed": tested.get("needed_bits"),
         },
         "placements": [_placement(p) for p in decision.placements],
         "start": None,  # of earlier versions: the best hypothesis, where none grew

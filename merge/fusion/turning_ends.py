@@ -26,8 +26,6 @@ from ...topology.turning_back import group_by_dead_end
 from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run, fused_of
 
-"""The settings of single runs' maps."""
-
 
 class _End(NamedTuple):
     """Turning point `row` of a map, attached to a fused vertex, in its component's frame."""

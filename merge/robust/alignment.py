@@ -175,12 +175,14 @@ def _match_some(
     wanted = [thorough or not any(c.bits > MATCH.lead_bits for c in own) for own in best]
     asked = (_rivals(case, links, settings) for case, links in compress(some, wanted))
     others = best_of_all(asked, settings)
-    turned = ((_sown(a, _image(b), settings)[0] if thorough else (a, b, (), 0)) for a, b in pairs)
+    turned = (_sown(a, _image(b), settings)[0] for a, b in pairs if thorough)
     images = best_of_all(turned, settings)
-    for (a, b), own, more, image in zip(pairs, best, wanted, images, strict=True):
+    for (a, b), own, more in zip(pairs, best, wanted, strict=True):
         found = _with_views(a, b, _apart([*own, *next(others)], b) if more else own, settings)
-        bits = max((c.bits for c in image), default=-np.inf)
-        yield tuple(replace(c, image_bits=bits) for c in found)
+        if thorough:
+            bits = max((c.bits for c in next(images)), default=-np.inf)
+            found = tuple(replace(c, image_bits=bits) for c in found)
+        yield found
 
 
 @lru_cache(maxsize=KEPT)

@@ -129,8 +129,7 @@ class Assessment:
 
     need_bits: the threshold. ranked: placements better than chance, best first; lead_bits: required
     lead of the best one. why: what was missing for merging, "" if merged; faint: the best alignment
-    if none is better than chance; discarded: whether the
-    match was discarded by the user.
+    if none is better than chance; discarded: whether the match was discarded by the user.
     """
 
     verdict: Verdict

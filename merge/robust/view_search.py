@@ -157,8 +157,8 @@ def directions(walls: ComplexArray) -> FloatArray:
     """(ANGLES,) how clearly walls lie along and across each direction of a quarter turn.
 
     Walls are projected on both axes: where these lie along them, few strips of them, as wide as a
-    cell, hold most cells. 0 for
-    none; means of normals, in comparison, err by 6° where cells lie along other axes.
+    cell, hold most cells. 0 for none; means of normals, in comparison, err by 6° where cells lie
+    along other axes.
     """
     z = walls[:: -(-len(walls) // MOST_POINTS)] if len(walls) else walls
     if not len(z):
