@@ -5,7 +5,7 @@ import numpy as np
 from topobatch.topology.views import CELL_M, REACH_M, SIDE, Views
 
 
-def walls_of(seed: int, size_m: float = 40.0) -> np.ndarray:
+def walls_of(seed: int, size_m: float | tuple[float, float] = 40.0) -> np.ndarray:
     """(k, 4) walls x0, y0, x1, y1 [m] along two axes, at random."""
     rng = np.random.default_rng(seed)
     start = rng.uniform(0, size_m, (60, 2))

@@ -6,7 +6,9 @@ import numpy as np
 
 from topobatch.merge.robust.settings import MATCH
 from topobatch.merge.robust.view_evidence import (
+    CHANCE_PARTS,
     DETAILED_Z,
+    PART_BITS,
     UNSEEN_BITS,
     judged,
     laid,
@@ -70,15 +72,28 @@ def test_parts_that_move_apart_speak_against_a_placement() -> None:
     a = pictured(views_of(walls, line((5, 20), (35, 20))))
     b = pictured(views_of(walls, line((8, 21), (33, 21)), T_B_WORLD))
     here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
-    assert here.apart_m.max() < 0.15
+    assert here.consistency.min() > 0.5
     torn = replace(here, there=here.there + np.outer(1.4 * (here.cell % 2), [1.0, 0.0, 0.0]))
-    assert torn.apart_m.mean() > 0.5
+    assert torn.consistent_parts < 0 < here.consistent_parts
     elsewhere = [some for _, some in refined(a, b, placements(a, b))[1:]]
     whole, less = (
         judged(some, elsewhere, (repeats(a), repeats(b)), revisits(a)) for some in (here, torn)
     )
     assert whole.total > less.total + 2 * (len(whole.bits) - 1)
     assert whole.copies == less.copies
+
+
+def test_parts_that_agree_on_one_placement_tell_more_than_they_do_on_a_copy() -> None:
+    walls = walls_of(1, (80.0, 30.0))
+    a = pictured(views_of(walls, line((5, 15), (75, 15))))
+    b = pictured(views_of(walls, line((8, 16), (73, 16)), T_B_WORLD))
+    here = laid(a, b, compose(inverse(T_B_WORLD), b.pose), 24)
+    own = repeats(a)
+    assert here.consistent_parts > CHANCE_PARTS > own.consistent_parts
+    copied = replace(own, consistent_parts=here.consistent_parts)
+    alone, copies = (judged(here, [], (own, other), revisits(a)) for other in (own, copied))
+    beyond = here.consistent_parts - CHANCE_PARTS
+    assert np.isclose(alone.total - copies.total, PART_BITS * beyond)
 
 
 def test_walls_that_agree_bound_what_an_unseen_junction_tells() -> None:
