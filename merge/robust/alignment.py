@@ -349,12 +349,15 @@ def _with_views(
     for c, pose, here in cases:
         elsewhere = [other for there, other in placed if not _same_poses(pose, there)]
         said = judged(here, elsewhere, selves, same)
-        against = c.conflicts.at_most(
-            said.most_against(np.abs(b.z[c.conflicts.in_a.vertex, None] - two.place[said.second])),
-            said.most_against(np.abs(a.z[c.conflicts.in_b.vertex, None] - one.place[said.first])),
+        of_a, of_b = (
+            said.most_against(np.abs(m.z[:, None] - picture.place[rows]))
+            for m, picture, rows in ((a, one, said.first), (b, two, said.second))
         )
+        against = c.conflicts.at_most(of_b[c.conflicts.in_a.vertex], of_a[c.conflicts.in_b.vertex])
+        support = c.support.at_most_against(of_a[c.a])
         bits = c.bits + said.total + c.conflicts.bits - against.bits
-        out.append(replace(c, bits=bits, conflicts=against, views=said))
+        bits += support.bits - c.support.bits
+        out.append(replace(c, bits=bits, support=support, conflicts=against, views=said))
     return _apart(out, b)
 
 

@@ -115,11 +115,12 @@ class ViewEvidence:
         return float(np.sqrt((off**2).sum(axis=1).mean()))
 
     def most_against(self, away_m: FloatArray) -> FloatArray:
-        """(n,) upper bound of the weight [bits] of junctions that only one run detected, by the
-        walls around them. away_m: (n, k) distance [m] of each junction from every pair of views.
+        """(n,) upper bound of what each of n junctions tells against the placement [bits], by the
+        walls around it. away_m: (n, k) its distance [m] from every pair of views.
 
-        Where the walls agree, the detector saw the same place in two ways (`UNSEEN_BITS`). Where a
-        building repeats itself, walls of its copies agree as well, and the bound is higher.
+        A junction tells against it if only one run detected it, or if its branches or corridors
+        differ. Where the walls agree, the detector saw the same place in two ways (`UNSEEN_BITS`).
+        Where a building repeats itself, walls of its copies agree as well, and the bound is higher.
         """
         if not len(self) or not len(away_m):
             return np.full(len(away_m), np.inf)
@@ -369,8 +370,8 @@ more than three parts that agree, 2 more than their copies; true ones have four 
 recordings of one floor, seven where furniture was moved. With `CONSISTENT_BITS` a part tells 3.2
 bits at most: within `CONSISTENT_M` lie .74 of the parts of true and .07 of those of false ones."""
 UNSEEN_BITS, UNSEEN_Z = 0.7, (2.0, 3.0)
-"""Upper bound of the weight of a junction that only one run detected, where the mean z of its part
-of the overlap reaches the second value; none up to the first. Of the junctions that only one of two
+"""Upper bound of what a junction tells against a placement, where the mean z of its part of the
+overlap reaches the second value; none up to the first. Of the junctions that only one of two
 runs detected, or both, in 60 pairs of one place, 102 of 442 were missed, by one building 2 of 5;
 they cost up to 18 bits a pair. In false placements about half are missed, and 3 of 100 parts agree
 as much."""

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from topobatch.merge.robust.settings import MATCH
+from topobatch.merge.robust.support import Support
 from topobatch.merge.robust.view_evidence import (
     CHANCE_PARTS,
     DETAILED_Z,
@@ -130,3 +131,15 @@ def test_walls_tell_whether_one_placement_fits_all_parts() -> None:
     assert told.off_m(a, smaller) > 0.3
     few = replace(told, z=np.where(told.cell > 1, 0.0, told.z))
     assert few.off_m(a, b) == np.inf
+
+
+def test_walls_that_agree_bound_what_lengths_and_branches_tell_against_a_match() -> None:
+    links, branches = np.array([3.0, -4.0, -4.0]), np.array([2.0, -3.0, -3.0])
+    ends = np.array([[0, 1], [0, 1], [1, 2]])
+    along = np.array([0, 1, 2])
+    corridors = np.array([[0, 0], [2, 2], [4, 4]])
+    found = Support(corridors, ends, along, links, branches, -9.0)
+    bounded = found.at_most_against(np.array([UNSEEN_BITS, UNSEEN_BITS, np.inf]))
+    assert np.allclose(bounded.links, [3.0, -UNSEEN_BITS, -4.0])
+    assert np.allclose(bounded.branches, [2.0, -UNSEEN_BITS, -3.0])
+    assert np.isclose(bounded.bits, -9.0 + (4.0 - UNSEEN_BITS) + (3.0 - UNSEEN_BITS))
