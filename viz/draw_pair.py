@@ -152,7 +152,7 @@ def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, side: int) -> None:
     canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, told=[m.run], key=m.run)
     canvas.dots(apply(T, m.xy), colour, DOT_PT)
     alpha, key = (1.0, 0.75)[side], f"walls of {m.run}"
-    draw_walls(canvas, [m.views], T, canvas.theme[f"pale {side}"], alpha=alpha, key=key)
+    draw_walls(canvas, [m.views], T, canvas.theme.pale(side), alpha=alpha, key=key)
 
 
 def _evidence(
@@ -207,13 +207,14 @@ def _bits_told(term: Term, digits: int) -> str:
 def _seen(canvas: Canvas, term: Term, cell: Cell, turn_rad: float) -> None:
     """Draw two views over each other in a cell; what contradicts last."""
     assert term.seen is not None
+    theme = canvas.theme
     scale = FILLED * float((cell.high - cell.low).min()) / (2 * REACH_M)
     xy = (cell.low + cell.high) / 2 + scale * turned(term.seen.xy, turn_rad)
     for kind in (SILENT, AGREES, CONTRADICTS):
         for run in (0, 1):
             own = xy[(term.seen.kind == kind) & (term.seen.of_second == (run == 1))]
-            ink = {SILENT: f"pale {run}", AGREES: f"run {run}"}.get(kind, "against")
+            ink = {SILENT: theme.pale(run), AGREES: theme.run(run)}.get(kind, theme["against"])
             width_pt = WALL_WIDTHS[run] * CELL_M * scale * canvas.points_per_m
             key = CONTRADICTIONS if kind == CONTRADICTS else ""
             cells = [*np.stack([own - TINY_M, own], axis=1)]
-            canvas.lines(cells, canvas.theme[ink], width_pt, key=key)
+            canvas.lines(cells, ink, width_pt, key=key)

@@ -159,16 +159,13 @@ def _walls_by_component(result: MergeResult, maps: Mapping[str, TopoMap]) -> dic
     seen = {c.id: site_views(result.fused, c, maps) for c in result.components}
     every = -(-sum(len(v) for own in seen.values() for v in own) // MOST_VIEWS)
     thinned = {c: [take(v, slice(None, None, every)) for v in own] for c, own in seen.items()}
-    grids, cell_m = _grids(thinned, FINE_M), FINE_M
-    while sum(grid.free.size for grid in grids.values()) > MOST_CELLS:
+    cell_m = FINE_M
+    while True:
+        laid = {c: walls_of(own, "", cell_m) for c, own in thinned.items()}
+        grids = {c: grid for c, grid in laid.items() if grid is not None}
+        if sum(grid.free.size for grid in grids.values()) <= MOST_CELLS:
+            return grids
         cell_m *= 2
-        grids = _grids(thinned, cell_m)
-    return grids
-
-
-def _grids(seen: Mapping[int, Sequence[Views]], cell_m: float) -> dict[int, Grid]:
-    laid = {c: walls_of(own, "", cell_m) for c, own in seen.items()}
-    return {c: grid for c, grid in laid.items() if grid is not None}
 
 
 def _ribbons(

@@ -128,8 +128,7 @@ def _hex(colour: Iterable[int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours as #rrggbb: the named ones of _INKS; one for each rank of a run ("run 0"); and that
-    half-way to the paper, for its walls ("pale 0")."""
+    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run."""
 
     inks: Mapping[str, str]
     runs: Sequence[str]
@@ -139,15 +138,13 @@ class Theme:
         again."""
         return self.runs[rank % len(self.runs)]
 
+    def pale(self, rank: int) -> str:
+        """The colour of a run's walls: half-way from its own to the paper."""
+        both = zip(rgb(self.run(rank)), rgb(self["paper"]), strict=True)
+        return _hex((x + y) // 2 for x, y in both)
+
     def __getitem__(self, ink: str) -> str:
-        if ink in self.inks:
-            return self.inks[ink]
-        kind, rank = ink.split()
-        colour = self.run(int(rank))
-        if kind == "pale":
-            both = zip(rgb(colour), rgb(self["paper"]), strict=True)
-            colour = _hex((x + y) // 2 for x, y in both)
-        return colour
+        return self.inks[ink]
 
 
 LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, [light for _, light in _RUNS])

@@ -3,7 +3,7 @@ verdicts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from types import MappingProxyType
@@ -56,16 +56,20 @@ def in_order(result: MergeResult) -> list[Component]:
     return sorted(result.components, key=lambda c: (-len(c.poses), c.id))
 
 
-def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
-    """All components on one sheet, `in_order`. walls: points (k, 2) of the walls of a component, by
-    its id, that its cell is to hold as well [m]."""
+def lay_out(
+    result: MergeResult,
+    to_hold: Mapping[int, FloatArray] = NO_WALLS,
+    shown: Collection[int] | None = None,
+) -> list[Part]:
+    """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points
+    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]."""
     fused = result.fused
-    order = in_order(result)
+    order = [c for c in in_order(result) if shown is None or c.id in shown]
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
     vertices, edges = (rows_of(own, [c.id for c in order]) for own in (fused.component, of_edge))
     paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]
     points = [
-        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines, walls.get(c.id, np.zeros((0, 2)))])
+        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines, to_hold.get(c.id, np.zeros((0, 2)))])
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]

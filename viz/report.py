@@ -8,7 +8,6 @@ no name from a log can become code.
 from __future__ import annotations
 
 import hashlib
-import json
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -106,7 +105,7 @@ def report_page(report: Report) -> str:
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),
-        items={name: _json(item) for name, item in items.items()},
+        items=items,
     )
     return page
 
@@ -128,6 +127,7 @@ _TEMPLATES = Environment(
     lstrip_blocks=True,
 )
 _TEMPLATES.filters["line"] = _one_line
+_TEMPLATES.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
 
 
 def _item(name: str, plot: Any) -> Any:
@@ -153,19 +153,6 @@ def _digest(script: str) -> str:
     return "sha256-" + b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
-def _json(value: object) -> str:
-    """JSON without characters that HTML could take as markup."""
-    raw = json.dumps(value, separators=(",", ":"), ensure_ascii=True)
-    return raw.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
-
-
-def _number(count: int) -> str:
-    return _NUMBERS[count] if count < len(_NUMBERS) else f"{count:,}"
-
-
 def answer(report: Report, runs: Sequence[str]) -> list[str]:
     """The sentences that answer: which runs are of which site, which stand alone, what is open, and
     what would settle most."""
@@ -178,15 +165,12 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
     if several:
         names = listed([f"{c.name} ({len(c.poses)})" for c in several], 12)
         all_ = f"All {every}" if merged == every else f"{merged} of {every}"
-        sites = "one site" if len(several) == 1 else f"{_number(len(several))} sites"
-        out.append(f"{all_} runs are of {sites}: {names}.")
+        out.append(f"{all_} runs are of {counted(len(several), 'site')}: {names}.")
     if alone:
         who = listed([next(iter(c.poses)) for c in alone], 12)
-        stands = "stands" if len(alone) == 1 else "stand"
-        out.append(f"{_number(len(alone)).capitalize()} {stands} alone: {who}.")
+        out.append(f"{counted(len(alone), 'run stands', 'runs stand')} alone: {who}.")
     if undecided := result.standings()[Standing.AMBIGUOUS]:
-        are = "is" if undecided == 1 else "are"
-        out.append(f"{counted(undecided, 'pair')} of runs {are} undecided.")
+        out.append(f"{counted(undecided, 'pair of runs is', 'pairs of runs are')} undecided.")
     if report.drives:
         where, settles = report.drives[0].words
         shows = "" if report.drives[0].onto else "shows "

@@ -10,7 +10,7 @@ import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
 from ..merge.decision import LINKS, Decision, Placement
-from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows
+from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows, short
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
@@ -31,9 +31,6 @@ SAME_RUN = "#8a929c99"
 
 MOST_NAMES = 40
 """Up to this many runs the matrix has their names; of more those of their sites."""
-
-LONGEST = 18
-"""Longer names are shortened in the middle."""
 
 MOST_LINKS = 12
 """Links of a placement that are listed one by one."""
@@ -69,20 +66,13 @@ def named_axis(axis: Any, names: Mapping[float, str]) -> None:
     """Write names beside an axis, by their place along it."""
     axis.update(
         ticker=FixedTicker(ticks=sorted(names)),
-        major_label_overrides={at: shortened(name) for at, name in names.items()},
+        major_label_overrides={at: short(legible(name)) for at, name in names.items()},
         major_label_text_color=INK,
         major_label_text_font_size="10px",
         major_label_standoff=2,
         major_tick_line_color=None,
         axis_line_color=None,
     )
-
-
-def shortened(name: str) -> str:
-    """A name that fits an axis."""
-    name = legible(name)
-    half = LONGEST // 2
-    return name if len(name) <= LONGEST else f"{name[:half]}…{name[len(name) - half + 1 :]}"
 
 
 def pair_figure() -> Any:

@@ -116,8 +116,8 @@ def test_the_page_answers_first(merge_of) -> None:
     page = Page(page_of(named(result), maps, drives=[drive()], changes=[change()]))
     told = " ".join(page.text.split())
     for sentence in (
-        "2 of 4 runs are of one site: site 0 (2).",
-        "Two stand alone: c, d.",
+        "2 of 4 runs are of 1 site: site 0 (2).",
+        "2 runs stand alone: c, d.",
         "1 pair of runs is undecided.",
         "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, if "
         "they are one place: settles 1 open pair.",
