@@ -18,7 +18,7 @@ from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
-from .wording import AGREES_BITS, decimals, what_agrees
+from .wording import AGREES_BITS, decimals, describe_agreement
 
 WIDTH = 79
 """Columns of the smallest usual terminal."""
@@ -132,7 +132,7 @@ def agreement(placement: Placement) -> str:
     """What agrees, and what contradicts."""
     views = sum(t.bits > AGREES_BITS for t in placement.of("views"))
     junctions, corridors = len(placement.of("branches")), placement.alignment.corridors
-    return f"{what_agrees(junctions, corridors, views)}, {_contradicted(placement)}"
+    return f"{describe_agreement(junctions, corridors, views)}, {_contradicted(placement)}"
 
 
 def _contradicted(placement: Placement) -> str:

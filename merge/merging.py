@@ -29,7 +29,7 @@ from .result import (
 )
 from .robust import DEFAULT_ROBUST, Means, RobustSettings
 from .through import joined_through
-from .wording import told_placement
+from .wording import describe_placement
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +194,7 @@ def _placed(
     if placed is not None:
         vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
         description = (
-            f"{description}, placed to {told_placement(*placed)} (1 sigma)"
+            f"{description}, placed to {describe_placement(*placed)} (1 sigma)"
             f"{', too vaguely to count on it' if vague else ''}"
         )
     return replace(v, reason=f"{description}{ALONE}{v.reason}", through=through, placed=placed)

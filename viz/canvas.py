@@ -45,16 +45,8 @@ MARKERS: Mapping[Marker, str] = MappingProxyType(
 POINTS_PER_INCH = 72.0
 TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
 LINE_PT = 13.0
-"""Line spacing of text."""
-
-EDGE_PT = 12.0
-"""Margin of the page."""
-
-HANDLE_PT, GAP_PT = 26.0, 14.0
-"""Room for the sample mark in a key entry, and the gap between two columns of entries."""
-
-BAR_PT = 26.0
-"""Room for the scale bar below the drawing."""
+"""Line spacing of text. The page's margin and the gaps between columns of the key are as wide; the
+scale bar, and the sample mark of an entry of the key, have twice as much room."""
 
 LETTER = 0.62
 """Estimated width of a letter over the font size."""
@@ -116,7 +108,7 @@ class Canvas:
 
     @property
     def _room_pt(self) -> float:
-        return self.width_pt - 2 * EDGE_PT
+        return self.width_pt - 2 * LINE_PT
 
     @property
     def _size_pt(self) -> tuple[float, float]:
@@ -137,14 +129,14 @@ class Canvas:
         width_pt: float,
         *,
         order: Order = Order.CORRIDOR,
-        told: Sequence[str] = (),
+        tips: Sequence[str] = (),
         key: str = "",
     ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour. told: the tooltip in an SVG of each, or
+        """Draw polylines, (k, 2) each [m], in one colour. tips: the tooltip in an SVG of each, or
         one of all."""
-        if _each(told):
-            for path, own in zip(paths, told, strict=True):
-                self.lines([path], colour, width_pt, order=order, told=[own], key=key)
+        if _each(tips):
+            for path, own in zip(paths, tips, strict=True):
+                self.lines([path], colour, width_pt, order=order, tips=[own], key=key)
             return
         if not paths:
             return
@@ -159,7 +151,7 @@ class Canvas:
             joinstyle="round",
             zorder=order,
         )
-        self._add(patch, told)
+        self._add(patch, tips)
 
     def dots(
         self,
@@ -168,17 +160,17 @@ class Canvas:
         size_pt: float,
         *,
         order: Order = Order.JUNCTION,
-        told: Sequence[str] = (),
+        tips: Sequence[str] = (),
         ring: bool = False,
         marker: Marker = "circle",
         key: str = "",
     ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]. told: as of `lines`."""
+        """Draw filled marks, or rings, at xy (n, 2) [m]. tips: as of `lines`."""
         if len(xy) == 0:
             return
         size = float(np.clip(size_pt, *SAMPLE_DOT_PT))
         self._note(key, self._markers(xy[:0], colour, size, marker, ring=ring))
-        each = [([k], told[k : k + 1]) for k in range(len(xy))] if _each(told) else [(..., told)]
+        each = [([k], tips[k : k + 1]) for k in range(len(xy))] if _each(tips) else [(..., tips)]
         for rows, own in each:
             line = self._markers(xy[rows], colour, size_pt, marker, ring=ring)
             line.set_zorder(order)
@@ -243,12 +235,12 @@ class Canvas:
             "parse_math": False,  # run names may hold dollar signs
         }
 
-    def _add(self, artist: Any, told: Sequence[str] = ()) -> None:
+    def _add(self, artist: Any, tips: Sequence[str] = ()) -> None:
         artist.set_clip_on(False)
-        if len(told) == 1:
+        if len(tips) == 1:
             gid = f"{self.name}-{len(self._titles)}"
             artist.set_gid(gid)
-            (self._titles[gid],) = told
+            (self._titles[gid],) = tips
         self._axes.add_artist(artist)
 
     def finish(self, heading: Sequence[str]) -> None:
@@ -258,7 +250,7 @@ class Canvas:
             title, *others = map(legible, heading)
             room = letters(self._room_pt, TEXT_PT)
             lines = [line for text in others for line in wrap(text, room)]
-            rise = 8.0
+            rise = TEXT_PT
             for k, line in enumerate(
                 [short(title, letters(self._room_pt, HEADING_PT)), *lines][::-1]
             ):
@@ -279,13 +271,13 @@ class Canvas:
                 bbox_transform=self._below(4.0),
             )
             self._add(bar)
-            below = BAR_PT
+            below = 2 * LINE_PT
             groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
             for group in filter(None, groups):
                 longest = max(len(label) for label, _ in group)
-                widest = LETTER * TEXT_PT * longest + HANDLE_PT + GAP_PT
+                widest = LETTER * TEXT_PT * longest + 3 * LINE_PT
                 columns = max(1, floor(self._room_pt / widest))
-                most = letters(self._room_pt / columns - HANDLE_PT - GAP_PT, TEXT_PT)
+                most = letters(self._room_pt / columns - 3 * LINE_PT, TEXT_PT)
                 legend = self._axes.legend(
                     [sample or _line("none", 0.0) for _, sample in group],
                     [short(legible(label), most) for label, _ in group],
@@ -324,7 +316,7 @@ class Canvas:
                 metadata=about,
                 facecolor=self.theme["paper"],
                 bbox_inches="tight",
-                pad_inches=EDGE_PT / POINTS_PER_INCH,
+                pad_inches=LINE_PT / POINTS_PER_INCH,
             )
         return out.getvalue() if form == "png" else self._tidied(out.getvalue())
 
@@ -339,10 +331,10 @@ class Canvas:
             for name in _NUMBERS:
                 if name in node.attrib:
                     node.set(name, _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split())))
-            told = self._titles.get(node.get("id", ""))
-            if told is not None:
+            tip = self._titles.get(node.get("id", ""))
+            if tip is not None:
                 title = ET.Element(f"{{{_SVG}}}title")
-                title.text = legible(told)
+                title.text = legible(tip)
                 node.insert(0, title)
         text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
         return text + b"\n"
@@ -369,9 +361,9 @@ def _line(colour: str, width_pt: float) -> Line2D:
     return Line2D([], [], color=colour, linewidth=width_pt)
 
 
-def _each(told: Sequence[str]) -> bool:
+def _each(tips: Sequence[str]) -> bool:
     """Whether marks are drawn one by one, each with its tooltip."""
-    return 1 < len(told) <= MOST_TOLD
+    return 1 < len(tips) <= MOST_TOLD
 
 
 def letters(room_pt: float, size_pt: float) -> int:

@@ -29,7 +29,7 @@ from .drawing import (
     extent,
     strands,
 )
-from .pages import corridor_told, map_told
+from .pages import describe_corridor, describe_map
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
 from .sheet import Cell, corners_of, fitting, outline, upright_rad
@@ -64,7 +64,7 @@ def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
     draw_walls(canvas, [topomap.views], turn, theme["wall"])
     _junctions_of(canvas, topomap, turn)
     _turned_of(canvas, topomap, turn)
-    canvas.finish([topomap.run, f"{map_told(topomap)}{_turned_by(turn)}"])
+    canvas.finish([topomap.run, f"{describe_map(topomap)}{_turned_by(turn)}"])
     return canvas
 
 
@@ -75,8 +75,7 @@ def _turned_by(T_sheet_map: FloatArray) -> str:
 
 
 LEAST_CELL_PT = 1.0
-"""Least width of a wall's cell: finer ones are not told apart, so that walls take no more space in
-the file than the page has room for."""
+"""Least width of a wall's cell: finer ones would take space in the file and not be seen."""
 
 
 def draw_walls(
@@ -102,9 +101,9 @@ def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     colour, times = canvas.theme["corridor"], np.clip(m.traversals, 1, MOST_TIMES)
     for often in range(1, MOST_TIMES + 1):
         rows = np.flatnonzero(times == often).tolist()
-        paths, told = [apply(T, m.paths[i]) for i in rows], [corridor_told(m, i) for i in rows]
+        paths, tips = [apply(T, m.paths[i]) for i in rows], [describe_corridor(m, i) for i in rows]
         key = "corridor" if often == 1 else "corridor, driven more often"
-        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), told=told, key=key)
+        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), tips=tips, key=key)
 
 
 def _unexplored(canvas: Canvas, m: Graph, T: FloatArray, free: BoolArray) -> None:
@@ -121,20 +120,20 @@ def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     for degree, label in enumerate(_KINDS):
         rows = np.flatnonzero(group == degree).tolist()
         colour, size_pt = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
-        told = [_junction_told(m, i) for i in rows]
-        canvas.dots(xy[rows], colour, size_pt, told=told, key=label)
+        tips = [_describe_junction(m, i) for i in rows]
+        canvas.dots(xy[rows], colour, size_pt, tips=tips, key=label)
     if len(m) <= MOST_NUMBERED:
         _numbered(canvas, m, T, range(len(m)))
 
 
-def _junction_told(m: TopoMap, i: int) -> str:
+def _describe_junction(m: TopoMap, i: int) -> str:
     sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
     sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
     passes = counted(int(m.passes[i]), "pass", "passes")
-    return f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {passes}{sigma}{sure}"
+    return f"{m.kind[i].replace('_', ' ')} {i}{_describe_size(m, i)}: {passes}{sigma}{sure}"
 
 
-def _size_told(m: TopoMap, vertex: int) -> str:
+def _describe_size(m: TopoMap, vertex: int) -> str:
     """How large a room is, and how wide a door."""
     if m.area_m2 is not None and m.area_m2[vertex] > 0:
         return f", {m.area_m2[vertex]:.0f} m²"
@@ -148,12 +147,12 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     points = m.turning_points
     for kind, marker in TURNED_MARKERS.items():
         rows = [k for k, own in enumerate(points.kind) if own == kind]
-        told = [
+        tips = [
             f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
             for k in rows
         ]
         xy, colour = apply(T, points.xy[rows]), canvas.theme["degree 1"]
-        canvas.dots(xy, colour, 4.0, told=told, marker=marker, key=TURNED[kind])
+        canvas.dots(xy, colour, 4.0, tips=tips, marker=marker, key=TURNED[kind])
 
 
 def _numbered(canvas: Canvas, m: Graph, T: FloatArray, junctions: Iterable[int]) -> None:
@@ -289,9 +288,9 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
     for k, drive in enumerate(drives, 1):
         if drive.component != part.component.id:
             continue
-        path, told = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
+        path, tips = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
         colour, key = canvas.theme["planned"], "drive to record, from its number on"
-        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, told=told, key=key)
+        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, tips=tips, key=key)
         begins.setdefault(drive.stops[0].xy, []).append(str(k))
         others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
         for xy, junction in others.items():
@@ -311,8 +310,8 @@ def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Chan
         if change.component != part.component.id:
             continue
         path = [apply(T, changed_path(fused, part.edges, change))]
-        at, told = apply(T, np.array(change.xy)), [f"change {k}"]
-        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, told=told, key=key)
+        at, tips = apply(T, np.array(change.xy)), [f"change {k}"]
+        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, tips=tips, key=key)
         canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
         canvas.words(at + aside, str(k), bold=True)
 
@@ -351,7 +350,7 @@ def _fused(
     for (run, share), paths in sorted(drawn.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
         key = "run that is merged with none" if alone else ""
-        canvas.lines(paths, colour, pen_pt * share, told=[run], key=key)
+        canvas.lines(paths, colour, pen_pt * share, tips=[run], key=key)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     kinds = np.array([fused.kind[i] for i in part.vertices.tolist()], object)
     turned = np.array([kind in TURNED for kind in kinds], bool)

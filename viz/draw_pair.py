@@ -149,7 +149,7 @@ def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, side: int) -> None:
     """Draw the map of a (side 0) or of b (1) at T on the sheet. Walls of a show through those of
     b."""
     colour = canvas.theme.run(side)
-    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, told=[m.run], key=m.run)
+    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, tips=[m.run], key=m.run)
     canvas.dots(apply(T, m.xy), colour, DOT_PT)
     alpha, key = (1.0, 0.75)[side], f"walls of {m.run}"
     draw_walls(canvas, [m.views], T, canvas.theme.pale(side), alpha=alpha, key=key)
@@ -172,10 +172,10 @@ def _evidence(
     sides = (0, 1)[: 1 + apart]
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
     tied = [*np.stack(ends, axis=1)]
-    canvas.lines(tied, theme["ink"], 0.5 * PEN_PT, order=Order.TIE, told=same)
+    canvas.lines(tied, theme["ink"], 0.5 * PEN_PT, order=Order.TIE, tips=same)
     for xy in ends:
         key = "matched junctions, tied"
-        canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, told=same, key=key)
+        canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, tips=same, key=key)
     for k in sides if len(pairs) <= MOST_NUMBERED else ():
         aside = 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])
         for xy, number in zip(ends[k], pairs[:, k].tolist(), strict=True):
@@ -186,21 +186,21 @@ def _evidence(
         pen_pt = PEN_PT * (1.2 + 1.8 * min(abs(term.bits) / FULL_BITS, 1.0))
         lines = [at[k][[*rows]] for k, rows in ((0, term.a), (1, term.b)) if len(rows) == 2]
         for line in lines[: len(sides)]:
-            told = [_bits_told(term, digits)]
-            canvas.lines([line], theme[ink], pen_pt, order=Order.EVIDENCE, told=told, key=key)
+            tips = [_describe_term(term, digits)]
+            canvas.lines([line], theme[ink], pen_pt, order=Order.EVIDENCE, tips=tips, key=key)
     terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
-    against = ((_bits_told(t, digits), (t.a, t.b)) for t in terms)
+    against = ((_describe_term(t, digits), (t.a, t.b)) for t in terms)
     for xy, words in contradiction_spots(against, *at, apart=apart):
         canvas.dots(
             *(xy[None], theme["against"], RING_PT),
             order=Order.CONTRADICTION,
             ring=True,
-            told=[words],
+            tips=[words],
             key=CONTRADICTIONS,
         )
 
 
-def _bits_told(term: Term, digits: int) -> str:
+def _describe_term(term: Term, digits: int) -> str:
     return f"{term.bits:+.{digits}f} bits: {term.text}"
 
 

@@ -17,7 +17,6 @@ from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.views import Views
 from . import palette
 from .drawing import (
     SHEET_MARGIN,
@@ -40,7 +39,7 @@ from .recording import (
     PathParts,
     Recording,
     blueprint,
-    corridors_told,
+    corridor_attributes,
     map_view,
     markdown,
     placed,
@@ -186,7 +185,7 @@ def _ribbons(
             (FUSED, part.name, "corridors", run),
             [strand.path for strand in own],
             palette.Order.CORRIDOR,
-            corridors_told(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
+            corridor_attributes(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
             radii=[pen * strand.share / 2 for strand in own],
             colors=colours[run],
         )
@@ -199,19 +198,19 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         return
     members = [fused.members[i] for i in rows.tolist()]
     several = np.array([len(runs) > 1 for runs in members])
-    told = {
+    values = {
         "vertex": rows,
         "kind": [fused.kind[i] for i in rows.tolist()],
         "branches": fused.branches.counts[rows],
         "runs": np.array([len(runs) for runs in members]),
-        "fused_from": [_members_told(runs) for runs in members],
+        "fused_from": [_describe_members(runs) for runs in members],
         "passes": np.array([len(fused.observations[i]) for i in rows.tolist()]),
     }
     recording.dots(
         (FUSED, part.name, "junctions"),
         fused.xy[rows],
         palette.Order.JUNCTION,
-        told,
+        values,
         radii=pen * np.where(several, 2.4, 1.4),
         colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
         labels=list(map(str, rows.tolist())),
@@ -219,7 +218,7 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
     )
 
 
-def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
+def _describe_members(members: Mapping[str, tuple[int, ...]]) -> str:
     return "; ".join(
         f"{run}: {', '.join(map(str, vertices))}" for run, vertices in sorted(members.items())
     )
@@ -263,9 +262,9 @@ def _contradictions(
     for name, spots in found.items():
         if spots:
             path, at = (FUSED, name, "contradictions"), [xy for xy, _ in spots]
-            told = {"contradiction": [words for _, words in spots]}
+            values = {"contradiction": [words for _, words in spots]}
             look = {"radii": 2.0 * pen, "colors": palette.REFUSED}
-            recording.dots(path, at, palette.Order.CONTRADICTION, told, **look)
+            recording.dots(path, at, palette.Order.CONTRADICTION, values, **look)
 
 
 def _own_map(
@@ -273,16 +272,16 @@ def _own_map(
 ) -> None:
     """Write a run's own map below its entity path, in its own frame and in one colour."""
     if len(m.source):
-        told = corridors_told(m, np.arange(len(m.source)))
+        values = corridor_attributes(m, np.arange(len(m.source)))
         look = {"radii": 0.4 * pen, "colors": colour}
-        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, told, **look)
+        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, values, **look)
     if len(m):
-        told = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
+        values = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
         recording.dots(
             (*path, "junctions"),
             m.xy,
             palette.Order.JUNCTION,
-            told,
+            values,
             radii=1.2 * pen,
             colors=colour,
             labels=[*map(str, range(len(m)))],

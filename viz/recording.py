@@ -61,24 +61,24 @@ class Recording:
         path: PathParts,
         xy: FloatArray | Sequence[Any],
         order: palette.Order,
-        told: Mapping[str, Any] = NOTHING,
+        values: Mapping[str, Any] = NOTHING,
         **look: Any,
     ) -> None:
-        """Log points (n, 2) without a time. told: components that say what is known of each; look:
-        of rerun's Points2D."""
-        self.static(path, rr.Points2D(xy, draw_order=order, **look), *_values(told))
+        """Log points (n, 2) without a time. values: of each,
+        by component; look: of rerun's Points2D."""
+        self.static(path, rr.Points2D(xy, draw_order=order, **look), *_any_values(values))
 
     def lines(
         self,
         path: PathParts,
         lines: Sequence[FloatArray],
         order: palette.Order,
-        told: Mapping[str, Any] = NOTHING,
+        values: Mapping[str, Any] = NOTHING,
         **look: Any,
     ) -> None:
-        """Log polylines, (k, 2) each, without a time. told, look: as of `dots`."""
+        """Log polylines, (k, 2) each, without a time. values, look: as of `dots`."""
         shape = rr.LineStrips2D.from_fields(strips=_strips(lines), draw_order=order, **look)
-        self.static(path, shape, *_values(told))
+        self.static(path, shape, *_any_values(values))
 
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row for each time, on the timelines CLOCKS."""
@@ -155,8 +155,8 @@ def placed(T_parent_child: FloatArray) -> rr.Transform3D:
     return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
 
 
-def _values(told: Mapping[str, Any]) -> list[rr.AnyValues]:
-    return [rr.AnyValues(**told)] if told else []
+def _any_values(values: Mapping[str, Any]) -> list[rr.AnyValues]:
+    return [rr.AnyValues(**values)] if values else []
 
 
 def _strips(lines: Sequence[FloatArray]) -> Any:
@@ -233,7 +233,7 @@ def write_cards(
         )
 
 
-def corridors_told(graph: Graph, edges: IntArray) -> dict[str, Any]:
+def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:
     """The attributes of corridors."""
     ends = zip(graph.source[edges].tolist(), graph.target[edges].tolist(), strict=True)
     return {

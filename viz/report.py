@@ -31,7 +31,7 @@ from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
 from .palette import LIGHT
 from .parts import in_order, ranks, runs_in_order
-from .report_maps import INK, blank_figure, described_change, site_map
+from .report_maps import INK, blank_figure, describe_change, site_map
 from .report_pairs import STANDING_COLOURS, matrix_figure, named_axis, page_data, pair_figure
 from .sheet import upright_rad
 
@@ -233,7 +233,7 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
 def _changes(report: Report) -> list[str]:
     """The words of every change."""
     names = {c.id: c.name for c in report.result.components} if report.result else {}
-    return [described_change(c, names[c.component]) for c in report.changes if c.sure]
+    return [describe_change(c, names[c.component]) for c in report.changes if c.sure]
 
 
 def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:

@@ -30,7 +30,7 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
 from .drawing import TURNED, TURNED_MARKERS, bounds, changed_path, strands
-from .pages import corridor_told
+from .pages import describe_corridor
 from .palette import LIGHT
 from .parts import ranks, rows_of
 from .sheet import upright_rad
@@ -191,7 +191,7 @@ class _Site:
         f, rows = self.fused, self.edges.tolist()
         told = []
         for e in rows:
-            what, runs = corridor_told(f, e), sorted({run for run, _ in f.edge_members[e]})
+            what, runs = describe_corridor(f, e), sorted({run for run, _ in f.edge_members[e]})
             told.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
         paths, alpha = [f.paths[e] for e in rows], 0.45 if len(self.own.poses) > 1 else 0.9
         self._lines(paths, told, FAINT, "", line_width=3.0, line_alpha=alpha)
@@ -230,7 +230,7 @@ class _Site:
             return
         paths, told = (
             [changed_path(self.fused, self.edges, c) for c in shown],
-            [described_change(c, self.own.name) for c in shown],
+            [describe_change(c, self.own.name) for c in shown],
         )
         self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
         self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
@@ -271,11 +271,11 @@ class _Site:
         rows = self.vertices[~turned].tolist()
         for shared, size in ((False, 7.0), (True, 10.0)):
             some = [v for v in rows if (len(f.members[v]) > 1) == shared]
-            told = [self._junction_told(v) for v in some]
+            told = [self._describe_junction(v) for v in some]
             self._dots(f.xy[some], told, INK, "", size, number=some)
         self._words(f.xy[rows], list(map(str, rows)), INK, NUMBERS, (6, -8))
 
-    def _junction_told(self, v: int) -> str:
+    def _describe_junction(self, v: int) -> str:
         f = self.fused
         runs = sorted(f.members[v])
         sigma = f.position_sigma
@@ -393,7 +393,7 @@ NUMBERS = "junction numbers"
 """Of this layer the page shows what has room."""
 
 
-def described_change(change: Change, site: str) -> str:
+def describe_change(change: Change, site: str) -> str:
     """What changed, when, for whom and how surely, as sentences on one line."""
     return " ".join(f"{words[0].upper()}{words[1:]}." for words in change.words(site))
 

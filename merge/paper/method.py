@@ -25,7 +25,7 @@ from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..locks import Lock, locks_among
 from ..result import Alignment, PairVerdict, Verdict, shown_bits
-from ..wording import told_bits
+from ..wording import describe_bits
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
 from .locking import honour
@@ -248,7 +248,7 @@ def _reason(best: Alignment, second: Alignment | None, needed: float, found: Mat
     what = (
         f"the best of {counted(len(found.clusters), 'cluster')} matches "
         f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
-        f"{told_bits(best.evidence_bits, needed)}"
+        f"{describe_bits(best.evidence_bits, needed)}"
     )
     if best.evidence_bits <= 0:
         return f"{what}; chance offers as much"

@@ -25,7 +25,7 @@ from ..kept import Kept
 from ..locks import Lock, discarded, lock_table
 from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of
 from ..through import joined_through
-from ..wording import told_bits
+from ..wording import describe_bits
 from .alignment import Candidate, match
 from .conflicts import one_by_one
 from .decide import decide
@@ -207,7 +207,9 @@ def _terms(
 
 
 def _describe_copy_test(tested: CopyTest) -> str:
-    bits, need = told_bits(tested.bits, tested.needed_bits).removesuffix(" needed").split(" bits, ")
+    bits, need = (
+        describe_bits(tested.bits, tested.needed_bits).removesuffix(" needed").split(" bits, ")
+    )
     if bits.startswith("-"):
         return f"is it a copy? {bits[1:]} bits say yes, {need} for no needed"
     return f"is it a copy? {bits} bits say no, {need} needed"
