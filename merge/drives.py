@@ -145,6 +145,8 @@ SiteOf = Callable[[int], _Site]
 
 
 def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
+    """For every two sites with an open pair of runs the drive that would join them; `wanted`: the
+    components of which one is to be among the two."""
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -374,7 +376,8 @@ class _Reach:
 
 
 def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
-    """For every site the branch never driven that leads farthest from what is known."""
+    """For every wanted site the drive by the branch never driven that leads farthest from what is
+    known."""
     share = _overlapping_share(result)
     need = _needed_junctions(result, MATCH.junction_bits)
     free = ~driven_branches(result.fused)
@@ -425,8 +428,9 @@ def _unobstructed(
 
 
 def _exploring_drive(site: _Site, place: int, heading: float, need: int, bits: float) -> Drive:
-    """By `need` known junctions to the branch, and `beyond` times as many corridors beyond it, of
-    which the first is shown."""
+    """The drive that leaves a site by a branch that nobody drove, at the row `place` and in the
+    direction `heading` [rad]: by up to `need` known junctions to it, so that the new log can be
+    merged, then on for `DRIVES.beyond` corridors for each, of which the path shows the first."""
     ground = _Ground(site)
     places, known_m = _Reach(ground, ground.in_site, [place]).tour(place, {place}, need - 1)
     end = site.xy[place] + site.usual_m * np.array([np.cos(heading), np.sin(heading)])

@@ -92,9 +92,8 @@ def site_map(
 
 
 def blank_figure(x: Sequence[float], y: Sequence[float], tools: str, **more: Any) -> Any:
-    """A figure without frame and toolbar, as large as its place on the page, through which the page
-    is seen. x, y: begin and end of its axes;
-    more: of Bokeh's figures."""
+    """A transparent figure without frame and toolbar that fills its place on the page. x, y: begin
+    and end of its axes; more: of Bokeh's figures."""
     across, up = (Range1d(start=round(float(a), 2), end=round(float(b), 2)) for a, b in (x, y))
     return figure(
         x_range=across,

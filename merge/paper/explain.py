@@ -87,6 +87,7 @@ def lines(e: Explanation, most: int = 20) -> list[str]:
 
 
 def _table_lines(e: Explanation, most: int) -> Iterator[str]:
+    """Counts, settings, and a table of vertex pairs for each number of branches (Fig. 1)."""
     pairs = len(np.unique(e.candidate_a * len(e.degree_b) + e.candidate_b))
     yield (
         f"{e.a} ({counted(len(e.degree_a), 'junction')}) and "
@@ -134,6 +135,7 @@ def _cell(e: Explanation, u: int, v: int) -> str:
 
 
 def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
+    """A table of the clusters (Fig. 2)."""
     c = e.clusters
     if len(c) == 0:
         return

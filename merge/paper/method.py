@@ -239,6 +239,7 @@ def _nothing(a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> str:
 
 
 def _verdict(bits: float, lead: float, needed: float) -> Verdict:
+    """The verdict by a cluster's evidence and its lead over the best rival [bits]."""
     if bits <= 0:
         return Verdict.UNRELATED
     return Verdict.MERGED if min(bits, lead) >= needed else Verdict.AMBIGUOUS

@@ -133,7 +133,7 @@ class Batch:
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies
         return [same.bits for same in sameness_of(cases, copies)]
 
-    def undecided(self) -> list[Pair]:
+    def plausible(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
         return [
             pair

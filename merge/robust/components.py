@@ -254,7 +254,7 @@ class Across:
         and the scale errors of its two runs, which it shares with other pairs.
         """
         pairs = sorted(across)
-        rows = [_common(*self._maps(p), across[p].matched) for p in pairs]
+        rows = [_common_corridors(*self._maps(p), across[p].matched) for p in pairs]
         differences = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
         known = [k for k, (_, variance) in enumerate(differences) if np.isfinite(variance)]
         if not known:
@@ -275,7 +275,7 @@ class Across:
         return self.prepared[pair[0]], self.prepared[pair[1]]
 
 
-def _common(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:
+def _common_corridors(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:
     """(c, 2) directed rows of the corridors of two maps between matched junctions."""
     partner = np.full(len(b), -1)
     partner[matched[:, 1]] = matched[:, 0]
