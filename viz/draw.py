@@ -108,8 +108,8 @@ def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
 
 def _unexplored(canvas: Canvas, m: Graph, T: FloatArray, free: BoolArray) -> None:
     """Draw the branches that were never driven, `free` (total branches,)."""
-    origin, vector = branch_arrows(m, 8.0 / canvas.points_per_m)
-    ends = [apply(T, np.stack([o, o + v])) for o, v in zip(origin[free], vector[free], strict=True)]
+    arrows = branch_arrows(m, free, 8.0 / canvas.points_per_m)
+    ends = [apply(T, np.stack([o, o + v])) for o, v in zip(*arrows, strict=True)]
     colour, key = canvas.theme["unexplored"], "branch never driven"
     canvas.lines(ends, colour, 1.5, order=Order.UNEXPLORED, key=key)
 

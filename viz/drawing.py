@@ -12,7 +12,7 @@ import numpy as np
 
 from ..merge.change import Change
 from ..merge.result import FusedMap
-from ..topology.arrays import FloatArray, IntArray
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.polyline import way_of
 from ..topology.topomap import Graph
 from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
@@ -54,12 +54,13 @@ def extent(graph: Graph) -> FloatArray:
     return np.concatenate([graph.xy, *graph.paths])
 
 
-def branch_arrows(graph: Graph, length_m: float) -> tuple[FloatArray, FloatArray]:
-    """Origins and vectors, (total branches, 2) each [m], of arrows of `length_m` along the
-    branches."""
-    heading = graph.branches.values
+def branch_arrows(
+    graph: Graph, chosen: BoolArray, length_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Origins and vectors, (k, 2) each [m], of arrows along the k chosen ones of all branches."""
+    heading = graph.branches.values[chosen]
     vectors = length_m * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return graph.xy[graph.branches.owner], vectors
+    return graph.xy[graph.branches.owner[chosen]], vectors
 
 
 def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArray]:

@@ -19,7 +19,7 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .drawing import MOST_NUMBERED, branch_arrows, pen_m
+from .drawing import MOST_NUMBERED, pen_m
 from .map_blueprint import MAP, map_blueprint
 from .pages import ClosureText, closure_texts, map_page, visits
 from .recording import (
@@ -28,6 +28,7 @@ from .recording import (
     Recording,
     corridor_attributes,
     markdown,
+    write_branches,
     write_grid,
     write_recording,
 )
@@ -67,7 +68,8 @@ def write_map_recording(
         if grid is not None:
             write_grid(recording, (*MAP, "grid"), grid)
         _corridors(recording, whole)
-        _unexplored(recording, whole)
+        path, free = (*MAP, "branches never driven"), ~driven_branches(whole)
+        write_branches(recording, path, whole, free, pen=pen_m([whole]), colors=palette.UNEXPLORED)
         _junctions(recording, whole)
         _closures(recording, topomap, closures)
         _events(recording, topomap, closures, odometry)
@@ -100,27 +102,13 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
     )
 
 
-def _unexplored(recording: Recording, topomap: TopoMap) -> None:
-    """Write the branches that were never driven."""
-    free, pen = ~driven_branches(topomap), pen_m([topomap])
-    if free.any():
-        origins, vectors = branch_arrows(topomap, 7 * pen)
-        arrows = rr.Arrows2D(
-            origins=origins[free],
-            vectors=vectors[free],
-            radii=pen / 3,
-            colors=palette.UNEXPLORED,
-            draw_order=palette.Order.UNEXPLORED,
-        )
-        recording.static((*MAP, "branches never driven"), arrows)
-
-
 def _junctions(recording: Recording, topomap: TopoMap) -> None:
     n = len(topomap)
     if n == 0:
         return
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
+    pens = np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
     values = {
         "vertex": np.arange(n),
         "kind": list(topomap.kind),
@@ -137,16 +125,11 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         topomap.xy,
         palette.Order.JUNCTION,
         values | sizes,
-        radii=_dot(topomap) * pen_m([topomap]),
+        radii=pens * pen_m([topomap]),
         colors=palette.by_degree(topomap.degree),
         labels=[str(i) for i in range(n)],
         show_labels=n <= MOST_NUMBERED,
     )
-
-
-def _dot(topomap: TopoMap) -> FloatArray:
-    """(n,) radii of the vertices' dots, in pens."""
-    return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
 
 
 def _closures(recording: Recording, topomap: TopoMap, closures: Sequence[ClosureText]) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.result import FusedMap, MergeResult, site_views
@@ -22,7 +21,6 @@ from .drawing import (
     SHEET_MARGIN,
     Strand,
     bounds,
-    branch_arrows,
     contradiction_spots,
     pen_m,
     strands,
@@ -32,7 +30,6 @@ from .parts import (
     Part,
     colours_of,
     lay_out,
-    rows_of,
 )
 from .recording import (
     UP,
@@ -43,6 +40,7 @@ from .recording import (
     map_view,
     markdown,
     placed,
+    write_branches,
     write_cards,
     write_grid,
     write_recording,
@@ -76,8 +74,12 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
             write_cards(recording, root, sheet, titles)
             for part in parts:
                 recording.static((root, part.name), placed(part.cell.T_sheet_map))
+        free, home = ~driven_branches(result.fused), result.fused.component
+        home = home[result.fused.branches.owner]
         for part in parts:
             _ribbons(recording, result.fused, part, colours, pen)
+            path, own = (FUSED, part.name, "branches never driven"), home == part.component.id
+            write_branches(recording, path, result.fused, free & own, pen=pen, colors=palette.FAINT)
             _junctions(recording, result.fused, part, pen)
             if part.component.id in walls:
                 write_grid(recording, (FUSED, part.name, "walls"), walls[part.component.id])
@@ -85,7 +87,6 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
                 own = (RUNS, part.name, run)
                 recording.static(own, placed(pose))
                 _own_map(recording, own, by_name[run], colours[run], pen)
-        _unexplored(recording, result.fused, parts, pen)
         _contradictions(recording, result, by_name, parts, pen)
         _run_names(recording, parts, colours)
         recording.static(("summary",), markdown(merge_page(result)))
@@ -222,24 +223,6 @@ def _describe_members(members: Mapping[str, tuple[int, ...]]) -> str:
     return "; ".join(
         f"{run}: {', '.join(map(str, vertices))}" for run, vertices in sorted(members.items())
     )
-
-
-def _unexplored(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    """Write the branches that no run drove."""
-    origins, vectors = branch_arrows(fused, 6 * pen)
-    free = np.flatnonzero(~driven_branches(fused))
-    owner = fused.component[fused.branches.owner[free]]
-    of_parts = rows_of(owner, [part.component.id for part in parts])
-    for part, rows in zip(parts, of_parts, strict=True):
-        if len(rows):
-            arrows = rr.Arrows2D(
-                origins=origins[free[rows]],
-                vectors=vectors[free[rows]],
-                radii=pen / 3,
-                colors=palette.FAINT,
-                draw_order=palette.Order.STUB,
-            )
-            recording.static((FUSED, part.name, "branches never driven"), arrows)
 
 
 def _contradictions(

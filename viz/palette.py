@@ -26,7 +26,6 @@ class Order(IntEnum):
     RECORDED = auto()
     CORRECTED = auto()
     SIGHTING = auto()
-    STUB = auto()
     EVIDENCE = auto()
     CORRIDOR = auto()
     UNEXPLORED = auto()

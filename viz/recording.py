@@ -16,11 +16,12 @@ import rerun.blueprint as rrb
 import rerun_bindings
 from PIL import Image
 
-from ..topology.arrays import FloatArray, IntArray
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.files import write_atomically
 from ..topology.run import Grid
 from ..topology.topomap import Graph
 from . import palette
+from .drawing import branch_arrows
 from .sheet import ASPECT, Cell, corners_of, fitting, outline
 
 APPLICATION_ID = "topobatch"
@@ -244,6 +245,32 @@ def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:
         "traversals": graph.traversals[edges],
     }
 
+
+def write_branches(
+    recording: Recording,
+    path: PathParts,
+    graph: Graph,
+    chosen: BoolArray,
+    *,
+    pen: float,
+    **look: Any,
+) -> None:
+    """Write an arrow along each of the chosen branches (total branches,); no entity without any.
+    pen: width of a corridor's line [m]; look: of rerun's Arrows2D."""
+    if chosen.any():
+        origins, vectors = branch_arrows(graph, chosen, ARROW_PENS * pen)
+        arrows = rr.Arrows2D(
+            origins=origins,
+            vectors=vectors,
+            radii=pen / 3,
+            draw_order=palette.Order.UNEXPLORED,
+            **look,
+        )
+        recording.static(path, arrows)
+
+
+ARROW_PENS = 7.0
+"""Length of a branch's arrow over the width of a corridor's line, longer than a junction's dot."""
 
 MOST_PIXELS = 8192
 """Largest image side that every graphics card takes; larger grids are reduced."""
