@@ -324,6 +324,7 @@ def _unseen_share(topomap: TopoMap, vertices: Sequence[int]) -> float:
 
 
 def _middle(path: FloatArray) -> FloatArray:
+    """The point half-way along a path (2,) [m]."""
     way = way_of(path)
     return np.array([np.interp(way[-1] / 2, way, path[:, k]) for k in (0, 1)])
 

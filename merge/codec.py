@@ -81,6 +81,7 @@ class _Reader:
         return self._classes[what](*values) if what else tuple(values)
 
     def _array(self, dtype: str, *shape: int) -> NDArray[Any]:
+        """The next array of the data."""
         kind = np.dtype(dtype)
         count = 1
         for size in shape:

@@ -136,6 +136,7 @@ def agreement(placement: Placement) -> str:
 
 
 def _contradicted(placement: Placement) -> str:
+    """How much contradicts a placement."""
     against = len(placement.of(*AGAINST))
     if against:
         return f"{against} {'contradicts' if against == 1 else 'contradict'}"
@@ -355,6 +356,7 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
 
 
 def _row(cells: Sequence[str], text: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
+    """A line of the table: numbers, text, and the junctions of both runs on the right."""
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = width - len(left) - len(right)

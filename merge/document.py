@@ -115,11 +115,13 @@ RELATED_PAIR = {
 
 
 def _written(value: object, forms: Mapping[str, Form]) -> dict[str, Any]:
+    """The fields of a value that are written."""
     parts = ((name, form.written(getattr(value, name))) for name, form in forms.items())
     return {name: part for name, part in parts if part is not None}
 
 
 def _read(entry: object, forms: Mapping[str, Form]) -> dict[str, Any]:
+    """The fields of a value, from its entry."""
     return {name: form.read(getattr(entry, name)) for name, form in forms.items()}
 
 
@@ -168,6 +170,7 @@ def _parts(result: MergeResult) -> dict[str, Any]:
 
 
 def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
+    """The entries of fused vertices."""
     xy = rounded(np.asarray(fused.xy).reshape(-1, 2), METRES)
     branches, stops = rounded(fused.branches.values, BRANCH), fused.branches.offsets.tolist()
     for i, component in enumerate(fused.component.tolist()):
@@ -195,6 +198,7 @@ def _place_sigma(fused: FusedMap, vertex: int) -> dict[str, float]:
 
 
 def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
+    """The entries of fused corridors."""
     for edge, members in zip(edges_to_document(fused), fused.edge_members, strict=True):
         own = {run: list(rows) for run, rows in by_run(sorted(members)).items()}
         yield edge | {"members": own}
@@ -244,6 +248,7 @@ def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
 
 
 def _fused_from(document: MergedDocument) -> FusedMap:
+    """The fused map of a document; ValueError where its parts do not fit together."""
     nodes, edges = document.nodes, document.edges
     if [node.id for node in nodes] != list(range(len(nodes))):
         raise ValueError("node ids must be 0, 1, 2, … in order")

@@ -181,12 +181,14 @@ class Canvas:
         self._runs.append((name, None if colour is None else _line(colour, SAMPLE_LINE_PT[0])))
 
     def _note(self, key: str, sample: Line2D) -> None:
+        """Add an entry to the key, unless there is one of this name."""
         if key:
             self._marks.setdefault(key, sample)
 
     def _markers(
         self, xy: FloatArray, colour: str, size_pt: float, marker: Marker, *, ring: bool
     ) -> Line2D:
+        """Marks at xy (n, 2) [m]."""
         return Line2D(
             xy[:, 0],
             xy[:, 1],
@@ -236,6 +238,7 @@ class Canvas:
         }
 
     def _add(self, artist: Any, tips: Sequence[str] = ()) -> None:
+        """Draw an artist, also beyond the corners; one tip becomes its tooltip."""
         artist.set_clip_on(False)
         if len(tips) == 1:
             gid = f"{self.name}-{len(self._titles)}"

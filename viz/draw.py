@@ -115,6 +115,7 @@ def _unexplored(canvas: Canvas, m: Graph, T: FloatArray, free: BoolArray) -> Non
 
 
 def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
+    """Draw the junctions, coloured by their branches, with their numbers."""
     xy = apply(T, m.xy)
     group = np.minimum(m.degree, len(_KINDS) - 1)
     for degree, label in enumerate(_KINDS):
@@ -335,6 +336,7 @@ def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence
 
 
 def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
+    """Width of a run's line: a share of the median corridor, within bounds [points]."""
     usual = float(np.median(fused.length)) if len(fused.length) else 0.0
     return float(np.clip(LINE_SHARE * usual * canvas.points_per_m, THINNEST_PT, LINE_PT))
 
@@ -342,6 +344,7 @@ def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
 def _fused(
     canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int], pen_pt: float
 ) -> None:
+    """Draw a component's corridors as strands of its runs, its junctions and turning points."""
     T = part.cell.T_sheet_map
     alone = len(part.component.poses) == 1
     drawn: dict[tuple[str, float], list[FloatArray]] = {}

@@ -88,6 +88,7 @@ def write_map_recording(
 
 
 def _corridors(recording: Recording, topomap: TopoMap) -> None:
+    """Write the corridors, brighter the more often they were driven."""
     if len(topomap.source) == 0:
         return
     share = np.clip((topomap.traversals - 1) / 3.0, 0.0, 1.0)[:, None]
@@ -103,6 +104,7 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
 
 
 def _junctions(recording: Recording, topomap: TopoMap) -> None:
+    """Write the vertices, coloured by their branches."""
     n = len(topomap)
     if n == 0:
         return
@@ -216,6 +218,7 @@ def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
 
 
 def _track(recording: Recording, track: RobotTrack) -> None:
+    """Write the odometry's track as recorded and as corrected, and the robot on it."""
     for name, pose, colour, order in (
         ("recorded", track.raw, palette.RAW, palette.Order.RECORDED),
         ("corrected", track.bent, palette.TRACK, palette.Order.CORRECTED),

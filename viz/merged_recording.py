@@ -96,6 +96,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
 
 
 def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]:
+    """The maps of the runs of a merge, by name; ValueError if one is missing or there twice."""
     by_name = {m.run: m for m in maps}
     if len(by_name) < len(maps):
         raise ValueError("two maps have the same run name")

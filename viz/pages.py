@@ -123,6 +123,7 @@ def closure_texts(topomap: TopoMap) -> list[ClosureText]:
 def _describe_closure(
     topomap: TopoMap, visit: IntArray, closure: Closure, rows: tuple[int | None, int | None]
 ) -> str:
+    """What a closure identified or refused, in a line."""
     names = [
         "a pass that is no junction"
         if k is None
@@ -168,6 +169,7 @@ def merge_page(result: MergeResult) -> str:
 
 
 def _page(title: str, counts: Sequence[str], legend: str, info: Mapping[str, Any]) -> str:
+    """A page of Markdown. counts: lines of a list; info: of the document, with its warnings."""
     parts = [f"# {plain(title)}", bulleted(counts), legend]
     if warnings := info.get("warnings"):
         parts.append("## Warnings\n\n" + bulleted([plain(w) for w in warnings]))
@@ -195,6 +197,7 @@ def bulleted(lines: Sequence[str]) -> str:
 
 
 def _span(topomap: TopoMap) -> str:
+    """How long a run took, and when it began."""
     times = topomap.observation_time_ns
     if len(times) == 0:
         return ""

@@ -88,6 +88,7 @@ def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
 
 
 def _usual_extent(points: list[FloatArray]) -> float:
+    """Median extent of the components [m]."""
     extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
     return max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
 

@@ -141,6 +141,7 @@ def _send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> Non
 
 @contextmanager
 def _strict() -> Iterator[None]:
+    """Raise rerun's warnings as errors."""
     before = rr.strict_mode()
     rr.set_strict_mode(True)
     try:

@@ -31,7 +31,7 @@ from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
 from .palette import LIGHT
 from .parts import in_order, ranks, runs_in_order
-from .report_maps import INK, blank_figure, describe_change, site_map
+from .report_maps import CHOSEN, INK, blank_figure, describe_change, site_map
 from .report_pairs import STANDING_COLOURS, matrix_figure, named_axis, page_data, pair_figure
 from .sheet import upright_rad
 
@@ -75,16 +75,16 @@ class Report:
 
 def report_page(report: Report) -> str:
     """The HTML page. Its template escapes whatever it is given."""
-    result = report.result
-    runs = runs_in_order(result) if result is not None else []
-    runs += sorted(set(report.maps) - set(runs))
-    told = page_data(result, runs, report.maps, report.decisions, report.where)
-    items: dict[str, Any] = {"runs": told}
-    items |= {name: _item(name, pair_figure()) for name in ("pair-a", "pair-b")}
-    sites = _sites(report, items)
+    result, runs = report.result, _ordered_runs(report)
+    sites, time_line = _sites(report), _time_line(report, runs)
+    figures = {"pair-a": pair_figure(), "pair-b": pair_figure()}
+    figures |= {f"site-{site['id']}": site["figure"] for site in sites}
     if result is not None and len(runs) > 1:
-        items["matrix"] = _item("matrix", matrix_figure(result))
-    rows = _time_line(report, runs, items)
+        figures["matrix"] = matrix_figure(result)
+    if time_line is not None:
+        figures["time"] = time_line
+    items = {"runs": page_data(result, runs, report.maps, report.decisions, report.where)}
+    items |= {name: _item(name, figure) for name, figure in figures.items()}
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
     page = _TEMPLATES.get_template("report.html").render(
@@ -101,13 +101,19 @@ def report_page(report: Report) -> str:
         legend=_legend(result),
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
-        time_rows=rows,
+        time_rows=0 if time_line is None else round(time_line.y_range.start),
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),
         items=items,
     )
     return page
+
+
+def _ordered_runs(report: Report) -> list[str]:
+    """All runs: those that were merged, by site, then the others."""
+    merged = [] if report.result is None else runs_in_order(report.result)
+    return merged + sorted(set(report.maps) - set(merged))
 
 
 def _file(name: str) -> str:
@@ -188,6 +194,7 @@ def _groups(result: MergeResult) -> tuple[list[Component], list[Component]]:
 
 
 def _warnings(report: Report) -> list[str]:
+    """Warnings of the report, of the merge, and of runs that it left out."""
     out = [*report.warnings]
     if report.result is not None:
         out += [str(w) for w in report.result.info.get("warnings") or ()]
@@ -197,9 +204,9 @@ def _warnings(report: Report) -> list[str]:
     return out
 
 
-def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
-    """The sites that have a map: those of several runs and those where a drive begins; their
-    figures go to `items`."""
+def _sites(report: Report) -> list[dict[str, Any]]:
+    """The sites that have a map, each with its figure: those of several runs and those where a
+    drive begins."""
     result = report.result
     if result is None:
         return []
@@ -209,16 +216,16 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
     shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
     out = []
     for c in shown[:MOST_MAPS]:
-        name, runs, fused = f"site-{c.id}", sorted(c.poses), of_sites(result, [c.id]).fused
+        runs, fused = sorted(c.poses), of_sites(result, [c.id]).fused
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
         plot = site_map(result, c, maps, report.changes, report.drives)
-        items[name] = _item(name, plot)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
         ink = [LIGHT.run(rank[run]) if len(runs) > 1 else INK for run in runs]
         out.append(
             {
                 "id": c.id,
                 "name": c.name,
+                "figure": plot,
                 "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
                 f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}",
                 "runs": list(zip(runs, ink, strict=True)),
@@ -242,8 +249,9 @@ def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:
     return [(STANDING_COLOURS[s], str(s), n) for s, n in count.items() if n]
 
 
-def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> int:
-    """Draw when each run was recorded, a row or more for each site; returns the number of rows."""
+def _time_line(report: Report, runs: Sequence[str]) -> Any | None:
+    """A figure of when each run was recorded, a row or more for each site; None if none has a
+    time."""
     several, _ = _groups(report.result) if report.result is not None else ([], [])
     groups = [(c.name, sorted(c.poses)) for c in several]
     grouped = {run for _, own in groups for run in own}
@@ -254,14 +262,14 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
         if len(m.observation_time_ns)
     }
     if not spans:
-        return 0
+        return None
     knots, places, ticks = _clock(sorted(spans.values()))
-    least = SHORTEST * places[-1]
-    free: list[float] = []
+    least, spare = SHORTEST * places[-1], places[-1] / 50
+    ends: list[float] = []  # of the last run in each row
     bars: dict[str, list[Any]] = {k: [] for k in ("left", "right", "top", "bottom", "ink", "told")}
     labels: dict[float, str] = {}
     for name, own in groups:
-        first = len(free)
+        first = len(ends)
         for rank, run in enumerate(own):
             if run not in spans:
                 continue
@@ -269,22 +277,19 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
             begin, end = spans[run]
             left, right = np.interp(np.subtract((begin, end), knots[0]), knots - knots[0], places)
             right = max(right, left + least)
-            row = next((k for k in range(first, len(free)) if free[k] < left), len(free))
-            if row == len(free):
-                free.append(0.0)
-            free[row] = right + least / 4
+            row = next((k for k in range(first, len(ends)) if ends[k] < left), len(ends))
+            ends[row : row + 1] = [right + least / 4]
             bars["left"].append(round(float(left), 2))
             bars["right"].append(round(float(right), 2))
             bars["bottom"].append(row + 0.15)
             bars["top"].append(row + 0.85)
             bars["ink"].append(LIGHT.run(rank) if run in grouped else INK)
             bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
-    spare = places[-1] / 50
-    plot = blank_figure((-spare, places[-1] + least + spare), (len(free), 0), "xpan,tap")
+    plot = blank_figure((-spare, places[-1] + least + spare), (len(ends), 0), "xpan,tap")
     plot.quad(
         "left", "right", "top", "bottom",
         source=ColumnDataSource(bars), fill_color="ink", line_color=None,
-        nonselection_fill_alpha=1.0, selection_fill_color="#c026d3",
+        nonselection_fill_alpha=1.0, selection_fill_color=CHOSEN,
     )  # fmt: skip
     plot.ygrid[0].update(visible=False)
     plot.xgrid[0].update(grid_line_color=INK, grid_line_alpha=0.25)
@@ -298,8 +303,7 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
         major_label_overrides=ticks,
     )
     named_axis(plot.yaxis[0], labels)
-    items["time"] = _item("time", plot)
-    return len(free)
+    return plot
 
 
 def _clock(spans: Sequence[tuple[int, int]]) -> tuple[IntArray, FloatArray, dict[float, str]]:
@@ -345,6 +349,7 @@ def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[s
 
 
 def _measured(m: TopoMap) -> list[str]:
+    """The cells of a run's row that its map fills."""
     times, noise = m.observation_time_ns, m.measured
     begin = utc(int(times.min())) if len(times) else "—"
     lasts = minutes(int(times.max() - times.min())) if len(times) else "—"

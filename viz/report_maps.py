@@ -275,6 +275,7 @@ class _Site:
         self._words(f.xy[rows], list(map(str, rows)), INK, NUMBERS, (6, -8))
 
     def _describe_junction(self, v: int) -> str:
+        """A fused junction in a line: branches, passes, runs, position."""
         f = self.fused
         runs = sorted(f.members[v])
         sigma = f.position_sigma

@@ -77,6 +77,7 @@ Leaving = Mapping[int, Sequence[tuple[int, _Way]]]
 
 
 def _by_branch(corridors: Sequence[Corridor]) -> Leaving:
+    """The corridors at each place, in both directions."""
     out: dict[int, list[tuple[int, _Way]]] = {}
     for k, c in enumerate(corridors):
         out.setdefault(c.u, []).append((c.branch_u, _Way(k, c.v, c.branch_v)))

@@ -197,6 +197,7 @@ def observations_of(
 def _fused_map(
     pool: Pool, xy: FloatArray, places: Sequence[Place], corridors: Sequence[Corridor]
 ) -> FusedMap:
+    """Places and corridors as a fused map of one component. xy: (places, 2) [m]."""
     members = tuple(
         by_run((pool.maps[pool.run[row]].run, int(pool.vertex[row])) for row in place.rows)
         for place in places

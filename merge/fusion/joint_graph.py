@@ -199,6 +199,7 @@ def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
 
 
 def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
+    """(n, 3) poses of a map's vertices in the component's frame, if the map does not bend."""
     local = np.column_stack([topomap.xy, np.zeros(len(topomap))])
     return compose(T_component_run, local)
 

@@ -101,6 +101,7 @@ def _corridors(fused: FusedMap, step_m: float) -> Callable[[int], Ways]:
 def _ends(
     fused: FusedMap, components: Sequence[Component], maps: Sequence[TopoMap]
 ) -> Iterator[_End]:
+    """The turning points of all runs, attached to fused vertices."""
     poses = {run: pose for c in components for run, pose in c.poses.items()}
     home = fused_of(fused.members)
     for m in maps:

@@ -27,6 +27,7 @@ def honour(
 def _locked(
     verdict: PairVerdict, lock: Lock | None, forced: Callable[[Lock], Alignment | None]
 ) -> PairVerdict:
+    """The verdict on a pair, by its lock if there is one."""
     if lock is None:
         return verdict
     if lock.decision == "never":

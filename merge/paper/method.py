@@ -148,6 +148,7 @@ def decide(
 
 
 def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:
+    """UsageError if a meeting names a run that is not among the maps."""
     for m in settings.meetings:
         for run in (m.run_a, m.run_b):
             if run not in runs:
@@ -246,6 +247,7 @@ def _verdict(bits: float, lead: float, needed: float) -> Verdict:
 
 
 def _reason(best: Alignment, second: Alignment | None, needed: float, found: Matching) -> str:
+    """The evidence of the best cluster in words."""
     what = (
         f"the best of {counted(len(found.clusters), 'cluster')} matches "
         f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
@@ -262,6 +264,7 @@ def _reason(best: Alignment, second: Alignment | None, needed: float, found: Mat
 
 
 def _advice(bits: float, needed: float) -> str:
+    """What would settle an ambiguous pair."""
     if bits < needed:
         return "drive more of the places that both runs know"
     return "drive on to where the two placements differ"

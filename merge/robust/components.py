@@ -168,6 +168,7 @@ def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[P
 
 
 def _laid(pose: FloatArray, z: ComplexArray | np.complex128) -> ComplexArray:
+    """Points z, x + iy [m], moved by a pose (3,)."""
     x, y, theta = pose.tolist()
     return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))
 

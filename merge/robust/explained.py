@@ -207,6 +207,7 @@ def _terms(
 
 
 def _describe_copy_test(tested: CopyTest) -> str:
+    """The test for a copy in words."""
     bits, need = (
         describe_bits(tested.bits, tested.needed_bits).removesuffix(" needed").split(" bits, ")
     )
@@ -216,6 +217,7 @@ def _describe_copy_test(tested: CopyTest) -> str:
 
 
 def _chosen_from(c: Candidate) -> str:
+    """Among how many hypotheses a candidate was chosen, in words."""
     if c.by_views:
         return "proposed by views"
     tested = round(2.0**c.tested_bits - 1)
@@ -223,6 +225,7 @@ def _chosen_from(c: Candidate) -> str:
 
 
 def _links(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for each link between matched junctions."""
     agree = c.support
     rows = zip(agree.ends.tolist(), agree.along.tolist(), agree.links.tolist(), strict=True)
     for ends, along, bits in rows:
@@ -238,6 +241,7 @@ def _links(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
 
 
 def _branches(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for the branches of each matched junction."""
     for (u, v), bits in zip(_matched(c), c.support.branches.tolist(), strict=True):
         yield Term("branches", bits, f"{a.count[u]} and {b.count[v]} branches", (u,), (v,))
 
@@ -264,6 +268,7 @@ def _views(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
 
 
 def _against(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for each contradiction."""
     described = {
         "unseen": "junction unseen in a corridor",
         "elsewhere": "corridors that lead elsewhere",
