@@ -250,55 +250,64 @@ class Canvas:
         """Write what stands around the drawing: heading lines above (empty ones are skipped; the
         first one is larger), a scale bar and the key below, first of marks, then of runs."""
         with _styled():
-            title, *others = map(legible, heading)
-            room = letters(self._room_pt, TEXT_PT)
-            lines = [line for text in others for line in wrap(text, room)]
-            rise = TEXT_PT
-            for k, line in enumerate(
-                [short(title, letters(self._room_pt, HEADING_PT)), *lines][::-1]
-            ):
-                font = self._font() if k < len(lines) else self._font(HEADING_PT, bold=True)
-                self._axes.text(0.0, 1.0, line, va="bottom", transform=self._below(-rise), **font)
-                rise += LINE_PT
-            length = round_length(0.2 * float(self.high[0] - self.low[0]))
-            bar = AnchoredSizeBar(
-                self._axes.transData,
-                length,
-                f"{length:g} m",
-                "upper left",
-                frameon=False,
-                borderpad=0.0,
-                color=self.theme["ink"],
-                fontproperties=FontProperties(size=TEXT_PT),
-                bbox_to_anchor=(0.0, 0.0),
-                bbox_transform=self._below(4.0),
-            )
-            self._add(bar)
+            self._write_heading(*map(legible, heading))
+            self._draw_scale_bar()
             below = 2 * LINE_PT
             groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
             for group in filter(None, groups):
-                longest = max(len(label) for label, _ in group)
-                widest = LETTER * TEXT_PT * longest + 3 * LINE_PT
-                columns = max(1, floor(self._room_pt / widest))
-                most = letters(self._room_pt / columns - 3 * LINE_PT, TEXT_PT)
-                legend = self._axes.legend(
-                    [sample or _line("none", 0.0) for _, sample in group],
-                    [short(legible(label), most) for label, _ in group],
-                    loc="upper left",
-                    bbox_to_anchor=(0.0, 0.0),
-                    bbox_transform=self._below(below),
-                    ncols=columns,
-                    frameon=False,
-                    fontsize=TEXT_PT,
-                    labelcolor=self.theme["ink"],
-                    labelspacing=LINE_PT / TEXT_PT - 1,
-                    borderpad=0.0,
-                    borderaxespad=0.0,
-                )
-                for (_, sample), text in zip(group, legend.get_texts(), strict=True):
-                    text.set_fontweight("normal" if sample else "bold")
-                self._add(legend)
-                below += LINE_PT * ceil(len(group) / columns) + 6.0
+                rows = self._draw_key(group, below)
+                below += LINE_PT * rows + 6.0
+
+    def _write_heading(self, title: str, *others: str) -> None:
+        """Write the title and lines below it, upwards from the drawing's upper edge."""
+        room = letters(self._room_pt, TEXT_PT)
+        lines = [(line, self._font()) for text in others for line in wrap(text, room)]
+        title = short(title, letters(self._room_pt, HEADING_PT))
+        lines = [(title, self._font(HEADING_PT, bold=True)), *lines]
+        for k, (line, font) in enumerate(reversed(lines)):
+            above = self._below(-TEXT_PT - k * LINE_PT)
+            self._axes.text(0.0, 1.0, line, va="bottom", transform=above, **font)
+
+    def _draw_scale_bar(self) -> None:
+        length = round_length(0.2 * float(self.high[0] - self.low[0]))
+        bar = AnchoredSizeBar(
+            self._axes.transData,
+            length,
+            f"{length:g} m",
+            "upper left",
+            frameon=False,
+            borderpad=0.0,
+            color=self.theme["ink"],
+            fontproperties=FontProperties(size=TEXT_PT),
+            bbox_to_anchor=(0.0, 0.0),
+            bbox_transform=self._below(4.0),
+        )
+        self._add(bar)
+
+    def _draw_key(self, group: Sequence[tuple[str, Line2D | None]], below_pt: float) -> int:
+        """Draw the entries of a key, label and sample, in as many columns as fit; returns the
+        number of rows. Labels without a sample are headings."""
+        longest = max(len(label) for label, _ in group)
+        columns = max(1, floor(self._room_pt / (LETTER * TEXT_PT * longest + 3 * LINE_PT)))
+        most = letters(self._room_pt / columns - 3 * LINE_PT, TEXT_PT)
+        legend = self._axes.legend(
+            [sample or _line("none", 0.0) for _, sample in group],
+            [short(legible(label), most) for label, _ in group],
+            loc="upper left",
+            bbox_to_anchor=(0.0, 0.0),
+            bbox_transform=self._below(below_pt),
+            ncols=columns,
+            frameon=False,
+            fontsize=TEXT_PT,
+            labelcolor=self.theme["ink"],
+            labelspacing=LINE_PT / TEXT_PT - 1,
+            borderpad=0.0,
+            borderaxespad=0.0,
+        )
+        for (_, sample), text in zip(group, legend.get_texts(), strict=True):
+            text.set_fontweight("normal" if sample else "bold")
+        self._add(legend)
+        return ceil(len(group) / columns)
 
     def _below(self, down_pt: float) -> Any:
         """The transform of the drawing's fractions, moved down the page."""
