@@ -32,7 +32,7 @@ from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
 from ..topology.wording import legible
-from .drawing import Marker
+from .geometry import Marker
 from .palette import Order, Theme
 
 Format = Literal["svg", "png"]

@@ -18,7 +18,7 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, letters
-from .drawing import (
+from .geometry import (
     MOST_NUMBERED,
     SHEET_MARGIN,
     TURNED,

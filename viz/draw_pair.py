@@ -27,7 +27,7 @@ from ..topology.views import CELL_M, REACH_M
 from ..topology.wording import counted
 from .canvas import SMALL_PT, Canvas
 from .draw import WIDTH_PT, draw_frames, draw_walls, sheet_canvas
-from .drawing import MOST_NUMBERED, contradiction_spots, extent
+from .geometry import MOST_NUMBERED, contradiction_spots, extent
 from .palette import Order, Theme
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .walls import wall_points, walls_of

@@ -11,7 +11,7 @@ from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, Timeline
 
 from ..topology.arrays import FloatArray
 from ..topology.topomap import TopoMap
-from .drawing import bounds
+from .geometry import bounds
 from .recording import CLOCKS, PathParts, blueprint, entity, map_view
 from .robot_track import RobotTrack
 

@@ -19,7 +19,7 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .drawing import MOST_NUMBERED, pen_m
+from .geometry import MOST_NUMBERED, pen_m
 from .map_blueprint import MAP, map_blueprint
 from .pages import ClosureText, closure_texts, map_page, visits
 from .recording import (

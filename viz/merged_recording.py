@@ -17,7 +17,7 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .drawing import (
+from .geometry import (
     SHEET_MARGIN,
     Strand,
     bounds,

@@ -16,7 +16,7 @@ from ..topology.ragged import numbered
 from ..topology.topomap import Closure, Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
-from .drawing import TURNED
+from .geometry import TURNED
 
 MOST_LINES = 40
 """Longer lists are cut; the JSON document has all entries."""

@@ -21,7 +21,7 @@ from ..topology.files import write_atomically
 from ..topology.run import Grid
 from ..topology.topomap import Graph
 from . import palette
-from .drawing import branch_arrows
+from .geometry import branch_arrows
 from .sheet import ASPECT, Cell, corners_of, fitting, outline
 
 APPLICATION_ID = "topobatch"

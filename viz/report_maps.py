@@ -29,7 +29,7 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
-from .drawing import TURNED, TURNED_MARKERS, bounds, changed_path, strands
+from .geometry import TURNED, TURNED_MARKERS, bounds, changed_path, strands
 from .pages import describe_corridor
 from .palette import LIGHT
 from .parts import ranks, rows_of

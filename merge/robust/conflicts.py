@@ -3,8 +3,9 @@ without detecting them, and corridors that lead elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise, starmap
 from typing import Literal
 
 import numpy as np
@@ -133,18 +134,13 @@ class _Found:
     edge: IntArray
     bits: FloatArray
 
-    def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> Callable[[int], Unseen]:
-        """Gives those of a lane with a weight above 0, as its maps number them; first_vertex,
+    def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> list[Unseen]:
+        """Those of each lane with a weight above 0, as its maps number them; first_vertex,
         first_edge: (l,) first rows of its two maps."""
         own = take(self, self.bits.nonzero()[0])
-        first = cuts(own.lane, len(first_vertex))
         vertex, edge = own.vertex - first_vertex[own.lane], own.edge - first_edge[own.lane]
-
-        def of(lane: int) -> Unseen:
-            rows = slice(first[lane], first[lane + 1])
-            return Unseen(vertex[rows], edge[rows], own.bits[rows])
-
-        return of
+        rows = starmap(slice, pairwise(cuts(own.lane, len(first_vertex))))
+        return [Unseen(vertex[k], edge[k], own.bits[k]) for k in rows]
 
 
 def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
@@ -164,7 +160,7 @@ def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
     weight, first = _elsewhere_bits(grown).tolist(), cuts(lane, len(lanes))
     out = [NO_CONFLICTS] * len(lanes)
     for k in searched.nonzero()[0].tolist():
-        out[k] = Conflicts(in_a(k), in_b(k), rows[first[k] : first[k + 1]], weight[k])
+        out[k] = Conflicts(in_a[k], in_b[k], rows[first[k] : first[k + 1]], weight[k])
     return out
 
 

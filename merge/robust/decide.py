@@ -13,7 +13,7 @@ from .components import Across, Components, Refusal, as_alignment, join_all
 from .entries import Case
 from .forced import forced_alignment
 from .pairing import Means, Pair, Pairwise
-from .rematching import Rematcher, Reunion
+from .rematching import ComponentMatch, Rematcher
 from .settings import DEFAULT_ROBUST, RobustSettings
 
 
@@ -59,11 +59,11 @@ def decide(
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     joined, refused = _join(batch, components, forced)
-    reunions = _rematch(batch, components, joined, locked, forced)
-    batch.say(f"{len(joined)} pairs join, {len(reunions)} by what components say together")
-    refused |= batch.match_overlapping(components, reunions)
+    matches = _rematch(batch, components, joined, locked, forced)
+    batch.say(f"{len(joined)} pairs join, {len(matches)} by what components say together")
+    refused |= batch.match_overlapping(components, matches)
     found = _verdicts(
-        batch, components, forced=forced, locked=locked, refused=refused, reunions=reunions
+        batch, components, forced=forced, locked=locked, refused=refused, matches=matches
     )
     return tuple(found)
 
@@ -118,7 +118,7 @@ def _rematch(
     joined: Mapping[Pair, Alignment],
     locked: Mapping[Pair, Lock],
     forced: Collection[Pair],
-) -> dict[Pair, Reunion]:
+) -> dict[Pair, ComponentMatch]:
     """Join components by what their merged maps say; locks that name junctions, and that no
     alignment of their own pair honours, hold for these as well."""
     unmet = {
@@ -138,14 +138,14 @@ def _verdicts(
     forced: Mapping[Pair, Candidate],
     locked: Mapping[Pair, Lock],
     refused: Mapping[Pair, Refusal],
-    reunions: Mapping[Pair, Reunion],
+    matches: Mapping[Pair, ComponentMatch],
 ) -> Iterator[PairVerdict]:
     """The verdicts on all pairs that were matched, sorted.
 
     A verdict from the two maps alone stands unless a lock, a component or other runs concern the
     pair. Those are assessed again, with the placements that other runs corroborate.
     """
-    concerned = {*forced, *locked, *refused, *reunions}
+    concerned = {*forced, *locked, *refused, *matches}
     for some in in_parts(sorted(batch.found)):
         open_ = (p for p in some if p in concerned or not batch.verdicts[p].accepted)
         corroborated = batch.corroborated(open_, components)
@@ -161,7 +161,7 @@ def _verdicts(
                 forced=forced.get(pair),
                 lock=locked.get(pair),
                 refused=refused.get(pair),
-                reunion=reunions.get(pair),
+                by_components=matches.get(pair),
                 corroborated=corroborated.get(pair),
                 together=components.together(*pair),
             )

@@ -159,7 +159,7 @@ def _thinned(views: Sequence[Views]) -> Views:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reunion:
+class ComponentMatch:
     """A pair of runs joined by a match of their components.
 
     assessment: of the two components; sides: the runs of each.
@@ -185,13 +185,13 @@ class _Match:
     assessment: Assessment
     links: Mapping[Pair, Alignment]
 
-    def reunions(self) -> Iterator[tuple[Pair, Reunion]]:
+    def of_pairs(self) -> Iterator[tuple[Pair, ComponentMatch]]:
         """What it says of pairs of runs."""
         known, best = {**self.one.maps, **self.two.maps}, self.assessment
         for pair, alignment in self.links.items():
             others = sorted(m.run for k, m in known.items() if k not in pair)
             reason = f"together with {listed(others, 4)}: {evidence(best)}"
-            yield pair, Reunion(alignment, reason, best, (self.one.names, self.two.names))
+            yield pair, ComponentMatch(alignment, reason, best, (self.one.names, self.two.names))
 
 
 @dataclass(slots=True, eq=False)
@@ -216,18 +216,18 @@ class Rematcher:
     def __post_init__(self) -> None:
         self._merged = MergedMaps(self.matcher)
 
-    def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
+    def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, ComponentMatch]:
         """The pairs joined by their components; joined: the alignments of the pairs joined
         before."""
         accepted = dict(joined)
-        reunions: dict[Pair, Reunion] = {}
+        matches: dict[Pair, ComponentMatch] = {}
         while found := self._matches(accepted):
             strongest = max(found, key=lambda m: (m.assessment.bits, m.one.runs, m.two.runs))
             accepted.update(strongest.links)
-            reunions.update(strongest.reunions())
+            matches.update(strongest.of_pairs())
             (i, j), first = next(iter(strongest.links.items()))
             self.components.join(i, j, first.transform)
-        return reunions
+        return matches
 
     def _open(self) -> list[Sides]:
         """Pairs of components with an undecided pair across them that are not both single runs, and
