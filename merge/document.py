@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -24,7 +23,6 @@ from .result import (
     FusedMap,
     MergeResult,
     PairVerdict,
-    Unlisted,
     Verdict,
     by_run,
 )
@@ -156,7 +154,7 @@ def _parts(result: MergeResult) -> dict[str, Any]:
         ]
     }
     if result.unlisted is not None:
-        graph["unlisted"] = asdict(result.unlisted)
+        graph["unlisted"] = result.unlisted.model_dump()
     graph |= {k: v for k, v in sorted(result.info.items()) if k not in graph}
     return {
         "schema": MERGED_SCHEMA,
@@ -226,8 +224,7 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     own = ("components", "unlisted")
     info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
     verdicts = tuple(map(_verdict_from, document.merges))
-    counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
-    return MergeResult(components, fused, verdicts, info, counted)
+    return MergeResult(components, fused, verdicts, info, graph.unlisted)
 
 
 def _check_components(components: Sequence[Component], fused: FusedMap) -> None:

@@ -23,7 +23,7 @@ from .result import (
     Component,
     MergeResult,
     PairVerdict,
-    Unlisted,
+    UnlistedPairs,
     Verdict,
     pairs_of,
 )
@@ -150,7 +150,7 @@ def _unlisted(
     verdicts: tuple[PairVerdict, ...],
     shown: tuple[PairVerdict, ...],
     components: Sequence[Component],
-) -> Unlisted | None:
+) -> UnlistedPairs | None:
     """Counts of the pairs of a large merge that are not listed."""
     if pairs_of(runs) <= MOST_PAIRS:
         return None
@@ -160,7 +160,7 @@ def _unlisted(
     apart = [v for v in verdicts if home[v.a] != home[v.b]]
     unrelated = len(apart) - sum(home[v.a] != home[v.b] for v in shown)
     screened = pairs_of(runs) - len(shown) - joined - unrelated
-    return Unlisted(joined, unrelated, screened)
+    return UnlistedPairs(joined=joined, unrelated=unrelated, screened=screened)
 
 
 def _with_placements(
