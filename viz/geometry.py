@@ -26,6 +26,10 @@ MOST_NUMBERED = 150
 WIDEST_RIBBON = 4
 """Largest width of a ribbon, in pens; with more runs its strands get thinner."""
 
+SMALL, MEDIUM, LARGE = 1.0, 1.5, 2.2
+"""Radii of dots in the viewer, in pens (`pen_m`): wide enough to cover a corridor's line, and told
+apart by eye."""
+
 TURNED = {
     TURNING_POINT: "the robot turned round",
     TRACK_END: "a log begins or ends",

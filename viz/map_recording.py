@@ -19,7 +19,7 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .geometry import MOST_NUMBERED, pen_m
+from .geometry import LARGE, MEDIUM, MOST_NUMBERED, SMALL, pen_m
 from .map_blueprint import MAP, map_blueprint
 from .pages import ClosureText, closure_texts, map_page, visits
 from .recording import (
@@ -35,8 +35,9 @@ from .recording import (
 from .robot_track import RobotTrack, robot_track
 from .walls import walls_of
 
-FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
-"""Radii, in pens, of the rings round a junction, one for each accepted closure."""
+RING_STEP, MOST_RINGS = 0.6, 8
+"""Distance of the rings round a junction, one for each accepted closure, in pens; with more than so
+many they begin anew. The first is a pen from the largest dot."""
 
 _CIRCLE = np.stack(
     [np.cos(np.linspace(0, 2 * np.pi, 25)), np.sin(np.linspace(0, 2 * np.pi, 25))], 1
@@ -110,7 +111,7 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         return
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
-    pens = np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
+    pens = np.where(topomap.is_turned, SMALL, np.where(topomap.degree >= 3, LARGE, MEDIUM))
     values = {
         "vertex": np.arange(n),
         "kind": list(topomap.kind),
@@ -147,7 +148,7 @@ def _closures(recording: Recording, topomap: TopoMap, closures: Sequence[Closure
             continue
         u, v = topomap.observation_vertex[[a, b]].tolist()
         if shown.closure.accepted and u == v:
-            radius = pen * (FIRST_RING + RING_STEP * (rings[u] % MOST_RINGS))
+            radius = pen * (LARGE + 1 + RING_STEP * (rings[u] % MOST_RINGS))
             rings[u] += 1
             groups["accepted"].append((shown, topomap.xy[u] + radius * _CIRCLE))
         elif u != v:

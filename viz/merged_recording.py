@@ -18,7 +18,10 @@ from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
 from .geometry import (
+    LARGE,
+    MEDIUM,
     SHEET_MARGIN,
+    SMALL,
     Strand,
     bounds,
     contradiction_spots,
@@ -213,7 +216,7 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         fused.xy[rows],
         palette.Order.JUNCTION,
         values,
-        radii=pen * np.where(several, 2.4, 1.4),
+        radii=pen * np.where(several, LARGE, MEDIUM),
         colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
         labels=list(map(str, rows.tolist())),
         show_labels=False,
@@ -247,7 +250,7 @@ def _contradictions(
         if spots:
             path, at = (FUSED, name, "contradictions"), [xy for xy, _ in spots]
             values = {"contradiction": [words for _, words in spots]}
-            look = {"radii": 2.0 * pen, "colors": palette.REFUSED}
+            look = {"radii": LARGE * pen, "colors": palette.REFUSED}
             recording.dots(path, at, palette.Order.CONTRADICTION, values, **look)
 
 
@@ -257,7 +260,7 @@ def _own_map(
     """Write a run's own map below its entity path, in its own frame and in one colour."""
     if len(m.source):
         values = corridor_attributes(m, np.arange(len(m.source)))
-        look = {"radii": 0.4 * pen, "colors": colour}
+        look = {"radii": pen / 2, "colors": colour}
         recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, values, **look)
     if len(m):
         values = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
@@ -266,7 +269,7 @@ def _own_map(
             m.xy,
             palette.Order.JUNCTION,
             values,
-            radii=1.2 * pen,
+            radii=SMALL * pen,
             colors=colour,
             labels=[*map(str, range(len(m)))],
             show_labels=False,
