@@ -121,8 +121,8 @@ class _Seen:
                 self._at[node].append(e)
 
     def places(self, run: str, node: int) -> list[int]:
-        """Fused vertices as which a run passed the place of a fused vertex: itself and those beside
-        it, or lookalikes."""
+        """The fused vertices that a run saw where a fused vertex is: itself and those beside it, or
+        else those that look like it."""
         here = [k for k in self._near[node] if run in self.nodes[k]]
         return here or [k for k in self._alike[node] if run in self.nodes[k]]
 

@@ -9,7 +9,7 @@ from ..locks import Lock, Names
 from ..result import Alignment, PairVerdict, Verdict
 
 
-def honour(
+def with_locks(
     verdicts: Sequence[PairVerdict],
     table: Mapping[Names, Lock],
     forced: Callable[[Lock], Alignment | None],

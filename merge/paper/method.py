@@ -28,7 +28,7 @@ from ..result import Alignment, PairVerdict, Verdict, shown_bits
 from ..wording import describe_bits
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
-from .locking import honour
+from .locking import with_locks
 from .meeting import Meeting, near_vertices
 from .significance import SelfSimilarity, cluster_bits, self_similarity
 
@@ -144,7 +144,7 @@ def decide(
         out.append(verdict)
         if on_pair is not None:
             on_pair(len(out), len(pairs))
-    return honour(out, table, lambda lock: _forced(by_run, lock, settings))
+    return with_locks(out, table, lambda lock: _forced(by_run, lock, settings))
 
 
 def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:

@@ -69,8 +69,8 @@ def decide(
 
 
 def _forced(batch: Batch, locked: Mapping[Pair, Lock]) -> dict[Pair, Candidate]:
-    """Alignments of the pairs that are locked as the same: as they are shown to who locks them,
-    also where copies are ranked otherwise than by chance."""
+    """Alignments of the pairs that are locked as the same: of those that `explain` shows, which
+    are ranked with the test for copies, else of all that the match finds."""
     same = [pair for pair, lock in sorted(locked.items()) if lock.decision == "same"]
     settings = batch.matcher.settings
     out = {}

@@ -21,7 +21,7 @@ from .prepare import Prepared
 from .rematching import ComponentMatch
 from .verdict import DOUBTS, ELSEWHERE, NOTHING_ALIKE, Assessment, Weighed
 from .view_ties import view_ties
-from .wording import evidence, summary
+from .wording import describe_evidence, describe_match
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
@@ -59,7 +59,7 @@ class Case:
 
     def _evidence(self) -> str:
         """The evidence of the two maps alone, as a clause."""
-        return DISCARDED if self.assessment.discarded else evidence(self.assessment)
+        return DISCARDED if self.assessment.discarded else describe_evidence(self.assessment)
 
     def _infeasible(self, lock: Lock) -> PairVerdict:
         """The verdict where a lock as the same is infeasible: no alignment satisfies it."""
@@ -125,7 +125,7 @@ class Case:
         return self._pair(
             self.assessment,
             verdict=Verdict.MERGED,
-            reason=reason.format(summary(chosen, bits, self.assessment.need_bits, margin)),
+            reason=reason.format(describe_match(chosen, bits, self.assessment.need_bits, margin)),
             best=best,
             runner_up=second,
             margin_bits=margin,

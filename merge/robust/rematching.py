@@ -39,7 +39,7 @@ from .pairing import Pair, Pairwise, candidates_of, result_of
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
-from .wording import evidence
+from .wording import describe_evidence
 
 Runs = tuple[int, ...]
 
@@ -190,7 +190,7 @@ class _Match:
         known, best = {**self.one.maps, **self.two.maps}, self.assessment
         for pair, alignment in self.links.items():
             others = sorted(m.run for k, m in known.items() if k not in pair)
-            reason = f"together with {listed(others, 4)}: {evidence(best)}"
+            reason = f"together with {listed(others, 4)}: {describe_evidence(best)}"
             yield pair, ComponentMatch(alignment, reason, best, (self.one.names, self.two.names))
 
 

@@ -9,7 +9,7 @@ from .alignment import Candidate
 from .verdict import Assessment
 
 
-def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
+def describe_match(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
     """What agrees, what contradicts, the evidence, and how far the next alignment is behind or
     ahead."""
     agree = describe_agreement(len(best), len(best.corridors), best.views.agreeing)
@@ -28,11 +28,11 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     return f"{text}; next best alignment {bits_apart} bits behind"
 
 
-def evidence(found: Assessment) -> str:
+def describe_evidence(found: Assessment) -> str:
     """What the evidence of two maps comes to; where nothing is beyond chance, why they are
     unrelated."""
     if found.best is not None:
-        return summary(found.best, found.bits, found.need_bits, found.margin)
+        return describe_match(found.best, found.bits, found.need_bits, found.margin)
     if found.faint is None:
         return "no significant match: no alignment holds"
     junctions = found.faint.junctions
