@@ -18,9 +18,6 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
 from .geometry import TURNED
 
-MOST_LINES = 40
-"""Longer lists are cut; the JSON document has all entries."""
-
 MAP_LEGEND = """\
 Junctions are coloured by their branches: dead ends **red**, bends **grey**, three **blue**, four
 **green**, more **violet**. Small **red** dots: the robot turned round, or its log begins or ends.
@@ -189,11 +186,8 @@ def minutes(span_ns: int) -> str:
 
 
 def bulleted(lines: Sequence[str]) -> str:
-    """A Markdown list, cut after MOST_LINES with a note of how many are left out."""
-    shown = [f"- {line}" for line in lines[:MOST_LINES]]
-    if len(lines) > MOST_LINES:
-        shown.append(f"- … and {len(lines) - MOST_LINES} more, in the JSON document")
-    return "\n".join(shown)
+    """A Markdown list."""
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _span(topomap: TopoMap) -> str:

@@ -188,12 +188,12 @@ class _Site:
     def corridors(self) -> None:
         """Every corridor as one line, to be clicked; faint under the lines of several runs."""
         f, rows = self.fused, self.edges.tolist()
-        told = []
+        tips = []
         for e in rows:
             what, runs = describe_corridor(f, e), sorted({run for run, _ in f.edge_members[e]})
-            told.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
+            tips.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
         paths, alpha = [f.paths[e] for e in rows], 0.45 if len(self.own.poses) > 1 else 0.9
-        self._lines(paths, told, FAINT, "", line_width=3.0, line_alpha=alpha)
+        self._lines(paths, tips, FAINT, "", line_width=3.0, line_alpha=alpha)
 
     def runs(self, rank: Mapping[str, int]) -> None:
         """A line beside the others for each of several runs that drove a corridor."""
@@ -227,22 +227,22 @@ class _Site:
         """What is gone, new, or there at times."""
         if not shown:
             return
-        paths, told = (
+        paths, tips = (
             [changed_path(self.fused, self.edges, c) for c in shown],
             [describe_change(c, self.own.name) for c in shown],
         )
-        self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
-        self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
+        self._lines(paths, tips, BAD, "changes", line_width=9.0, line_alpha=0.4)
+        self._dots(np.array([c.xy for c in shown]), tips, BAD, "changes", 16.0, ring=True)
 
     def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""
         if not found:
             return
-        told = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
+        tips = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
         paths = [drive.path for _, drive in found]
-        self._lines(paths, told, PLANNED, DRIVES, line_width=6.0, line_alpha=0.6)
+        self._lines(paths, tips, PLANNED, DRIVES, line_width=6.0, line_alpha=0.6)
         begins = np.array([drive.stops[0].xy for _, drive in found])
-        self._dots(begins, told, PLANNED, DRIVES, 18.0, ring=True)
+        self._dots(begins, tips, PLANNED, DRIVES, 18.0, ring=True)
         together: dict[int | None, list[int]] = {}
         for row, (_, drive) in enumerate(found):
             together.setdefault(drive.stops[0].junction, []).append(row)
@@ -265,13 +265,13 @@ class _Site:
         for kind, marker in TURNED_MARKERS.items():
             rows = [v for v in self.vertices[turned].tolist() if f.kind[v] == kind]
             runs = [listed(sorted(f.members[v]), MOST_RUNS) for v in rows]
-            told = [f"Here {TURNED[kind]} ({who})" for who in runs]
-            self._dots(f.xy[rows], told, LIGHT["degree 1"], "", 6.0, marker=marker)
+            tips = [f"Here {TURNED[kind]} ({who})" for who in runs]
+            self._dots(f.xy[rows], tips, LIGHT["degree 1"], "", 6.0, marker=marker)
         rows = self.vertices[~turned].tolist()
         for shared, size in ((False, 7.0), (True, 10.0)):
             some = [v for v in rows if (len(f.members[v]) > 1) == shared]
-            told = [self._describe_junction(v) for v in some]
-            self._dots(f.xy[some], told, INK, "", size, number=some)
+            tips = [self._describe_junction(v) for v in some]
+            self._dots(f.xy[some], tips, INK, "", size, number=some)
         self._words(f.xy[rows], list(map(str, rows)), INK, NUMBERS, (6, -8))
 
     def _describe_junction(self, v: int) -> str:
@@ -306,14 +306,14 @@ class _Site:
     # ink: colour; layer: "" for what is always shown; look: of Bokeh's glyphs.
 
     def _lines(
-        self, paths: Sequence[FloatArray], told: Sequence[str], ink: str, layer: str, **look: Any
+        self, paths: Sequence[FloatArray], tips: Sequence[str], ink: str, layer: str, **look: Any
     ) -> None:
         """Polylines, (k, 2) each in the site's frame, and what a click on one says."""
         x, y = self._path_columns(paths)
         self.plot.multi_line(
             "xs",
             "ys",
-            source=ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, told))}),
+            source=ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, tips))}),
             line_color=ink,
             line_cap="round",
             line_join="round",
@@ -326,7 +326,7 @@ class _Site:
     def _dots(
         self,
         xy: FloatArray,
-        told: Sequence[str],
+        tips: Sequence[str],
         ink: str,
         layer: str,
         size: float,
@@ -337,10 +337,10 @@ class _Site:
     ) -> None:
         """Marks or rings at xy (n, 2) in the site's frame, and what a click on one says; number: of
         junctions, by which the page finds them."""
-        if not len(told):
+        if not len(tips):
             return
         x, y = columns(apply(self.T, xy))
-        given = {"x": x, "y": y, "told": list(map(legible, told))}
+        given = {"x": x, "y": y, "told": list(map(legible, tips))}
         given |= {"number": list(number)} if len(number) else {}
         self.plot.scatter(
             "x",

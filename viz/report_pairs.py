@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -207,11 +208,9 @@ def _is_of(alignment: Alignment, maps: Mapping[str, TopoMap], pair: PairVerdict)
     """Whether both maps are there and have the junctions that an alignment names."""
     if not {pair.a, pair.b} <= maps.keys():
         return False
-
-    def known(run: str, junctions: Iterable[int]) -> bool:
-        m = maps[run]
-        return all(0 <= k < len(m) + len(m.turning_points) for k in junctions)
-
-    a = [*alignment.matched[:, 0].tolist(), *(k for ks, _ in alignment.contradicting for k in ks)]
-    b = [*alignment.matched[:, 1].tolist(), *(k for _, ks in alignment.contradicting for k in ks)]
-    return known(pair.a, a) and known(pair.b, b)
+    for side, m in enumerate((maps[pair.a], maps[pair.b])):
+        against = chain.from_iterable(where[side] for where in alignment.contradicting)
+        named = [*alignment.matched[:, side].tolist(), *against]
+        if max(named, default=0) >= len(m) + len(m.turning_points):
+            return False
+    return True

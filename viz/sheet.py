@@ -112,10 +112,7 @@ def _shelves(sizes: Sequence[FloatArray]) -> list[FloatArray]:
     if not sizes:
         return []
     widest = max(float(w) for w, _ in sizes)
-    widths = np.linspace(widest, max(widest, sum(float(w) for w, _ in sizes)), WIDTHS_TRIED)
-    if len(sizes) > WIDTHS_TRIED:
-        area = sum(float(w * h) for w, h in sizes)
-        widths = np.maximum(widest, np.sqrt(area * ASPECT) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
+    widths = np.geomspace(widest, sum(float(w) for w, _ in sizes), WIDTHS_TRIED)
     laid = [_rows(sizes, float(width)) for width in widths]
     best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / ASPECT, laid[i][2]), i))
     return laid[best][0]
