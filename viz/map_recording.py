@@ -129,7 +129,7 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         palette.Order.JUNCTION,
         values | sizes,
         radii=pens * pen_m([topomap]),
-        colors=palette.by_degree(topomap.degree),
+        colors=palette.DEGREES[np.minimum(topomap.degree, len(palette.DEGREES) - 1)],
         labels=[str(i) for i in range(n)],
         show_labels=n <= MOST_NUMBERED,
     )

@@ -9,8 +9,6 @@ from enum import IntEnum, auto
 import numpy as np
 from numpy.typing import NDArray
 
-from ..topology.arrays import IntArray
-
 Colour = tuple[int, int, int]
 Colours = NDArray[np.uint8]
 """(n, 3) RGB."""
@@ -85,11 +83,6 @@ _RUNS: tuple[tuple[Colour, str], ...] = (
     ((214, 178, 140), "#8d6748"),
 )
 """Colours of runs, on dark and on light paper: ten that are easy to tell apart."""
-
-
-def by_degree(degree: IntArray) -> Colours:
-    """Colours (n, 3) by the number of branches."""
-    return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
 
 
 _INKS = {

@@ -74,7 +74,9 @@ def lay_out(
     ]
     turns = [upright_rad(p) for p in paths]
     share = MARGIN if len(order) > 1 else ALONE_MARGIN
-    cells = arrange(points, turns, share * _usual_extent(points))
+    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
+    usual_m = max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
+    cells = arrange(points, turns, share * usual_m)
     junction = ~fused.is_turned
     places = [int(junction[rows].sum()) for rows in vertices]
     return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
@@ -85,12 +87,6 @@ def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
     order = np.argsort(owner, kind="stable")
     begin, end = (np.searchsorted(owner[order], wanted, side) for side in ("left", "right"))
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
-
-
-def _usual_extent(points: list[FloatArray]) -> float:
-    """Median extent of the components [m]."""
-    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
-    return max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
 
 
 def ranks(result: MergeResult) -> dict[str, int]:

@@ -85,6 +85,7 @@ def report_page(report: Report) -> str:
         figures["time"] = time_line
     items = {"runs": page_data(result, runs, report.maps, report.decisions, report.where)}
     items |= {name: _item(name, figure) for name, figure in figures.items()}
+    counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
     page = _TEMPLATES.get_template("report.html").render(
@@ -98,7 +99,7 @@ def report_page(report: Report) -> str:
         drives=[(k, d, shown_bits(d.bits)) for k, d in enumerate(report.drives, 1)],
         unexplored=report.unexplored,
         changes=_changes(report),
-        legend=_legend(result),
+        legend=[(STANDING_COLOURS[s], str(s), n) for s, n in counts.items() if n],
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
         time_rows=0 if time_line is None else round(time_line.y_range.start),
@@ -241,12 +242,6 @@ def _changes(report: Report) -> list[str]:
     """The words of every change."""
     names = {c.id: c.name for c in report.result.components} if report.result else {}
     return [describe_change(c, names[c.component]) for c in report.changes if c.sure]
-
-
-def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:
-    """Colour, name and number of pairs of each standing that there is."""
-    count = result.standings() if result else {}
-    return [(STANDING_COLOURS[s], str(s), n) for s, n in count.items() if n]
 
 
 def _time_line(report: Report, runs: Sequence[str]) -> Any | None:

@@ -149,12 +149,6 @@ def columns(xy: FloatArray) -> tuple[list[float], list[float]]:
     return x, y
 
 
-def path_columns(paths: Iterable[FloatArray]) -> tuple[list[list[float]], list[list[float]]]:
-    """x and y of each polyline."""
-    both = [columns(simplify(path, STRAIGHT_M)) for path in paths]
-    return [x for x, _ in both], [y for _, y in both]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Site:
     """The figure of a component, its own. T: the pose in the figure of its frame; vertices, edges:
@@ -301,7 +295,8 @@ class _Site:
 
     def _path_columns(self, paths: Iterable[FloatArray]) -> tuple[Any, Any]:
         """x and y of each polyline of the site's frame, in the figure."""
-        return path_columns(apply(self.T, path) for path in paths)
+        both = [columns(simplify(apply(self.T, path), STRAIGHT_M)) for path in paths]
+        return [x for x, _ in both], [y for _, y in both]
 
     # ink: colour; layer: "" for what is always shown; look: of Bokeh's glyphs.
 

@@ -135,7 +135,9 @@ def decide(
     """
     ordered = sorted(maps, key=lambda m: m.run)
     by_run = {m.run: m for m in ordered}
-    _check_meetings(settings, by_run)
+    for run in (run for m in settings.meetings for run in (m.run_a, m.run_b)):
+        if run not in by_run:
+            raise UsageError(f"a meeting names run {run!r}, which is not among the maps")
     table = locks_among(locks, by_run)
     prepared = [prepare_map(m, settings) for m in ordered]
     pairs = list(combinations(prepared, 2))
@@ -145,14 +147,6 @@ def decide(
         if on_pair is not None:
             on_pair(len(out), len(pairs))
     return with_locks(out, table, lambda lock: _forced(by_run, lock, settings))
-
-
-def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:
-    """UsageError if a meeting names a run that is not among the maps."""
-    for m in settings.meetings:
-        for run in (m.run_a, m.run_b):
-            if run not in runs:
-                raise UsageError(f"a meeting names run {run!r}, which is not among the maps")
 
 
 def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) -> Alignment | None:

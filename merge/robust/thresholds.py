@@ -167,7 +167,8 @@ def _goes_on(copy: Candidate, need_bits: float) -> bool:
     building repeats itself, but not how far: the copy is as large as the corner. A standard part,
     or a copy by chance, ends, and what lies beyond contradicts it.
     """
-    return _distinct_bits(copy) >= need_bits and copy.contradicting_bits < MATCH.lead_bits
+    bits = copy.counted_bits * _distinct_share(copy)
+    return bits >= need_bits and copy.contradicting_bits < MATCH.lead_bits
 
 
 def _beyond_chance(copy: Candidate) -> bool:
@@ -178,12 +179,6 @@ def _beyond_chance(copy: Candidate) -> bool:
     """
     once = (copy.bits + copy.tested_bits) * _distinct_share(copy)
     return once - copy.tested_bits > MATCH.lead_bits
-
-
-def _distinct_bits(copy: Candidate) -> float:
-    """The evidence of a match of a map with itself, without duplicates and bounded by its junctions
-    [bits]."""
-    return copy.counted_bits * _distinct_share(copy)
 
 
 def _distinct_share(copy: Candidate) -> float:
