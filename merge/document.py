@@ -171,6 +171,7 @@ def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
     """The entries of fused vertices."""
     xy = rounded(np.asarray(fused.xy).reshape(-1, 2), METRES)
     branches, stops = rounded(fused.branches.values, BRANCH), fused.branches.offsets.tolist()
+    sigma = np.full(len(fused), np.nan) if fused.position_sigma is None else fused.position_sigma
     for i, component in enumerate(fused.component.tolist()):
         yield {
             "id": i,
@@ -183,16 +184,8 @@ def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
             "observations": [
                 {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]
             ],
-            **_place_sigma(fused, i),
+            **({"sigma_m": significant(float(sigma[i]))} if np.isfinite(sigma[i]) else {}),
         }
-
-
-def _place_sigma(fused: FusedMap, vertex: int) -> dict[str, float]:
-    """The sigma of a fused vertex, if known."""
-    known = fused.position_sigma
-    if known is None or not np.isfinite(known[vertex]):
-        return {}
-    return {"sigma_m": significant(float(known[vertex]))}
 
 
 def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:

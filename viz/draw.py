@@ -52,13 +52,13 @@ MOST_TIMES = 4
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
 
 
-def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
+def draw_map(topomap: TopoMap, theme: Theme) -> Canvas:
     """Draw one run's map: corridors, junctions coloured by their number of branches, branches that
     were never driven, and below them walls, where a laser or a saved map showed them."""
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
     seen = wall_points(walls_of([topomap.views], topomap.frame))
     low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
-    canvas = Canvas(low, high, theme, WIDTH_PT, name)
+    canvas = Canvas(low, high, theme, WIDTH_PT, "map")
     _corridors_of(canvas, whole, turn)
     _unexplored(canvas, whole, turn, ~driven_branches(whole))
     draw_walls(canvas, [topomap.views], turn, theme["wall"])

@@ -6,7 +6,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +15,6 @@ from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
 from .sheet import MIN_SIDE_M, Cell, arrange, upright_rad
-
-NO_WALLS: Mapping[int, FloatArray] = MappingProxyType({})
 
 MARGIN, ALONE_MARGIN = 0.18, 0.04
 """Margin of a cell over the median map's extent: with room for a title, and for a single map, which
@@ -58,7 +55,7 @@ def in_order(result: MergeResult) -> list[Component]:
 
 def lay_out(
     result: MergeResult,
-    to_hold: Mapping[int, FloatArray] = NO_WALLS,
+    to_hold: Mapping[int, FloatArray],
     shown: Collection[int] | None = None,
 ) -> list[Part]:
     """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points

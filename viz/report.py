@@ -121,11 +121,6 @@ def _file(name: str) -> str:
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
 
 
-def _one_line(value: object) -> str:
-    """Any value as text on one line, without unprintable characters."""
-    return legible(" ".join(str(value).split()))
-
-
 _TEMPLATES = Environment(
     loader=FileSystemLoader(Path(__file__).parent),
     autoescape=True,
@@ -133,7 +128,7 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_TEMPLATES.filters["line"] = _one_line
+_TEMPLATES.filters["line"] = lambda value: legible(" ".join(str(value).split()))
 _TEMPLATES.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
 
 

@@ -161,14 +161,16 @@ def _opened(
     if pair.locked:
         out["locked"] = pair.locked
     if decision is not None:
-        lines = [because(decision), advice(decision) or "", f"Needed: {needs(decision)}"]
+        lines = [because(decision), advice(decision), f"Needed: {needs(decision)}"]
         lines += [f"Note: {note}" for note in decision.notes]
         out["told"] = [legible(line) for line in lines if line]
+        digits = digits_of(decision)
         out["rows"] = [
-            [row.level, legible(row.text), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
+            [row.level, legible(row.text), row.a, row.b]
+            + ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
             for row in rows(decision, MOST_LINKS)
         ]
-        placed = [_placed(p.alignment, maps, pair, p, decision) for p in decision.placements]
+        placed = [_placed(p.alignment, maps, pair, p) for p in decision.placements]
     else:
         placed = [_placed(a, maps, pair) for a in (pair.best, pair.runner_up) if a is not None]
     if shown := [p for p in placed if p is not None]:
@@ -176,16 +178,11 @@ def _opened(
     return out
 
 
-def _bits(bits: float | None, decision: Decision) -> str:
-    return "" if bits is None else f"{bits:+z.{digits_of(decision)}f}"
-
-
 def _placed(
     alignment: Alignment,
     maps: Mapping[str, TopoMap],
     pair: PairVerdict,
     placement: Placement | None = None,
-    decision: Decision | None = None,
 ) -> dict[str, Any] | None:
     """A placement to be drawn; None if the maps do not have the junctions that it names."""
     if not _is_of(alignment, maps, pair):
@@ -198,7 +195,7 @@ def _placed(
         "against": [legible(told) for told in alignment.contradictions],
         "spots": [[list(a), list(b)] for a, b in alignment.contradicting],
     }
-    if placement is not None and decision is not None:
+    if placement is not None:
         links = itemised(placement, LINKS)
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out
