@@ -254,9 +254,9 @@ def _time_line(report: Report, runs: Sequence[str]) -> Any | None:
     if not spans:
         return None
     knots, places, ticks = _clock(sorted(spans.values()))
-    least, spare = SHORTEST * places[-1], places[-1] / 50
+    least = SHORTEST * places[-1]
     ends: list[float] = []  # of the last run in each row
-    bars: dict[str, list[Any]] = {k: [] for k in ("left", "right", "top", "bottom", "ink", "told")}
+    bars: list[tuple[float, float, float, float, str, str]] = []
     labels: dict[float, str] = {}
     for name, own in groups:
         first = len(ends)
@@ -266,21 +266,35 @@ def _time_line(report: Report, runs: Sequence[str]) -> Any | None:
             labels[first + 0.5] = name
             begin, end = spans[run]
             left, right = np.interp(np.subtract((begin, end), knots[0]), knots - knots[0], places)
-            right = max(right, left + least)
+            right = max(float(right), float(left) + least)
             row = next((k for k in range(first, len(ends)) if ends[k] < left), len(ends))
             ends[row : row + 1] = [right + least / 4]
-            bars["left"].append(round(float(left), 2))
-            bars["right"].append(round(float(right), 2))
-            bars["bottom"].append(row + 0.15)
-            bars["top"].append(row + 0.85)
-            bars["ink"].append(LIGHT.run(rank) if run in grouped else INK)
-            bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
-    plot = blank_figure((-spare, places[-1] + least + spare), (len(ends), 0), "xpan,tap")
+            ink = LIGHT.run(rank) if run in grouped else INK
+            tip = legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}")
+            sides = (round(float(left), 2), round(right, 2), row + 0.15, row + 0.85)
+            bars.append((*sides, ink, tip))
+    return _time_figure(bars, labels, ticks, (places[-1] + least, len(ends)))
+
+
+def _time_figure(
+    bars: Sequence[tuple[float, float, float, float, str, str]],
+    labels: Mapping[float, str],
+    ticks: Mapping[float, str],
+    size: tuple[float, int],
+) -> Any:
+    """The figure of the time line. bars: left, right, bottom, top, colour and tip of each; labels:
+    of sites, by their rows; ticks: by their places; size: length of the axis and number of rows."""
+    far, rows = size
+    plot = blank_figure((-far / 50, 1.02 * far), (rows, 0), "xpan,tap")
+    names = ("left", "right", "bottom", "top", "ink", "told")
     plot.quad(
-        "left", "right", "top", "bottom",
-        source=ColumnDataSource(bars), fill_color="ink", line_color=None,
-        nonselection_fill_alpha=1.0, selection_fill_color=CHOSEN,
-    )  # fmt: skip
+        *("left", "right", "top", "bottom"),
+        source=ColumnDataSource(dict(zip(names, map(list, zip(*bars, strict=True)), strict=True))),
+        fill_color="ink",
+        line_color=None,
+        nonselection_fill_alpha=1.0,
+        selection_fill_color=CHOSEN,
+    )
     plot.ygrid[0].update(visible=False)
     plot.xgrid[0].update(grid_line_color=INK, grid_line_alpha=0.25)
     plot.xaxis[0].update(
