@@ -7,11 +7,8 @@ from dataclasses import dataclass
 from enum import IntEnum, auto
 
 import numpy as np
-from numpy.typing import NDArray
 
 Colour = tuple[int, int, int]
-Colours = NDArray[np.uint8]
-"""(n, 3) RGB."""
 
 
 class Order(IntEnum):
