@@ -228,6 +228,7 @@ STEP_M = 0.5
 
 
 def _fault_rate(rate: float) -> float:
+    """A rate of faults as measured, between `least_fault_rate` and one half."""
     return min(max(rate, CHANGES.least_fault_rate), 0.5)
 
 

@@ -297,9 +297,9 @@ class _Ground:
         self.stops = [Stop(*name, (x, y)) for name, (x, y) in zip(names, at, strict=True)]
 
     def walk(self, shared: Sequence[int], need: int) -> tuple[tuple[int, ...], float]:
-        """The shortest walk found by `need` places of either site, where one has fewer by all, and
-        its length [m]: by more of what is needed first. shared: the places of both, from which
-        walks lead into either; none without any."""
+        """The shortest walk found by `need` places of each site, or by all that it has, and its
+        length [m]; one by more of these places comes before shorter ones. shared: the places of
+        both, where walks cross from one to the other; without any there is no walk."""
         if not shared:
             return (), 0.0
         in_site, in_other = (
@@ -307,7 +307,8 @@ class _Ground:
         )
 
         def tried(pivot: int) -> tuple[int, float, tuple[int, ...]]:
-            """First the other site, then the first one for what is still wanting."""
+            """The walk from a place of both, through the other site, then on in the first one for
+            what is still missing: minus the places that count, its length, its places."""
             seen = {pivot}
             there, two = in_other.tour(pivot, seen, need - 1)
             have = int(self.in_site[list(seen)].sum())

@@ -118,8 +118,10 @@ def junctions_of_merged(result: MergeResult, source: TopoMap, merged: TopoMap) -
 def _matched(
     a: TopoMap, b: TopoMap, pairs: Sequence[tuple[int, int]], turn_rad: float
 ) -> MatchedJunctions:
-    """pairs: vertices of a and of b; turn_rad: about the rotation from a's frame to b's. Sigmas
-    have the lower bounds of the joint pose graph."""
+    """Junctions of a and of b that are one place, with the rotation that their branches show.
+
+    pairs: their vertices; turn_rad: about the rotation from a's frame to b's. Sigmas have the lower
+    bounds of the joint pose graph."""
     u, v = np.array(pairs, np.int64).reshape(-1, 2).T
     share = np.stack([1 / np.maximum(m.passes[rows], 1) for m, rows in ((a, u), (b, v))])
     noise = a.measured, b.measured

@@ -139,7 +139,7 @@ class _Pair:
 
 
 def _matched(c: Candidate) -> Iterator[tuple[int, int]]:
-    """Its pairs of vertices."""
+    """The matched vertices of a candidate, pair by pair."""
     return zip(c.a.tolist(), c.b.tolist(), strict=True)
 
 
