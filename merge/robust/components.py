@@ -43,10 +43,6 @@ class Components:
         """Whether runs i and j are in one component."""
         return self.head[i] == self.head[j]
 
-    def size(self, head: int) -> int:
-        """Number of runs of a component."""
-        return len(self.members[head])
-
     def relative(self, i: int, j: int) -> FloatArray:
         """T_i_j of two runs of one component."""
         return compose(inverse(self.pose[i]), self.pose[j])
