@@ -19,6 +19,7 @@ from ..topology.views import Views
 from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, letters
 from .geometry import (
+    LINE_SHARE,
     MOST_NUMBERED,
     SHEET_MARGIN,
     TURNED,
@@ -42,9 +43,7 @@ COMPONENT_PT = 110.0
 """A merge's drawing is about this wide for each component across, within WIDTH_PT and WIDEST_PT."""
 
 LINE_PT, THINNEST_PT = 2.2, 0.7
-LINE_SHARE = 0.12
-"""Width of a corridor's line in a merge over the median corridor length, within THINNEST_PT and
-LINE_PT."""
+"""Widths of a corridor's line; in a merge it follows from LINE_SHARE, within these bounds."""
 
 MOST_TIMES = 4
 """Corridors driven more often than this are drawn no wider."""

@@ -27,7 +27,7 @@ from ..topology.views import CELL_M, REACH_M
 from ..topology.wording import counted
 from .canvas import SMALL_PT, Canvas
 from .draw import WIDTH_PT, draw_frames, draw_walls, sheet_canvas
-from .geometry import MOST_NUMBERED, contradiction_spots, extent
+from .geometry import MIN_SIDE_M, MOST_NUMBERED, contradiction_spots, extent
 from .palette import Order, Theme
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .walls import wall_points, walls_of
@@ -139,7 +139,7 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     origin = np.zeros((1, 2))  # of maps without junctions
     of_a = apply(upright, extent(a) if len(a) else origin)
     of_b = apply(compose(upright, T_a_b), extent(b) if len(b) else origin)
-    reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
+    reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), MIN_SIDE_M)
     drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * reach
     away = np.array([ASIDE * reach, drop, 0.0])
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))

@@ -42,6 +42,12 @@ TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
 )
 """Its mark, a red one."""
 
+MIN_SIDE_M = 4.0
+"""Smallest side of a picture, or of a cell on a sheet: of a map of one junction."""
+
+LINE_SHARE = 0.12
+"""Largest width of a run's line in a merge over the median corridor: several lie side by side."""
+
 MARGIN, SHEET_MARGIN = 0.05, 0.02
 """Margin around a map and around a sheet of maps, as shares of the extent."""
 
@@ -153,12 +159,12 @@ def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
 
 def bounds(points: Sequence[FloatArray], margin: float = MARGIN) -> tuple[FloatArray, FloatArray]:
     """Low and high corner (2,) around all points, with a margin as a share of the extent, which
-    counts at least 4 m."""
+    counts at least MIN_SIDE_M."""
     joined = np.concatenate([*points, np.zeros((0, 2))])
     if len(joined) == 0:
         joined = np.zeros((1, 2))
     low, high = joined.min(axis=0), joined.max(axis=0)
-    spare = margin * max(float((high - low).max()), 4.0)
+    spare = margin * max(float((high - low).max()), MIN_SIDE_M)
     return low - spare, high + spare
 
 

@@ -14,7 +14,8 @@ from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
-from .sheet import MIN_SIDE_M, Cell, arrange, upright_rad
+from .geometry import MIN_SIDE_M
+from .sheet import Cell, arrange, upright_rad
 
 MARGIN, ALONE_MARGIN = 0.18, 0.04
 """Margin of a cell over the median map's extent: with room for a title, and for a single map, which

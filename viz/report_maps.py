@@ -29,7 +29,7 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
-from .geometry import TURNED, TURNED_MARKERS, bounds, changed_path, strands
+from .geometry import LINE_SHARE, TURNED, TURNED_MARKERS, bounds, changed_path, strands
 from .pages import describe_corridor
 from .palette import LIGHT
 from .parts import ranks, rows_of
@@ -45,9 +45,8 @@ GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#8b5cf6"
 PICTURE_PX = 700.0
 """A map's width on a page of usual width."""
 
-PEN_PX, PEN_SHARE = 2.4, 0.12
-"""Width of a run's line where the map fills its picture; over the median corridor at most, as in
-drawings."""
+PEN_PX = 2.4
+"""Width of a run's line where the map fills its picture, within LINE_SHARE."""
 
 SCALE_BAR = 0.04
 """Room for the scale bar below a map, and for numbers at its right, over its extent."""
@@ -196,7 +195,7 @@ class _Site:
         extent = self.plot.x_range.end - self.plot.x_range.start
         usual = usual_m(self.fused.length[self.edges])
         found = strands(
-            self.fused, self.edges, min(PEN_PX * extent / PICTURE_PX, PEN_SHARE * usual)
+            self.fused, self.edges, min(PEN_PX * extent / PICTURE_PX, LINE_SHARE * usual)
         )
         x, y = self._path_columns(strand.path for strand in found)
         inks = [LIGHT.run(rank[strand.run]) for strand in found]

@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, rotation
+from .geometry import MIN_SIDE_M
 
 ASPECT = 1.3
 """Target ratio of width to height of a sheet, that of the viewer's view."""
-
-MIN_SIDE_M = 4.0
-"""Smallest side of a cell."""
 
 WIDTHS_TRIED = 24
 """Number of sheet widths that are compared."""
