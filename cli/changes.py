@@ -105,10 +105,12 @@ def _drawn(
     place: Workspace, result: MergeResult, sites: Sequence[Component], shown: Sequence[Change]
 ) -> Canvas:
     """The maps of the sites in which something changed, of all if nothing did."""
-    from ..viz.draw import draw_sites
+    from ..viz.draw import draw_merged
     from ..viz.palette import LIGHT
 
     quiet_fonts()
     changed = {c.component for c in shown}
     drawn = [c for c in sites if c.id in changed or not changed] or result.components
-    return draw_sites(result, [c.id for c in drawn], LIGHT, walled(place, drawn), changes=shown)
+    return draw_merged(
+        result, LIGHT, sites=[c.id for c in drawn], maps=walled(place, drawn), changes=shown
+    )

@@ -97,7 +97,7 @@ def _drawn(place: Workspace, what: str, theme: Theme) -> Canvas:
     if found.site is None:
         return drawings.draw_merged(result, theme, maps=walled(place, result.components))
     (site,) = (c for c in result.components if c.site == found.site)
-    return drawings.draw_sites(result, [site.id], theme, walled(place, [site]))
+    return drawings.draw_merged(result, theme, sites=[site.id], maps=walled(place, [site]))
 
 
 MOST_WALLED = 100

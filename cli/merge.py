@@ -11,10 +11,10 @@ import typer
 
 from ..merge.document import read_merged
 from ..merge.result import MergeResult, PairVerdict, Standing
-from ..merge.wording import told_bits
+from ..merge.wording import describe_bits
 from ..topology.errors import DataError, DocumentError, UsageError
 from ..topology.wording import counted, listed
-from ..viz.pages import pairs_told
+from ..viz.pages import describe_pairs
 from .journal import note
 from .matching import MatchOptions, match_share, read_maps
 from .merges import made, sites_before
@@ -154,7 +154,7 @@ def merge(
             if not broken:
                 remember(place, state_of(place, documents, (how, paper)))
         runs_of = counted(sum(len(c.poses) for c in result.components), "run")
-        told = "; ".join([f"{place.merge}: {runs_of}, {pairs_told(result)}", *moved])
+        told = "; ".join([f"{place.merge}: {runs_of}, {describe_pairs(result)}", *moved])
         note(place, "merge", f"{told}{by_settings(place)}")
     _show(result, place)
     for each in moved:
@@ -213,7 +213,7 @@ def _show(result: MergeResult, place: Workspace) -> None:
         warn(text)
     _show_pairs(result)
     say(f"{place.merged_json}")
-    say(pairs_told(result))
+    say(describe_pairs(result))
     _show_sites(result, place)
     name = () if place.merge == MERGED else (place.merge,)
     say(f"{place.merged_rrd}  (look at it: {place.call('view', *name)})")
@@ -246,7 +246,7 @@ def _open_because(pair: PairVerdict) -> str:
     """Why an ambiguous pair is not merged, in brief if its own evidence is what falls short."""
     if not pair.lacks or pair.locked or pair.threshold_bits is None:
         return pair.reason
-    return f"{told_bits(pair.evidence_bits, pair.threshold_bits)}; {pair.lacks}"
+    return f"{describe_bits(pair.evidence_bits, pair.threshold_bits)}; {pair.lacks}"
 
 
 def _show_sites(result: MergeResult, place: Workspace) -> None:
@@ -273,7 +273,7 @@ def _weakest(result: MergeResult, runs: Collection[str]) -> str:
     for pair in sorted(result.verdicts, key=lambda pair: -pair.evidence_bits):
         need = pair.threshold_bits
         if pair.accepted and pair.a in runs and need is not None and joined.merge(pair.a, pair.b):
-            bits = told_bits(pair.evidence_bits, need)
+            bits = describe_bits(pair.evidence_bits, need)
             told = f"; weakest link {pair.a} + {pair.b}, {bits}"
     return told
 

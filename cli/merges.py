@@ -15,7 +15,7 @@ from ..topology.errors import DataError, DocumentError
 from ..topology.files import write_together
 from ..topology.topomap import TopoMap
 from ..topology.wording import counted
-from ..viz.pages import pairs_told
+from ..viz.pages import describe_pairs
 from .matching import MatchOptions, kept_results, matching, read_maps, settings_of
 from .output import progress, say, warn
 from .unchanged import changed_since, contents
@@ -99,7 +99,7 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
     before = {new.get(run, run): new.get(site, site) for run, site in graph.sites.items()}
     result, moved = made(place, maps, documents, _about(settings, new, runs), before)
     name = "" if place.merge == MERGED else f", {place.merge}"
-    say(f"merged again{name}: {counted(len(maps), 'run')}, {pairs_told(result)}")
+    say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
     for each in moved:
         say(each)
 

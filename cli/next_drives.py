@@ -144,10 +144,12 @@ def _plan(
     if suffix in PLANS:
         return drives_csv(found) if suffix == PLANS[0] else drives_geojson(found)
     quiet_fonts()
-    from ..viz.draw import draw_sites
+    from ..viz.draw import draw_merged
     from ..viz.palette import LIGHT
 
     begin = {d.component for d in found}
     sites = [c for c in result.components if (c.id in begin if found else c.name in shown)]
-    canvas = draw_sites(result, [c.id for c in sites], LIGHT, walled(place, sites), drives=found)
+    canvas = draw_merged(
+        result, LIGHT, sites=[c.id for c in sites], maps=walled(place, sites), drives=found
+    )
     return canvas.as_bytes("svg" if suffix == PICTURES[0] else "png")

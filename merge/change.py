@@ -85,6 +85,7 @@ class Change:
         )
 
     def _when(self) -> str:
+        """Between which passes it changed; of what came and went, all findings."""
         if self.between is None:
             found = sorted(
                 [(w.first_ns, w.run, "found") for w in self.there]

@@ -121,8 +121,8 @@ class _Seen:
                 self._at[node].append(e)
 
     def places(self, run: str, node: int) -> list[int]:
-        """Fused vertices as which a run passed the place of a fused vertex: itself and those beside
-        it, or lookalikes."""
+        """The fused vertices that a run saw where a fused vertex is: itself and those beside it, or
+        else those that look like it."""
         here = [k for k in self._near[node] if run in self.nodes[k]]
         return here or [k for k in self._alike[node] if run in self.nodes[k]]
 
@@ -228,6 +228,7 @@ STEP_M = 0.5
 
 
 def _fault_rate(rate: float) -> float:
+    """A rate of faults as measured, between `least_fault_rate` and one half."""
     return min(max(rate, CHANGES.least_fault_rate), 0.5)
 
 
@@ -324,6 +325,7 @@ def _unseen_share(topomap: TopoMap, vertices: Sequence[int]) -> float:
 
 
 def _middle(path: FloatArray) -> FloatArray:
+    """The point half-way along a path (2,) [m]."""
     way = way_of(path)
     return np.array([np.interp(way[-1] / 2, way, path[:, k]) for k in (0, 1)])
 

@@ -44,7 +44,7 @@ def from_bytes(data: bytes, classes: Mapping[str, type]) -> Any:
 
 
 def _taken_apart(value: object, arrays: list[NDArray[Any]]) -> object:
-    """The JSON value of a value; its arrays are appended to `arrays`."""
+    """The form of a value in JSON, without its arrays, which are appended to `arrays`."""
     if isinstance(value, np.ndarray):
         arrays.append(value)
         return [ARRAY, value.dtype.str, *value.shape]
@@ -68,11 +68,11 @@ class _Reader:
         self._at = start
         self._classes = classes
 
-    def value(self, told: Any) -> Any:
-        """The value of its JSON value."""
-        if not isinstance(told, list):
-            return told
-        what, *parts = told
+    def value(self, form: Any) -> Any:
+        """The value of which `_taken_apart` made this form."""
+        if not isinstance(form, list):
+            return form
+        what, *parts = form
         if what == ARRAY:
             return self._array(*parts)
         if what == MAPPING:
@@ -81,6 +81,7 @@ class _Reader:
         return self._classes[what](*values) if what else tuple(values)
 
     def _array(self, dtype: str, *shape: int) -> NDArray[Any]:
+        """The next array of the data."""
         kind = np.dtype(dtype)
         count = 1
         for size in shape:

@@ -162,6 +162,7 @@ def to_document(decision: Decision) -> dict[str, Any]:
 
 
 def _placement(placement: Placement) -> dict[str, Any]:
+    """A placement as JSON values."""
     a = placement.alignment
     return {
         "transform": pose_to_document(a.transform),

@@ -18,7 +18,7 @@ from ..topology.wording import listed as names_listed
 from .decision import AGAINST, LINKS, Decision, Placement, Term, TermKind
 from .locks import DISCARDED, discarded
 from .result import PairVerdict, Verdict, shown_bits
-from .wording import AGREES_BITS, decimals, what_agrees
+from .wording import AGREES_BITS, decimals, describe_agreement
 
 WIDTH = 79
 """Columns of the smallest usual terminal."""
@@ -132,10 +132,11 @@ def agreement(placement: Placement) -> str:
     """What agrees, and what contradicts."""
     views = sum(t.bits > AGREES_BITS for t in placement.of("views"))
     junctions, corridors = len(placement.of("branches")), placement.alignment.corridors
-    return f"{what_agrees(junctions, corridors, views)}, {_contradicted(placement)}"
+    return f"{describe_agreement(junctions, corridors, views)}, {_contradicted(placement)}"
 
 
 def _contradicted(placement: Placement) -> str:
+    """How much contradicts a placement."""
     against = len(placement.of(*AGAINST))
     if against:
         return f"{against} {'contradicts' if against == 1 else 'contradict'}"
@@ -355,6 +356,7 @@ def _table(decision: Decision, links: int, width: int) -> list[str]:
 
 
 def _row(cells: Sequence[str], text: str, width: int, ends: tuple[str, str] = ("", "")) -> str:
+    """A line of the table: numbers, text, and the junctions of both runs on the right."""
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = width - len(left) - len(right)

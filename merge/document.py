@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -24,7 +23,6 @@ from .result import (
     FusedMap,
     MergeResult,
     PairVerdict,
-    Unlisted,
     Verdict,
     by_run,
 )
@@ -115,11 +113,13 @@ RELATED_PAIR = {
 
 
 def _written(value: object, forms: Mapping[str, Form]) -> dict[str, Any]:
+    """The fields of a value that are written."""
     parts = ((name, form.written(getattr(value, name))) for name, form in forms.items())
     return {name: part for name, part in parts if part is not None}
 
 
 def _read(entry: object, forms: Mapping[str, Form]) -> dict[str, Any]:
+    """The fields of a value, from its entry."""
     return {name: form.read(getattr(entry, name)) for name, form in forms.items()}
 
 
@@ -154,7 +154,7 @@ def _parts(result: MergeResult) -> dict[str, Any]:
         ]
     }
     if result.unlisted is not None:
-        graph["unlisted"] = asdict(result.unlisted)
+        graph["unlisted"] = result.unlisted.model_dump()
     graph |= {k: v for k, v in sorted(result.info.items()) if k not in graph}
     return {
         "schema": MERGED_SCHEMA,
@@ -168,8 +168,10 @@ def _parts(result: MergeResult) -> dict[str, Any]:
 
 
 def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
+    """The entries of fused vertices."""
     xy = rounded(np.asarray(fused.xy).reshape(-1, 2), METRES)
     branches, stops = rounded(fused.branches.values, BRANCH), fused.branches.offsets.tolist()
+    sigma = np.full(len(fused), np.nan) if fused.position_sigma is None else fused.position_sigma
     for i, component in enumerate(fused.component.tolist()):
         yield {
             "id": i,
@@ -182,19 +184,12 @@ def _nodes(fused: FusedMap) -> Iterator[dict[str, Any]]:
             "observations": [
                 {"run": run, "time_ns": time_ns} for run, time_ns in fused.observations[i]
             ],
-            **_place_sigma(fused, i),
+            **({"sigma_m": significant(float(sigma[i]))} if np.isfinite(sigma[i]) else {}),
         }
 
 
-def _place_sigma(fused: FusedMap, vertex: int) -> dict[str, float]:
-    """The sigma of a fused vertex, if known."""
-    known = fused.position_sigma
-    if known is None or not np.isfinite(known[vertex]):
-        return {}
-    return {"sigma_m": significant(float(known[vertex]))}
-
-
 def _edges(fused: FusedMap) -> Iterator[dict[str, Any]]:
+    """The entries of fused corridors."""
     for edge, members in zip(edges_to_document(fused), fused.edge_members, strict=True):
         own = {run: list(rows) for run, rows in by_run(sorted(members)).items()}
         yield edge | {"members": own}
@@ -222,8 +217,7 @@ def result_from_document(document: MergedDocument) -> MergeResult:
     own = ("components", "unlisted")
     info: dict[str, Any] = {key: value for key, value in named.items() if key not in own}
     verdicts = tuple(map(_verdict_from, document.merges))
-    counted = None if graph.unlisted is None else Unlisted(**graph.unlisted.model_dump())
-    return MergeResult(components, fused, verdicts, info, counted)
+    return MergeResult(components, fused, verdicts, info, graph.unlisted)
 
 
 def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
@@ -244,6 +238,7 @@ def _check_components(components: Sequence[Component], fused: FusedMap) -> None:
 
 
 def _fused_from(document: MergedDocument) -> FusedMap:
+    """The fused map of a document; ValueError where its parts do not fit together."""
     nodes, edges = document.nodes, document.edges
     if [node.id for node in nodes] != list(range(len(nodes))):
         raise ValueError("node ids must be 0, 1, 2, … in order")

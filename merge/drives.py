@@ -145,6 +145,8 @@ SiteOf = Callable[[int], _Site]
 
 
 def _joining(result: MergeResult, site: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
+    """For every two sites with an open pair of runs the drive that would join them; `wanted`: the
+    components of which one is to be among the two."""
     home = {run: c for c in result.components for run in c.poses}
     between: dict[tuple[int, int], list[PairVerdict]] = {}
     for pair in result.verdicts:
@@ -295,9 +297,9 @@ class _Ground:
         self.stops = [Stop(*name, (x, y)) for name, (x, y) in zip(names, at, strict=True)]
 
     def walk(self, shared: Sequence[int], need: int) -> tuple[tuple[int, ...], float]:
-        """The shortest walk found by `need` places of either site, where one has fewer by all, and
-        its length [m]: by more of what is needed first. shared: the places of both, from which
-        walks lead into either; none without any."""
+        """The shortest walk found by `need` places of each site, or by all that it has, and its
+        length [m]; one by more of these places comes before shorter ones. shared: the places of
+        both, where walks cross from one to the other; without any there is no walk."""
         if not shared:
             return (), 0.0
         in_site, in_other = (
@@ -305,7 +307,8 @@ class _Ground:
         )
 
         def tried(pivot: int) -> tuple[int, float, tuple[int, ...]]:
-            """First the other site, then the first one for what is still wanting."""
+            """The walk from a place of both, through the other site, then on in the first one for
+            what is still missing: minus the places that count, its length, its places."""
             seen = {pivot}
             there, two = in_other.tour(pivot, seen, need - 1)
             have = int(self.in_site[list(seen)].sum())
@@ -374,7 +377,8 @@ class _Reach:
 
 
 def _exploring(result: MergeResult, site_of: SiteOf, wanted: Collection[int]) -> Iterator[Drive]:
-    """For every site the branch never driven that leads farthest from what is known."""
+    """For every wanted site the drive by the branch never driven that leads farthest from what is
+    known."""
     share = _overlapping_share(result)
     need = _needed_junctions(result, MATCH.junction_bits)
     free = ~driven_branches(result.fused)
@@ -425,8 +429,9 @@ def _unobstructed(
 
 
 def _exploring_drive(site: _Site, place: int, heading: float, need: int, bits: float) -> Drive:
-    """By `need` known junctions to the branch, and `beyond` times as many corridors beyond it, of
-    which the first is shown."""
+    """The drive that leaves a site by a branch that nobody drove, at the row `place` and in the
+    direction `heading` [rad]: by up to `need` known junctions to it, so that the new log can be
+    merged, then on for `DRIVES.beyond` corridors for each, of which the path shows the first."""
     ground = _Ground(site)
     places, known_m = _Reach(ground, ground.in_site, [place]).tour(place, {place}, need - 1)
     end = site.xy[place] + site.usual_m * np.array([np.cos(heading), np.sin(heading)])

@@ -121,6 +121,7 @@ class Kept:
             self._rows("VACUUM")
 
     def _read(self, kind: Kind, key: Key) -> bytes | None:
+        """The result of a key in the database, None where it is not there or damaged."""
         asked = (
             "SELECT crc, CAST(data AS BLOB) FROM result "
             "WHERE kind = ? AND a = ? AND b = ? AND era = ?"
@@ -214,6 +215,7 @@ _CONTENT = [
 
 
 def _parts(value: object) -> Iterator[bytes]:
+    """The bytes of a field of a map, with its type and shape."""
     if isinstance(value, np.ndarray):
         yield f"{value.dtype.str}{value.shape}".encode()
         yield value.tobytes()

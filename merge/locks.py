@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, ClassVar, Literal
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field
 
 from ..topology.errors import DocumentError, UsageError
 from ..topology.map_schema import Model, validated
@@ -132,12 +132,6 @@ class DiscardEntry(Model):
     a: str
     b: str
 
-    @model_validator(mode="after")
-    def _ordered(self) -> DiscardEntry:
-        if not self.a < self.b:
-            raise ValueError(f"a pair is ordered by name: {self.a!r}, {self.b!r}")
-        return self
-
 
 class DiscardsDocument(Model):
     """`discards.json`."""
@@ -154,7 +148,8 @@ def discards_to_document(pairs: Iterable[Names]) -> dict[str, Any]:
 
 def discards_from_document(doc: Any, name: str = "discards document") -> frozenset[Names]:
     """The pairs of runs, by name; DocumentError if the document follows no such schema."""
-    return frozenset((e.a, e.b) for e in validated(DiscardsDocument, doc, name).discarded)
+    pairs = validated(DiscardsDocument, doc, name).discarded
+    return frozenset((min(p.a, p.b), max(p.a, p.b)) for p in pairs)
 
 
 def discarded(verdict: PairVerdict) -> bool:

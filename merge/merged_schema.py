@@ -17,7 +17,7 @@ from ..topology.map_schema import (
     Undirected,
     Vertex,
 )
-from .result import AcceptedBy, Verdict
+from .result import AcceptedBy, UnlistedPairs, Verdict
 
 MERGED_SCHEMA: Literal["topobatch.merged/1"] = "topobatch.merged/1"
 
@@ -56,19 +56,6 @@ class ComponentEntry(Model):
         "other component has it.",
     )
     runs: dict[str, Pose] = Field(description="Pose of every run's map in the component's frame.")
-
-
-class UnlistedPairs(Model):
-    """Pairs of runs that a merge of more than 5,000 pairs counts and does not list in `merges`."""
-
-    joined: Index = Field(description="In one component, through other runs.")
-    unrelated: Index = Field(
-        description="Not in one component; matched, without a significant match."
-    )
-    screened: Index = Field(
-        description="Not in one component and not matched: no corridors that hang together look "
-        "alike enough for the two runs to be merged. They count in threshold_bits like all pairs."
-    )
 
 
 class MergedGraph(Attributes):

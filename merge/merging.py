@@ -23,13 +23,13 @@ from .result import (
     Component,
     MergeResult,
     PairVerdict,
-    Unlisted,
+    UnlistedPairs,
     Verdict,
     pairs_of,
 )
 from .robust import DEFAULT_ROBUST, Means, RobustSettings
 from .through import joined_through
-from .wording import told_placement
+from .wording import describe_placement
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ def _unlisted(
     verdicts: tuple[PairVerdict, ...],
     shown: tuple[PairVerdict, ...],
     components: Sequence[Component],
-) -> Unlisted | None:
+) -> UnlistedPairs | None:
     """Counts of the pairs of a large merge that are not listed."""
     if pairs_of(runs) <= MOST_PAIRS:
         return None
@@ -160,7 +160,7 @@ def _unlisted(
     apart = [v for v in verdicts if home[v.a] != home[v.b]]
     unrelated = len(apart) - sum(home[v.a] != home[v.b] for v in shown)
     screened = pairs_of(runs) - len(shown) - joined - unrelated
-    return Unlisted(joined, unrelated, screened)
+    return UnlistedPairs(joined=joined, unrelated=unrelated, screened=screened)
 
 
 def _with_placements(
@@ -194,7 +194,7 @@ def _placed(
     if placed is not None:
         vague = placed[0] > VAGUE_M or placed[1] > VAGUE_RAD
         description = (
-            f"{description}, placed to {told_placement(*placed)} (1 sigma)"
+            f"{description}, placed to {describe_placement(*placed)} (1 sigma)"
             f"{', too vaguely to count on it' if vague else ''}"
         )
     return replace(v, reason=f"{description}{ALONE}{v.reason}", through=through, placed=placed)

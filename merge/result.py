@@ -10,12 +10,14 @@ from enum import StrEnum
 from typing import Any, Literal, TypeVar
 
 import numpy as np
+from pydantic import Field
 
 from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.columns import columns_of, take
 from ..topology.digits import BITS
 from ..topology.frozen import freeze
 from ..topology.map_pose_graph import NO_MEASUREMENTS, Measurements
+from ..topology.map_schema import Index, Model
 from ..topology.quadratic_forms import ONE_SIGMA, quadratic_quantile
 from ..topology.se2 import apply, fit_groups
 from ..topology.topomap import (
@@ -350,18 +352,17 @@ def fused_confidence(
     return out
 
 
-@dataclass(frozen=True, slots=True)
-class Unlisted:
-    """Numbers of pairs that a large merge counts instead of listing: pairs that are neither
-    accepted nor ambiguous, locked or discarded.
+class UnlistedPairs(Model):
+    """Pairs of runs that a merge of more than 5,000 pairs counts and does not list in `merges`."""
 
-    joined: in one component, through other runs; of the others: unrelated: matched, with nothing
-    beyond chance; screened: not matched, because the index found too little.
-    """
-
-    joined: int = 0
-    unrelated: int = 0
-    screened: int = 0
+    joined: Index = Field(description="In one component, through other runs.")
+    unrelated: Index = Field(
+        description="Not in one component; matched, without a significant match."
+    )
+    screened: Index = Field(
+        description="Not in one component and not matched: no corridors that hang together look "
+        "alike enough for the two runs to be merged. They count in threshold_bits like all pairs."
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -377,14 +378,14 @@ class MergeResult:
     fused: FusedMap
     verdicts: tuple[PairVerdict, ...]
     info: Mapping[str, Any] = field(default_factory=dict)
-    unlisted: Unlisted | None = None
+    unlisted: UnlistedPairs | None = None
 
     def standings(self) -> dict[Standing, int]:
         """Number of pairs, listed or not, in each state."""
         count = Counter(pair.standing for pair in self.verdicts)
-        rest = self.unlisted or Unlisted()
-        count[Standing.JOINED] += rest.joined
-        count[Standing.UNRELATED] += rest.unrelated + rest.screened
+        if (rest := self.unlisted) is not None:
+            count[Standing.JOINED] += rest.joined
+            count[Standing.UNRELATED] += rest.unrelated + rest.screened
         return {standing: count[standing] for standing in Standing}
 
     def __repr__(self) -> str:

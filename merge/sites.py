@@ -140,6 +140,8 @@ OF_NO_PLACE = ("bag", "data", "log", "map", "mcap", "recording", "rosbag", "run"
 def _shared_folder(
     runs: Collection[str], others: Iterable[str], folders: Mapping[str, tuple[str, ...]]
 ) -> list[str]:
+    """The name of the folder that all logs of some runs, and of no others, are below, if it names
+    a place."""
     shared = tuple(_beginning([folders[run] for run in runs]))
     if not shared or any(folders[run][: len(shared)] == shared for run in others):
         return []
@@ -148,6 +150,7 @@ def _shared_folder(
 
 
 def _shared_beginning(runs: Collection[str], others: Iterable[str]) -> list[str]:
+    """What the names of some runs, and of no others, begin with, if it can name a site."""
     shared = re.sub(r"[\W\d_]+$", "", "".join(_beginning([*runs])))
     if not is_site_name(shared) or any(run.startswith(shared) for run in others):
         return []
@@ -163,6 +166,7 @@ def _beginning(sequences: Sequence[Sequence[str]]) -> list[str]:
 def _unions(
     components: Sequence[Collection[str]], names: Sequence[str], history: SiteHistory
 ) -> list[str]:
+    """A sentence for each component in which sites of the last merge became one."""
     out = []
     now = set(names)
     for runs, name in zip(components, names, strict=True):
@@ -177,6 +181,7 @@ def _unions(
 def _splits(
     components: Sequence[Collection[str]], names: Sequence[str], history: SiteHistory
 ) -> list[str]:
+    """A sentence for each site of the last merge that came apart."""
     parts: dict[str, list[tuple[str, list[str]]]] = {}
     for runs, name in zip(components, names, strict=True):
         was: dict[str, list[str]] = {}

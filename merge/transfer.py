@@ -118,8 +118,10 @@ def junctions_of_merged(result: MergeResult, source: TopoMap, merged: TopoMap) -
 def _matched(
     a: TopoMap, b: TopoMap, pairs: Sequence[tuple[int, int]], turn_rad: float
 ) -> MatchedJunctions:
-    """pairs: vertices of a and of b; turn_rad: about the rotation from a's frame to b's. Sigmas
-    have the lower bounds of the joint pose graph."""
+    """Junctions of a and of b that are one place, with the rotation that their branches show.
+
+    pairs: their vertices; turn_rad: about the rotation from a's frame to b's. Sigmas have the lower
+    bounds of the joint pose graph."""
     u, v = np.array(pairs, np.int64).reshape(-1, 2).T
     share = np.stack([1 / np.maximum(m.passes[rows], 1) for m, rows in ((a, u), (b, v))])
     noise = a.measured, b.measured
@@ -143,14 +145,10 @@ def _matched(
     )
 
 
-TOGETHER = 4096
-"""Points per batch, five kilobytes each."""
-
-
 def transfer(points: FloatArray, matched: MatchedJunctions) -> Transferred:
     """Transfer points (p, 2) [m] of the source map to the target map.
 
-    Raises ValueError without matched junctions. O(p n³) for n neighbours.
+    Raises ValueError without matched junctions. O(p n³) for n neighbours; five kilobytes a point.
     """
     if len(matched) == 0:
         raise ValueError("the two maps have no junction in common")
@@ -161,11 +159,7 @@ def transfer(points: FloatArray, matched: MatchedJunctions) -> Transferred:
     distance, rows = tree.query(points, k=count)
     rows = np.asarray(rows, np.int64).reshape(len(points), count)
     nearest = np.asarray(distance).reshape(len(points), count)[:, 0]
-    parts = [
-        _carried(points[k : k + TOGETHER], matched, rows[k : k + TOGETHER], bending)
-        for k in range(0, max(len(points), 1), TOGETHER)
-    ]
-    xy, variance, turn, turn_variance = (np.concatenate(part) for part in zip(*parts, strict=True))
+    xy, variance, turn, turn_variance = _carried(points, matched, rows, bending)
     return Transferred(xy, turn, np.sqrt(variance), np.sqrt(turn_variance), nearest)
 
 

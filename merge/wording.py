@@ -20,13 +20,13 @@ def decimals(bits: float, need_bits: float) -> int:
     return next((d for d in range(1, BITS) if len({shown_bits(b, d) for b in two}) > 1), BITS)
 
 
-def told_bits(bits: float, need_bits: float) -> str:
+def describe_bits(bits: float, need_bits: float) -> str:
     """ "4.1 bits, 12.6 needed", with enough decimals to distinguish the two."""
     digits = decimals(bits, need_bits)
     return f"{shown_bits(bits, digits)} bits, {shown_bits(need_bits, digits)} needed"
 
 
-def what_agrees(junctions: int, corridors: int, views: int) -> str:
+def describe_agreement(junctions: int, corridors: int, views: int) -> str:
     """ "5 junctions and 3 corridors agree", and the walls, in how many parts of the overlap."""
     parts = [counted(junctions, "junction"), counted(corridors, "corridor")]
     if views:
@@ -34,7 +34,7 @@ def what_agrees(junctions: int, corridors: int, views: int) -> str:
     return f"{', '.join(parts[:-1])} and {parts[-1]} agree"
 
 
-def told_placement(sigma_m: float, sigma_rad: float) -> str:
+def describe_placement(sigma_m: float, sigma_rad: float) -> str:
     """ "0.2 m and 1.4°", or "4.9 cm and 0.03°": a decimal, and of less than 0.1 two digits."""
     degrees = math.degrees(sigma_rad)
     length = f"{sigma_m:.1f} m" if sigma_m >= LEAST else f"{100 * sigma_m:.2g} cm"

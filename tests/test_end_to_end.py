@@ -17,7 +17,7 @@ from topobatch.merge.document import merged_to_document
 from topobatch.merge.merging import merge_maps
 from topobatch.merge.result import MergeResult, Verdict
 from topobatch.merge.robust.explained import Merge, explain
-from topobatch.merge.wording import told_placement
+from topobatch.merge.wording import describe_placement
 from topobatch.simulation.samples import sample_scenario
 from topobatch.simulation.truth import (
     MIXED,
@@ -115,7 +115,7 @@ def test_runs_joined_by_another_alone_are_told_so(merged: MergeResult) -> None:
     assert 0 < metres < 1
     assert 0 < radians < 0.1
     assert told.reason.startswith(
-        f"joined through maze-2, placed to {told_placement(*told.placed)} ("
+        f"joined through maze-2, placed to {describe_placement(*told.placed)} ("
     )
 
 

@@ -39,7 +39,7 @@ STANDS_ON: dict[str, set[str]] = {
     "merge/robust": {"merge/fusion"},
     "viz/exports": set(),
 }
-VIZ_MAY_USE_OF_MERGE = {"result", "drive", "change", "paper.explain", "decision", "decision_text"}
+VIZ_MAY_USE_OF_MERGE = {"result", "drive", "change", "decision", "decision_text"}
 HEAVY = (
     "rerun",
     "numpy",

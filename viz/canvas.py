@@ -32,7 +32,7 @@ from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.run import Grid
 from ..topology.wording import legible
-from .drawing import Marker
+from .geometry import Marker
 from .palette import Order, Theme
 
 Format = Literal["svg", "png"]
@@ -45,16 +45,8 @@ MARKERS: Mapping[Marker, str] = MappingProxyType(
 POINTS_PER_INCH = 72.0
 TEXT_PT, SMALL_PT, HEADING_PT = 8.0, 6.5, 11.0
 LINE_PT = 13.0
-"""Line spacing of text."""
-
-EDGE_PT = 12.0
-"""Margin of the page."""
-
-HANDLE_PT, GAP_PT = 26.0, 14.0
-"""Room for the sample mark in a key entry, and the gap between two columns of entries."""
-
-BAR_PT = 26.0
-"""Room for the scale bar below the drawing."""
+"""Line spacing of text. The page's margin and the gaps between columns of the key are as wide; the
+scale bar, and the sample mark of an entry of the key, have twice as much room."""
 
 LETTER = 0.62
 """Estimated width of a letter over the font size."""
@@ -116,7 +108,7 @@ class Canvas:
 
     @property
     def _room_pt(self) -> float:
-        return self.width_pt - 2 * EDGE_PT
+        return self.width_pt - 2 * LINE_PT
 
     @property
     def _size_pt(self) -> tuple[float, float]:
@@ -137,14 +129,14 @@ class Canvas:
         width_pt: float,
         *,
         order: Order = Order.CORRIDOR,
-        told: Sequence[str] = (),
+        tips: Sequence[str] = (),
         key: str = "",
     ) -> None:
-        """Draw polylines, (k, 2) each [m], in one colour. told: the tooltip in an SVG of each, or
+        """Draw polylines, (k, 2) each [m], in one colour. tips: the tooltip in an SVG of each, or
         one of all."""
-        if _each(told):
-            for path, own in zip(paths, told, strict=True):
-                self.lines([path], colour, width_pt, order=order, told=[own], key=key)
+        if _each(tips):
+            for path, own in zip(paths, tips, strict=True):
+                self.lines([path], colour, width_pt, order=order, tips=[own], key=key)
             return
         if not paths:
             return
@@ -159,7 +151,7 @@ class Canvas:
             joinstyle="round",
             zorder=order,
         )
-        self._add(patch, told)
+        self._add(patch, tips)
 
     def dots(
         self,
@@ -168,17 +160,17 @@ class Canvas:
         size_pt: float,
         *,
         order: Order = Order.JUNCTION,
-        told: Sequence[str] = (),
+        tips: Sequence[str] = (),
         ring: bool = False,
         marker: Marker = "circle",
         key: str = "",
     ) -> None:
-        """Draw filled marks, or rings, at xy (n, 2) [m]. told: as of `lines`."""
+        """Draw filled marks, or rings, at xy (n, 2) [m]. tips: as of `lines`."""
         if len(xy) == 0:
             return
         size = float(np.clip(size_pt, *SAMPLE_DOT_PT))
         self._note(key, self._markers(xy[:0], colour, size, marker, ring=ring))
-        each = [([k], told[k : k + 1]) for k in range(len(xy))] if _each(told) else [(..., told)]
+        each = [([k], tips[k : k + 1]) for k in range(len(xy))] if _each(tips) else [(..., tips)]
         for rows, own in each:
             line = self._markers(xy[rows], colour, size_pt, marker, ring=ring)
             line.set_zorder(order)
@@ -189,12 +181,14 @@ class Canvas:
         self._runs.append((name, None if colour is None else _line(colour, SAMPLE_LINE_PT[0])))
 
     def _note(self, key: str, sample: Line2D) -> None:
+        """Add an entry to the key, unless there is one of this name."""
         if key:
             self._marks.setdefault(key, sample)
 
     def _markers(
         self, xy: FloatArray, colour: str, size_pt: float, marker: Marker, *, ring: bool
     ) -> Line2D:
+        """Marks at xy (n, 2) [m]."""
         return Line2D(
             xy[:, 0],
             xy[:, 1],
@@ -243,67 +237,77 @@ class Canvas:
             "parse_math": False,  # run names may hold dollar signs
         }
 
-    def _add(self, artist: Any, told: Sequence[str] = ()) -> None:
+    def _add(self, artist: Any, tips: Sequence[str] = ()) -> None:
+        """Draw an artist, also beyond the corners; one tip becomes its tooltip."""
         artist.set_clip_on(False)
-        if len(told) == 1:
+        if len(tips) == 1:
             gid = f"{self.name}-{len(self._titles)}"
             artist.set_gid(gid)
-            (self._titles[gid],) = told
+            (self._titles[gid],) = tips
         self._axes.add_artist(artist)
 
     def finish(self, heading: Sequence[str]) -> None:
         """Write what stands around the drawing: heading lines above (empty ones are skipped; the
         first one is larger), a scale bar and the key below, first of marks, then of runs."""
         with _styled():
-            title, *others = map(legible, heading)
-            room = letters(self._room_pt, TEXT_PT)
-            lines = [line for text in others for line in wrap(text, room)]
-            rise = 8.0
-            for k, line in enumerate(
-                [short(title, letters(self._room_pt, HEADING_PT)), *lines][::-1]
-            ):
-                font = self._font() if k < len(lines) else self._font(HEADING_PT, bold=True)
-                self._axes.text(0.0, 1.0, line, va="bottom", transform=self._below(-rise), **font)
-                rise += LINE_PT
-            length = round_length(0.2 * float(self.high[0] - self.low[0]))
-            bar = AnchoredSizeBar(
-                self._axes.transData,
-                length,
-                f"{length:g} m",
-                "upper left",
-                frameon=False,
-                borderpad=0.0,
-                color=self.theme["ink"],
-                fontproperties=FontProperties(size=TEXT_PT),
-                bbox_to_anchor=(0.0, 0.0),
-                bbox_transform=self._below(4.0),
-            )
-            self._add(bar)
-            below = BAR_PT
+            self._write_heading(*map(legible, heading))
+            self._draw_scale_bar()
+            below = 2 * LINE_PT
             groups: list[list[tuple[str, Line2D | None]]] = [[*self._marks.items()], self._runs]
             for group in filter(None, groups):
-                longest = max(len(label) for label, _ in group)
-                widest = LETTER * TEXT_PT * longest + HANDLE_PT + GAP_PT
-                columns = max(1, floor(self._room_pt / widest))
-                most = letters(self._room_pt / columns - HANDLE_PT - GAP_PT, TEXT_PT)
-                legend = self._axes.legend(
-                    [sample or _line("none", 0.0) for _, sample in group],
-                    [short(legible(label), most) for label, _ in group],
-                    loc="upper left",
-                    bbox_to_anchor=(0.0, 0.0),
-                    bbox_transform=self._below(below),
-                    ncols=columns,
-                    frameon=False,
-                    fontsize=TEXT_PT,
-                    labelcolor=self.theme["ink"],
-                    labelspacing=LINE_PT / TEXT_PT - 1,
-                    borderpad=0.0,
-                    borderaxespad=0.0,
-                )
-                for (_, sample), text in zip(group, legend.get_texts(), strict=True):
-                    text.set_fontweight("normal" if sample else "bold")
-                self._add(legend)
-                below += LINE_PT * ceil(len(group) / columns) + 6.0
+                rows = self._draw_key(group, below)
+                below += LINE_PT * rows + 6.0
+
+    def _write_heading(self, title: str, *others: str) -> None:
+        """Write the title and lines below it, upwards from the drawing's upper edge."""
+        room = letters(self._room_pt, TEXT_PT)
+        lines = [(line, self._font()) for text in others for line in wrap(text, room)]
+        title = short(title, letters(self._room_pt, HEADING_PT))
+        lines = [(title, self._font(HEADING_PT, bold=True)), *lines]
+        for k, (line, font) in enumerate(reversed(lines)):
+            above = self._below(-TEXT_PT - k * LINE_PT)
+            self._axes.text(0.0, 1.0, line, va="bottom", transform=above, **font)
+
+    def _draw_scale_bar(self) -> None:
+        length = round_length(0.2 * float(self.high[0] - self.low[0]))
+        bar = AnchoredSizeBar(
+            self._axes.transData,
+            length,
+            f"{length:g} m",
+            "upper left",
+            frameon=False,
+            borderpad=0.0,
+            color=self.theme["ink"],
+            fontproperties=FontProperties(size=TEXT_PT),
+            bbox_to_anchor=(0.0, 0.0),
+            bbox_transform=self._below(4.0),
+        )
+        self._add(bar)
+
+    def _draw_key(self, group: Sequence[tuple[str, Line2D | None]], below_pt: float) -> int:
+        """Draw the entries of a key, label and sample, in as many columns as fit; returns the
+        number of rows. Labels without a sample are headings."""
+        longest = max(len(label) for label, _ in group)
+        columns = max(1, floor(self._room_pt / (LETTER * TEXT_PT * longest + 3 * LINE_PT)))
+        most = letters(self._room_pt / columns - 3 * LINE_PT, TEXT_PT)
+        legend = self._axes.legend(
+            [sample or _line("none", 0.0) for _, sample in group],
+            [short(legible(label), most) for label, _ in group],
+            loc="upper left",
+            bbox_to_anchor=(0.0, 0.0),
+            bbox_transform=self._below(below_pt),
+            ncols=columns,
+            frameon=False,
+            fontsize=TEXT_PT,
+            labelcolor=self.theme["ink"],
+            labelspacing=LINE_PT / TEXT_PT - 1,
+            borderpad=0.0,
+            borderaxespad=0.0,
+        )
+        for (_, sample), text in zip(group, legend.get_texts(), strict=True):
+            text.set_fontweight("normal" if sample else "bold")
+        self._add(legend)
+        return ceil(len(group) / columns)
 
     def _below(self, down_pt: float) -> Any:
         """The transform of the drawing's fractions, moved down the page."""
@@ -324,7 +328,7 @@ class Canvas:
                 metadata=about,
                 facecolor=self.theme["paper"],
                 bbox_inches="tight",
-                pad_inches=EDGE_PT / POINTS_PER_INCH,
+                pad_inches=LINE_PT / POINTS_PER_INCH,
             )
         return out.getvalue() if form == "png" else self._tidied(out.getvalue())
 
@@ -339,10 +343,10 @@ class Canvas:
             for name in _NUMBERS:
                 if name in node.attrib:
                     node.set(name, _NUMBER.sub(_two_decimals, " ".join(node.attrib[name].split())))
-            told = self._titles.get(node.get("id", ""))
-            if told is not None:
+            tip = self._titles.get(node.get("id", ""))
+            if tip is not None:
                 title = ET.Element(f"{{{_SVG}}}title")
-                title.text = legible(told)
+                title.text = legible(tip)
                 node.insert(0, title)
         text: bytes = ET.tostring(root, encoding="utf-8", xml_declaration=True)
         return text + b"\n"
@@ -369,9 +373,9 @@ def _line(colour: str, width_pt: float) -> Line2D:
     return Line2D([], [], color=colour, linewidth=width_pt)
 
 
-def _each(told: Sequence[str]) -> bool:
+def _each(tips: Sequence[str]) -> bool:
     """Whether marks are drawn one by one, each with its tooltip."""
-    return 1 < len(told) <= MOST_TOLD
+    return 1 < len(tips) <= MOST_TOLD
 
 
 def letters(room_pt: float, size_pt: float) -> int:

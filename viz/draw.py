@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from types import MappingProxyType
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from ..merge.change import Change
 from ..merge.drive import Drive
 from ..merge.result import FusedMap, MergeResult, Standing, of_sites, site_views
-from ..topology.arrays import FloatArray
+from ..topology.arrays import BoolArray, FloatArray
 from ..topology.driven_branches import driven_branches
 from ..topology.se2 import apply
 from ..topology.topomap import Graph, TopoMap
@@ -19,7 +18,8 @@ from ..topology.turning_vertices import with_turning_points
 from ..topology.views import Views
 from ..topology.wording import counted, to_turning_points
 from .canvas import SMALL_PT, TEXT_PT, Canvas, letters
-from .drawing import (
+from .geometry import (
+    LINE_SHARE,
     MOST_NUMBERED,
     SHEET_MARGIN,
     TURNED,
@@ -30,7 +30,7 @@ from .drawing import (
     extent,
     strands,
 )
-from .pages import corridor_told, map_told
+from .pages import describe_corridor, describe_map
 from .palette import Order, Theme
 from .parts import Part, lay_out, ranks
 from .sheet import Cell, corners_of, fitting, outline, upright_rad
@@ -43,9 +43,7 @@ COMPONENT_PT = 110.0
 """A merge's drawing is about this wide for each component across, within WIDTH_PT and WIDEST_PT."""
 
 LINE_PT, THINNEST_PT = 2.2, 0.7
-LINE_SHARE = 0.12
-"""Width of a corridor's line in a merge over the median corridor length, within THINNEST_PT and
-LINE_PT."""
+"""Widths of a corridor's line; in a merge it follows from LINE_SHARE, within these bounds."""
 
 MOST_TIMES = 4
 """Corridors driven more often than this are drawn no wider."""
@@ -53,19 +51,19 @@ MOST_TIMES = 4
 _KINDS = ("nothing seen leaving", "dead end", "bend", "3 branches", "4 branches", "5 and more")
 
 
-def draw_map(topomap: TopoMap, theme: Theme, *, name: str = "map") -> Canvas:
+def draw_map(topomap: TopoMap, theme: Theme) -> Canvas:
     """Draw one run's map: corridors, junctions coloured by their number of branches, branches that
     were never driven, and below them walls, where a laser or a saved map showed them."""
     turn, whole = np.array([0.0, 0.0, upright_rad(topomap.paths)]), with_turning_points(topomap)
     seen = wall_points(walls_of([topomap.views], topomap.frame))
     low, high = bounds([apply(turn, np.concatenate([extent(whole), seen]))])
-    canvas = Canvas(low, high, theme, WIDTH_PT, name)
+    canvas = Canvas(low, high, theme, WIDTH_PT, "map")
     _corridors_of(canvas, whole, turn)
-    _unexplored(canvas, whole, turn)
+    _unexplored(canvas, whole, turn, ~driven_branches(whole))
     draw_walls(canvas, [topomap.views], turn, theme["wall"])
     _junctions_of(canvas, topomap, turn)
     _turned_of(canvas, topomap, turn)
-    canvas.finish([topomap.run, f"{map_told(topomap)}{_turned_by(turn)}"])
+    canvas.finish([topomap.run, f"{describe_map(topomap)}{_turned_by(turn)}"])
     return canvas
 
 
@@ -76,8 +74,7 @@ def _turned_by(T_sheet_map: FloatArray) -> str:
 
 
 LEAST_CELL_PT = 1.0
-"""Least width of a wall's cell: finer ones are not told apart, so that walls take no more space in
-the file than the page has room for."""
+"""Least width of a wall's cell: finer ones would take space in the file and not be seen."""
 
 
 def draw_walls(
@@ -103,39 +100,40 @@ def _corridors_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     colour, times = canvas.theme["corridor"], np.clip(m.traversals, 1, MOST_TIMES)
     for often in range(1, MOST_TIMES + 1):
         rows = np.flatnonzero(times == often).tolist()
-        paths, told = [apply(T, m.paths[i]) for i in rows], [corridor_told(m, i) for i in rows]
+        paths, tips = [apply(T, m.paths[i]) for i in rows], [describe_corridor(m, i) for i in rows]
         key = "corridor" if often == 1 else "corridor, driven more often"
-        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), told=told, key=key)
+        canvas.lines(paths, colour, LINE_PT * (0.4 + 0.4 * often), tips=tips, key=key)
 
 
-def _unexplored(canvas: Canvas, m: Graph, T: FloatArray) -> None:
-    free = ~driven_branches(m)
-    origin, vector = branch_arrows(m, 8.0 / canvas.points_per_m)
-    ends = [apply(T, np.stack([o, o + v])) for o, v in zip(origin[free], vector[free], strict=True)]
+def _unexplored(canvas: Canvas, m: Graph, T: FloatArray, free: BoolArray) -> None:
+    """Draw the branches that were never driven, `free` (total branches,)."""
+    arrows = branch_arrows(m, free, 8.0 / canvas.points_per_m)
+    ends = [apply(T, np.stack([o, o + v])) for o, v in zip(*arrows, strict=True)]
     colour, key = canvas.theme["unexplored"], "branch never driven"
     canvas.lines(ends, colour, 1.5, order=Order.UNEXPLORED, key=key)
 
 
 def _junctions_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
+    """Draw the junctions, coloured by their branches, with their numbers."""
     xy = apply(T, m.xy)
     group = np.minimum(m.degree, len(_KINDS) - 1)
     for degree, label in enumerate(_KINDS):
         rows = np.flatnonzero(group == degree).tolist()
         colour, size_pt = canvas.theme[f"degree {degree}"], 6.5 if degree >= 3 else 5.0
-        told = [_junction_told(m, i) for i in rows]
-        canvas.dots(xy[rows], colour, size_pt, told=told, key=label)
+        tips = [_describe_junction(m, i) for i in rows]
+        canvas.dots(xy[rows], colour, size_pt, tips=tips, key=label)
     if len(m) <= MOST_NUMBERED:
-        _numbered(canvas, m, T, {k: str(k) for k in range(len(m))})
+        _numbered(canvas, m, T, range(len(m)))
 
 
-def _junction_told(m: TopoMap, i: int) -> str:
+def _describe_junction(m: TopoMap, i: int) -> str:
     sigma = f", ± {m.position_sigma[i]:.2f} m" if m.position_sigma is not None else ""
     sure = f", confidence {m.confidence[i]:.2f}" if m.confidence[i] < 1 else ""
     passes = counted(int(m.passes[i]), "pass", "passes")
-    return f"{m.kind[i].replace('_', ' ')} {i}{_size_told(m, i)}: {passes}{sigma}{sure}"
+    return f"{m.kind[i].replace('_', ' ')} {i}{_describe_size(m, i)}: {passes}{sigma}{sure}"
 
 
-def _size_told(m: TopoMap, vertex: int) -> str:
+def _describe_size(m: TopoMap, vertex: int) -> str:
     """How large a room is, and how wide a door."""
     if m.area_m2 is not None and m.area_m2[vertex] > 0:
         return f", {m.area_m2[vertex]:.0f} m²"
@@ -149,18 +147,18 @@ def _turned_of(canvas: Canvas, m: TopoMap, T: FloatArray) -> None:
     points = m.turning_points
     for kind, marker in TURNED_MARKERS.items():
         rows = [k for k, own in enumerate(points.kind) if own == kind]
-        told = [
+        tips = [
             f"{TURNED[kind]}, {points.length[k]:.2f} m from junction {points.vertex[k]}"
             for k in rows
         ]
         xy, colour = apply(T, points.xy[rows]), canvas.theme["degree 1"]
-        canvas.dots(xy, colour, 4.0, told=told, marker=marker, key=TURNED[kind])
+        canvas.dots(xy, colour, 4.0, tips=tips, marker=marker, key=TURNED[kind])
 
 
-def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str]) -> None:
-    """Write the numbers of junctions in the middle of the widest gap between their branches."""
+def _numbered(canvas: Canvas, m: Graph, T: FloatArray, junctions: Iterable[int]) -> None:
+    """Write the numbers of junctions amid the widest gaps between their branches."""
     away_m = 8.0 / canvas.points_per_m
-    for i, number in numbers.items():
+    for i in junctions:
         heading = np.sort(np.mod(m.branches[i] + T[2], 2 * np.pi))
         middle = np.pi / 4
         if len(heading):
@@ -168,122 +166,114 @@ def _numbered(canvas: Canvas, m: Graph, T: FloatArray, numbers: Mapping[int, str
             k = int(gaps.argmax())
             middle = heading[k] + gaps[k] / 2
         aside = away_m * np.array([np.cos(middle), np.sin(middle)])
-        canvas.words(apply(T, m.xy[i]) + aside, number, size_pt=SMALL_PT)
-
-
-def draw_sites(
-    result: MergeResult,
-    components: Collection[int],
-    theme: Theme,
-    maps: Mapping[str, TopoMap] = NO_MAPS,
-    *,
-    drives: Sequence[Drive] | None = None,
-    changes: Sequence[Change] | None = None,
-) -> Canvas:
-    """Draw components of a merge, with the numbers that their junctions have in the document. maps,
-    drives, changes: as of `draw_merged`."""
-    numbers = np.flatnonzero(np.isin(result.fused.component, [*components])).tolist()
-    part = of_sites(result, components)
-    return draw_merged(part, theme, numbers=numbers, maps=maps, drives=drives, changes=changes)
+        canvas.words(apply(T, m.xy[i]) + aside, str(i), size_pt=SMALL_PT)
 
 
 def draw_merged(
     result: MergeResult,
     theme: Theme,
     *,
-    numbers: Sequence[int] = (),
+    sites: Collection[int] | None = None,
     maps: Mapping[str, TopoMap] = NO_MAPS,
     drives: Sequence[Drive] | None = None,
     changes: Sequence[Change] | None = None,
 ) -> Canvas:
-    """Draw the fused map of every component: each corridor as parallel strands, one for each run
-    that drove it; junctions seen by several runs are larger.
+    """Draw the fused maps of components side by side: each corridor as parallel strands, one for
+    each run that drove it; junctions seen by several runs are larger.
 
-    numbers: of the fused vertices, to be shown beside up to MOST_NUMBERED junctions, of more beside
-    those that `drives` or `changes` speak of; maps: of runs whose walls are drawn as well; drives:
-    to record next, for a picture of these and of branches that nobody drove; changes: for a picture
-    of these.
+    sites: ids of the components to draw, all by default. With them junctions have the numbers of
+    the document: all of up to MOST_NUMBERED junctions, of more those that `drives` or `changes`
+    name. maps: of runs whose walls are drawn as well; drives: to record next, for a picture of
+    these and of branches that nobody drove; changes: for a picture of these.
     """
-    views = {c.id: site_views(result.fused, c, maps) for c in result.components}
-    ways = {c.id: [d for d in drives or () if d.component == c.id] for c in result.components}
-    seen = {
-        c: np.concatenate([wall_points(walls_of(own, "")), *(d.path for d in ways[c])])
-        for c, own in views.items()
-    }
-    parts = lay_out(result, seen)
-    cells = [part.cell for part in parts]
-    width = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
-    canvas = sheet_canvas(cells, theme, width, "merged")
-    rank = ranks(result)
+    fused, shown = result.fused, result if sites is None else of_sites(result, sites)
+    views = {c.id: site_views(fused, c, maps) for c in shown.components}
+    to_hold = {c: [wall_points(walls_of(own, ""))] for c, own in views.items()}
+    for drive in drives or ():
+        to_hold.get(drive.component, []).append(drive.path)
+    parts = lay_out(result, {c: np.concatenate(own) for c, own in to_hold.items()}, views)
+    cells, rank, free = [part.cell for part in parts], ranks(result), ~driven_branches(fused)
+    width_pt = float(np.clip(COMPONENT_PT * np.sqrt(2 * len(parts)), WIDTH_PT, WIDEST_PT))
+    canvas = sheet_canvas(cells, theme, width_pt, "merged")
+    _key_of_runs(canvas, parts, rank)
+    draw_frames(canvas, cells, [*map(_titles, parts)])
+    pen_pt = _pen_pt(canvas, shown.fused)
+    numbered = set() if sites is None else _to_number(shown, fused, free, drives, changes or ())
+    for part in parts:
+        T = part.cell.T_sheet_map
+        _fused(canvas, fused, part, rank, pen_pt)
+        _numbered(canvas, fused, T, [v for v in part.vertices.tolist() if v in numbered])
+        draw_walls(canvas, views[part.component.id], T, theme["wall"])
+        if drives is not None:
+            _unexplored(canvas, fused, T, free & np.isin(fused.branches.owner, part.vertices))
+            _drives(canvas, part, drives)
+        _changes(canvas, fused, part, changes or ())
+    canvas.finish(_heading(shown, parts, drives, changes))
+    return canvas
+
+
+def _key_of_runs(canvas: Canvas, parts: Sequence[Part], rank: Mapping[str, int]) -> None:
+    """Add the runs of components of several to the key, below the names of their sites if these are
+    more than one."""
     several = [part.component for part in parts if len(part.component.poses) > 1]
     for component in several:
         if len(several) > 1:
             canvas.run(component.name, None)
         for run in sorted(component.poses):
-            canvas.run(run, theme.run(rank[run]))
-    turned = [_turned_by(cell.T_sheet_map) for cell in cells]
-    titles = [
-        (*(title + turn for title in part.titles[:2]), *part.titles)
-        for part, turn in zip(parts, turned, strict=True)
-    ]
-    draw_frames(canvas, cells, titles)
-    pen = _pen_pt(canvas, result.fused)
-    row = {number: k for k, number in enumerate(numbers)}
-    drawn = [
-        replace(c, junctions=tuple(row.get(v, -1) for v in c.junctions)) for c in changes or ()
-    ]
-    spoken_of = _spoken_of(result.fused, numbers, drives, changes or ())
-    for part in parts:
-        _fused(canvas, result.fused, part, rank, pen)
-        if numbers:
-            rows = [k for k in part.vertices.tolist() if result.fused.kind[k] not in TURNED]
-            if result.fused.junctions > MOST_NUMBERED:
-                rows = [k for k in rows if k in spoken_of]
-            _numbered(
-                canvas, result.fused, part.cell.T_sheet_map, {k: str(numbers[k]) for k in rows}
-            )
-        draw_walls(canvas, views[part.component.id], part.cell.T_sheet_map, theme["wall"])
-        if drives is not None:
-            site = of_sites(result, [part.component.id]).fused
-            _unexplored(canvas, site, part.cell.T_sheet_map)
-            _drives(canvas, part, drives)
-        _changes(canvas, result.fused, part, drawn)
-    count = result.standings()
-    joined = count[Standing.JOINED]
-    runs = sum(len(c.poses) for c in result.components)
-    corridors_m, ways_m = result.fused.lengths_m
-    told = (
-        f"{counted(result.fused.junctions, 'junction')}, {corridors_m:,.0f} m of corridors"
-        f"{to_turning_points(result.fused.turned, ways_m)}; "
-        f"{counted(sum(count.values()), 'pair')}: {count[Standing.MERGED]:,} merged"
-        f"{f', {joined:,} joined through others' if joined else ''}"
-        f"{turned[0] if len(parts) == 1 else ''}"
-    )
-    title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
-    if len(parts) == 1 and parts[0].component.site:
-        title = f"{parts[0].component.site}: {counted(runs, 'run')}"
-    title = title if drives is None else f"What to record next: {title}"
-    title = title if changes is None else f"What changed: {title}"
-    names = {c.id: c.name for c in result.components}
-    lines = [f"{'; '.join(d.words)}; {d.way}" for d in drives or ()]
-    lines += ["; ".join(c.words(names[c.component])) for c in changes or ()]
-    canvas.finish([title, told, *(f"{k}. {line}" for k, line in enumerate(lines, 1))])
-    return canvas
+            canvas.run(run, canvas.theme.run(rank[run]))
 
 
-def _spoken_of(
+def _titles(part: Part) -> tuple[str, ...]:
+    """Forms of a component's title, longest first: the longer ones also with its turn."""
+    turn = _turned_by(part.cell.T_sheet_map)
+    return (*(title + turn for title in part.titles[:2]), *part.titles)
+
+
+def _to_number(
+    shown: MergeResult,
     fused: FusedMap,
-    numbers: Sequence[int],
+    free: BoolArray,
     drives: Sequence[Drive] | None,
     changes: Sequence[Change],
 ) -> set[int]:
-    """The junctions that a plan of drives speaks of: with branches that nobody drove, and on the
-    way of a drive; and those of changes."""
+    """The junctions whose numbers are written: all, or of many those that a drive or a change
+    names, and with drives those with a branch that nobody drove (`free` (total branches,))."""
+    junctions = {*np.flatnonzero(~fused.is_turned).tolist()}
+    if shown.fused.junctions <= MOST_NUMBERED:
+        return junctions
     named = {stop.junction for drive in drives or () for stop in drive.stops}
     named |= {junction for change in changes for junction in change.junctions}
-    found = {k for k, number in enumerate(numbers) if number in named}
-    free = [] if drives is None else fused.branches.owner[~driven_branches(fused)].tolist()
-    return found | {*free}
+    named |= set() if drives is None else {*fused.branches.owner[free].tolist()}
+    return junctions & named
+
+
+def _heading(
+    shown: MergeResult,
+    parts: Sequence[Part],
+    drives: Sequence[Drive] | None,
+    changes: Sequence[Change] | None,
+) -> list[str]:
+    """What is drawn; its size, and how many pairs were merged; a line for each drive and change."""
+    runs = counted(sum(len(c.poses) for c in shown.components), "run")
+    alone = parts[0] if len(parts) == 1 else None
+    title = f"{runs} of {counted(len(parts), 'site')}"
+    if alone is not None and alone.component.site:
+        title = f"{alone.component.site}: {runs}"
+    title = title if drives is None else f"What to record next: {title}"
+    title = title if changes is None else f"What changed: {title}"
+    count, (corridors_m, ways_m) = shown.standings(), shown.fused.lengths_m
+    joined = count[Standing.JOINED]
+    size = (
+        f"{counted(shown.fused.junctions, 'junction')}, {corridors_m:,.0f} m of corridors"
+        f"{to_turning_points(shown.fused.turned, ways_m)}; "
+        f"{counted(sum(count.values()), 'pair')}: {count[Standing.MERGED]:,} merged"
+        f"{f', {joined:,} joined through others' if joined else ''}"
+        f"{'' if alone is None else _turned_by(alone.cell.T_sheet_map)}"
+    )
+    names = {c.id: c.name for c in shown.components}
+    lines = [f"{'; '.join(drive.words)}; {drive.way}" for drive in drives or ()]
+    lines += ["; ".join(change.words(names[change.component])) for change in changes or ()]
+    return [title, size, *(f"{k}. {line}" for k, line in enumerate(lines, 1))]
 
 
 DRIVE_PT, CHANGE_PT = 7.0, 12.0
@@ -298,9 +288,9 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
     for k, drive in enumerate(drives, 1):
         if drive.component != part.component.id:
             continue
-        path, told = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
+        path, tips = [apply(T, drive.path)], [f"drive {k}: {drive.words[0]}"]
         colour, key = canvas.theme["planned"], "drive to record, from its number on"
-        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, told=told, key=key)
+        canvas.lines(path, colour, DRIVE_PT, order=Order.EVIDENCE, tips=tips, key=key)
         begins.setdefault(drive.stops[0].xy, []).append(str(k))
         others = {s.xy: s.junction for s in drive.stops if s.site != drive.site}
         for xy, junction in others.items():
@@ -320,8 +310,8 @@ def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Chan
         if change.component != part.component.id:
             continue
         path = [apply(T, changed_path(fused, part.edges, change))]
-        at, told = apply(T, np.array(change.xy)), [f"change {k}"]
-        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, told=told, key=key)
+        at, tips = apply(T, np.array(change.xy)), [f"change {k}"]
+        canvas.lines(path, colour, CHANGE_PT, order=Order.EVIDENCE, tips=tips, key=key)
         canvas.dots(at[None], colour, 2 * DRIVE_PT, order=Order.RING, ring=True, key=key)
         canvas.words(at + aside, str(k), bold=True)
 
@@ -345,6 +335,7 @@ def draw_frames(canvas: Canvas, cells: Sequence[Cell], titles: Sequence[Sequence
 
 
 def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
+    """Width of a run's line: a share of the median corridor, within bounds [points]."""
     usual = float(np.median(fused.length)) if len(fused.length) else 0.0
     return float(np.clip(LINE_SHARE * usual * canvas.points_per_m, THINNEST_PT, LINE_PT))
 
@@ -352,6 +343,7 @@ def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
 def _fused(
     canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int], pen_pt: float
 ) -> None:
+    """Draw a component's corridors as strands of its runs, its junctions and turning points."""
     T = part.cell.T_sheet_map
     alone = len(part.component.poses) == 1
     drawn: dict[tuple[str, float], list[FloatArray]] = {}
@@ -360,7 +352,7 @@ def _fused(
     for (run, share), paths in sorted(drawn.items()):
         colour = canvas.theme["single"] if alone else canvas.theme.run(rank[run])
         key = "run that is merged with none" if alone else ""
-        canvas.lines(paths, colour, pen_pt * share, told=[run], key=key)
+        canvas.lines(paths, colour, pen_pt * share, tips=[run], key=key)
     shared = np.array([len(fused.members[i]) > 1 for i in part.vertices.tolist()], bool)
     kinds = np.array([fused.kind[i] for i in part.vertices.tolist()], object)
     turned = np.array([kind in TURNED for kind in kinds], bool)

@@ -27,7 +27,7 @@ from ..topology.views import CELL_M, REACH_M
 from ..topology.wording import counted
 from .canvas import SMALL_PT, Canvas
 from .draw import WIDTH_PT, draw_frames, draw_walls, sheet_canvas
-from .drawing import MOST_NUMBERED, contradiction_spots, extent
+from .geometry import MIN_SIDE_M, MOST_NUMBERED, contradiction_spots, extent
 from .palette import Order, Theme
 from .sheet import Cell, arrange, sheet_margin_m, upright_rad
 from .walls import wall_points, walls_of
@@ -139,7 +139,7 @@ def _apart(a: TopoMap, b: TopoMap, T_a_b: FloatArray) -> FloatArray:
     origin = np.zeros((1, 2))  # of maps without junctions
     of_a = apply(upright, extent(a) if len(a) else origin)
     of_b = apply(compose(upright, T_a_b), extent(b) if len(b) else origin)
-    reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), 4.0)
+    reach = max(float(np.ptp(np.concatenate([of_a, of_b]), axis=0).max()), MIN_SIDE_M)
     drop = of_a[:, 1].min() - of_b[:, 1].max() - APART * reach
     away = np.array([ASIDE * reach, drop, 0.0])
     return compose(np.array([0.0, 0.0, -turn]), compose(away, compose(upright, T_a_b)))
@@ -149,10 +149,10 @@ def _own_map(canvas: Canvas, m: TopoMap, T: FloatArray, side: int) -> None:
     """Draw the map of a (side 0) or of b (1) at T on the sheet. Walls of a show through those of
     b."""
     colour = canvas.theme.run(side)
-    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, told=[m.run], key=m.run)
+    canvas.lines([apply(T, path) for path in m.paths], colour, PEN_PT, tips=[m.run], key=m.run)
     canvas.dots(apply(T, m.xy), colour, DOT_PT)
     alpha, key = (1.0, 0.75)[side], f"walls of {m.run}"
-    draw_walls(canvas, [m.views], T, canvas.theme[f"pale {side}"], alpha=alpha, key=key)
+    draw_walls(canvas, [m.views], T, canvas.theme.pale(side), alpha=alpha, key=key)
 
 
 def _evidence(
@@ -172,10 +172,10 @@ def _evidence(
     sides = (0, 1)[: 1 + apart]
     same = [f"junction {u} = junction {v}" for u, v in pairs.tolist()]
     tied = [*np.stack(ends, axis=1)]
-    canvas.lines(tied, theme["ink"], 0.5 * PEN_PT, order=Order.TIE, told=same)
+    canvas.lines(tied, theme["ink"], 0.5 * PEN_PT, order=Order.TIE, tips=same)
     for xy in ends:
         key = "matched junctions, tied"
-        canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, told=same, key=key)
+        canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, tips=same, key=key)
     for k in sides if len(pairs) <= MOST_NUMBERED else ():
         aside = 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])
         for xy, number in zip(ends[k], pairs[:, k].tolist(), strict=True):
@@ -186,34 +186,35 @@ def _evidence(
         pen_pt = PEN_PT * (1.2 + 1.8 * min(abs(term.bits) / FULL_BITS, 1.0))
         lines = [at[k][[*rows]] for k, rows in ((0, term.a), (1, term.b)) if len(rows) == 2]
         for line in lines[: len(sides)]:
-            told = [_bits_told(term, digits)]
-            canvas.lines([line], theme[ink], pen_pt, order=Order.EVIDENCE, told=told, key=key)
+            tips = [_describe_term(term, digits)]
+            canvas.lines([line], theme[ink], pen_pt, order=Order.EVIDENCE, tips=tips, key=key)
     terms = [t for t in itemised(placement, AGAINST) if t.a or t.b]
-    against = ((_bits_told(t, digits), (t.a, t.b)) for t in terms)
+    against = ((_describe_term(t, digits), (t.a, t.b)) for t in terms)
     for xy, words in contradiction_spots(against, *at, apart=apart):
         canvas.dots(
             *(xy[None], theme["against"], RING_PT),
             order=Order.CONTRADICTION,
             ring=True,
-            told=[words],
+            tips=[words],
             key=CONTRADICTIONS,
         )
 
 
-def _bits_told(term: Term, digits: int) -> str:
+def _describe_term(term: Term, digits: int) -> str:
     return f"{term.bits:+.{digits}f} bits: {term.text}"
 
 
 def _seen(canvas: Canvas, term: Term, cell: Cell, turn_rad: float) -> None:
     """Draw two views over each other in a cell; what contradicts last."""
     assert term.seen is not None
+    theme = canvas.theme
     scale = FILLED * float((cell.high - cell.low).min()) / (2 * REACH_M)
     xy = (cell.low + cell.high) / 2 + scale * turned(term.seen.xy, turn_rad)
     for kind in (SILENT, AGREES, CONTRADICTS):
         for run in (0, 1):
             own = xy[(term.seen.kind == kind) & (term.seen.of_second == (run == 1))]
-            ink = {SILENT: f"pale {run}", AGREES: f"run {run}"}.get(kind, "against")
+            ink = {SILENT: theme.pale(run), AGREES: theme.run(run)}.get(kind, theme["against"])
             width_pt = WALL_WIDTHS[run] * CELL_M * scale * canvas.points_per_m
             key = CONTRADICTIONS if kind == CONTRADICTS else ""
             cells = [*np.stack([own - TINY_M, own], axis=1)]
-            canvas.lines(cells, canvas.theme[ink], width_pt, key=key)
+            canvas.lines(cells, ink, width_pt, key=key)

@@ -11,7 +11,7 @@ from rerun.blueprint.encodings import TextLogColumn, TextLogColumnKind, Timeline
 
 from ..topology.arrays import FloatArray
 from ..topology.topomap import TopoMap
-from .drawing import bounds
+from .geometry import bounds
 from .recording import CLOCKS, PathParts, blueprint, entity, map_view
 from .robot_track import RobotTrack
 
@@ -71,6 +71,7 @@ def _drift_view(most_m: float) -> rrb.TimeSeriesView:
 
 
 def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
+    """The view of the map, with the robot's recent track at the cursor."""
     shown: list[FloatArray] = [topomap.xy, *topomap.paths]
     low, high = bounds(shown)
     hidden = rrb.EntityBehavior(visible=False)
@@ -87,6 +88,7 @@ def _map_view(topomap: TopoMap, track: RobotTrack | None) -> rrb.Spatial2DView:
 
 
 def _behind_cursor(seconds: float) -> rrb.VisibleTimeRanges:
+    """The time range from so many seconds before the cursor up to it."""
     return rrb.VisibleTimeRanges(
         [
             rrb.VisibleTimeRange(

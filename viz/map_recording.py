@@ -19,15 +19,25 @@ from ..topology.se2 import apply, compose
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from . import palette
-from .drawing import MOST_NUMBERED, branch_arrows, pen_m
+from .geometry import LARGE, MEDIUM, MOST_NUMBERED, SMALL, pen_m
 from .map_blueprint import MAP, map_blueprint
-from .pages import Question, map_page, questions, visits
-from .recording import HAIR, UP, Recording, corridors_told, markdown, write_grid, write_recording
+from .pages import ClosureText, closure_texts, map_page, visits
+from .recording import (
+    HAIR,
+    UP,
+    Recording,
+    corridor_attributes,
+    markdown,
+    write_branches,
+    write_grid,
+    write_recording,
+)
 from .robot_track import RobotTrack, robot_track
 from .walls import walls_of
 
-FIRST_RING, RING_STEP, MOST_RINGS = 3.2, 0.6, 8
-"""Radii, in pens, of the rings round a junction, one for each accepted closure."""
+RING_STEP, MOST_RINGS = 0.6, 8
+"""Distance of the rings round a junction, one for each accepted closure, in pens; with more than so
+many they begin anew. The first is a pen from the largest dot."""
 
 _CIRCLE = np.stack(
     [np.cos(np.linspace(0, 2 * np.pi, 25)), np.sin(np.linspace(0, 2 * np.pi, 25))], 1
@@ -51,7 +61,7 @@ def write_map_recording(
     OSError if the file cannot be written.
     """
     track = robot_track(topomap, odometry) if odometry is not None else None
-    asked = questions(topomap)
+    closures = closure_texts(topomap)
 
     def fill(recording: Recording) -> rrb.Blueprint:
         recording.static(MAP, UP)
@@ -59,10 +69,11 @@ def write_map_recording(
         if grid is not None:
             write_grid(recording, (*MAP, "grid"), grid)
         _corridors(recording, whole)
-        _unexplored(recording, whole)
+        path, free = (*MAP, "branches never driven"), ~driven_branches(whole)
+        write_branches(recording, path, whole, free, pen=pen_m([whole]), colors=palette.UNEXPLORED)
         _junctions(recording, whole)
-        _closures(recording, topomap, asked)
-        _events(recording, topomap, asked, odometry)
+        _closures(recording, topomap, closures)
+        _events(recording, topomap, closures, odometry)
         if track is not None:
             _track(recording, track)
             _drift(recording, track, topomap)
@@ -71,13 +82,14 @@ def write_map_recording(
                 _detections(recording, detections.moved((-x, -y)), track)
             if scanned is not None:
                 _scans(recording, scanned.passes, topomap, track)
-        recording.static(("summary",), markdown(map_page(topomap, asked)))
+        recording.static(("summary",), markdown(map_page(topomap, closures)))
         return map_blueprint(topomap, track)
 
     write_recording(path, topomap.run, fill)
 
 
 def _corridors(recording: Recording, topomap: TopoMap) -> None:
+    """Write the corridors, brighter the more often they were driven."""
     if len(topomap.source) == 0:
         return
     share = np.clip((topomap.traversals - 1) / 3.0, 0.0, 1.0)[:, None]
@@ -86,34 +98,21 @@ def _corridors(recording: Recording, topomap: TopoMap) -> None:
         (*MAP, "corridors"),
         topomap.paths,
         palette.Order.CORRIDOR,
-        corridors_told(topomap, np.arange(len(topomap.source))),
+        corridor_attributes(topomap, np.arange(len(topomap.source))),
         radii=pen_m([topomap]) / 2,
         colors=(dull + 0.45 * share * (bright - dull)).astype(np.uint8),
     )
 
 
-def _unexplored(recording: Recording, topomap: TopoMap) -> None:
-    """Write the branches that were never driven."""
-    free, pen = ~driven_branches(topomap), pen_m([topomap])
-    if free.any():
-        origins, vectors = branch_arrows(topomap, 7 * pen)
-        arrows = rr.Arrows2D(
-            origins=origins[free],
-            vectors=vectors[free],
-            radii=pen / 3,
-            colors=palette.UNEXPLORED,
-            draw_order=palette.Order.UNEXPLORED,
-        )
-        recording.static((*MAP, "branches never driven"), arrows)
-
-
 def _junctions(recording: Recording, topomap: TopoMap) -> None:
+    """Write the vertices, coloured by their branches."""
     n = len(topomap)
     if n == 0:
         return
     of_rooms = {"area_m2": topomap.area_m2, "width_m": topomap.width_m}
     sizes: dict[str, Any] = {name: size for name, size in of_rooms.items() if size is not None}
-    told = {
+    pens = np.where(topomap.is_turned, SMALL, np.where(topomap.degree >= 3, LARGE, MEDIUM))
+    values = {
         "vertex": np.arange(n),
         "kind": list(topomap.kind),
         "branches": topomap.degree,
@@ -128,55 +127,53 @@ def _junctions(recording: Recording, topomap: TopoMap) -> None:
         (*MAP, "junctions"),
         topomap.xy,
         palette.Order.JUNCTION,
-        told | sizes,
-        radii=_dot(topomap) * pen_m([topomap]),
-        colors=palette.by_degree(topomap.degree),
+        values | sizes,
+        radii=pens * pen_m([topomap]),
+        colors=palette.DEGREES[np.minimum(topomap.degree, len(palette.DEGREES) - 1)],
         labels=[str(i) for i in range(n)],
         show_labels=n <= MOST_NUMBERED,
     )
 
 
-def _dot(topomap: TopoMap) -> FloatArray:
-    """(n,) radii of the vertices' dots, in pens."""
-    return np.where(topomap.is_turned, 1.0, np.where(topomap.degree >= 3, 2.2, 1.6))
-
-
-def _closures(recording: Recording, topomap: TopoMap, asked: Sequence[Question]) -> None:
+def _closures(recording: Recording, topomap: TopoMap, closures: Sequence[ClosureText]) -> None:
     """Write every closure as a line of its own: an accepted one as a ring round its junction, the
     first one innermost; a refused one between the two junctions."""
     colours = {"accepted": palette.CLOSED, "refused": palette.REFUSED}
-    groups: dict[str, list[tuple[Question, FloatArray]]] = {name: [] for name in colours}
+    groups: dict[str, list[tuple[ClosureText, FloatArray]]] = {name: [] for name in colours}
     rings: Counter[int] = Counter()
     pen = pen_m([topomap])
-    for question in asked:
-        a, b = question.rows
+    for shown in closures:
+        a, b = shown.rows
         if a is None or b is None:  # a pass that belongs to no vertex has no position
             continue
         u, v = topomap.observation_vertex[[a, b]].tolist()
-        if question.closure.accepted and u == v:
-            radius = pen * (FIRST_RING + RING_STEP * (rings[u] % MOST_RINGS))
+        if shown.closure.accepted and u == v:
+            radius = pen * (LARGE + 1 + RING_STEP * (rings[u] % MOST_RINGS))
             rings[u] += 1
-            groups["accepted"].append((question, topomap.xy[u] + radius * _CIRCLE))
+            groups["accepted"].append((shown, topomap.xy[u] + radius * _CIRCLE))
         elif u != v:
-            name = "accepted" if question.closure.accepted else "refused"
-            groups[name].append((question, topomap.xy[[u, v]]))
+            name = "accepted" if shown.closure.accepted else "refused"
+            groups[name].append((shown, topomap.xy[[u, v]]))
     for name, drawn in groups.items():
         if not drawn:
             continue
         ends = [[topomap.observation_vertex[k] for k in q.rows if k is not None] for q, _ in drawn]
-        told = {
-            "closure": [q.told for q, _ in drawn],
+        values = {
+            "closure": [q.text for q, _ in drawn],
             "junctions": [", ".join(map(str, dict.fromkeys(pair))) for pair in ends],
             "bits": np.array([q.closure.bits for q, _ in drawn]),
             "reason": [q.closure.reason for q, _ in drawn],
         }
         path, lines = (*MAP, "closures", name), [line for _, line in drawn]
         look = {"radii": HAIR, "colors": colours[name]}
-        recording.lines(path, lines, palette.Order.CLOSURE, told, **look)
+        recording.lines(path, lines, palette.Order.CLOSURE, values, **look)
 
 
 def _events(
-    recording: Recording, topomap: TopoMap, asked: Sequence[Question], odometry: Odometry | None
+    recording: Recording,
+    topomap: TopoMap,
+    closures: Sequence[ClosureText],
+    odometry: Odometry | None,
 ) -> None:
     """Write a log of passes, closures, and what is wrong with the odometry."""
     time_ns, vertex = topomap.observation_time_ns, topomap.observation_vertex
@@ -189,10 +186,12 @@ def _events(
             time_ns.tolist(), kinds, vertex.tolist(), visits(topomap).tolist(), strict=True
         )
     ]
-    log += [(q.closure.time_b_ns, "INFO" if q.closure.accepted else "WARN", q.told) for q in asked]
+    log += [
+        (q.closure.time_b_ns, "INFO" if q.closure.accepted else "WARN", q.text) for q in closures
+    ]
     if odometry is not None:
-        for rows, told in ((odometry.jumps, "jumps"), (odometry.breaks, "breaks")):
-            log += [(t, "WARN", f"the odometry {told}") for t in odometry.time_ns[rows].tolist()]
+        for rows, what in ((odometry.jumps, "jumps"), (odometry.breaks, "breaks")):
+            log += [(t, "WARN", f"the odometry {what}") for t in odometry.time_ns[rows].tolist()]
     log.sort()
     recording.over_time(
         ("events",),
@@ -220,6 +219,7 @@ def _drift(recording: Recording, track: RobotTrack, topomap: TopoMap) -> None:
 
 
 def _track(recording: Recording, track: RobotTrack) -> None:
+    """Write the odometry's track as recorded and as corrected, and the robot on it."""
     for name, pose, colour, order in (
         ("recorded", track.raw, palette.RAW, palette.Order.RECORDED),
         ("corrected", track.bent, palette.TRACK, palette.Order.CORRECTED),
@@ -286,7 +286,7 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
     if len(passes) == 0:
         return
     sure = (passes.confidence > SURE)[:, None]
-    told = {
+    values = {
         "seen": np.arange(len(passes)),
         "confidence": passes.confidence,
         "branches": passes.branches.counts,
@@ -297,7 +297,7 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
         (*MAP, "scans", "junctions"),
         apply(track.at(passes.time_ns), passes.centre),
         palette.Order.TIE,
-        told,
+        values,
         radii=rr.Radius.ui_points(2.5),
         colors=np.where(sure, palette.DETECTION, palette.DOUBTFUL).astype(np.uint8),
     )
@@ -305,7 +305,7 @@ def _scans(recording: Recording, passes: ScanPasses, topomap: TopoMap, track: Ro
 
 def _correction(topomap: TopoMap, name: str) -> float:
     """What the map was corrected by, by its name in `graph.calibration`; 0 if it was not."""
-    told = topomap.info.get("calibration")
-    error = told.get(name) if isinstance(told, Mapping) else None
+    errors = topomap.info.get("calibration")
+    error = errors.get(name) if isinstance(errors, Mapping) else None
     applied = error.get("applied") if isinstance(error, Mapping) else None
     return float(applied) if isinstance(applied, (int, float)) else 0.0

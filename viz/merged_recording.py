@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 
 from ..merge.result import FusedMap, MergeResult, site_views
@@ -17,13 +16,14 @@ from ..topology.run import Grid
 from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
-from ..topology.views import Views
 from . import palette
-from .drawing import (
+from .geometry import (
+    LARGE,
+    MEDIUM,
     SHEET_MARGIN,
+    SMALL,
     Strand,
     bounds,
-    branch_arrows,
     contradiction_spots,
     pen_m,
     strands,
@@ -33,17 +33,17 @@ from .parts import (
     Part,
     colours_of,
     lay_out,
-    rows_of,
 )
 from .recording import (
     UP,
     PathParts,
     Recording,
     blueprint,
-    corridors_told,
+    corridor_attributes,
     map_view,
     markdown,
     placed,
+    write_branches,
     write_cards,
     write_grid,
     write_recording,
@@ -77,8 +77,12 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
             write_cards(recording, root, sheet, titles)
             for part in parts:
                 recording.static((root, part.name), placed(part.cell.T_sheet_map))
+        free, home = ~driven_branches(result.fused), result.fused.component
+        home = home[result.fused.branches.owner]
         for part in parts:
             _ribbons(recording, result.fused, part, colours, pen)
+            path, own = (FUSED, part.name, "branches never driven"), home == part.component.id
+            write_branches(recording, path, result.fused, free & own, pen=pen, colors=palette.FAINT)
             _junctions(recording, result.fused, part, pen)
             if part.component.id in walls:
                 write_grid(recording, (FUSED, part.name, "walls"), walls[part.component.id])
@@ -86,7 +90,6 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
                 own = (RUNS, part.name, run)
                 recording.static(own, placed(pose))
                 _own_map(recording, own, by_name[run], colours[run], pen)
-        _unexplored(recording, result.fused, parts, pen)
         _contradictions(recording, result, by_name, parts, pen)
         _run_names(recording, parts, colours)
         recording.static(("summary",), markdown(merge_page(result)))
@@ -96,6 +99,7 @@ def write_merged_recording(path: Path, result: MergeResult, maps: Sequence[TopoM
 
 
 def _by_name(result: MergeResult, maps: Sequence[TopoMap]) -> dict[str, TopoMap]:
+    """The maps of the runs of a merge, by name; ValueError if one is missing or there twice."""
     by_name = {m.run: m for m in maps}
     if len(by_name) < len(maps):
         raise ValueError("two maps have the same run name")
@@ -159,16 +163,13 @@ def _walls_by_component(result: MergeResult, maps: Mapping[str, TopoMap]) -> dic
     seen = {c.id: site_views(result.fused, c, maps) for c in result.components}
     every = -(-sum(len(v) for own in seen.values() for v in own) // MOST_VIEWS)
     thinned = {c: [take(v, slice(None, None, every)) for v in own] for c, own in seen.items()}
-    grids, cell_m = _grids(thinned, FINE_M), FINE_M
-    while sum(grid.free.size for grid in grids.values()) > MOST_CELLS:
+    cell_m = FINE_M
+    while True:
+        laid = {c: walls_of(own, "", cell_m) for c, own in thinned.items()}
+        grids = {c: grid for c, grid in laid.items() if grid is not None}
+        if sum(grid.free.size for grid in grids.values()) <= MOST_CELLS:
+            return grids
         cell_m *= 2
-        grids = _grids(thinned, cell_m)
-    return grids
-
-
-def _grids(seen: Mapping[int, Sequence[Views]], cell_m: float) -> dict[int, Grid]:
-    laid = {c: walls_of(own, "", cell_m) for c, own in seen.items()}
-    return {c: grid for c, grid in laid.items() if grid is not None}
 
 
 def _ribbons(
@@ -189,7 +190,7 @@ def _ribbons(
             (FUSED, part.name, "corridors", run),
             [strand.path for strand in own],
             palette.Order.CORRIDOR,
-            corridors_told(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
+            corridor_attributes(fused, edges) | {"driven_by": [", ".join(runs) for runs in drove]},
             radii=[pen * strand.share / 2 for strand in own],
             colors=colours[run],
         )
@@ -202,48 +203,30 @@ def _junctions(recording: Recording, fused: FusedMap, part: Part, pen: float) ->
         return
     members = [fused.members[i] for i in rows.tolist()]
     several = np.array([len(runs) > 1 for runs in members])
-    told = {
+    values = {
         "vertex": rows,
         "kind": [fused.kind[i] for i in rows.tolist()],
         "branches": fused.branches.counts[rows],
         "runs": np.array([len(runs) for runs in members]),
-        "fused_from": [_members_told(runs) for runs in members],
+        "fused_from": [_describe_members(runs) for runs in members],
         "passes": np.array([len(fused.observations[i]) for i in rows.tolist()]),
     }
     recording.dots(
         (FUSED, part.name, "junctions"),
         fused.xy[rows],
         palette.Order.JUNCTION,
-        told,
-        radii=pen * np.where(several, 2.4, 1.4),
+        values,
+        radii=pen * np.where(several, LARGE, MEDIUM),
         colors=np.where(several[:, None], palette.WHITE, palette.SINGLE).astype(np.uint8),
         labels=list(map(str, rows.tolist())),
         show_labels=False,
     )
 
 
-def _members_told(members: Mapping[str, tuple[int, ...]]) -> str:
+def _describe_members(members: Mapping[str, tuple[int, ...]]) -> str:
     return "; ".join(
         f"{run}: {', '.join(map(str, vertices))}" for run, vertices in sorted(members.items())
     )
-
-
-def _unexplored(recording: Recording, fused: FusedMap, parts: list[Part], pen: float) -> None:
-    """Write the branches that no run drove."""
-    origins, vectors = branch_arrows(fused, 6 * pen)
-    free = np.flatnonzero(~driven_branches(fused))
-    owner = fused.component[fused.branches.owner[free]]
-    of_parts = rows_of(owner, [part.component.id for part in parts])
-    for part, rows in zip(parts, of_parts, strict=True):
-        if len(rows):
-            arrows = rr.Arrows2D(
-                origins=origins[free[rows]],
-                vectors=vectors[free[rows]],
-                radii=pen / 3,
-                colors=palette.FAINT,
-                draw_order=palette.Order.STUB,
-            )
-            recording.static((FUSED, part.name, "branches never driven"), arrows)
 
 
 def _contradictions(
@@ -266,9 +249,9 @@ def _contradictions(
     for name, spots in found.items():
         if spots:
             path, at = (FUSED, name, "contradictions"), [xy for xy, _ in spots]
-            told = {"contradiction": [words for _, words in spots]}
-            look = {"radii": 2.0 * pen, "colors": palette.REFUSED}
-            recording.dots(path, at, palette.Order.CONTRADICTION, told, **look)
+            values = {"contradiction": [words for _, words in spots]}
+            look = {"radii": LARGE * pen, "colors": palette.REFUSED}
+            recording.dots(path, at, palette.Order.CONTRADICTION, values, **look)
 
 
 def _own_map(
@@ -276,17 +259,17 @@ def _own_map(
 ) -> None:
     """Write a run's own map below its entity path, in its own frame and in one colour."""
     if len(m.source):
-        told = corridors_told(m, np.arange(len(m.source)))
-        look = {"radii": 0.4 * pen, "colors": colour}
-        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, told, **look)
+        values = corridor_attributes(m, np.arange(len(m.source)))
+        look = {"radii": pen / 2, "colors": colour}
+        recording.lines((*path, "corridors"), m.paths, palette.Order.CORRIDOR, values, **look)
     if len(m):
-        told = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
+        values = {"vertex": np.arange(len(m)), "kind": list(m.kind), "branches": m.degree}
         recording.dots(
             (*path, "junctions"),
             m.xy,
             palette.Order.JUNCTION,
-            told,
-            radii=1.2 * pen,
+            values,
+            radii=SMALL * pen,
             colors=colour,
             labels=[*map(str, range(len(m)))],
             show_labels=False,

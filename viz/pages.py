@@ -16,10 +16,7 @@ from ..topology.ragged import numbered
 from ..topology.topomap import Closure, Graph, TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, to_turning_points, utc
-from .drawing import TURNED
-
-MOST_LINES = 40
-"""Longer lists are cut; the JSON document has all entries."""
+from .geometry import TURNED
 
 MAP_LEGEND = """\
 Junctions are coloured by their branches: dead ends **red**, bends **grey**, three **blue**, four
@@ -53,7 +50,7 @@ Point at anything for what is known about it, or select it and open the panels a
 the left one shows and hides runs."""
 
 
-def map_told(topomap: TopoMap) -> str:
+def describe_map(topomap: TopoMap) -> str:
     """Counts of a map in a line."""
     ways = topomap.turning_points
     return (
@@ -63,7 +60,7 @@ def map_told(topomap: TopoMap) -> str:
     )
 
 
-def corridor_told(graph: Graph, edge: int) -> str:
+def describe_corridor(graph: Graph, edge: int) -> str:
     """A corridor, or the way to a turning point, in a line."""
     ends = (int(graph.source[edge]), int(graph.target[edge]))
     turned = next((graph.kind[v] for v in ends if graph.kind[v] in TURNED), None)
@@ -76,7 +73,7 @@ def corridor_told(graph: Graph, edge: int) -> str:
     )
 
 
-def pairs_told(result: MergeResult) -> str:
+def describe_pairs(result: MergeResult) -> str:
     """Counts of all pairs by verdict, in a line."""
     runs = sum(len(component.poses) for component in result.components)
     count = result.standings()
@@ -92,13 +89,13 @@ def pairs_told(result: MergeResult) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class ClosureText:
     """A closure and the rows of its two observations (None: that pass belongs to no vertex), with
     its text."""
 
     closure: Closure
     rows: tuple[int | None, int | None]
-    told: str
+    text: str
 
 
 def visits(topomap: TopoMap) -> IntArray:
@@ -108,7 +105,7 @@ def visits(topomap: TopoMap) -> IntArray:
     return out
 
 
-def questions(topomap: TopoMap) -> list[Question]:
+def closure_texts(topomap: TopoMap) -> list[ClosureText]:
     """Every closure that no later round revised, with its text."""
     row = {t: k for k, t in enumerate(topomap.observation_time_ns.tolist())}
     visit = visits(topomap)
@@ -116,13 +113,14 @@ def questions(topomap: TopoMap) -> list[Question]:
     for closure in topomap.closures:
         if not closure.revised:
             rows = (row.get(closure.time_a_ns), row.get(closure.time_b_ns))
-            out.append(Question(closure, rows, _told(topomap, visit, closure, rows)))
+            out.append(ClosureText(closure, rows, _describe_closure(topomap, visit, closure, rows)))
     return out
 
 
-def _told(
+def _describe_closure(
     topomap: TopoMap, visit: IntArray, closure: Closure, rows: tuple[int | None, int | None]
 ) -> str:
+    """What a closure identified or refused, in a line."""
     names = [
         "a pass that is no junction"
         if k is None
@@ -138,14 +136,14 @@ def _told(
     return f"{names[1]} {word} {names[0]}, {bits}: {closure.reason}"
 
 
-def map_page(topomap: TopoMap, asked: Sequence[Question]) -> str:
+def map_page(topomap: TopoMap, closures: Sequence[ClosureText]) -> str:
     """The page about one map: counts, legend, warnings."""
     unseen = int((~driven_branches(with_turning_points(topomap))).sum())
-    refused = sum(not q.closure.accepted for q in asked)
+    refused = sum(not q.closure.accepted for q in closures)
     counts = [
-        f"{map_told(topomap)}{_span(topomap)}",
+        f"{describe_map(topomap)}{_span(topomap)}",
         f"{counted(unseen, 'branch', 'branches')} seen and never driven",
-        f"{counted(len(asked) - refused, 'visit')} recognised, {refused:,} refused",
+        f"{counted(len(closures) - refused, 'visit')} recognised, {refused:,} refused",
     ]
     empty = "The map is empty: no junction was found in this run."
     return _page(topomap.run, counts, MAP_LEGEND if len(topomap) else empty, topomap.info)
@@ -157,7 +155,7 @@ def merge_page(result: MergeResult) -> str:
     corridors_m, ways_m = fused.lengths_m
     shared = sum(len(members) > 1 for members in fused.members[: fused.junctions])
     counts = [
-        pairs_told(result),
+        describe_pairs(result),
         f"{counted(fused.junctions, 'junction')}, {shared:,} of them seen by several runs",
         f"{counted(fused.corridors, 'corridor')}, {corridors_m:,.0f} m"
         f"{to_turning_points(fused.turned, ways_m)}",
@@ -168,6 +166,7 @@ def merge_page(result: MergeResult) -> str:
 
 
 def _page(title: str, counts: Sequence[str], legend: str, info: Mapping[str, Any]) -> str:
+    """A page of Markdown. counts: lines of a list; info: of the document, with its warnings."""
     parts = [f"# {plain(title)}", bulleted(counts), legend]
     if warnings := info.get("warnings"):
         parts.append("## Warnings\n\n" + bulleted([plain(w) for w in warnings]))
@@ -187,14 +186,12 @@ def minutes(span_ns: int) -> str:
 
 
 def bulleted(lines: Sequence[str]) -> str:
-    """A Markdown list, cut after MOST_LINES with a note of how many are left out."""
-    shown = [f"- {line}" for line in lines[:MOST_LINES]]
-    if len(lines) > MOST_LINES:
-        shown.append(f"- … and {len(lines) - MOST_LINES} more, in the JSON document")
-    return "\n".join(shown)
+    """A Markdown list."""
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def _span(topomap: TopoMap) -> str:
+    """How long a run took, and when it began."""
     times = topomap.observation_time_ns
     if len(times) == 0:
         return ""

@@ -7,13 +7,8 @@ from dataclasses import dataclass
 from enum import IntEnum, auto
 
 import numpy as np
-from numpy.typing import NDArray
-
-from ..topology.arrays import IntArray
 
 Colour = tuple[int, int, int]
-Colours = NDArray[np.uint8]
-"""(n, 3) RGB."""
 
 
 class Order(IntEnum):
@@ -26,7 +21,6 @@ class Order(IntEnum):
     RECORDED = auto()
     CORRECTED = auto()
     SIGHTING = auto()
-    STUB = auto()
     EVIDENCE = auto()
     CORRIDOR = auto()
     UNEXPLORED = auto()
@@ -88,11 +82,6 @@ _RUNS: tuple[tuple[Colour, str], ...] = (
 """Colours of runs, on dark and on light paper: ten that are easy to tell apart."""
 
 
-def by_degree(degree: IntArray) -> Colours:
-    """Colours (n, 3) by the number of branches."""
-    return DEGREES[np.clip(degree, 0, len(DEGREES) - 1)]
-
-
 _INKS = {
     "paper": ("#ffffff", BACKGROUND),
     "ink": ("#1b1f24", TITLE),
@@ -128,8 +117,7 @@ def _hex(colour: Iterable[int]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Theme:
-    """Colours as #rrggbb: the named ones of _INKS; one for each rank of a run ("run 0"); and that
-    half-way to the paper, for its walls ("pale 0")."""
+    """Colours as #rrggbb: the named ones of _INKS, and one for each rank of a run."""
 
     inks: Mapping[str, str]
     runs: Sequence[str]
@@ -139,15 +127,13 @@ class Theme:
         again."""
         return self.runs[rank % len(self.runs)]
 
+    def pale(self, rank: int) -> str:
+        """The colour of a run's walls: half-way from its own to the paper."""
+        both = zip(rgb(self.run(rank)), rgb(self["paper"]), strict=True)
+        return _hex((x + y) // 2 for x, y in both)
+
     def __getitem__(self, ink: str) -> str:
-        if ink in self.inks:
-            return self.inks[ink]
-        kind, rank = ink.split()
-        colour = self.run(int(rank))
-        if kind == "pale":
-            both = zip(rgb(colour), rgb(self["paper"]), strict=True)
-            colour = _hex((x + y) // 2 for x, y in both)
-        return colour
+        return self.inks[ink]
 
 
 LIGHT = Theme({name: light for name, (light, _) in _INKS.items()}, [light for _, light in _RUNS])

@@ -3,10 +3,9 @@ verdicts."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +14,8 @@ from ..merge.result import Component, MergeResult, PairVerdict, Standing
 from ..topology.arrays import FloatArray, IntArray
 from ..topology.wording import counted
 from . import palette
-from .sheet import MIN_SIDE_M, Cell, arrange, upright_rad
-
-NO_WALLS: Mapping[int, FloatArray] = MappingProxyType({})
+from .geometry import MIN_SIDE_M
+from .sheet import Cell, arrange, upright_rad
 
 MARGIN, ALONE_MARGIN = 0.18, 0.04
 """Margin of a cell over the median map's extent: with room for a title, and for a single map, which
@@ -56,21 +54,27 @@ def in_order(result: MergeResult) -> list[Component]:
     return sorted(result.components, key=lambda c: (-len(c.poses), c.id))
 
 
-def lay_out(result: MergeResult, walls: Mapping[int, FloatArray] = NO_WALLS) -> list[Part]:
-    """All components on one sheet, `in_order`. walls: points (k, 2) of the walls of a component, by
-    its id, that its cell is to hold as well [m]."""
+def lay_out(
+    result: MergeResult,
+    to_hold: Mapping[int, FloatArray],
+    shown: Collection[int] | None = None,
+) -> list[Part]:
+    """Components on one sheet, `in_order`: all, or those with the ids `shown`. to_hold: points
+    (k, 2) that the cell of a component, by its id, is to hold beside its map [m]."""
     fused = result.fused
-    order = in_order(result)
+    order = [c for c in in_order(result) if shown is None or c.id in shown]
     of_edge = fused.component[fused.source] if len(fused.source) else np.zeros(0, np.int64)
     vertices, edges = (rows_of(own, [c.id for c in order]) for own in (fused.component, of_edge))
     paths = [[fused.paths[i] for i in rows.tolist()] for rows in edges]
     points = [
-        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines, walls.get(c.id, np.zeros((0, 2)))])
+        np.concatenate([fused.xy[rows].reshape(-1, 2), *lines, to_hold.get(c.id, np.zeros((0, 2)))])
         for c, rows, lines in zip(order, vertices, paths, strict=True)
     ]
     turns = [upright_rad(p) for p in paths]
     share = MARGIN if len(order) > 1 else ALONE_MARGIN
-    cells = arrange(points, turns, share * _usual_extent(points))
+    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
+    usual_m = max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
+    cells = arrange(points, turns, share * usual_m)
     junction = ~fused.is_turned
     places = [int(junction[rows].sum()) for rows in vertices]
     return [Part(*row) for row in zip(order, cells, vertices, edges, places, strict=True)]
@@ -81,11 +85,6 @@ def rows_of(owner: IntArray, wanted: list[int]) -> list[IntArray]:
     order = np.argsort(owner, kind="stable")
     begin, end = (np.searchsorted(owner[order], wanted, side) for side in ("left", "right"))
     return [order[i:j] for i, j in zip(begin.tolist(), end.tolist(), strict=True)]
-
-
-def _usual_extent(points: list[FloatArray]) -> float:
-    extents = [float(np.ptp(p, axis=0).max()) for p in points if len(p)]
-    return max(float(np.median(extents)) if extents else 0.0, MIN_SIDE_M)
 
 
 def ranks(result: MergeResult) -> dict[str, int]:

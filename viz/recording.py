@@ -16,11 +16,12 @@ import rerun.blueprint as rrb
 import rerun_bindings
 from PIL import Image
 
-from ..topology.arrays import FloatArray, IntArray
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.files import write_atomically
 from ..topology.run import Grid
 from ..topology.topomap import Graph
 from . import palette
+from .geometry import branch_arrows
 from .sheet import ASPECT, Cell, corners_of, fitting, outline
 
 APPLICATION_ID = "topobatch"
@@ -61,24 +62,24 @@ class Recording:
         path: PathParts,
         xy: FloatArray | Sequence[Any],
         order: palette.Order,
-        told: Mapping[str, Any] = NOTHING,
+        values: Mapping[str, Any] = NOTHING,
         **look: Any,
     ) -> None:
-        """Log points (n, 2) without a time. told: components that say what is known of each; look:
-        of rerun's Points2D."""
-        self.static(path, rr.Points2D(xy, draw_order=order, **look), *_values(told))
+        """Log points (n, 2) without a time. values: of each,
+        by component; look: of rerun's Points2D."""
+        self.static(path, rr.Points2D(xy, draw_order=order, **look), *_any_values(values))
 
     def lines(
         self,
         path: PathParts,
         lines: Sequence[FloatArray],
         order: palette.Order,
-        told: Mapping[str, Any] = NOTHING,
+        values: Mapping[str, Any] = NOTHING,
         **look: Any,
     ) -> None:
-        """Log polylines, (k, 2) each, without a time. told, look: as of `dots`."""
+        """Log polylines, (k, 2) each, without a time. values, look: as of `dots`."""
         shape = rr.LineStrips2D.from_fields(strips=_strips(lines), draw_order=order, **look)
-        self.static(path, shape, *_values(told))
+        self.static(path, shape, *_any_values(values))
 
     def over_time(self, path: PathParts, time_ns: IntArray, columns: Iterable[Any]) -> None:
         """Log one row for each time, on the timelines CLOCKS."""
@@ -140,6 +141,7 @@ def _send_blueprint(stream: rr.RecordingStream, blueprint: rrb.Blueprint) -> Non
 
 @contextmanager
 def _strict() -> Iterator[None]:
+    """Raise rerun's warnings as errors."""
     before = rr.strict_mode()
     rr.set_strict_mode(True)
     try:
@@ -155,8 +157,8 @@ def placed(T_parent_child: FloatArray) -> rr.Transform3D:
     return rr.Transform3D(translation=[x, y, 0.0], rotation=turn)
 
 
-def _values(told: Mapping[str, Any]) -> list[rr.AnyValues]:
-    return [rr.AnyValues(**told)] if told else []
+def _any_values(values: Mapping[str, Any]) -> list[rr.AnyValues]:
+    return [rr.AnyValues(**values)] if values else []
 
 
 def _strips(lines: Sequence[FloatArray]) -> Any:
@@ -233,7 +235,7 @@ def write_cards(
         )
 
 
-def corridors_told(graph: Graph, edges: IntArray) -> dict[str, Any]:
+def corridor_attributes(graph: Graph, edges: IntArray) -> dict[str, Any]:
     """The attributes of corridors."""
     ends = zip(graph.source[edges].tolist(), graph.target[edges].tolist(), strict=True)
     return {
@@ -244,6 +246,32 @@ def corridors_told(graph: Graph, edges: IntArray) -> dict[str, Any]:
         "traversals": graph.traversals[edges],
     }
 
+
+def write_branches(
+    recording: Recording,
+    path: PathParts,
+    graph: Graph,
+    chosen: BoolArray,
+    *,
+    pen: float,
+    **look: Any,
+) -> None:
+    """Write an arrow along each of the chosen branches (total branches,); no entity without any.
+    pen: width of a corridor's line [m]; look: of rerun's Arrows2D."""
+    if chosen.any():
+        origins, vectors = branch_arrows(graph, chosen, ARROW_PENS * pen)
+        arrows = rr.Arrows2D(
+            origins=origins,
+            vectors=vectors,
+            radii=pen / 3,
+            draw_order=palette.Order.UNEXPLORED,
+            **look,
+        )
+        recording.static(path, arrows)
+
+
+ARROW_PENS = 7.0
+"""Length of a branch's arrow over the width of a corridor's line, longer than a junction's dot."""
 
 MOST_PIXELS = 8192
 """Largest image side that every graphics card takes; larger grids are reduced."""

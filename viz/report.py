@@ -8,7 +8,6 @@ no name from a log can become code.
 from __future__ import annotations
 
 import hashlib
-import json
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,7 +31,7 @@ from ..topology.wording import counted, legible, listed, to_turning_points, utc
 from .pages import minutes
 from .palette import LIGHT
 from .parts import in_order, ranks, runs_in_order
-from .report_maps import INK, blank_figure, described_change, site_map
+from .report_maps import CHOSEN, INK, blank_figure, describe_change, site_map
 from .report_pairs import STANDING_COLOURS, matrix_figure, named_axis, page_data, pair_figure
 from .sheet import upright_rad
 
@@ -76,16 +75,17 @@ class Report:
 
 def report_page(report: Report) -> str:
     """The HTML page. Its template escapes whatever it is given."""
-    result = report.result
-    runs = runs_in_order(result) if result is not None else []
-    runs += sorted(set(report.maps) - set(runs))
-    told = page_data(result, runs, report.maps, report.decisions, report.where)
-    items: dict[str, Any] = {"runs": told}
-    items |= {name: _item(name, pair_figure()) for name in ("pair-a", "pair-b")}
-    sites = _sites(report, items)
+    result, runs = report.result, _ordered_runs(report)
+    sites, time_line = _sites(report), _time_line(report, runs)
+    figures = {"pair-a": pair_figure(), "pair-b": pair_figure()}
+    figures |= {f"site-{site['id']}": site["figure"] for site in sites}
     if result is not None and len(runs) > 1:
-        items["matrix"] = _item("matrix", matrix_figure(result))
-    rows = _time_line(report, runs, items)
+        figures["matrix"] = matrix_figure(result)
+    if time_line is not None:
+        figures["time"] = time_line
+    items = {"runs": page_data(result, runs, report.maps, report.decisions, report.where)}
+    items |= {name: _item(name, figure) for name, figure in figures.items()}
+    counts = {} if result is None else result.standings()
     library = Resources(mode="inline", components=["bokeh"]).js_raw[0]
     script = _file("report.js")
     page = _TEMPLATES.get_template("report.html").render(
@@ -99,25 +99,26 @@ def report_page(report: Report) -> str:
         drives=[(k, d, shown_bits(d.bits)) for k, d in enumerate(report.drives, 1)],
         unexplored=report.unexplored,
         changes=_changes(report),
-        legend=_legend(result),
+        legend=[(STANDING_COLOURS[s], str(s), n) for s, n in counts.items() if n],
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
-        time_rows=rows,
+        time_rows=0 if time_line is None else round(time_line.y_range.start),
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),
-        items={name: _json(item) for name, item in items.items()},
+        items=items,
     )
     return page
 
 
+def _ordered_runs(report: Report) -> list[str]:
+    """All runs: those that were merged, by site, then the others."""
+    merged = [] if report.result is None else runs_in_order(report.result)
+    return merged + sorted(set(report.maps) - set(merged))
+
+
 def _file(name: str) -> str:
     return (Path(__file__).parent / name).read_text(encoding="utf-8")
-
-
-def _one_line(value: object) -> str:
-    """Any value as text on one line, without unprintable characters."""
-    return legible(" ".join(str(value).split()))
 
 
 _TEMPLATES = Environment(
@@ -127,7 +128,8 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_TEMPLATES.filters["line"] = _one_line
+_TEMPLATES.filters["line"] = lambda value: legible(" ".join(str(value).split()))
+_TEMPLATES.policies["json.dumps_kwargs"] = {"separators": (",", ":")}
 
 
 def _item(name: str, plot: Any) -> Any:
@@ -153,19 +155,6 @@ def _digest(script: str) -> str:
     return "sha256-" + b64encode(hashlib.sha256(script.encode()).digest()).decode()
 
 
-def _json(value: object) -> str:
-    """JSON without characters that HTML could take as markup."""
-    raw = json.dumps(value, separators=(",", ":"), ensure_ascii=True)
-    return raw.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
-
-
-_NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
-
-
-def _number(count: int) -> str:
-    return _NUMBERS[count] if count < len(_NUMBERS) else f"{count:,}"
-
-
 def answer(report: Report, runs: Sequence[str]) -> list[str]:
     """The sentences that answer: which runs are of which site, which stand alone, what is open, and
     what would settle most."""
@@ -178,15 +167,12 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
     if several:
         names = listed([f"{c.name} ({len(c.poses)})" for c in several], 12)
         all_ = f"All {every}" if merged == every else f"{merged} of {every}"
-        sites = "one site" if len(several) == 1 else f"{_number(len(several))} sites"
-        out.append(f"{all_} runs are of {sites}: {names}.")
+        out.append(f"{all_} runs are of {counted(len(several), 'site')}: {names}.")
     if alone:
         who = listed([next(iter(c.poses)) for c in alone], 12)
-        stands = "stands" if len(alone) == 1 else "stand"
-        out.append(f"{_number(len(alone)).capitalize()} {stands} alone: {who}.")
+        out.append(f"{counted(len(alone), 'run stands', 'runs stand')} alone: {who}.")
     if undecided := result.standings()[Standing.AMBIGUOUS]:
-        are = "is" if undecided == 1 else "are"
-        out.append(f"{counted(undecided, 'pair')} of runs {are} undecided.")
+        out.append(f"{counted(undecided, 'pair of runs is', 'pairs of runs are')} undecided.")
     if report.drives:
         where, settles = report.drives[0].words
         shows = "" if report.drives[0].onto else "shows "
@@ -204,6 +190,7 @@ def _groups(result: MergeResult) -> tuple[list[Component], list[Component]]:
 
 
 def _warnings(report: Report) -> list[str]:
+    """Warnings of the report, of the merge, and of runs that it left out."""
     out = [*report.warnings]
     if report.result is not None:
         out += [str(w) for w in report.result.info.get("warnings") or ()]
@@ -213,9 +200,9 @@ def _warnings(report: Report) -> list[str]:
     return out
 
 
-def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
-    """The sites that have a map: those of several runs and those where a drive begins; their
-    figures go to `items`."""
+def _sites(report: Report) -> list[dict[str, Any]]:
+    """The sites that have a map, each with its figure: those of several runs and those where a
+    drive begins."""
     result = report.result
     if result is None:
         return []
@@ -225,16 +212,16 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
     shown = [*several, *(c for c in alone if c.id in begins or len(result.components) == 1)]
     out = []
     for c in shown[:MOST_MAPS]:
-        name, runs, fused = f"site-{c.id}", sorted(c.poses), of_sites(result, [c.id]).fused
+        runs, fused = sorted(c.poses), of_sites(result, [c.id]).fused
         maps = {run: report.maps[run] for run in runs if report.as_merged and run in report.maps}
         plot = site_map(result, c, maps, report.changes, report.drives)
-        items[name] = _item(name, plot)
         wide, high = (r.end - r.start for r in (plot.x_range, plot.y_range))
         ink = [LIGHT.run(rank[run]) if len(runs) > 1 else INK for run in runs]
         out.append(
             {
                 "id": c.id,
                 "name": c.name,
+                "figure": plot,
                 "told": f"{counted(len(runs), 'run')}, {counted(fused.junctions, 'junction')}, "
                 f"{fused.lengths_m[0]:,.0f} m of corridors{to_turning_points(fused.turned)}",
                 "runs": list(zip(runs, ink, strict=True)),
@@ -249,17 +236,12 @@ def _sites(report: Report, items: dict[str, Any]) -> list[dict[str, Any]]:
 def _changes(report: Report) -> list[str]:
     """The words of every change."""
     names = {c.id: c.name for c in report.result.components} if report.result else {}
-    return [described_change(c, names[c.component]) for c in report.changes if c.sure]
+    return [describe_change(c, names[c.component]) for c in report.changes if c.sure]
 
 
-def _legend(result: MergeResult | None) -> list[tuple[str, str, int]]:
-    """Colour, name and number of pairs of each standing that there is."""
-    count = result.standings() if result else {}
-    return [(STANDING_COLOURS[s], str(s), n) for s, n in count.items() if n]
-
-
-def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> int:
-    """Draw when each run was recorded, a row or more for each site; returns the number of rows."""
+def _time_line(report: Report, runs: Sequence[str]) -> Any | None:
+    """A figure of when each run was recorded, a row or more for each site; None if none has a
+    time."""
     several, _ = _groups(report.result) if report.result is not None else ([], [])
     groups = [(c.name, sorted(c.poses)) for c in several]
     grouped = {run for _, own in groups for run in own}
@@ -270,38 +252,49 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
         if len(m.observation_time_ns)
     }
     if not spans:
-        return 0
+        return None
     knots, places, ticks = _clock(sorted(spans.values()))
     least = SHORTEST * places[-1]
-    free: list[float] = []
-    bars: dict[str, list[Any]] = {k: [] for k in ("left", "right", "top", "bottom", "ink", "told")}
+    ends: list[float] = []  # of the last run in each row
+    bars: list[tuple[float, float, float, float, str, str]] = []
     labels: dict[float, str] = {}
     for name, own in groups:
-        first = len(free)
+        first = len(ends)
         for rank, run in enumerate(own):
             if run not in spans:
                 continue
             labels[first + 0.5] = name
             begin, end = spans[run]
             left, right = np.interp(np.subtract((begin, end), knots[0]), knots - knots[0], places)
-            right = max(right, left + least)
-            row = next((k for k in range(first, len(free)) if free[k] < left), len(free))
-            if row == len(free):
-                free.append(0.0)
-            free[row] = right + least / 4
-            bars["left"].append(round(float(left), 2))
-            bars["right"].append(round(float(right), 2))
-            bars["bottom"].append(row + 0.15)
-            bars["top"].append(row + 0.85)
-            bars["ink"].append(LIGHT.run(rank) if run in grouped else INK)
-            bars["told"].append(legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}"))
-    spare = places[-1] / 50
-    plot = blank_figure((-spare, places[-1] + least + spare), (len(free), 0), "xpan,tap")
+            right = max(float(right), float(left) + least)
+            row = next((k for k in range(first, len(ends)) if ends[k] < left), len(ends))
+            ends[row : row + 1] = [right + least / 4]
+            ink = LIGHT.run(rank) if run in grouped else INK
+            tip = legible(f"{run}: {utc(begin)} UTC, {minutes(end - begin)}")
+            sides = (round(float(left), 2), round(right, 2), row + 0.15, row + 0.85)
+            bars.append((*sides, ink, tip))
+    return _time_figure(bars, labels, ticks, (places[-1] + least, len(ends)))
+
+
+def _time_figure(
+    bars: Sequence[tuple[float, float, float, float, str, str]],
+    labels: Mapping[float, str],
+    ticks: Mapping[float, str],
+    size: tuple[float, int],
+) -> Any:
+    """The figure of the time line. bars: left, right, bottom, top, colour and tip of each; labels:
+    of sites, by their rows; ticks: by their places; size: length of the axis and number of rows."""
+    far, rows = size
+    plot = blank_figure((-far / 50, 1.02 * far), (rows, 0), "xpan,tap")
+    names = ("left", "right", "bottom", "top", "ink", "told")
     plot.quad(
-        "left", "right", "top", "bottom",
-        source=ColumnDataSource(bars), fill_color="ink", line_color=None,
-        nonselection_fill_alpha=1.0, selection_fill_color="#c026d3",
-    )  # fmt: skip
+        *("left", "right", "top", "bottom"),
+        source=ColumnDataSource(dict(zip(names, map(list, zip(*bars, strict=True)), strict=True))),
+        fill_color="ink",
+        line_color=None,
+        nonselection_fill_alpha=1.0,
+        selection_fill_color=CHOSEN,
+    )
     plot.ygrid[0].update(visible=False)
     plot.xgrid[0].update(grid_line_color=INK, grid_line_alpha=0.25)
     plot.xaxis[0].update(
@@ -314,8 +307,7 @@ def _time_line(report: Report, runs: Sequence[str], items: dict[str, Any]) -> in
         major_label_overrides=ticks,
     )
     named_axis(plot.yaxis[0], labels)
-    items["time"] = _item("time", plot)
-    return len(free)
+    return plot
 
 
 def _clock(spans: Sequence[tuple[int, int]]) -> tuple[IntArray, FloatArray, dict[float, str]]:
@@ -361,6 +353,7 @@ def _health(report: Report, runs: Sequence[str]) -> list[tuple[list[str], list[s
 
 
 def _measured(m: TopoMap) -> list[str]:
+    """The cells of a run's row that its map fills."""
     times, noise = m.observation_time_ns, m.measured
     begin = utc(int(times.min())) if len(times) else "—"
     lasts = minutes(int(times.max() - times.min())) if len(times) else "—"

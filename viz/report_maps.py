@@ -29,8 +29,8 @@ from ..topology.se2 import apply
 from ..topology.topomap import TopoMap
 from ..topology.turning_vertices import with_turning_points
 from ..topology.wording import counted, legible, listed
-from .drawing import TURNED, TURNED_MARKERS, bounds, changed_path, strands
-from .pages import corridor_told
+from .geometry import LINE_SHARE, TURNED, TURNED_MARKERS, bounds, changed_path, strands
+from .pages import describe_corridor
 from .palette import LIGHT
 from .parts import ranks, rows_of
 from .sheet import upright_rad
@@ -45,9 +45,8 @@ GOOD, BAD, PLANNED = LIGHT["agrees"], LIGHT["against"], "#8b5cf6"
 PICTURE_PX = 700.0
 """A map's width on a page of usual width."""
 
-PEN_PX, PEN_SHARE = 2.4, 0.12
-"""Width of a run's line where the map fills its picture; over the median corridor at most, as in
-drawings."""
+PEN_PX = 2.4
+"""Width of a run's line where the map fills its picture, within LINE_SHARE."""
 
 SCALE_BAR = 0.04
 """Room for the scale bar below a map, and for numbers at its right, over its extent."""
@@ -92,9 +91,8 @@ def site_map(
 
 
 def blank_figure(x: Sequence[float], y: Sequence[float], tools: str, **more: Any) -> Any:
-    """A figure without frame and toolbar, as large as its place on the page, through which the page
-    is seen. x, y: begin and end of its axes;
-    more: of Bokeh's figures."""
+    """A transparent figure without frame and toolbar that fills its place on the page. x, y: begin
+    and end of its axes; more: of Bokeh's figures."""
     across, up = (Range1d(start=round(float(a), 2), end=round(float(b), 2)) for a, b in (x, y))
     return figure(
         x_range=across,
@@ -150,12 +148,6 @@ def columns(xy: FloatArray) -> tuple[list[float], list[float]]:
     return x, y
 
 
-def path_columns(paths: Iterable[FloatArray]) -> tuple[list[list[float]], list[list[float]]]:
-    """x and y of each polyline."""
-    both = [columns(simplify(path, STRAIGHT_M)) for path in paths]
-    return [x for x, _ in both], [y for _, y in both]
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Site:
     """The figure of a component, its own. T: the pose in the figure of its frame; vertices, edges:
@@ -189,12 +181,12 @@ class _Site:
     def corridors(self) -> None:
         """Every corridor as one line, to be clicked; faint under the lines of several runs."""
         f, rows = self.fused, self.edges.tolist()
-        told = []
+        tips = []
         for e in rows:
-            what, runs = corridor_told(f, e), sorted({run for run, _ in f.edge_members[e]})
-            told.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
+            what, runs = describe_corridor(f, e), sorted({run for run, _ in f.edge_members[e]})
+            tips.append(f"{what[0].upper()}{what[1:]} by {listed(runs, MOST_RUNS)}")
         paths, alpha = [f.paths[e] for e in rows], 0.45 if len(self.own.poses) > 1 else 0.9
-        self._lines(paths, told, FAINT, "", line_width=3.0, line_alpha=alpha)
+        self._lines(paths, tips, FAINT, "", line_width=3.0, line_alpha=alpha)
 
     def runs(self, rank: Mapping[str, int]) -> None:
         """A line beside the others for each of several runs that drove a corridor."""
@@ -203,7 +195,7 @@ class _Site:
         extent = self.plot.x_range.end - self.plot.x_range.start
         usual = usual_m(self.fused.length[self.edges])
         found = strands(
-            self.fused, self.edges, min(PEN_PX * extent / PICTURE_PX, PEN_SHARE * usual)
+            self.fused, self.edges, min(PEN_PX * extent / PICTURE_PX, LINE_SHARE * usual)
         )
         x, y = self._path_columns(strand.path for strand in found)
         inks = [LIGHT.run(rank[strand.run]) for strand in found]
@@ -228,22 +220,22 @@ class _Site:
         """What is gone, new, or there at times."""
         if not shown:
             return
-        paths, told = (
+        paths, tips = (
             [changed_path(self.fused, self.edges, c) for c in shown],
-            [described_change(c, self.own.name) for c in shown],
+            [describe_change(c, self.own.name) for c in shown],
         )
-        self._lines(paths, told, BAD, "changes", line_width=9.0, line_alpha=0.4)
-        self._dots(np.array([c.xy for c in shown]), told, BAD, "changes", 16.0, ring=True)
+        self._lines(paths, tips, BAD, "changes", line_width=9.0, line_alpha=0.4)
+        self._dots(np.array([c.xy for c in shown]), tips, BAD, "changes", 16.0, ring=True)
 
     def drives(self, found: Sequence[tuple[int, Drive]]) -> None:
         """What to record next: the way, and a ring where it begins."""
         if not found:
             return
-        told = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
+        tips = [f"Drive {k}: {'; '.join(drive.words)}; {drive.way}" for k, drive in found]
         paths = [drive.path for _, drive in found]
-        self._lines(paths, told, PLANNED, DRIVES, line_width=6.0, line_alpha=0.6)
+        self._lines(paths, tips, PLANNED, DRIVES, line_width=6.0, line_alpha=0.6)
         begins = np.array([drive.stops[0].xy for _, drive in found])
-        self._dots(begins, told, PLANNED, DRIVES, 18.0, ring=True)
+        self._dots(begins, tips, PLANNED, DRIVES, 18.0, ring=True)
         together: dict[int | None, list[int]] = {}
         for row, (_, drive) in enumerate(found):
             together.setdefault(drive.stops[0].junction, []).append(row)
@@ -266,16 +258,17 @@ class _Site:
         for kind, marker in TURNED_MARKERS.items():
             rows = [v for v in self.vertices[turned].tolist() if f.kind[v] == kind]
             runs = [listed(sorted(f.members[v]), MOST_RUNS) for v in rows]
-            told = [f"Here {TURNED[kind]} ({who})" for who in runs]
-            self._dots(f.xy[rows], told, LIGHT["degree 1"], "", 6.0, marker=marker)
+            tips = [f"Here {TURNED[kind]} ({who})" for who in runs]
+            self._dots(f.xy[rows], tips, LIGHT["degree 1"], "", 6.0, marker=marker)
         rows = self.vertices[~turned].tolist()
         for shared, size in ((False, 7.0), (True, 10.0)):
             some = [v for v in rows if (len(f.members[v]) > 1) == shared]
-            told = [self._junction_told(v) for v in some]
-            self._dots(f.xy[some], told, INK, "", size, number=some)
+            tips = [self._describe_junction(v) for v in some]
+            self._dots(f.xy[some], tips, INK, "", size, number=some)
         self._words(f.xy[rows], list(map(str, rows)), INK, NUMBERS, (6, -8))
 
-    def _junction_told(self, v: int) -> str:
+    def _describe_junction(self, v: int) -> str:
+        """A fused junction in a line: branches, passes, runs, position."""
         f = self.fused
         runs = sorted(f.members[v])
         sigma = f.position_sigma
@@ -301,19 +294,20 @@ class _Site:
 
     def _path_columns(self, paths: Iterable[FloatArray]) -> tuple[Any, Any]:
         """x and y of each polyline of the site's frame, in the figure."""
-        return path_columns(apply(self.T, path) for path in paths)
+        both = [columns(simplify(apply(self.T, path), STRAIGHT_M)) for path in paths]
+        return [x for x, _ in both], [y for _, y in both]
 
     # ink: colour; layer: "" for what is always shown; look: of Bokeh's glyphs.
 
     def _lines(
-        self, paths: Sequence[FloatArray], told: Sequence[str], ink: str, layer: str, **look: Any
+        self, paths: Sequence[FloatArray], tips: Sequence[str], ink: str, layer: str, **look: Any
     ) -> None:
         """Polylines, (k, 2) each in the site's frame, and what a click on one says."""
         x, y = self._path_columns(paths)
         self.plot.multi_line(
             "xs",
             "ys",
-            source=ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, told))}),
+            source=ColumnDataSource({"xs": x, "ys": y, "told": list(map(legible, tips))}),
             line_color=ink,
             line_cap="round",
             line_join="round",
@@ -326,7 +320,7 @@ class _Site:
     def _dots(
         self,
         xy: FloatArray,
-        told: Sequence[str],
+        tips: Sequence[str],
         ink: str,
         layer: str,
         size: float,
@@ -337,10 +331,10 @@ class _Site:
     ) -> None:
         """Marks or rings at xy (n, 2) in the site's frame, and what a click on one says; number: of
         junctions, by which the page finds them."""
-        if not len(told):
+        if not len(tips):
             return
         x, y = columns(apply(self.T, xy))
-        given = {"x": x, "y": y, "told": list(map(legible, told))}
+        given = {"x": x, "y": y, "told": list(map(legible, tips))}
         given |= {"number": list(number)} if len(number) else {}
         self.plot.scatter(
             "x",
@@ -393,7 +387,7 @@ NUMBERS = "junction numbers"
 """Of this layer the page shows what has room."""
 
 
-def described_change(change: Change, site: str) -> str:
+def describe_change(change: Change, site: str) -> str:
     """What changed, when, for whom and how surely, as sentences on one line."""
     return " ".join(f"{words[0].upper()}{words[1:]}." for words in change.words(site))
 

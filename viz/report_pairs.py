@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from bokeh.models import ColumnDataSource, FixedTicker, LinearColorMapper
 
 from ..merge.decision import LINKS, Decision, Placement
-from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows
+from ..merge.decision_text import advice, because, digits_of, itemised, needs, rows, short
 from ..merge.result import Alignment, MergeResult, PairVerdict, Standing, shown_bits
 from ..topology.topomap import TopoMap
 from ..topology.wording import legible
@@ -31,9 +32,6 @@ SAME_RUN = "#8a929c99"
 
 MOST_NAMES = 40
 """Up to this many runs the matrix has their names; of more those of their sites."""
-
-LONGEST = 18
-"""Longer names are shortened in the middle."""
 
 MOST_LINKS = 12
 """Links of a placement that are listed one by one."""
@@ -69,20 +67,13 @@ def named_axis(axis: Any, names: Mapping[float, str]) -> None:
     """Write names beside an axis, by their place along it."""
     axis.update(
         ticker=FixedTicker(ticks=sorted(names)),
-        major_label_overrides={at: shortened(name) for at, name in names.items()},
+        major_label_overrides={at: short(legible(name)) for at, name in names.items()},
         major_label_text_color=INK,
         major_label_text_font_size="10px",
         major_label_standoff=2,
         major_tick_line_color=None,
         axis_line_color=None,
     )
-
-
-def shortened(name: str) -> str:
-    """A name that fits an axis."""
-    name = legible(name)
-    half = LONGEST // 2
-    return name if len(name) <= LONGEST else f"{name[:half]}…{name[len(name) - half + 1 :]}"
 
 
 def pair_figure() -> Any:
@@ -170,14 +161,16 @@ def _opened(
     if pair.locked:
         out["locked"] = pair.locked
     if decision is not None:
-        lines = [because(decision), advice(decision) or "", f"Needed: {needs(decision)}"]
+        lines = [because(decision), advice(decision), f"Needed: {needs(decision)}"]
         lines += [f"Note: {note}" for note in decision.notes]
         out["told"] = [legible(line) for line in lines if line]
+        digits = digits_of(decision)
         out["rows"] = [
-            [row.level, legible(row.text), row.a, row.b, *(_bits(b, decision) for b in row.bits)]
+            [row.level, legible(row.text), row.a, row.b]
+            + ["" if bits is None else f"{bits:+z.{digits}f}" for bits in row.bits]
             for row in rows(decision, MOST_LINKS)
         ]
-        placed = [_placed(p.alignment, maps, pair, p, decision) for p in decision.placements]
+        placed = [_placed(p.alignment, maps, pair, p) for p in decision.placements]
     else:
         placed = [_placed(a, maps, pair) for a in (pair.best, pair.runner_up) if a is not None]
     if shown := [p for p in placed if p is not None]:
@@ -185,16 +178,11 @@ def _opened(
     return out
 
 
-def _bits(bits: float | None, decision: Decision) -> str:
-    return "" if bits is None else f"{bits:+z.{digits_of(decision)}f}"
-
-
 def _placed(
     alignment: Alignment,
     maps: Mapping[str, TopoMap],
     pair: PairVerdict,
     placement: Placement | None = None,
-    decision: Decision | None = None,
 ) -> dict[str, Any] | None:
     """A placement to be drawn; None if the maps do not have the junctions that it names."""
     if not _is_of(alignment, maps, pair):
@@ -207,7 +195,7 @@ def _placed(
         "against": [legible(told) for told in alignment.contradictions],
         "spots": [[list(a), list(b)] for a, b in alignment.contradicting],
     }
-    if placement is not None and decision is not None:
+    if placement is not None:
         links = itemised(placement, LINKS)
         out["links"] = [list(t.a) for t in links if t.bits > 0 and len(t.a) == 2]
     return out
@@ -217,11 +205,9 @@ def _is_of(alignment: Alignment, maps: Mapping[str, TopoMap], pair: PairVerdict)
     """Whether both maps are there and have the junctions that an alignment names."""
     if not {pair.a, pair.b} <= maps.keys():
         return False
-
-    def known(run: str, junctions: Iterable[int]) -> bool:
-        m = maps[run]
-        return all(0 <= k < len(m) + len(m.turning_points) for k in junctions)
-
-    a = [*alignment.matched[:, 0].tolist(), *(k for ks, _ in alignment.contradicting for k in ks)]
-    b = [*alignment.matched[:, 1].tolist(), *(k for _, ks in alignment.contradicting for k in ks)]
-    return known(pair.a, a) and known(pair.b, b)
+    for side, m in enumerate((maps[pair.a], maps[pair.b])):
+        against = chain.from_iterable(where[side] for where in alignment.contradicting)
+        named = [*alignment.matched[:, side].tolist(), *against]
+        if max(named, default=0) >= len(m) + len(m.turning_points):
+            return False
+    return True

@@ -13,7 +13,7 @@ from ..topology.odometry import Odometry
 from ..topology.se2 import apply, compose, fit_rigid
 from ..topology.topomap import TopoMap
 from ..topology.track import stretch_of
-from .drawing import thinned
+from .geometry import thinned
 
 MOST_POINTS = 20_000
 """About the most points of a drawn track."""

@@ -11,12 +11,10 @@ from numpy.typing import ArrayLike
 from ..merge.decision_text import short
 from ..topology.arrays import FloatArray
 from ..topology.se2 import apply, rotation
+from .geometry import MIN_SIDE_M
 
 ASPECT = 1.3
 """Target ratio of width to height of a sheet, that of the viewer's view."""
-
-MIN_SIDE_M = 4.0
-"""Smallest side of a cell."""
 
 WIDTHS_TRIED = 24
 """Number of sheet widths that are compared."""
@@ -112,10 +110,7 @@ def _shelves(sizes: Sequence[FloatArray]) -> list[FloatArray]:
     if not sizes:
         return []
     widest = max(float(w) for w, _ in sizes)
-    widths = np.linspace(widest, max(widest, sum(float(w) for w, _ in sizes)), WIDTHS_TRIED)
-    if len(sizes) > WIDTHS_TRIED:
-        area = sum(float(w * h) for w, h in sizes)
-        widths = np.maximum(widest, np.sqrt(area * ASPECT) * np.linspace(0.9, 1.4, WIDTHS_TRIED))
+    widths = np.geomspace(widest, sum(float(w) for w, _ in sizes), WIDTHS_TRIED)
     laid = [_rows(sizes, float(width)) for width in widths]
     best = min(range(len(laid)), key=lambda i: (max(laid[i][1] / ASPECT, laid[i][2]), i))
     return laid[best][0]

@@ -144,6 +144,7 @@ def _branches_fit(around: _Surroundings, u: int, v: int) -> bool:
 
 
 def _runs_of(pool: Pool, label: IntArray) -> list[set[int]]:
+    """For each place the runs that saw it. label: (n,) place of each row."""
     runs: list[set[int]] = [set() for _ in range(int(label.max(initial=-1)) + 1)]
     for place, run in zip(label.tolist(), pool.run.tolist(), strict=True):
         runs[place].add(run)

@@ -50,11 +50,11 @@ def _replaced_once(corridors: Sequence[Corridor]) -> list[Corridor]:
         gone.add(number)
         for k in chain:
             through.setdefault(k, []).append(corridors[number])
-    return [_driven_by(c, through.get(k, ())) for k, c in enumerate(corridors) if k not in gone]
+    return [_driven_more(c, through.get(k, ())) for k, c in enumerate(corridors) if k not in gone]
 
 
-def _driven_by(c: Corridor, longer: Sequence[Corridor]) -> Corridor:
-    """The corridor as a part of longer ones, too."""
+def _driven_more(c: Corridor, longer: Sequence[Corridor]) -> Corridor:
+    """The corridor, also driven by the runs of longer ones that it is a part of."""
     if not longer:
         return c
     members = tuple(sorted({*c.members, *(m for other in longer for m in other.members)}))
@@ -77,6 +77,7 @@ Leaving = Mapping[int, Sequence[tuple[int, _Way]]]
 
 
 def _by_branch(corridors: Sequence[Corridor]) -> Leaving:
+    """The corridors at each place, in both directions."""
     out: dict[int, list[tuple[int, _Way]]] = {}
     for k, c in enumerate(corridors):
         out.setdefault(c.u, []).append((c.branch_u, _Way(k, c.v, c.branch_v)))

@@ -77,7 +77,7 @@ def corridors_of(
         rows = slice(first, first + len(m))
         home, branches = label[rows].tolist(), branch_of[rows]
         ways = [way_of(path) for path in m.paths]
-        drawn = _drawn(m, ways, pose[rows, 2], place_xy[label[rows]])
+        drawn = _bent_paths(m, ways, pose[rows, 2], place_xy[label[rows]])
         columns = (
             *(m.source, m.target, m.source_branch, m.target_branch),
             *(m.length, m.length_sigma, m.traversals, np.sqrt(length_variances(m)[0])),
@@ -103,10 +103,10 @@ def corridors_of(
     return out
 
 
-def _drawn(
+def _bent_paths(
     m: TopoMap, ways: Sequence[FloatArray], turn: FloatArray, place: FloatArray
 ) -> list[FloatArray]:
-    """The paths of a run's map in the component's frame, with their ends at the fused places.
+    """The paths of a run's map in the component's frame, bent so that they end at the fused places.
 
     A path is moved rigidly with its source and with its target, and interpolated between both in
     proportion to the distance. ways: `way_of` each path; turn: (n,) [rad] and place: (n, 2) [m], of

@@ -31,7 +31,7 @@ from .joint_graph import (
     run_poses,
     settle,
 )
-from .places import Place, fused_places
+from .places import Place, fused_branches, fused_places
 from .uncertainty import fused_sigmas
 from .vertex_partition import Groups, Pool, identify
 
@@ -123,48 +123,40 @@ def fuse_component(
     """Fuse one component. inside: accepted verdicts between its runs, which connect them."""
     pool = Pool.of(maps)
     groups = identify(pool, inside)
-    start = run_poses(list(pool.first), inside)
-    joint = _settle(pool, groups, start, inside)
-    pose = joint.pose
+    joint = _fuse_coincident(pool, groups, run_poses(list(pool.first), inside), inside)
     label = groups.labels()
-    xy = _place_positions(pool, label, pose)
-    places = fused_places(pool, label, pose)
-    branch_of = [np.zeros(0, np.int64)] * len(pool)
-    for place in places:
-        for row, mapping in place.branch_of.items():
-            branch_of[row] = mapping
-    corridors = corridors_of(pool, label, pose, xy, branch_of)
+    xy = _place_positions(pool, label, joint.pose)
+    places = fused_places(pool, label, joint.pose)
+    corridors = corridors_of(pool, label, joint.pose, xy, fused_branches(places, len(pool)))
     if len(pool.maps) > 1:
         corridors = split_at_places(fuse_corridors(corridors))
-    poses = fitted_poses(pool, pose)
+    component = Component(0, fitted_poses(pool, joint.pose))
     fused = _fused_map(pool, xy, places, corridors)
-    own = {run: poses[run] for run in sorted(poses)}
     if not sigmas:
-        return Component(0, own), fused
+        return component, fused
     if joint.graph is None or joint.solution is None:  # one run: the sigmas of its map
-        return Component(0, own), replace(fused, position_sigma=pool.maps[0].position_sigma)
-    of_places, of_lengths, errors = fused_sigmas(
+        return component, replace(fused, position_sigma=pool.maps[0].position_sigma)
+    of_places, of_lengths, spread = fused_sigmas(
         pool, label, joint.graph, joint.solution, corridors
     )
     fused = replace(fused, position_sigma=of_places, length_sigma=of_lengths)
-    return Component(0, own, errors), fused
+    return replace(component, spread=spread), fused
 
 
-def _settle(
+def _fuse_coincident(
     pool: Pool, groups: Groups, start: Mapping[str, FloatArray], inside: Sequence[PairVerdict]
 ) -> Joint:
-    """Optimise and fuse coincident vertices alternately, until there are none."""
+    """Optimise the positions and fuse coincident vertices alternately, until there are none:
+    changes `groups`, returns the positions."""
     if len(pool.maps) < 2:
         return settle(pool, groups.labels(), start)
     within, across = measured_within(pool), measured_across(pool, inside)
     matched = [(v.a, v.b) for v in inside]
-    joint = settle(pool, groups.labels(), start, within, across)
-    while pairs := coincident(pool, groups, joint.pose, matched):
-        fused = [groups.join(u, v) for u, v in pairs]
-        if not any(fused):
-            break
+    while True:
         joint = settle(pool, groups.labels(), start, within, across)
-    return joint
+        fused = [groups.join(u, v) for u, v in coincident(pool, groups, joint.pose, matched)]
+        if not any(fused):
+            return joint
 
 
 def _place_positions(pool: Pool, label: IntArray, pose: FloatArray) -> FloatArray:
@@ -197,6 +189,7 @@ def observations_of(
 def _fused_map(
     pool: Pool, xy: FloatArray, places: Sequence[Place], corridors: Sequence[Corridor]
 ) -> FusedMap:
+    """Places and corridors as a fused map of one component. xy: (places, 2) [m]."""
     members = tuple(
         by_run((pool.maps[pool.run[row]].run, int(pool.vertex[row])) for row in place.rows)
         for place in places

@@ -134,7 +134,10 @@ def settle(
     the pool, if computed before; across: `measured_across`. The frame is chosen so that the rigid
     fit of the first run's map to its optimised vertices is the identity.
     """
-    guess = np.concatenate([_laid_out(m, start[m.run]) for m in pool.maps])
+    local = [np.column_stack([m.xy, np.zeros(len(m))]) for m in pool.maps]
+    guess = np.concatenate(
+        [compose(start[m.run], pose) for m, pose in zip(pool.maps, local, strict=True)]
+    )
     ties = joined([_identity_factors(pool, label, guess), across])
     if len(ties.source) == 0:
         return Joint(guess, None, None)
@@ -196,11 +199,6 @@ def _fit(pose: FloatArray, xy: FloatArray) -> FloatArray:
     T = np.array([0.0, 0.0, pose[0, 2]])
     T[:2] = pose[0, :2] - apply(T, xy[0])
     return T
-
-
-def _laid_out(topomap: TopoMap, T_component_run: FloatArray) -> FloatArray:
-    local = np.column_stack([topomap.xy, np.zeros(len(topomap))])
-    return compose(T_component_run, local)
 
 
 def _map_factors(topomap: TopoMap, first: int) -> Measurements:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -61,6 +62,15 @@ def fused_places(pool: Pool, label: IntArray, pose: FloatArray) -> list[Place]:
             for s in kept[k]:
                 branch_of[s.row][s.branch] = position
         out.append(Place(members, means[order], branch_of, _kind(pool, members, visits)))
+    return out
+
+
+def fused_branches(places: Sequence[Place], rows: int) -> list[IntArray]:
+    """For each of the rows of a pool the fused branch of each of its branches, as in `Place`."""
+    out = [np.zeros(0, np.int64)] * rows
+    for place in places:
+        for row, branches in place.branch_of.items():
+            out[row] = branches
     return out
 
 

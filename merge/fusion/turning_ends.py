@@ -23,46 +23,27 @@ from ...topology.ragged import Ragged
 from ...topology.se2 import apply, wrap
 from ...topology.topomap import TopoMap
 from ...topology.turning_back import group_by_dead_end
-from ...topology.turning_points import TurningPoints
 from ..result import Component, FusedMap, by_run, fused_of
 
 
 class _End(NamedTuple):
-    """Turning point `row` of a map, attached to a fused vertex, in its component's frame."""
+    """A turning point of a run, attached to a fused vertex, in its component's frame.
 
-    topomap: TopoMap
-    row: int
+    seen: (run, time) of every drive to it; member, edge: its run, and the numbers of the vertex and
+    of the edge that it is there (`with_turning_points`).
+    """
+
     vertex: int
     branch: int
     path: FloatArray
-    theta: float
-
-    @property
-    def points(self) -> TurningPoints:
-        return self.topomap.turning_points
-
-    @property
-    def length(self) -> float:
-        return float(self.points.length[self.row])
-
-    @property
-    def drives(self) -> int:
-        return int(self.points.traversals[self.row])
-
-    @property
-    def seen(self) -> list[tuple[str, int]]:
-        """(run, time) of every drive to it."""
-        return [(self.topomap.run, ns) for ns in self.points.time_ns[self.row][:, 0].tolist()]
-
-    @property
-    def member(self) -> tuple[str, int]:
-        """Its run, and its vertex number there (`with_turning_points`)."""
-        return self.topomap.run, len(self.topomap) + self.row
-
-    @property
-    def edge(self) -> tuple[str, int]:
-        """Its run, and the edge number of the corridor to it."""
-        return self.topomap.run, len(self.topomap.source) + self.row
+    kind: str
+    heading: float
+    length: float
+    length_sigma: float
+    drives: int
+    seen: list[tuple[str, int]]
+    member: tuple[str, int]
+    edge: tuple[str, int]
 
 
 def with_turning_ends(
@@ -101,6 +82,7 @@ def _corridors(fused: FusedMap, step_m: float) -> Callable[[int], Ways]:
 def _ends(
     fused: FusedMap, components: Sequence[Component], maps: Sequence[TopoMap]
 ) -> Iterator[_End]:
+    """The turning points of all runs, attached to fused vertices."""
     poses = {run: pose for c in components for run, pose in c.poses.items()}
     home = fused_of(fused.members)
     for m in maps:
@@ -114,7 +96,19 @@ def _ends(
             if branch != NO_BRANCH:
                 off = np.abs(wrap(fused.branches[at] - (m.branches[vertex][branch] + T[2])))
                 its = int(off.argmin()) if off.min() <= DRIVEN_RAD else NO_BRANCH
-            yield _End(m, row, at, its, path, float(T[2]))
+            yield _End(
+                vertex=at,
+                branch=its,
+                path=path,
+                kind=t.kind[row],
+                heading=float(wrap(t.heading[row] + T[2])),
+                length=float(t.length[row]),
+                length_sigma=float(t.length_sigma[row]),
+                drives=int(t.traversals[row]),
+                seen=[(m.run, ns) for ns in t.time_ns[row][:, 0].tolist()],
+                member=(m.run, len(m) + row),
+                edge=(m.run, len(m.source) + row),
+            )
 
 
 def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
@@ -124,14 +118,13 @@ def _appended(fused: FusedMap, kept: Sequence[Sequence[_End]]) -> FusedMap:
     n, k = len(fused), len(kept)
     deepest = [group[0] for group in kept]
     at = np.array([e.vertex for e in deepest])
-    length_sigma = np.array([e.points.length_sigma[e.row] for e in deepest])
-    heading = np.array([wrap(e.points.heading[e.row] + e.theta) for e in deepest])
+    length_sigma = np.array([e.length_sigma for e in deepest])
     own = fused.position_sigma
     more = {
         "component": fused.component[at],
         "xy": [e.path[-1] for e in deepest],
-        "branches": Ragged(np.arange(k + 1), heading),
-        "kind": [e.points.kind[e.row] for e in deepest],
+        "branches": Ragged(np.arange(k + 1), np.array([e.heading for e in deepest])),
+        "kind": [e.kind for e in deepest],
         "members": [by_run(sorted(e.member for e in group)) for group in kept],
         "observations": [tuple(sorted(o for e in group for o in e.seen)) for group in kept],
         "source": at,

@@ -163,8 +163,9 @@ def _length_sigmas(
 
 
 def _run_errors(pool: Pool, marks: Landmarks, error: FloatArray) -> Spread:
-    """Errors of the rigid fits of the truth to the maps of a pool. error: (…, 3, s) sampled, of the
-    nodes of the joint graph. A rigid fit is linear in small shifts of its points."""
+    """Sampled errors of the placements of a pool's maps, each the rigid fit of a map to its true
+    positions, which is linear in small shifts of these. error: (…, 3, s), of the nodes of the joint
+    graph."""
     n, count = len(pool), len(pool.maps)
     of_run = csr_array((np.ones(n), (pool.run, np.arange(n))), shape=(count, n))
     size = np.maximum(np.bincount(pool.run, minlength=count), 1)[:, None]

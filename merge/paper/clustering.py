@@ -173,7 +173,7 @@ def _readmitted(
     rectilinear_turn = np.rint(h.transform[:, 2] * 1e9)  # equal rotations only, where exact
     for _ in range(settings.rounds):
         clusters = _ranked(h, of, xy, threshold, settings)
-        before, of = of, clusters.of.copy()
+        of = clusters.of.copy()
         for c in range(len(clusters)):
             T = clusters.transform[c]
             residual = xy[0][h.vertex_a] - apply(T, xy[1][h.vertex_b])
@@ -186,15 +186,9 @@ def _readmitted(
             )
             smaller = (of > c) | (of < 0)
             of = np.where(fits & smaller, c, of)
-        if np.array_equal(_canonical(before), _canonical(of)):
+        if np.array_equal(of, clusters.of):
             break
     return of
-
-
-def _canonical(of: IntArray) -> IntArray:
-    """Labels by first appearance, to compare partitions."""
-    _, first, inverse = np.unique(of, return_index=True, return_inverse=True)
-    return np.asarray(np.argsort(np.argsort(first))[inverse])
 
 
 def _ranked(

@@ -15,39 +15,36 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.digits import rounded
-from ...topology.matching.correspondence import candidate_nodes, node_codes, node_rotations
+from ...topology.matching.correspondence import (
+    Nodes,
+    candidate_nodes,
+    node_codes,
+    node_rotations,
+)
 from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..document import pose_to_document
 from ..result import shown_bits
-from .clustering import Clusters
-from .hypotheses import Hypotheses
-from .method import DEFAULT_PAPER, PaperSettings, match, prepare_map
+from .method import DEFAULT_PAPER, Matching, PaperSettings, match, prepare_map
 
 NONE = "×"  # noqa: RUF001 - the paper's sign
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Explanation:
-    """All results for two maps; `tables` is Fig. 1, `clusters` Fig. 2.
+    """All results for two maps.
 
-    candidate_a, candidate_b: (K,) compatible vertex pairs, once per correspondence; turn_rad: (K,)
-    rotation of b under it; hypothesis: (K,) number of the hypothesis, -1 if none survived;
-    degree_a, degree_b: branches of every vertex; bits: (C,) evidence of each cluster; settings: of
-    the matching.
+    found: the hypotheses and clusters (Fig. 2); candidates: the K compatible vertex pairs (Fig. 1),
+    once per correspondence; turn_rad: (K,) rotation of b under it; hypothesis: (K,) number of the
+    hypothesis, -1 if none survived; settings: of the matching.
     """
 
-    a: str
-    b: str
-    hypotheses: Hypotheses
-    clusters: Clusters
-    candidate_a: IntArray
-    candidate_b: IntArray
+    a: TopoMap
+    b: TopoMap
+    found: Matching
+    candidates: Nodes
     turn_rad: FloatArray
     hypothesis: IntArray
-    degree_a: IntArray
-    degree_b: IntArray
-    bits: FloatArray
     settings: PaperSettings
 
 
@@ -62,20 +59,8 @@ def explain(a: TopoMap, b: TopoMap, settings: PaperSettings = DEFAULT_PAPER) -> 
         node_codes(pa.structure, pb.structure, n, h.rectilinear).tolist() for n in (h.nodes, nodes)
     ]
     of = dict(zip(codes[0], h.of.tolist(), strict=True))
-    return Explanation(
-        a=a.run,
-        b=b.run,
-        hypotheses=h,
-        clusters=found.clusters,
-        candidate_a=nodes.vertex_a,
-        candidate_b=nodes.vertex_b,
-        turn_rad=turn,
-        hypothesis=np.array([of.get(code, -1) for code in codes[1]], np.int64),
-        degree_a=a.degree,
-        degree_b=b.degree,
-        bits=found.bits,
-        settings=settings,
-    )
+    hypothesis = np.array([of.get(code, -1) for code in codes[1]], np.int64)
+    return Explanation(a, b, found, nodes, turn, hypothesis, settings)
 
 
 def lines(e: Explanation, most: int = 20) -> list[str]:
@@ -87,26 +72,28 @@ def lines(e: Explanation, most: int = 20) -> list[str]:
 
 
 def _table_lines(e: Explanation, most: int) -> Iterator[str]:
-    pairs = len(np.unique(e.candidate_a * len(e.degree_b) + e.candidate_b))
+    """Counts, settings, and a table of vertex pairs for each number of branches (Fig. 1)."""
+    one, two = e.candidates.vertex_a, e.candidates.vertex_b
+    pairs = len(np.unique(one * len(e.b) + two))
     yield (
-        f"{e.a} ({counted(len(e.degree_a), 'junction')}) and "
-        f"{e.b} ({counted(len(e.degree_b), 'junction')}): {counted(pairs, 'compatible pair')}, "
-        f"{len(e.candidate_a)} with their rotations; "
-        f"{counted(len(e.hypotheses), 'hypothesis', 'hypotheses')} in "
-        f"{counted(len(e.clusters), 'cluster')}"
+        f"{e.a.run} ({counted(len(e.a), 'junction')}) and "
+        f"{e.b.run} ({counted(len(e.b), 'junction')}): {counted(pairs, 'compatible pair')}, "
+        f"{len(e.candidates)} with their rotations; "
+        f"{counted(len(e.found.hypotheses), 'hypothesis', 'hypotheses')} in "
+        f"{counted(len(e.found.clusters), 'cluster')}"
     )
     yield _settings_line(e.settings)
-    for degree in np.unique(e.degree_a[e.candidate_a]).tolist():
-        rows, columns = (np.flatnonzero(d == degree) for d in (e.degree_a, e.degree_b))
+    for degree in np.unique(e.a.degree[one]).tolist():
+        rows, columns = (np.flatnonzero(m.degree == degree) for m in (e.a, e.b))
         branches = counted(degree, "branch", "branches")
         yield ""
         if len(rows) > most or len(columns) > most:
             yield f"{branches}: a table of {len(rows)} by {len(columns)}, left out"
             continue
-        yield f"{branches}; rows {e.a}, columns {e.b}; H of each rotation, {NONE}: none"
+        yield f"{branches}; rows {e.a.run}, columns {e.b.run}; H of each rotation, {NONE}: none"
         cells = [[_cell(e, int(u), int(v)) for v in columns] for u in rows]
         width = max((len(c) for row in cells for c in row), default=1)
-        width = max(width, len(str(len(e.degree_b))) + 1)
+        width = max(width, len(str(len(e.b))) + 1)
         yield " " * 6 + " ".join(f"{'b' + str(v):>{width}}" for v in columns)
         for u, row in zip(rows.tolist(), cells, strict=True):
             yield f"{'a' + str(u):>5} " + " ".join(f"{c:>{width}}" for c in row)
@@ -125,7 +112,7 @@ def _settings_line(settings: PaperSettings) -> str:
 def _cell(e: Explanation, u: int, v: int) -> str:
     """The hypotheses of a vertex pair, in the order of rotations: H3, × for none, · if
     incompatible."""
-    k = np.flatnonzero((e.candidate_a == u) & (e.candidate_b == v))
+    k = np.flatnonzero((e.candidates.vertex_a == u) & (e.candidates.vertex_b == v))
     if len(k) == 0:
         return "·"
     order = k[np.argsort(np.round(e.turn_rad[k], 6), kind="stable")]
@@ -134,7 +121,8 @@ def _cell(e: Explanation, u: int, v: int) -> str:
 
 
 def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
-    c = e.clusters
+    """A table of the clusters (Fig. 2)."""
+    c, bits = e.found.clusters, e.found.bits
     if len(c) == 0:
         return
     yield ""
@@ -144,7 +132,7 @@ def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
         x, y, turn = c.transform[k].tolist()
         yield (
             f"{k + 1:>7}  {c.vertices[k]:>9}  {c.hypotheses[k]:>10}  {c.largest[k]:>7}  {rms:>5.2f}"
-            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {shown_bits(e.bits[k]):>6}"
+            f"  {x:>7.2f}  {y:>7.2f}  {np.rad2deg(turn):>5.1f}  {shown_bits(bits[k]):>6}"
         )
     if len(c) > most:
         yield f"… and {counted(len(c) - most, 'more cluster')}"
@@ -152,18 +140,18 @@ def _cluster_lines(e: Explanation, most: int) -> Iterator[str]:
 
 def to_document(e: Explanation) -> dict[str, Any]:
     """The explanation as JSON values."""
-    h, c = e.hypotheses, e.clusters
+    h, c, bits = e.found.hypotheses, e.found.clusters, e.found.bits
     groups = [np.flatnonzero(h.of == k) for k in range(len(h))]
     return {
         "schema": "topobatch.explanation/1",
-        "a": e.a,
-        "b": e.b,
+        "a": e.a.run,
+        "b": e.b.run,
         "settings": asdict(e.settings),
         "candidates": [
             {"a": u, "b": v, "turn": t, "hypothesis": None if k < 0 else k}
             for u, v, t, k in zip(
-                e.candidate_a.tolist(),
-                e.candidate_b.tolist(),
+                e.candidates.vertex_a.tolist(),
+                e.candidates.vertex_b.tolist(),
                 rounded(e.turn_rad),
                 e.hypothesis.tolist(),
                 strict=True,
@@ -187,7 +175,7 @@ def to_document(e: Explanation) -> dict[str, Any]:
                 "hypotheses": int(c.hypotheses[k]),
                 "largest": int(c.largest[k]),
                 "squared_error": rounded(c.squared_error[k]),
-                "evidence_bits": rounded(e.bits[k], 2),
+                "evidence_bits": rounded(bits[k], 2),
                 "transform": pose_to_document(c.transform[k]),
             }
             for k in range(len(c))

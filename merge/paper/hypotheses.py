@@ -86,8 +86,7 @@ def hypothesise(
     """
     grown, singles = _grown(a, b, settings, near)
     share = 1.0 if near is None else len(near[0]) * len(near[1]) / (len(a) * len(b))
-    matches = _surviving(grown, match_bits(grown, a, b, alike, share))
-    matches = _ordered(_with_singles(matches, singles.nodes, single_bits(singles.candidates)))
+    matches = _ordered(_valid(grown, match_bits(grown, a, b, alike, share), singles))
     of, nodes = matches.of, matches.nodes
     rectilinear = is_rectilinear(a, b, settings)
     rotation = node_rotations(a, b, nodes, rectilinear)
@@ -123,25 +122,18 @@ def _grown(
     return growth, SingleMatches(take(seeds, untested), len(seeds))
 
 
-def _surviving(growth: Growth, bits: FloatArray) -> _Matches:
-    """The matches that were not rejected."""
-    number = np.cumsum(~growth.rejected) - 1
-    keep = ~growth.rejected[growth.component]
-    links = ~growth.rejected[growth.link_component]
-    of_link = number[growth.link_component[links]]
-    count = int(np.count_nonzero(~growth.rejected))
-    corridors = np.bincount(of_link, minlength=count).astype(np.int64)
-    of, nodes = number[growth.component[keep]], take(growth.nodes, keep)
-    return _Matches(of, nodes, corridors, bits[~growth.rejected])
-
-
-def _with_singles(matches: _Matches, singles: Nodes, bits: float) -> _Matches:
-    lone = np.arange(len(singles)) + len(matches.corridors)
+def _valid(growth: Growth, bits: FloatArray, singles: SingleMatches) -> _Matches:
+    """The matches that were not rejected, then those of a single vertex."""
+    valid = ~growth.rejected
+    number, count = np.cumsum(valid) - 1, int(np.count_nonzero(valid))
+    rows, links = valid[growth.component], valid[growth.link_component]
+    lone = count + np.arange(len(singles.nodes))
+    of_links = number[growth.link_component[links]]
     return _Matches(
-        of=np.concatenate([matches.of, lone]),
-        nodes=joined([matches.nodes, singles]),
-        corridors=np.concatenate([matches.corridors, np.zeros(len(lone), np.int64)]),
-        bits=np.concatenate([matches.bits, np.full(len(lone), bits)]),
+        of=np.concatenate([number[growth.component[rows]], lone]),
+        nodes=joined([take(growth.nodes, rows), singles.nodes]),
+        corridors=np.bincount(of_links, minlength=count + len(lone)).astype(np.int64),
+        bits=np.concatenate([bits[valid], np.full(len(lone), single_bits(singles.candidates))]),
     )
 
 

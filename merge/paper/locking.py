@@ -9,7 +9,7 @@ from ..locks import Lock, Names
 from ..result import Alignment, PairVerdict, Verdict
 
 
-def honour(
+def with_locks(
     verdicts: Sequence[PairVerdict],
     table: Mapping[Names, Lock],
     forced: Callable[[Lock], Alignment | None],
@@ -27,6 +27,7 @@ def honour(
 def _locked(
     verdict: PairVerdict, lock: Lock | None, forced: Callable[[Lock], Alignment | None]
 ) -> PairVerdict:
+    """The verdict on a pair, by its lock if there is one."""
     if lock is None:
         return verdict
     if lock.decision == "never":

@@ -25,10 +25,10 @@ from ...topology.topomap import TopoMap
 from ...topology.wording import counted
 from ..locks import Lock, locks_among
 from ..result import Alignment, PairVerdict, Verdict, shown_bits
-from ..wording import told_bits
+from ..wording import describe_bits
 from .clustering import DEFAULT_CLUSTERS, Clusters, ClusterSettings, cluster
 from .hypotheses import Hypotheses, hypothesise
-from .locking import honour
+from .locking import with_locks
 from .meeting import Meeting, near_vertices
 from .significance import SelfSimilarity, cluster_bits, self_similarity
 
@@ -135,7 +135,9 @@ def decide(
     """
     ordered = sorted(maps, key=lambda m: m.run)
     by_run = {m.run: m for m in ordered}
-    _check_meetings(settings, by_run)
+    for run in (run for m in settings.meetings for run in (m.run_a, m.run_b)):
+        if run not in by_run:
+            raise UsageError(f"a meeting names run {run!r}, which is not among the maps")
     table = locks_among(locks, by_run)
     prepared = [prepare_map(m, settings) for m in ordered]
     pairs = list(combinations(prepared, 2))
@@ -144,14 +146,7 @@ def decide(
         out.append(verdict)
         if on_pair is not None:
             on_pair(len(out), len(pairs))
-    return honour(out, table, lambda lock: _forced(by_run, lock, settings))
-
-
-def _check_meetings(settings: PaperSettings, runs: Mapping[str, TopoMap]) -> None:
-    for m in settings.meetings:
-        for run in (m.run_a, m.run_b):
-            if run not in runs:
-                raise UsageError(f"a meeting names run {run!r}, which is not among the maps")
+    return with_locks(out, table, lambda lock: _forced(by_run, lock, settings))
 
 
 def _forced(by_run: Mapping[str, TopoMap], lock: Lock, settings: PaperSettings) -> Alignment | None:
@@ -239,16 +234,18 @@ def _nothing(a: PreparedMap, b: PreparedMap, settings: PaperSettings) -> str:
 
 
 def _verdict(bits: float, lead: float, needed: float) -> Verdict:
+    """The verdict by a cluster's evidence and its lead over the best rival [bits]."""
     if bits <= 0:
         return Verdict.UNRELATED
     return Verdict.MERGED if min(bits, lead) >= needed else Verdict.AMBIGUOUS
 
 
 def _reason(best: Alignment, second: Alignment | None, needed: float, found: Matching) -> str:
+    """The evidence of the best cluster in words."""
     what = (
         f"the best of {counted(len(found.clusters), 'cluster')} matches "
         f"{counted(len(best.matched), 'junction')} and {counted(best.corridors, 'corridor')}: "
-        f"{told_bits(best.evidence_bits, needed)}"
+        f"{describe_bits(best.evidence_bits, needed)}"
     )
     if best.evidence_bits <= 0:
         return f"{what}; chance offers as much"
@@ -261,6 +258,7 @@ def _reason(best: Alignment, second: Alignment | None, needed: float, found: Mat
 
 
 def _advice(bits: float, needed: float) -> str:
+    """What would settle an ambiguous pair."""
     if bits < needed:
         return "drive more of the places that both runs know"
     return "drive on to where the two placements differ"

@@ -121,7 +121,8 @@ class Batch:
         return next((c for c in candidates if agrees(as_alignment(c), T_i_j, place)), None)
 
     def same_place_bits(self, pairs: Sequence[Pair]) -> list[float]:
-        """Evidence that the alignments of some merged pairs are not copies [bits]."""
+        """Evidence that the alignments of merged pairs are not copies [bits], without those of
+        pairs that a lock names."""
         cases = []
         for pair, found in self.candidates(p for p in pairs if p not in self.locked).items():
             best = self.verdicts[pair].best
@@ -133,7 +134,7 @@ class Batch:
         copies = self.threshold(sorted({k for pair in pairs for k in pair})).copies
         return [same.bits for same in sameness_of(cases, copies)]
 
-    def undecided(self) -> list[Pair]:
+    def plausible(self) -> list[Pair]:
         """Pairs with a placement better than chance, merged or not."""
         return [
             pair

@@ -66,6 +66,7 @@ def _sector(angle: FloatArray) -> IntArray:
 
 
 def _mask_of(sector: IntArray, there: BoolArray) -> IntArray:
+    """(k,) the sectors (k, d) that are occupied, as the bits of a number."""
     return np.asarray(np.bitwise_or.reduce(np.where(there, 1 << sector, 0), axis=1))
 
 

@@ -55,5 +55,6 @@ def common_branches(
 
 
 def _pairs(a: Prepared, b: Prepared, va: IntArray, vb: IntArray, turn: ComplexArray) -> BranchPairs:
+    """Mutually nearest branches of vertices va and vb, (k,) each, under the rotations b → a."""
     turned = b.branch_unit.take(vb, axis=0) * turn[:, None]
     return mutual_nearest(a.branch_unit.take(va, axis=0), turned)

@@ -43,10 +43,6 @@ class Components:
         """Whether runs i and j are in one component."""
         return self.head[i] == self.head[j]
 
-    def size(self, head: int) -> int:
-        """Number of runs of a component."""
-        return len(self.members[head])
-
     def relative(self, i: int, j: int) -> FloatArray:
         """T_i_j of two runs of one component."""
         return compose(inverse(self.pose[i]), self.pose[j])
@@ -168,6 +164,7 @@ def lying_over(components: Components, places: Sequence[ComplexArray]) -> list[P
 
 
 def _laid(pose: FloatArray, z: ComplexArray | np.complex128) -> ComplexArray:
+    """Points z, x + iy [m], moved by a pose (3,)."""
     x, y, theta = pose.tolist()
     return np.asarray(np.exp(1j * theta) * z + (x + 1j * y))
 
@@ -254,7 +251,7 @@ class Across:
         and the scale errors of its two runs, which it shares with other pairs.
         """
         pairs = sorted(across)
-        rows = [_common(*self._maps(p), across[p].matched) for p in pairs]
+        rows = [_common_corridors(*self._maps(p), across[p].matched) for p in pairs]
         differences = [size_difference(*self._maps(p), r) for p, r in zip(pairs, rows, strict=True)]
         known = [k for k, (_, variance) in enumerate(differences) if np.isfinite(variance)]
         if not known:
@@ -275,7 +272,7 @@ class Across:
         return self.prepared[pair[0]], self.prepared[pair[1]]
 
 
-def _common(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:
+def _common_corridors(a: Prepared, b: Prepared, matched: IntArray) -> IntArray:
     """(c, 2) directed rows of the corridors of two maps between matched junctions."""
     partner = np.full(len(b), -1)
     partner[matched[:, 1]] = matched[:, 0]

@@ -3,8 +3,9 @@ without detecting them, and corridors that lead elsewhere."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise, starmap
 from typing import Literal
 
 import numpy as np
@@ -133,18 +134,13 @@ class _Found:
     edge: IntArray
     bits: FloatArray
 
-    def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> Callable[[int], Unseen]:
-        """Gives those of a lane with a weight above 0, as its maps number them; first_vertex,
+    def by_lane(self, first_vertex: IntArray, first_edge: IntArray) -> list[Unseen]:
+        """Those of each lane with a weight above 0, as its maps number them; first_vertex,
         first_edge: (l,) first rows of its two maps."""
         own = take(self, self.bits.nonzero()[0])
-        first = cuts(own.lane, len(first_vertex))
         vertex, edge = own.vertex - first_vertex[own.lane], own.edge - first_edge[own.lane]
-
-        def of(lane: int) -> Unseen:
-            rows = slice(first[lane], first[lane + 1])
-            return Unseen(vertex[rows], edge[rows], own.bits[rows])
-
-        return of
+        rows = starmap(slice, pairwise(cuts(own.lane, len(first_vertex))))
+        return [Unseen(vertex[k], edge[k], own.bits[k]) for k in rows]
 
 
 def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
@@ -164,15 +160,41 @@ def conflicts(grown: Grown, searched: BoolArray) -> list[Conflicts]:
     weight, first = _elsewhere_bits(grown).tolist(), cuts(lane, len(lanes))
     out = [NO_CONFLICTS] * len(lanes)
     for k in searched.nonzero()[0].tolist():
-        out[k] = Conflicts(in_a(k), in_b(k), rows[first[k] : first[k + 1]], weight[k])
+        out[k] = Conflicts(in_a[k], in_b[k], rows[first[k] : first[k + 1]], weight[k])
     return out
 
 
 def _elsewhere(
     grown: Grown, searched: BoolArray, extra_b: _Found, extra_a: _Found
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Corridors that leave matched junctions by one branch and lead to different ones, not
-    explained by a junction inside them: lane, directed rows of both maps."""
+    """Corridors that leave matched junctions by one branch and lead to different ones: lane,
+    directed rows of both maps. Without those that an undetected junction explains, on the way or at
+    the end, and those that end at a bend which the other detector does not report."""
+    lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
+    lane, leave_a, leave_b = _astray(grown, searched)
+    far_a, far_b = a.head[leave_a], b.head[leave_b]
+
+    def concerned(of_lane: IntArray, what: IntArray, wanted: IntArray, most: int) -> BoolArray:
+        """Whether a contradiction (`of_lane`, `what`) of the same lane concerns `wanted`
+        already; indices are below `most`."""
+        return np.isin(lane * most + wanted, of_lane * most + what)
+
+    vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
+    either_a, passed_a = (np.minimum(row, a.reverse[row]) for row in (leave_a, extra_b.edge))
+    either_b, passed_b = (np.minimum(row, b.reverse[row]) for row in (leave_b, extra_a.edge))
+    explained = concerned(extra_b.lane, passed_a, either_a, corridors)
+    explained |= concerned(extra_a.lane, extra_a.vertex, far_a, vertices)
+    explained |= concerned(extra_a.lane, passed_b, either_b, corridors)
+    explained |= concerned(extra_b.lane, extra_b.vertex, far_b, vertices)
+    of_a, of_b = (lanes.a, lanes.of_a[lane]), (lanes.b, lanes.of_b[lane])
+    explained |= _never_shown(of_a, of_b, far_b) | _never_shown(of_b, of_a, far_a)
+    left = ~explained
+    return lane[left], leave_a[left], leave_b[left]
+
+
+def _astray(grown: Grown, searched: BoolArray) -> tuple[IntArray, IntArray, IntArray]:
+    """All corridors that both runs drove from matched junctions by one branch, and that lead to
+    vertices which are not matched with each other: lane, directed rows of both maps."""
     lanes, a, b = grown.lanes, grown.lanes.a.whole, grown.lanes.b.whole
     some = searched[grown.lane].nonzero()[0]
     va, row, lane = grown.a[some], grown.row[some], grown.lane[some]
@@ -183,32 +205,8 @@ def _elsewhere(
     lane, leave_a, leave_b = lane[k[driven]], leave_a[driven], leave_b[driven]
     partner = np.full(len(lanes.lane), -1)
     partner[grown.row] = grown.a
-    far_a, far_b = a.head[leave_a], b.head[leave_b]
-    astray = partner[far_b + lanes.shift[lane]] != far_a
-    lane, leave_a, leave_b = lane[astray], leave_a[astray], leave_b[astray]
-    far_a, far_b = far_a[astray], far_b[astray]
-
-    def explained_by(of_lane: IntArray, what: IntArray, wanted: IntArray, most: int) -> BoolArray:
-        """Whether a contradiction (`of_lane`, `what`) of the same lane concerns `wanted`
-        already; indices are below `most`."""
-        return np.isin(lane * most + wanted, of_lane * most + what)
-
-    vertices, corridors = max(len(a), len(b)), max(len(a.tail), len(b.tail))
-    either_a, either_b = (
-        np.minimum(leave_a, a.reverse[leave_a]),
-        np.minimum(leave_b, b.reverse[leave_b]),
-    )
-    passed_a, passed_b = (
-        np.minimum(m.reverse[row], row) for m, row in ((a, extra_b.edge), (b, extra_a.edge))
-    )
-    explained = explained_by(extra_b.lane, passed_a, either_a, corridors)
-    explained |= explained_by(extra_a.lane, extra_a.vertex, far_a, vertices)
-    explained |= explained_by(extra_a.lane, passed_b, either_b, corridors)
-    explained |= explained_by(extra_b.lane, extra_b.vertex, far_b, vertices)
-    of_a, of_b = (lanes.a, lanes.of_a[lane]), (lanes.b, lanes.of_b[lane])
-    explained |= _never_shown(of_a, of_b, far_b) | _never_shown(of_b, of_a, far_a)
-    left = ~explained
-    return lane[left], leave_a[left], leave_b[left]
+    astray = partner[b.head[leave_b] + lanes.shift[lane]] != a.head[leave_a]
+    return lane[astray], leave_a[astray], leave_b[astray]
 
 
 def _elsewhere_bits(grown: Grown) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 
 from ...topology.topomap import TopoMap
 from ..locks import Lock, Names, locks_among
@@ -14,7 +13,7 @@ from .components import Across, Components, Refusal, as_alignment, join_all
 from .entries import Case
 from .forced import forced_alignment
 from .pairing import Means, Pair, Pairwise
-from .rematching import Rematcher, Reunion
+from .rematching import ComponentMatch, Rematcher
 from .settings import DEFAULT_ROBUST, RobustSettings
 
 
@@ -60,15 +59,18 @@ def decide(
     never = [pair for pair, lock in locked.items() if lock.decision == "never"]
     components = Components(len(maps), never)
     joined, refused = _join(batch, components, forced)
-    reunions = _rematch(batch, components, joined, locked, forced)
-    batch.say(f"{len(joined)} pairs join, {len(reunions)} by what components say together")
-    refused |= batch.match_overlapping(components, reunions)
-    return tuple(_verdicts(batch, components, Others(forced, locked, refused, reunions)))
+    matches = _rematch(batch, components, joined, locked, forced)
+    batch.say(f"{len(joined)} pairs join, {len(matches)} by what components say together")
+    refused |= batch.match_overlapping(components, matches)
+    found = _verdicts(
+        batch, components, forced=forced, locked=locked, refused=refused, matches=matches
+    )
+    return tuple(found)
 
 
 def _forced(batch: Batch, locked: Mapping[Pair, Lock]) -> dict[Pair, Candidate]:
-    """Alignments of the pairs that are locked as the same: as they are shown to who locks them,
-    also where copies are ranked otherwise than by chance."""
+    """Alignments of the pairs that are locked as the same: of those that `explain` shows, which
+    are ranked with the test for copies, else of all that the match finds."""
     same = [pair for pair, lock in sorted(locked.items()) if lock.decision == "same"]
     settings = batch.matcher.settings
     out = {}
@@ -116,7 +118,7 @@ def _rematch(
     joined: Mapping[Pair, Alignment],
     locked: Mapping[Pair, Lock],
     forced: Collection[Pair],
-) -> dict[Pair, Reunion]:
+) -> dict[Pair, ComponentMatch]:
     """Join components by what their merged maps say; locks that name junctions, and that no
     alignment of their own pair honours, hold for these as well."""
     unmet = {
@@ -124,28 +126,26 @@ def _rematch(
         for pair, lock in locked.items()
         if lock.at is not None and lock.decision == "same" and pair not in forced
     }
-    open_ = batch.undecided()
+    open_ = batch.plausible()
     rematcher = Rematcher(batch.matcher, components, open_, batch.threshold, batch.discarded, unmet)
     return rematcher.run(joined)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Others:
-    """Locks, refusals and component matches of some pairs."""
-
-    forced: Mapping[Pair, Candidate]
-    locked: Mapping[Pair, Lock]
-    refused: Mapping[Pair, Refusal]
-    reunions: Mapping[Pair, Reunion]
-
-
-def _verdicts(batch: Batch, components: Components, others: Others) -> Iterator[PairVerdict]:
+def _verdicts(
+    batch: Batch,
+    components: Components,
+    *,
+    forced: Mapping[Pair, Candidate],
+    locked: Mapping[Pair, Lock],
+    refused: Mapping[Pair, Refusal],
+    matches: Mapping[Pair, ComponentMatch],
+) -> Iterator[PairVerdict]:
     """The verdicts on all pairs that were matched, sorted.
 
     A verdict from the two maps alone stands unless a lock, a component or other runs concern the
     pair. Those are assessed again, with the placements that other runs corroborate.
     """
-    concerned = {*others.forced, *others.locked, *others.refused, *others.reunions}
+    concerned = {*forced, *locked, *refused, *matches}
     for some in in_parts(sorted(batch.found)):
         open_ = (p for p in some if p in concerned or not batch.verdicts[p].accepted)
         corroborated = batch.corroborated(open_, components)
@@ -158,10 +158,10 @@ def _verdicts(batch: Batch, components: Components, others: Others) -> Iterator[
             case = Case(
                 *batch.prepared(pair),
                 assessments[pair],
-                forced=others.forced.get(pair),
-                lock=others.locked.get(pair),
-                refused=others.refused.get(pair),
-                reunion=others.reunions.get(pair),
+                forced=forced.get(pair),
+                lock=locked.get(pair),
+                refused=refused.get(pair),
+                by_components=matches.get(pair),
                 corroborated=corroborated.get(pair),
                 together=components.together(*pair),
             )

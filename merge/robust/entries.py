@@ -18,10 +18,10 @@ from .alignment import Candidate, same_matches, same_placement
 from .components import Refusal
 from .conflicts import one_by_one
 from .prepare import Prepared
-from .rematching import Reunion
+from .rematching import ComponentMatch
 from .verdict import DOUBTS, ELSEWHERE, NOTHING_ALIKE, Assessment, Weighed
 from .view_ties import view_ties
-from .wording import evidence, summary
+from .wording import describe_evidence, describe_match
 
 MAPS_ALONE = "the maps alone say:"
 """In a reason, before what the evidence of two maps says where a lock says otherwise."""
@@ -37,7 +37,7 @@ class Case:
     forced: Candidate | None = None
     lock: Lock | None = None
     refused: Refusal | None = None
-    reunion: Reunion | None = None
+    by_components: ComponentMatch | None = None
     corroborated: Candidate | None = None
     together: bool = False
 
@@ -48,8 +48,8 @@ class Case:
         if lock is not None and lock.decision == "never":
             reason = f"locked apart by a person; {MAPS_ALONE} {found}"
             return self._not_joined(Verdict.UNRELATED, reason)
-        if lock is not None and self.forced is None and self.reunion is None:
-            return self._dishonoured(lock)
+        if lock is not None and self.forced is None and self.by_components is None:
+            return self._infeasible(lock)
         if self.refused is not None:
             reason = f"{found}; but {self.refused.reason}"
             if lock is not None:
@@ -59,9 +59,9 @@ class Case:
 
     def _evidence(self) -> str:
         """The evidence of the two maps alone, as a clause."""
-        return DISCARDED if self.assessment.discarded else evidence(self.assessment)
+        return DISCARDED if self.assessment.discarded else describe_evidence(self.assessment)
 
-    def _dishonoured(self, lock: Lock) -> PairVerdict:
+    def _infeasible(self, lock: Lock) -> PairVerdict:
         """The verdict where a lock as the same is infeasible: no alignment satisfies it."""
         reason = "locked as the same, but no alignment of the two honours the lock"
         if self.together:
@@ -94,16 +94,16 @@ class Case:
             return self._accepted(self.forced, by="lock", reason=reason, lacks=why)
         if own.verdict is Verdict.MERGED and best is not None:
             return self._accepted(best, by="pair")
-        if self.reunion is not None:
-            both = self.reunion.assessment
+        if self.by_components is not None:
+            both = self.by_components.assessment
             return self._pair(
                 both,
                 verdict=Verdict.MERGED,
-                reason=self.reunion.reason,
-                best=self.reunion.alignment,
+                reason=self.by_components.reason,
+                best=self.by_components.alignment,
                 margin_bits=both.margin,
                 accepted_by="components",
-                together=self.reunion.sides,
+                together=self.by_components.sides,
             )
         if self.corroborated is not None:
             reason = "joined with the help of other runs, which place the two in the same way: {}"
@@ -125,7 +125,7 @@ class Case:
         return self._pair(
             self.assessment,
             verdict=Verdict.MERGED,
-            reason=reason.format(summary(chosen, bits, self.assessment.need_bits, margin)),
+            reason=reason.format(describe_match(chosen, bits, self.assessment.need_bits, margin)),
             best=best,
             runner_up=second,
             margin_bits=margin,

@@ -25,7 +25,7 @@ from ..kept import Kept
 from ..locks import Lock, discarded, lock_table
 from ..result import Alignment, CopyTest, MergeResult, PairVerdict, Verdict, pairs_of
 from ..through import joined_through
-from ..wording import told_bits
+from ..wording import describe_bits
 from .alignment import Candidate, match
 from .conflicts import one_by_one
 from .decide import decide
@@ -139,7 +139,7 @@ class _Pair:
 
 
 def _matched(c: Candidate) -> Iterator[tuple[int, int]]:
-    """Its pairs of vertices."""
+    """The matched vertices of a candidate, pair by pair."""
     return zip(c.a.tolist(), c.b.tolist(), strict=True)
 
 
@@ -207,13 +207,17 @@ def _terms(
 
 
 def _describe_copy_test(tested: CopyTest) -> str:
-    bits, need = told_bits(tested.bits, tested.needed_bits).removesuffix(" needed").split(" bits, ")
+    """The test for a copy in words."""
+    bits, need = (
+        describe_bits(tested.bits, tested.needed_bits).removesuffix(" needed").split(" bits, ")
+    )
     if bits.startswith("-"):
         return f"is it a copy? {bits[1:]} bits say yes, {need} for no needed"
     return f"is it a copy? {bits} bits say no, {need} needed"
 
 
 def _chosen_from(c: Candidate) -> str:
+    """Among how many hypotheses a candidate was chosen, in words."""
     if c.by_views:
         return "proposed by views"
     tested = round(2.0**c.tested_bits - 1)
@@ -221,6 +225,7 @@ def _chosen_from(c: Candidate) -> str:
 
 
 def _links(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for each link between matched junctions."""
     agree = c.support
     rows = zip(agree.ends.tolist(), agree.along.tolist(), agree.links.tolist(), strict=True)
     for ends, along, bits in rows:
@@ -236,6 +241,7 @@ def _links(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
 
 
 def _branches(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for the branches of each matched junction."""
     for (u, v), bits in zip(_matched(c), c.support.branches.tolist(), strict=True):
         yield Term("branches", bits, f"{a.count[u]} and {b.count[v]} branches", (u,), (v,))
 
@@ -262,6 +268,7 @@ def _views(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
 
 
 def _against(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
+    """A term for each contradiction."""
     described = {
         "unseen": "junction unseen in a corridor",
         "elsewhere": "corridors that lead elsewhere",

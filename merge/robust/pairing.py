@@ -124,10 +124,10 @@ def candidates_of(data: bytes) -> tuple[Candidate, ...]:
 
 def result_of(found: tuple[Candidate, ...], settings: RobustSettings) -> bytes:
     """What is kept of the candidates of a pair: those beyond chance, or a summary of the best."""
-    odd = tuple(c for c in found if c.bits > MATCH.lead_bits)
-    against_chance = beyond_chance_bits(odd or found, settings)
-    if odd:
-        return HEAD.pack(0, 0.0, against_chance) + codec.to_bytes(odd)
+    beyond = tuple(c for c in found if c.bits > MATCH.lead_bits)
+    against_chance = beyond_chance_bits(beyond or found, settings)
+    if beyond:
+        return HEAD.pack(0, 0.0, against_chance) + codec.to_bytes(beyond)
     faint = faint_of(found) or Faint(0, 0.0)
     return HEAD.pack(faint.junctions, faint.bits, against_chance)
 

@@ -39,7 +39,7 @@ from .pairing import Pair, Pairwise, candidates_of, result_of
 from .prepare import Prepared, prepare
 from .thresholds import ThresholdOf
 from .verdict import Assessment, Threshold, assess_all
-from .wording import evidence
+from .wording import describe_evidence
 
 Runs = tuple[int, ...]
 
@@ -159,7 +159,7 @@ def _thinned(views: Sequence[Views]) -> Views:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Reunion:
+class ComponentMatch:
     """A pair of runs joined by a match of their components.
 
     assessment: of the two components; sides: the runs of each.
@@ -176,7 +176,7 @@ Sides = tuple[Runs, Runs]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Match:
+class _Union:
     """Two components that their evidence joins, and the alignments of pairs of their runs that
     follow, the strongest first."""
 
@@ -185,20 +185,20 @@ class _Match:
     assessment: Assessment
     links: Mapping[Pair, Alignment]
 
-    def reunions(self) -> Iterator[tuple[Pair, Reunion]]:
+    def of_pairs(self) -> Iterator[tuple[Pair, ComponentMatch]]:
         """What it says of pairs of runs."""
         known, best = {**self.one.maps, **self.two.maps}, self.assessment
         for pair, alignment in self.links.items():
             others = sorted(m.run for k, m in known.items() if k not in pair)
-            reason = f"together with {listed(others, 4)}: {evidence(best)}"
-            yield pair, Reunion(alignment, reason, best, (self.one.names, self.two.names))
+            reason = f"together with {listed(others, 4)}: {describe_evidence(best)}"
+            yield pair, ComponentMatch(alignment, reason, best, (self.one.names, self.two.names))
 
 
 @dataclass(slots=True, eq=False)
 class Rematcher:
     """Matches the fused maps of components with open pairs between them, until nothing joins.
 
-    Changes `components`. The strongest match of each round is carried out and its component fused
+    Changes `components`. The strongest union of each round is carried out and its component fused
     again, so that every decision uses all that is known. undecided: pairs with a placement better
     than chance; threshold: for some runs in a batch of so many pairs; unmet: the junctions that
     locks name as one place, of the pairs that no alignment of their own joins so.
@@ -211,23 +211,23 @@ class Rematcher:
     discarded: Collection[Pair] = ()
     unmet: Mapping[Pair, tuple[int, int]] = field(default_factory=dict)
     _merged: MergedMaps = field(init=False)
-    _known: dict[tuple[Sides, Threshold], _Match | None] = field(default_factory=dict)
+    _known: dict[tuple[Sides, Threshold], _Union | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self._merged = MergedMaps(self.matcher)
 
-    def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, Reunion]:
+    def run(self, joined: Mapping[Pair, Alignment]) -> dict[Pair, ComponentMatch]:
         """The pairs joined by their components; joined: the alignments of the pairs joined
         before."""
         accepted = dict(joined)
-        reunions: dict[Pair, Reunion] = {}
-        while found := self._matches(accepted):
+        matches: dict[Pair, ComponentMatch] = {}
+        while found := self._unions(accepted):
             strongest = max(found, key=lambda m: (m.assessment.bits, m.one.runs, m.two.runs))
             accepted.update(strongest.links)
-            reunions.update(strongest.reunions())
+            matches.update(strongest.of_pairs())
             (i, j), first = next(iter(strongest.links.items()))
             self.components.join(i, j, first.transform)
-        return reunions
+        return matches
 
     def _open(self) -> list[Sides]:
         """Pairs of components with an undecided pair across them that are not both single runs, and
@@ -247,9 +247,9 @@ class Rematcher:
             }
         )
 
-    def _matches(self, accepted: Mapping[Pair, Alignment]) -> list[_Match]:
-        """The pairs of components whose evidence suffices to merge them. The result for two and a
-        threshold is computed once for all rounds.
+    def _unions(self, accepted: Mapping[Pair, Alignment]) -> list[_Union]:
+        """The unions of components whose evidence suffices. That of two by a threshold is computed
+        once for all rounds.
 
         The threshold against chance is shared by the remaining pairs, after Holm. The threshold
         against copies could be as well: as long as nothing was merged wrongly, a wrong merge can
@@ -268,12 +268,12 @@ class Rematcher:
             cases.append((one, two, self._merged.candidates(one, two), threshold))
         assessed = assess_all([(one.prepared, two.prepared, c, t) for one, two, c, t in cases])
         for key, (one, two, *_), assessment in zip(fresh, cases, assessed, strict=True):
-            self._known[key] = self._match(one, two, assessment)
-        return [match for key in open_ if (match := self._known[key]) is not None]
+            self._known[key] = self._union(one, two, assessment)
+        return [union for key in open_ if (union := self._known[key]) is not None]
 
-    def _match(self, one: MergedMap, two: MergedMap, assessment: Assessment) -> _Match | None:
-        """The match of two components; None if it must not join them: for too little evidence, or a
-        lock that it does not honour."""
+    def _union(self, one: MergedMap, two: MergedMap, assessment: Assessment) -> _Union | None:
+        """The union of two components; None if there is too little evidence for it, or if it does
+        not honour a lock."""
         if assessment.verdict is not Verdict.MERGED or assessment.best is None:
             return None
         links = _links(one, two, assessment)
@@ -283,7 +283,7 @@ class Rematcher:
             across = (i in one.runs and j in two.runs) or (j in one.runs and i in two.runs)
             if across and not ((i, j) in links and np.all(links[i, j].matched == at, axis=1).any()):
                 return None
-        return _Match(one, two, assessment, links)
+        return _Union(one, two, assessment, links)
 
 
 def _links(one: MergedMap, two: MergedMap, found: Assessment) -> dict[Pair, Alignment]:

@@ -72,10 +72,12 @@ def thresholds(
 
     @cache
     def pairs_beyond(need: float) -> int:
+        """Number of pairs with at least so much evidence against chance [bits]."""
         return int(np.count_nonzero(evidence >= need))
 
     @cache
     def copies(of: frozenset[int]) -> CopyModel:
+        """How the maps of like buildings, by `_like_buildings`, repeat themselves."""
         maps = (k for k in range(len(own)) if ANY in of or like[k] in of)
         samples = ((prepared[k], c) for k in maps for c in own[k] if c.bits > MATCH.lead_bits)
         return copy_model(list(samples), settings)
@@ -165,7 +167,8 @@ def _goes_on(copy: Candidate, need_bits: float) -> bool:
     building repeats itself, but not how far: the copy is as large as the corner. A standard part,
     or a copy by chance, ends, and what lies beyond contradicts it.
     """
-    return _told_once(copy) >= need_bits and copy.contradicting_bits < MATCH.lead_bits
+    bits = copy.counted_bits * _distinct_share(copy)
+    return bits >= need_bits and copy.contradicting_bits < MATCH.lead_bits
 
 
 def _beyond_chance(copy: Candidate) -> bool:
@@ -174,17 +177,11 @@ def _beyond_chance(copy: Candidate) -> bool:
     The columns of a maze, equally far apart in all its rows, match themselves after half a turn;
     counting that twice, 5 of 53 pairs of mazes that share a tenth are taken for copies.
     """
-    once = (copy.bits + copy.tested_bits) * _told_share(copy)
+    once = (copy.bits + copy.tested_bits) * _distinct_share(copy)
     return once - copy.tested_bits > MATCH.lead_bits
 
 
-def _told_once(copy: Candidate) -> float:
-    """The evidence of a match of a map with itself, without duplicates and bounded by its junctions
-    [bits]."""
-    return copy.counted_bits * _told_share(copy)
-
-
-def _told_share(copy: Candidate) -> float:
+def _distinct_share(copy: Candidate) -> float:
     """Share of the evidence of a match of a map with itself that is not a duplicate. If half a turn
     exchanges two junctions, both matches state the same: any rectangle is its own copy."""
     pairs = np.sort(np.column_stack([copy.a, copy.b]), axis=1)

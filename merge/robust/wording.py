@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from ...topology.wording import counted
 from ..result import shown_bits, shown_lead
-from ..wording import decimals, told_bits, what_agrees
+from ..wording import decimals, describe_agreement, describe_bits
 from .alignment import Candidate
 from .verdict import Assessment
 
 
-def summary(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
+def describe_match(best: Candidate, bits: float, need_bits: float, margin: float | None) -> str:
     """What agrees, what contradicts, the evidence, and how far the next alignment is behind or
     ahead."""
-    agree = what_agrees(len(best), len(best.corridors), best.views.agreeing)
+    agree = describe_agreement(len(best), len(best.corridors), best.views.agreeing)
     against = len(best.conflicts)
     contradicted = f"{against} {'contradicts' if against == 1 else 'contradict'}"
     if not best.searched:
         contradicted = "contradictions were not looked for"
-    text = f"{agree}, {contradicted}: {told_bits(bits, need_bits)}"
+    text = f"{agree}, {contradicted}: {describe_bits(bits, need_bits)}"
     if margin is None:
         return f"{text}; no other alignment comes near"
     digits = decimals(bits, need_bits)
@@ -28,13 +28,13 @@ def summary(best: Candidate, bits: float, need_bits: float, margin: float | None
     return f"{text}; next best alignment {bits_apart} bits behind"
 
 
-def evidence(found: Assessment) -> str:
+def describe_evidence(found: Assessment) -> str:
     """What the evidence of two maps comes to; where nothing is beyond chance, why they are
     unrelated."""
     if found.best is not None:
-        return summary(found.best, found.bits, found.need_bits, found.margin)
+        return describe_match(found.best, found.bits, found.need_bits, found.margin)
     if found.faint is None:
         return "no significant match: no alignment holds"
     junctions = found.faint.junctions
     agree = f"{counted(junctions, 'junction')} {'agrees' if junctions == 1 else 'agree'}"
-    return f"no significant match: {agree}, {told_bits(found.faint.bits, found.need_bits)}"
+    return f"no significant match: {agree}, {describe_bits(found.faint.bits, found.need_bits)}"

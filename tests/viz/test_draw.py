@@ -7,7 +7,6 @@ import pytest
 from topobatch.viz.draw import (
     draw_map,
     draw_merged,
-    draw_sites,
 )
 from topobatch.viz.palette import DARK, LIGHT
 
@@ -66,7 +65,7 @@ def test_a_merge_names_its_runs_in_their_colours(merge_of) -> None:
 
 def test_a_site_is_drawn_with_the_numbers_of_its_junctions(merge_of) -> None:
     result, _ = merge_of([["a"], ["b", "c"]])
-    texts, _ = seen(draw_sites(result, [1], LIGHT))
+    texts, _ = seen(draw_merged(result, LIGHT, sites=[1]))
     assert {"5", "6", "7", "8", "9"} <= set(texts)
     assert not {"0", "4", "a"} & set(texts)
 
@@ -83,5 +82,5 @@ def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> No
     assert 2_000 < len(drawn) - len(plain) < 50_000
     result, maps = merge_of([["a", "b"]])
     walled = {m.run: replace(m, views=shown.views) for m in maps[:1]}
-    assert "wall" in seen(draw_sites(result, [0], LIGHT, walled))[0]
-    assert "wall" not in seen(draw_sites(result, [0], LIGHT))[0]
+    assert "wall" in seen(draw_merged(result, LIGHT, sites=[0], maps=walled))[0]
+    assert "wall" not in seen(draw_merged(result, LIGHT, sites=[0]))[0]

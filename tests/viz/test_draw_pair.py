@@ -84,7 +84,7 @@ def test_views_that_speak_most_for_and_against_are_laid_over_each_other(make_map
     texts, _ = seen(canvas)
     assert {"views for it: +3.0 bits", "views against it: -2.5 bits"} <= set(texts)
     svg = canvas.as_bytes("svg").decode()
-    assert LIGHT["pale 0"] in svg  # walls of a that say nothing
+    assert LIGHT.pale(0) in svg  # walls of a that say nothing
     texts, _ = seen(draw_decision(a, b, decision(Verdict.MERGED, [placement(30.0)]), LIGHT))
     assert not [text for text in texts if text.startswith("views")]
 

@@ -5,7 +5,7 @@ import numpy as np
 
 from topobatch.merge.result import MergeResult, Standing
 from topobatch.topology.topomap import TopoMap
-from topobatch.viz.pages import map_page, merge_page, questions
+from topobatch.viz.pages import closure_texts, map_page, merge_page
 from topobatch.viz.parts import (
     CLASS,
     DIAGONAL,
@@ -38,7 +38,7 @@ def test_pairs_that_only_others_join_are_not_called_unrelated(merge_of: Merge) -
 
 def test_a_map_is_told_with_refusals_and_warnings(make_map: Callable[..., TopoMap]) -> None:
     topomap = make_map("lab_2*")
-    told = map_page(topomap, questions(topomap))
+    told = map_page(topomap, closure_texts(topomap))
     assert "# lab\\_2\\*" in told
     assert "5 junctions, 5 corridors, 38 m; 8 passes" in told
     assert "1 branch seen and never driven" in told

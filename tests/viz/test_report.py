@@ -11,7 +11,7 @@ import pytest
 from topobatch.merge.change import Change, ChangeKind, Witness
 from topobatch.merge.decision import Decision, Placement, Requirement, Term
 from topobatch.merge.drive import Drive, Stop
-from topobatch.merge.result import Standing, Unlisted
+from topobatch.merge.result import Standing, UnlistedPairs
 from topobatch.viz.report import Report, report_page
 
 HOSTILE = "</script><img src=x onerror=alert(1)>&\"'{{7*7}}`${1}"
@@ -116,8 +116,8 @@ def test_the_page_answers_first(merge_of) -> None:
     page = Page(page_of(named(result), maps, drives=[drive()], changes=[change()]))
     told = " ".join(page.text.split())
     for sentence in (
-        "2 of 4 runs are of one site: site 0 (2).",
-        "Two stand alone: c, d.",
+        "2 of 4 runs are of 1 site: site 0 (2).",
+        "2 runs stand alone: c, d.",
         "1 pair of runs is undecided.",
         "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, if "
         "they are one place: settles 1 open pair.",
@@ -291,7 +291,9 @@ def test_the_page_of_a_large_fleet_stays_small(merge_of) -> None:
 def test_pairs_that_a_large_merge_only_counts_are_counted(merge_of) -> None:
     result, maps = merge_of([["a", "b", "c"], ["d"]], [("a", "d")])
     kept = tuple(p for p in result.verdicts if (p.a, p.b) in {("a", "b"), ("b", "c"), ("a", "d")})
-    counted = replace(result, verdicts=kept, unlisted=Unlisted(joined=1, screened=2))
+    counted = replace(
+        result, verdicts=kept, unlisted=UnlistedPairs(joined=1, unrelated=0, screened=2)
+    )
     page = Page(page_of(counted, maps))
     assert "joined through others (1)" in page.text
     assert "unrelated (2)" in page.text

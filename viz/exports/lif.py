@@ -70,6 +70,7 @@ def lif_json(topomap: TopoMap, max_error_m: float) -> str:
 
 
 def _properties(path: np.ndarray[Any, np.dtype[np.float64]], speed: float) -> dict[str, Any]:
+    """How a corridor is driven. path: (k, 2) [m]; speed: [m/s], NaN if unknown."""
     out: dict[str, Any] = {
         "vehicleTypeId": VEHICLE_TYPE,
         "orientationType": "TANGENTIAL",

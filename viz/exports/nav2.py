@@ -47,6 +47,7 @@ def feature(shape: str, coordinates: Any, properties: Mapping[str, Any]) -> dict
 
 
 def _nodes(topomap: TopoMap, graph: RouteGraph) -> list[dict[str, Any]]:
+    """A feature for each point, of junctions with their kind and number."""
     xy = rounded(graph.xy, METRES)
     ways = zip(graph.vertex.tolist(), graph.number.tolist(), strict=True)
     about: list[dict[str, Any]] = [

@@ -103,6 +103,7 @@ _SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0))
 
 
 def _names(graph: RouteGraph) -> list[str]:
+    """The name of each point: of junctions by their numbers."""
     return [
         f"junction_{v}" if v != VIA else f"via_{k}" for k, v in enumerate(graph.number.tolist())
     ]

@@ -33,6 +33,7 @@ def _key(name: str) -> str:
 
 
 def _entry(head: str, value: Any, depth: int, indent: str) -> Iterator[str]:
+    """The lines of a value below its key or dash."""
     held = isinstance(value, (Mapping, Sequence)) and not isinstance(value, str)
     if held and value and depth > 1:
         yield head

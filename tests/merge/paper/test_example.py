@@ -204,8 +204,11 @@ def test_explanation_as_text_and_json(example):
     assert "cluster      pairs  hypotheses" in text  # junctions may stand in several
     table = next(line for line in lines(found) if line.strip().startswith("a2 "))
     assert "H" in table
-    half = replace(found, bits=np.full(len(found.bits), 3.846))  # 3.85 in documents
-    assert lines(half)[-1].endswith(" 3.9")
+    hypotheses, first = found.found.hypotheses, np.unique(found.found.clusters.of, True)[1]
+    bits = np.zeros(len(hypotheses))
+    bits[first] = 3.846  # 3.85 in documents
+    half = replace(found.found, hypotheses=replace(hypotheses, bits=bits))
+    assert lines(replace(found, found=half))[-1].endswith(" 3.9")
     document = to_document(found)
     best = document["hypotheses"][0]
     assert named(best["matched"]) in (H2, H4)

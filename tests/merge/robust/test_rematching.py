@@ -36,8 +36,9 @@ def found(three):
 
 
 def rematched(three, found, need_bits, never=(), asked=None, **others):
-    """The components and reunions where the first two are joined and merging needs so much. asked:
-    to be told of what runs, among how many pairs, that was asked; others: of the `Rematcher`."""
+    """The components and their matches where the first two are joined and merging needs so much.
+    asked: to be told of what runs, among how many pairs, that was asked; others: of the
+    `Rematcher`."""
     threshold = Threshold(need_bits, 0.0, 0.0, default_copies(SETTINGS), SETTINGS)
 
     def level_of(runs, pairs):
@@ -54,18 +55,18 @@ def rematched(three, found, need_bits, never=(), asked=None, **others):
 
 def test_two_merged_runs_say_of_a_third_what_neither_says_alone(three, found):
     alone = max(found[pair][0].counted_bits for pair in ((0, 2), (1, 2)))
-    parts, reunions = rematched(three, found, alone + 5.0)
+    parts, matches = rematched(three, found, alone + 5.0)
     assert parts.together(0, 2)
-    assert set(reunions) == {(0, 2), (1, 2)}
-    for reunion in reunions.values():
-        assert reunion.alignment.evidence_bits >= alone + 5.0
-        assert reunion.sides == (("a", "b"), ("c",))
-        assert "together with" in reunion.reason
+    assert set(matches) == {(0, 2), (1, 2)}
+    for match_ in matches.values():
+        assert match_.alignment.evidence_bits >= alone + 5.0
+        assert match_.sides == (("a", "b"), ("c",))
+        assert "together with" in match_.reason
 
 
 def test_components_are_joined_as_locks_name_their_junctions_or_not_at_all(three, found):
-    _, reunions = rematched(three, found, 15.0)
-    (u, v), (_, w) = reunions[1, 2].alignment.matched[:2].tolist()
+    _, matches = rematched(three, found, 15.0)
+    (u, v), (_, w) = matches[1, 2].alignment.matched[:2].tolist()
     parts, honoured = rematched(three, found, 15.0, unmet={(1, 2): (u, v)})
     assert parts.together(0, 2)
     assert set(honoured) == {(0, 2), (1, 2)}

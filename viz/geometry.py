@@ -12,7 +12,7 @@ import numpy as np
 
 from ..merge.change import Change
 from ..merge.result import FusedMap
-from ..topology.arrays import FloatArray, IntArray
+from ..topology.arrays import BoolArray, FloatArray, IntArray
 from ..topology.polyline import way_of
 from ..topology.topomap import Graph
 from ..topology.turning_points import FRONTIER, TRACK_END, TURNING_POINT
@@ -26,6 +26,10 @@ MOST_NUMBERED = 150
 WIDEST_RIBBON = 4
 """Largest width of a ribbon, in pens; with more runs its strands get thinner."""
 
+SMALL, MEDIUM, LARGE = 1.0, 1.5, 2.2
+"""Radii of dots in the viewer, in pens (`pen_m`): wide enough to cover a corridor's line, and told
+apart by eye."""
+
 TURNED = {
     TURNING_POINT: "the robot turned round",
     TRACK_END: "a log begins or ends",
@@ -37,6 +41,12 @@ TURNED_MARKERS: Mapping[str, Marker] = MappingProxyType(
     {TURNING_POINT: "triangle", TRACK_END: "square", FRONTIER: "diamond"}
 )
 """Its mark, a red one."""
+
+MIN_SIDE_M = 4.0
+"""Smallest side of a picture, or of a cell on a sheet: of a map of one junction."""
+
+LINE_SHARE = 0.12
+"""Largest width of a run's line in a merge over the median corridor: several lie side by side."""
 
 MARGIN, SHEET_MARGIN = 0.05, 0.02
 """Margin around a map and around a sheet of maps, as shares of the extent."""
@@ -54,12 +64,13 @@ def extent(graph: Graph) -> FloatArray:
     return np.concatenate([graph.xy, *graph.paths])
 
 
-def branch_arrows(graph: Graph, length_m: float) -> tuple[FloatArray, FloatArray]:
-    """Origins and vectors, (total branches, 2) each [m], of arrows of `length_m` along the
-    branches."""
-    heading = graph.branches.values
+def branch_arrows(
+    graph: Graph, chosen: BoolArray, length_m: float
+) -> tuple[FloatArray, FloatArray]:
+    """Origins and vectors, (k, 2) each [m], of arrows along the k chosen ones of all branches."""
+    heading = graph.branches.values[chosen]
     vectors = length_m * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
-    return graph.xy[graph.branches.owner], vectors
+    return graph.xy[graph.branches.owner[chosen]], vectors
 
 
 def ribbons(paths: Sequence[FloatArray], offset_m: FloatArray) -> list[FloatArray]:
@@ -148,12 +159,12 @@ def thinned(xy: FloatArray, spacing_m: float) -> IntArray:
 
 def bounds(points: Sequence[FloatArray], margin: float = MARGIN) -> tuple[FloatArray, FloatArray]:
     """Low and high corner (2,) around all points, with a margin as a share of the extent, which
-    counts at least 4 m."""
+    counts at least MIN_SIDE_M."""
     joined = np.concatenate([*points, np.zeros((0, 2))])
     if len(joined) == 0:
         joined = np.zeros((1, 2))
     low, high = joined.min(axis=0), joined.max(axis=0)
-    spare = margin * max(float((high - low).max()), 4.0)
+    spare = margin * max(float((high - low).max()), MIN_SIDE_M)
     return low - spare, high + spare
 
 
