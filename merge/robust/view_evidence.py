@@ -294,7 +294,8 @@ def judged(
     # Every part contributes its share, more or less as its z lies above or below the mean.
     slope = (_against_chance(mean + SLOPE_Z, len(part), null, true) - total) / SLOPE_Z
     bits = (total + slope * (telling - mean)) / len(part)
-    copied = [placed.consistent_parts for placed in (*selves, *elsewhere)]
+    copied = [own.consistent_parts for own in selves]
+    copied += [other.consistent_parts for other in elsewhere]
     bits += _consistent(here, max(copied), null)
     size = max(own.size for own in selves)
     repeated = min(max(2.0 - _size(telling) / size, 0.0), 1.0) if size > 0 else 0.0
