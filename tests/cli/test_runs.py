@@ -233,6 +233,23 @@ def test_a_renamed_run_stays_renamed_when_its_log_is_read_again(topobatch, logs,
     assert [p.stem for p in (ws / "maps").glob("*.json")] == ["c"]
 
 
+def test_a_moved_log_is_found_again_by_ingesting_it(topobatch, logs, tmp_path):
+    """The map is kept, its bytes too, and what reads the log again knows where it is."""
+    ws, log = tmp_path / "ws", tmp_path / "here" / "a.mcap"
+    log.parent.mkdir()
+    shutil.copy(logs["mcap"], log)
+    assert topobatch("ingest", log, "-w", ws).code == 0
+    before = (ws / "maps" / "a.json").read_bytes()
+    moved = log.parent.rename(tmp_path / "there") / "a.mcap"
+    assert "log changed, or gone" in topobatch("list", "-w", ws).out
+    told = topobatch("export", "a", "-f", "tum", "-w", ws).error(1)
+    assert "ingest it from where it is now" in told
+    assert "unchanged, kept" in topobatch("ingest", moved, "-w", ws).out
+    assert "stale" not in topobatch("list", "-w", ws).out.splitlines()[-1]
+    assert topobatch("export", "a", "-f", "tum", "-w", ws).code == 0
+    assert (ws / "maps" / "a.json").read_bytes() == before
+
+
 def test_history(topobatch, merged):
     a, b = accepted_pair(merged)
     topobatch("lock", a, b, "--never", "-w", merged)
