@@ -40,7 +40,7 @@ COLOURS = {
 }
 """Colours of verdicts on a terminal."""
 
-_VERDICT = re.compile(rf"(?<![\w./-])({'|'.join(COLOURS)})(?![\w./-])")
+_VERDICT = re.compile(rf"(?<![\w./-])(?<!not )({'|'.join(COLOURS)})(?![\w./-])")
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200

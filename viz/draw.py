@@ -234,7 +234,7 @@ def draw_merged(
     ]
     spoken_of = _spoken_of(result.fused, numbers, drives, changes or ())
     for part in parts:
-        _fused(canvas, result.fused, part, rank, pen)
+        _fused(canvas, result.fused, part, rank, pen, numbers)
         if numbers:
             rows = [k for k in part.vertices.tolist() if result.fused.kind[k] not in TURNED]
             if result.fused.junctions > MOST_NUMBERED:
@@ -259,6 +259,8 @@ def draw_merged(
         f"{f', {joined:,} joined through others' if joined else ''}"
         f"{turned[0] if len(parts) == 1 else ''}"
     )
+    if numbers and drives is None and changes is None and result.fused.junctions > MOST_NUMBERED:
+        told += "; too many junctions for their numbers: in an SVG, point at one"
     title = f"{counted(runs, 'run')} of {counted(len(result.components), 'site')}"
     if len(parts) == 1 and parts[0].component.site:
         title = f"{parts[0].component.site}: {counted(runs, 'run')}"
@@ -315,7 +317,7 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
 def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change]) -> None:
     """Draw what changed in a component, each with its number in the list."""
     T, aside = part.cell.T_sheet_map, 1.6 * TEXT_PT / canvas.points_per_m
-    colour, key = canvas.theme["against"], "what changed"
+    colour, key = canvas.theme["against"], "what changed, with its number in the list"
     for k, change in enumerate(changes, 1):
         if change.component != part.component.id:
             continue
@@ -350,8 +352,14 @@ def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
 
 
 def _fused(
-    canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int], pen_pt: float
+    canvas: Canvas,
+    fused: FusedMap,
+    part: Part,
+    rank: Mapping[str, int],
+    pen_pt: float,
+    numbers: Sequence[int],
 ) -> None:
+    """Draw a component; pointing at a junction tells its number, if there are any."""
     T = part.cell.T_sheet_map
     alone = len(part.component.poses) == 1
     drawn: dict[tuple[str, float], list[FloatArray]] = {}
@@ -372,4 +380,7 @@ def _fused(
         (~shared, "single", 1.4, Order.JUNCTION, "junction seen by one run"),
         (shared, "shared", 2.1, Order.TIE, "junction seen by several runs"),
     ):
-        canvas.dots(xy[which & ~turned], canvas.theme[ink], pens * pen_pt, order=order, key=key)
+        rows = np.flatnonzero(which & ~turned)
+        told = [f"junction {numbers[k]}" for k in part.vertices[rows].tolist()] if numbers else []
+        size_pt = pens * pen_pt
+        canvas.dots(xy[rows], canvas.theme[ink], size_pt, order=order, told=told, key=key)

@@ -45,6 +45,7 @@ def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch
     assert painted("a + b: merged: 7 bits, in merged.json") == (
         f"a + b: {green}: 7 bits, in merged.json"
     )
+    assert painted("not merged") == "not merged"
     assert painted("remerged, ws/merged, nothing") == "remerged, ws/merged, nothing"
     monkeypatch.setenv("NO_COLOR", "1")
     assert painted("a + b: merged") == "a + b: merged"

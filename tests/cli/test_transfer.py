@@ -101,6 +101,7 @@ def test_what_cannot_be_carried_is_said_line_by_line(topobatch, place, table) ->
     ("text", "told"),
     [
         ("name,x\na,1\n", ":1: has no column 'y'"),
+        ("name;x;y\na;1;2\n", "the first line is 'name;x;y', and must be name,x,y"),
         ("name,x,y\na,1,oops\n", ":2: y is 'oops', not a number"),
         ("name,x,y\na,1,nan\n", "which is nowhere"),
         ("name,x,y\na,1,-1e11\n", "which is nowhere"),
