@@ -312,7 +312,7 @@ def export(topomap: TopoMap, form: str) -> dict[str, str]:
     needs more than a map.
     """
     if isinstance(topomap, MergeResult):
-        raise UsageError("one map is exported; of a merge that of a site: site_map(result, maps, run)")
+        raise UsageError("a map is exported; of a merge that of a site: site_map(merge, maps, run)")
     if form not in MAP_FORMATS:
         raise UsageError(f"no map is exported as {form!r}: {', '.join(MAP_FORMATS)}")
     return map_texts(topomap, form)

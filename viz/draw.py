@@ -234,7 +234,7 @@ def draw_merged(
     ]
     spoken_of = _spoken_of(result.fused, numbers, drives, changes or ())
     for part in parts:
-        _fused(canvas, result.fused, part, rank, pen, numbers)
+        _fused(canvas, result.fused, part, rank, pen, numbers=numbers)
         if numbers:
             rows = [k for k in part.vertices.tolist() if result.fused.kind[k] not in TURNED]
             if result.fused.junctions > MOST_NUMBERED:
@@ -357,6 +357,7 @@ def _fused(
     part: Part,
     rank: Mapping[str, int],
     pen_pt: float,
+    *,
     numbers: Sequence[int],
 ) -> None:
     """Draw a component; pointing at a junction tells its number, if there are any."""

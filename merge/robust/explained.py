@@ -39,8 +39,8 @@ from .verdict import in_steps
 from .view_search import pictured
 
 FIT_SIGMAS = 1.96
-"""Two measurements of one length differ by less in 95 % of cases; such a link that speaks against the
-placement has a length that many corridors have."""
+"""Two measurements of one length differ by less in 95 % of cases; a link that fits so well and
+still speaks against the placement has a length that many corridors have."""
 
 BOTH = np.array([(0, 1)])
 """The pair of the two maps of a `_Pair`."""
