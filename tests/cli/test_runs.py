@@ -130,12 +130,15 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
     assert done.code == 0, done
     assert "\nmerged again: 6 runs" in done.out
     assert "\nmerged again, two: 1 run" in done.out
+    assert "\njunctions of sites have other numbers now" in done.out
     assert f'"{gone}"'.encode() not in (merged / "two.json").read_bytes()
     assert (merged / "rest.json").read_bytes() == untouched
     assert not (merged / "alone.json").exists()
     assert f"\n{merged / 'alone.json'}: removed; none of its runs is left" in done.out
     assert (merged / "mine.json").read_text() == "{}"
-    assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
+    renamed = topobatch("rename", kept, f"{kept} new", "-w", merged)  # in the same order
+    assert "other numbers" not in renamed.out
+    assert topobatch("rename", f"{kept} new", "new name", "-q", "-w", merged).code == 0
     for name in ("two", "rest", "merged"):
         text = (merged / f"{name}.json").read_text()
         assert '"new name"' in text
