@@ -184,9 +184,9 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
         who = listed([next(iter(c.poses)) for c in alone], 12)
         stands = "stands" if len(alone) == 1 else "stand"
         out.append(f"{_number(len(alone)).capitalize()} {stands} alone: {who}.")
-    if undecided := result.standings()[Standing.AMBIGUOUS]:
-        are = "is" if undecided == 1 else "are"
-        out.append(f"{counted(undecided, 'pair')} of runs {are} undecided.")
+    if open_ := result.standings()[Standing.AMBIGUOUS]:
+        are = "is" if open_ == 1 else "are"
+        out.append(f"{counted(open_, 'pair')} of runs {are} open (ambiguous).")
     if report.drives:
         where, settles = report.drives[0].words
         shows = "" if report.drives[0].onto else "shows "

@@ -118,7 +118,7 @@ def test_the_page_answers_first(merge_of) -> None:
     for sentence in (
         "2 of 4 runs are of one site: site 0 (2).",
         "Two stand alone: c, d.",
-        "1 pair of runs is undecided.",
+        "1 pair of runs is open (ambiguous).",
         "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, if "
         "they are one place: settles 1 open pair.",
         "1 change between runs.",
