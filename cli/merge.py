@@ -262,7 +262,7 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
     if len(sites) > MOST_SITES:
         more = counted(len(sites) - MOST_SITES, "more site")
         say(f"and {more}: {place.call('list')}")
-    alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
+    alone = [c.alone for c in result.components if len(c.poses) == 1]
     if alone:
         say_folded(f"alone: {listed(sorted(alone), MOST_RUNS)}")
 

@@ -181,7 +181,7 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
         sites = "one site" if len(several) == 1 else f"{_number(len(several))} sites"
         out.append(f"{all_} runs are of {sites}: {names}.")
     if alone:
-        who = listed([next(iter(c.poses)) for c in alone], 12)
+        who = listed([c.alone for c in alone], 12)
         stands = "stands" if len(alone) == 1 else "stand"
         out.append(f"{_number(len(alone)).capitalize()} {stands} alone: {who}.")
     if open_ := result.standings()[Standing.AMBIGUOUS]:
