@@ -117,7 +117,7 @@ def test_the_page_answers_first(merge_of) -> None:
     told = " ".join(page.text.split())
     for sentence in (
         "2 of 4 runs are of one site: site 0 (2).",
-        "Two stand alone: c, d.",
+        "Two stand alone: c (site 1), d (site 2).",
         "1 pair of runs is open (ambiguous).",
         "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, if "
         "they are one place: settles 1 open pair.",
