@@ -97,7 +97,7 @@ def report_page(report: Report) -> str:
         digests=[_digest(library), _digest(script)],
         sites=sites,
         drives=[(k, d, shown_bits(d.bits)) for k, d in enumerate(report.drives, 1)],
-        unexplored=report.unexplored,
+        unexplored=[line[:1].upper() + line[1:] for line in report.unexplored],
         changes=_changes(report),
         legend=_legend(result),
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
@@ -177,7 +177,8 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
     out = []
     if several:
         names = listed([f"{c.name} ({len(c.poses)})" for c in several], 12)
-        all_ = f"All {every}" if merged == every else f"{merged} of {every}"
+        all_ = "Both" if every == 2 else f"All {every}"
+        all_ = all_ if merged == every else f"{merged} of {every}"
         sites = "one site" if len(several) == 1 else f"{_number(len(several))} sites"
         out.append(f"{all_} runs are of {sites}: {names}.")
     if alone:

@@ -229,10 +229,11 @@ def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
 
 def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
     page = Page(
-        page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "a: 1 junction 3"])
+        page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "  a: 1 junction: 3"])
     )
     assert "What to record next" in page.text
-    assert "a: 1 junction 3" in page.text
+    assert "Nothing to record" in page.text
+    assert "a: 1 junction: 3" in page.text
 
 
 def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:
