@@ -103,6 +103,7 @@ def report_page(report: Report) -> str:
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
         time_rows=rows,
+        timeless=sum(len(m.observation_time_ns) == 0 for m in report.maps.values()),
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),

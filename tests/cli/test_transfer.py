@@ -97,6 +97,14 @@ def test_what_cannot_be_carried_is_said_line_by_line(topobatch, place, table) ->
     assert [row["x"] for row in rows_of(apart.out)] == ["", ""]
 
 
+def test_runs_of_one_site_without_a_common_junction(topobatch, place, table, monkeypatch) -> None:
+    monkeypatch.setattr("topobatch.cli.transfer.junctions_of_runs", lambda *_: [])
+    path = table("name,x,y\ndock,20,1\n")
+    call = ("transfer", path, "--from", "one", "--to", "two", "-w", place.root)
+    told = topobatch(*call).error(1)
+    assert "no junction of one is matched to one of two; --to 'component 0' carries" in told
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [

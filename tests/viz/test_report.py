@@ -227,6 +227,14 @@ def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
     assert wide.min() > 0.1 * (max(bars["right"]) - min(bars["left"]))
 
 
+def test_the_time_line_says_which_maps_it_lacks(merge_of) -> None:
+    result, (first, *others) = merge_of([["a", "b"], ["c"]])
+    none = np.zeros(0, np.int64)
+    grid = replace(first, observation_time_ns=none, observation_vertex=none)
+    assert "Without a time: 1 saved map." in Page(page_of(result, [grid, *others])).text
+    assert "Without a time" not in Page(page_of(result, [first, *others])).text
+
+
 def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
     page = Page(
         page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "  a: 1 junction: 3"])
