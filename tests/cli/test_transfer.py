@@ -102,7 +102,7 @@ def test_runs_of_one_site_without_a_common_junction(topobatch, place, table, mon
     path = table("name,x,y\ndock,20,1\n")
     call = ("transfer", path, "--from", "one", "--to", "two", "-w", place.root)
     told = topobatch(*call).error(1)
-    assert "no junction of one is matched to one of two; --to 'component 0' carries" in told
+    assert "no junction of one is matched to one of two; --to 'component 1' carries" in told
 
 
 @pytest.mark.parametrize(
