@@ -174,9 +174,10 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
 
 
 def test_the_evidence_of_a_pair_fits_a_phone(opened, html) -> None:
-    """With one placement; a second one has a column of its own, to which the table is moved."""
+    """Also with a column for the next best placement."""
     page = opened(html, viewport={"width": 390, "height": 800})
-    page.evaluate("chosen(0, 1)")
+    page.evaluate("chosen(1, 2)")
+    shows(page, "#evidence", "corridor: 10.00 m, 10.10 m")
     wide = page.evaluate("find('.wide').scrollWidth - find('.wide').clientWidth")
     assert wide == 0
     shows(page, "#pair", "Wide green lines are links that speak for a placement")
