@@ -302,7 +302,7 @@ def test_verbose(topobatch, merged, logs, tmp_path):
     brief = topobatch("merge", "--all", "-w", merged)
     assert "known already" not in brief.err
     assert " agree, " not in brief.out
-    assert "\nsite site-s0000-00: 6 runs: s0000-00, " in brief.out
+    assert "\nsite s0000: 6 runs: s0000-00, " in brief.out
 
 
 def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):
