@@ -95,7 +95,7 @@ def changes(
         if several
         else "no two runs were merged: nothing to compare"
     )
-    if any(c.sure for c in shown):
+    if output is not None or any(c.sure for c in shown):
         named = () if site is None else (site,)
         drawn = place.call("changes", *named, *place.of_merge, "-o", "changes.svg")
         say(f"times are UTC; on the map: {output or drawn}")

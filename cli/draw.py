@@ -40,8 +40,9 @@ def draw(
 ) -> None:
     """Draw a map, the merged map, or the decision on a pair of runs.
 
-    Needs no viewer and no display; the same map gives the same bytes. In an SVG, pointing at a
-    corridor or a junction tells its number, its length, its sigma.
+    Needs no viewer and no display; the same map gives the same bytes. In the SVG of a run, pointing
+    at a corridor or a junction tells its number, its length, its sigma; in that of a site, the
+    number of a junction.
 
     Where a laser or a saved map showed walls, they lie below. A run's map: junctions coloured by
     their branches, corridors wider the more often they were driven. The merged map: every corridor

@@ -188,7 +188,10 @@ def _texts(
     texts: dict[str, str | bytes] = {}
     for source in sources:
         if log is not None and len(source.maps) != 1:
-            raise UsageError(f"--log goes with one run; {source.name} has {len(source.maps)}")
+            raise UsageError(
+                f"--log goes with one run; {source.name} has {len(source.maps)}: ingest their logs "
+                "from where they are now, which keeps the maps"
+            )
         try:
             files: Mapping[str, str | bytes]
             if form == "grid":

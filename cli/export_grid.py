@@ -90,7 +90,10 @@ def log_of(place: Workspace, run: str, named: LogPath | None = None) -> LogPath:
         raise DataError(f"run {run}: it is not recorded where its log is; name it by --log")
     at = named or log_path(str(record.log))
     if isinstance(at, Path) and not log_exists(at):
-        raise DataError(f"{at}: the log of run {run} is not there; name it by --log")
+        raise DataError(
+            f"{at}: the log of run {run} is not there; ingest it from where it is now, which keeps "
+            "the map, or name it by --log"
+        )
     if record.content not in (None, log_fingerprint(at)):
         raise DataError(
             f"{at}: is not the log that the map of run {run} was made from, or changed since; "

@@ -59,8 +59,9 @@ def info(
     with 1 if a log is damaged, if ingest could not use its topics, or if it would refuse what they
     hold. For that, logs of up to 64 MB on this machine are read whole, except for scans and clouds:
     --try reads these as well, and tells where no junction shows in them. Of others that have an
-    index only the index is read. A line says what is usable. Options about reading are those of
-    ingest, also those that the workspace remembers (topobatch init), which are shown first.
+    index only the index is read. Of logs that are damaged or not read whole, a line says what is
+    usable. Options about reading are those of ingest, also those that the workspace remembers
+    (topobatch init), which are shown first.
 
     \b
       topobatch info run1.mcap

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from ..ingest.read_settings import DEFAULT_READ, ReadSettings
 from ..ingest.remote.path import LogPath
 from ..topology.errors import UsageError
+
+if TYPE_CHECKING:
+    from ..ingest.read_settings import ReadSettings
 
 PIECE = re.compile(r"#[0-9]{1,9}")
 """What the name of a piece of a run ends with (RUN#2)."""
@@ -46,6 +48,8 @@ class IngestRecord:
     def settings(self) -> ReadSettings:
         """The settings by which the log was read, as far as they are known; damage does not matter
         any more."""
+        from ..ingest.read_settings import DEFAULT_READ, ReadSettings  # which loads the readers
+
         try:
             return replace(TypeAdapter(ReadSettings).validate_python(self.read), strict=False)
         except (ValidationError, UsageError):

@@ -172,8 +172,11 @@ def _ingest_one(job: IngestJob, on_bytes: Callable[[int], None]) -> IngestOutcom
     text = json.dumps(parts, sort_keys=True, default=str)
     key = hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
     if not job.force and before.key == key and _whole(place, before, job.run):
-        had = len(before.pieces(job.run))
-        return IngestOutcome(job.run, "unchanged", "unchanged, kept", maps=had)
+        pieces = before.pieces(job.run)
+        if before.log != origin(job.log):  # it was moved
+            doc = asdict(replace(before, log=origin(job.log)))
+            write_together({place.ingest_record(p): partial(write_json, doc=doc) for p in pieces})
+        return IngestOutcome(job.run, "unchanged", "unchanged, kept", maps=len(pieces))
     found = replace(read_log(job.log, job.read, on_bytes=on_bytes), name=job.run)
     try:
         topomap = map_of_log(found, job.mapping)

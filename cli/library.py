@@ -119,7 +119,7 @@ def ingest(
         raise error
     if len(logs) > 1 and alone:
         told = listed([str(each) for each in logs], 3)
-        raise UsageError(f"{given[0]}: holds {len(logs)} logs; name one: {told}; or give a list")
+        raise UsageError(f"{given[0]}: holds {len(logs)} logs; name one: {told}; or give [folder]")
     if len(logs) > 1 and name is not None:
         raise UsageError(f"name goes with one log; {len(logs)} are given")
     names = run_names(logs) if name is None else dict.fromkeys(logs, checked_file_name(name))
@@ -311,6 +311,8 @@ def export(topomap: TopoMap, form: str) -> dict[str, str]:
     ``"tmap2"``, ``"graphml"`` or ``"csv"``. Raises UsageError if there is no such format, or if it
     needs more than a map.
     """
+    if isinstance(topomap, MergeResult):
+        raise UsageError("a map is exported; of a merge that of a site: site_map(merge, maps, run)")
     if form not in MAP_FORMATS:
         raise UsageError(f"no map is exported as {form!r}: {', '.join(MAP_FORMATS)}")
     return map_texts(topomap, form)
@@ -329,6 +331,8 @@ def to_dataframe(topomap: TopoMap, of: Literal["junctions", "corridors"] = "junc
     """
     from pyarrow import csv
 
+    if of not in ("junctions", "corridors"):
+        raise UsageError(f"no table of {of!r}: 'junctions' or 'corridors'")
     text = export(topomap, "csv")[f".{of}.csv"]
     table = csv.read_csv(io.BytesIO(text.encode()))
     return table.to_pandas() if find_spec("pandas") else table

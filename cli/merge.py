@@ -237,6 +237,8 @@ def _show_pairs(result: MergeResult) -> None:
     ambiguous = sorted(pairs.get(Standing.AMBIGUOUS, ()), key=lambda pair: -pair.evidence_bits)
     for pair in ambiguous if is_verbose() else ambiguous[:MOST_AMBIGUOUS]:
         say_folded(f"  {pair.a} ? {pair.b}: ambiguous: {_open_because(pair)}")
+    if len(ambiguous) > MOST_AMBIGUOUS and not is_verbose():
+        say(f"  and {len(ambiguous) - MOST_AMBIGUOUS} more ambiguous: --verbose lists them")
     advice = next((pair for pair in ambiguous[:MOST_AMBIGUOUS] if pair.advice), None)
     if advice is not None:
         say_folded(f"  to settle {advice.a} ? {advice.b}: {advice.advice}")
@@ -260,7 +262,7 @@ def _show_sites(result: MergeResult, place: Workspace) -> None:
     if len(sites) > MOST_SITES:
         more = counted(len(sites) - MOST_SITES, "more site")
         say(f"and {more}: {place.call('list')}")
-    alone = [run for c in result.components if len(c.poses) == 1 for run in c.poses]
+    alone = [c.alone for c in result.components if len(c.poses) == 1]
     if alone:
         say_folded(f"alone: {listed(sorted(alone), MOST_RUNS)}")
 

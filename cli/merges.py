@@ -3,7 +3,7 @@ changed."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -102,6 +102,18 @@ def _repeat(place: Workspace, affected: Collection[str], new: Mapping[str, str])
     say(f"merged again{name}: {counted(len(maps), 'run')}, {describe_pairs(result)}")
     for each in moved:
         say(each)
+    now = {(run, v): k for k, own in enumerate(result.fused.members) for run, v in _each(own)}
+    if any(
+        now.get((new.get(run, run), v), node.id) != node.id
+        for node in document.nodes
+        for run, v in _each(node.members)
+    ):
+        say("junctions of sites have other numbers now; draw and export them again")
+
+
+def _each(members: Mapping[str, Sequence[int]]) -> Iterator[tuple[str, int]]:
+    """The members of a fused junction: a run and its junction."""
+    return ((run, v) for run, own in members.items() for v in own)
 
 
 def _about(settings: MergeSettings, new: Mapping[str, str], runs: Collection[str]) -> MergeSettings:

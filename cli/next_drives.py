@@ -113,6 +113,8 @@ def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace)
         "nothing to record would join sites: no pair of runs is open, and no drive into the "
         "unknown is expected to bring a bit of evidence"
     )
+    if len(result.components) == 1:
+        why = "there is one site: nothing is left to join"
     if open_:
         are = "is" if open_ == 1 else "are"
         lock = place.call("lock", "A", "B", "--same")
@@ -123,10 +125,10 @@ def nothing_worth(result: MergeResult, shown: Collection[str], place: Workspace)
     ways = {name: own for name, own in never_driven(result).items() if name in shown}
     if not ways:
         return [why, "every branch was driven"]
-    out = [why, "branches that nobody drove, which would complete a map, are at"]
+    out = [why, "branches that nobody drove, which would complete a map, are at:"]
     for name, own in ways.items():
         told = len(own) <= MOST_JUNCTIONS or len(shown) == 1
-        which = f" {listed([str(v) for v in own], len(own))}" if told else ""
+        which = f": {listed([str(v) for v in own], len(own))}" if told else ""
         out.append(f"  {name}: {counted(len(own), 'junction')}{which}")
     return out
 

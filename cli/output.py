@@ -9,6 +9,7 @@ types are untrusted, and control characters are escaped.
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -40,7 +41,7 @@ COLOURS = {
 }
 """Colours of verdicts on a terminal."""
 
-_VERDICT = re.compile(rf"(?<![\w./-])({'|'.join(COLOURS)})(?![\w./-])")
+_VERDICT = re.compile(rf"(?<![\w./-])(?<!not )({'|'.join(COLOURS)})(?![\w./-])")
 
 LONGEST_LINE = 8000
 LONGEST_CELL = 200
@@ -212,7 +213,9 @@ def write_files(files: Mapping[Path, str | bytes]) -> None:
     data = {path: t.encode() if isinstance(t, str) else t for path, t in files.items()}
     try:
         write_together({path: partial(Path.write_bytes, data=d) for path, d in data.items()})
-    except PermissionError as error:
+    except OSError as error:
+        if error.errno not in (errno.EACCES, errno.EPERM, errno.EROFS):
+            raise
         raise DataError(f"{error.filename}: {error.strerror}; name another file") from error
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
@@ -160,4 +161,5 @@ def simulate(
         logs = write_scenario(
             scenario, out, formats or ["mcap"], lambda _: one_more(1), alone=force
         )
-    say(f"{counted(len(logs), 'log')} and truth.json in {out}; next: topobatch ingest {out}")
+    following = shlex.join(("topobatch", "ingest", str(out)))
+    say(f"{counted(len(logs), 'log')} and truth.json in {out}; next: {following}")

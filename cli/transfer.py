@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import isnan, nan
@@ -179,7 +180,9 @@ def _matched(place: Workspace, source: str, target: str) -> tuple[MatchedJunctio
             fused = component_map(result, home[source], MERGED)
         matched = junctions_of_merged(result, maps[source], fused)
     if not len(matched):
-        return None, f"no junction of {source} is matched to one of {target}"
+        why = f"no junction of {source} is matched to one of {target}"
+        site = "" if to_site else f"; --to {shlex.quote(names[source])} carries to the map of both"
+        return None, f"{why}{site}"
     return matched, ""
 
 
@@ -217,7 +220,10 @@ def read_places(path: Path) -> tuple[list[str], list[Place]]:
         missing = [name for name in ("name", "x", "y") if name not in names]
         if missing or len(set(names)) < len(names):
             wrong = f"has no column {missing[0]!r}" if missing else "has a column twice"
-            raise DataError(f"{path}:1: {wrong}; the first line must be name,x,y or name,x,y,theta")
+            raise DataError(
+                f"{path}:1: {wrong}; the first line is {','.join(names)[:60]!r}, and must be "
+                "name,x,y or name,x,y,theta, with commas"
+            )
         reader.fieldnames = names
         places = [_place(path, reader.line_num, row) for row in reader]
     except (csv.Error, UnicodeDecodeError) as error:
@@ -229,7 +235,7 @@ def read_places(path: Path) -> tuple[list[str], list[Place]]:
 
 def _place(path: Path, line: int, row: Mapping[Any, Any]) -> Place:
     if None in row or None in row.values():
-        raise DataError(f"{path}:{line}: has more or fewer values than the first line")
+        raise DataError(f"{path}:{line}: has more or fewer values than the first line has names")
     cells = {name: _unquoted(cell) for name, cell in row.items()}
     pose = []
     for column in ("x", "y", "theta"):

@@ -262,9 +262,10 @@ def needs(decision: Decision) -> str:
 
 
 def advice(decision: Decision) -> str:
-    """What would settle an ambiguous pair; "" for others."""
+    """What would settle an ambiguous pair; "" for others, and for pairs that other runs join, whose
+    own placement does not count."""
     pair = decision.pair
-    open_ = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted
+    open_ = pair.verdict is Verdict.AMBIGUOUS and not pair.accepted and not pair.through
     return f"To settle it: {pair.advice}" if open_ and pair.advice else ""
 
 
@@ -360,4 +361,5 @@ def _row(cells: Sequence[str], text: str, width: int, ends: tuple[str, str] = ("
     left = "".join(f"{cell:>8}" for cell in cells) + "  "
     right = f" {ends[0]:>10} {ends[1]:>10}" if any(ends) else ""
     room = width - len(left) - len(right)
-    return f"{left}{text[:room]:<{room}}{right}".rstrip()
+    text = text if len(text) <= room else f"{text[: room - 1]}…"
+    return f"{left}{text:<{room}}{right}".rstrip()

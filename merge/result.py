@@ -243,6 +243,12 @@ class Component:
         """What it is called: its site, or its number."""
         return self.site or f"component {self.id}"
 
+    @property
+    def alone(self) -> str:
+        """A run that is merged with none, with the name of its site if that has another."""
+        (run,) = self.poses
+        return run if self.site in (None, run) else f"{run} ({self.site})"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FusedMap(Graph):

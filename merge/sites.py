@@ -151,8 +151,10 @@ def _shared_folder(
 
 def _shared_beginning(runs: Collection[str], others: Iterable[str]) -> list[str]:
     """What the names of some runs, and of no others, begin with, if it can name a site."""
-    shared = re.sub(r"[\W\d_]+$", "", "".join(_beginning([*runs])))
-    if not is_site_name(shared) or any(run.startswith(shared) for run in others):
+    shared = re.sub(r"\d+$", "", "".join(_beginning([*runs])))  # the number that they differ in
+    shared = re.sub(r"[\W_][\W\d_]*$", "", shared)
+    named = is_site_name(shared) and not re.fullmatch(r"[\W\d_]*", shared)
+    if not named or any(run.startswith(shared) for run in others):
         return []
     return [shared]
 

@@ -201,14 +201,15 @@ def draw_merged(
     numbered = set() if sites is None else _to_number(shown, fused, free, drives, changes or ())
     for part in parts:
         T = part.cell.T_sheet_map
-        _fused(canvas, fused, part, rank, pen_pt)
+        _fused(canvas, fused, part, rank, pen_pt, numbers=sites is not None)
         _numbered(canvas, fused, T, [v for v in part.vertices.tolist() if v in numbered])
         draw_walls(canvas, views[part.component.id], T, theme["wall"])
         if drives is not None:
             _unexplored(canvas, fused, T, free & np.isin(fused.branches.owner, part.vertices))
             _drives(canvas, part, drives)
         _changes(canvas, fused, part, changes or ())
-    canvas.finish(_heading(shown, parts, drives, changes))
+    too_many = sites is not None and shown.fused.junctions > MOST_NUMBERED
+    canvas.finish(_heading(shown, parts, drives, changes, too_many=too_many))
     return canvas
 
 
@@ -252,8 +253,11 @@ def _heading(
     parts: Sequence[Part],
     drives: Sequence[Drive] | None,
     changes: Sequence[Change] | None,
+    *,
+    too_many: bool,
 ) -> list[str]:
-    """What is drawn; its size, and how many pairs were merged; a line for each drive and change."""
+    """What is drawn; its size, and how many pairs were merged; a line for each drive and change.
+    too_many: whether junctions are too many for their numbers."""
     runs = counted(sum(len(c.poses) for c in shown.components), "run")
     alone = parts[0] if len(parts) == 1 else None
     title = f"{runs} of {counted(len(parts), 'site')}"
@@ -270,6 +274,8 @@ def _heading(
         f"{f', {joined:,} joined through others' if joined else ''}"
         f"{'' if alone is None else _turned_by(alone.cell.T_sheet_map)}"
     )
+    if too_many and drives is None and changes is None:
+        size += "; too many junctions for their numbers: in an SVG, point at one"
     names = {c.id: c.name for c in shown.components}
     lines = [f"{'; '.join(drive.words)}; {drive.way}" for drive in drives or ()]
     lines += ["; ".join(change.words(names[change.component])) for change in changes or ()]
@@ -305,7 +311,7 @@ def _drives(canvas: Canvas, part: Part, drives: Sequence[Drive]) -> None:
 def _changes(canvas: Canvas, fused: FusedMap, part: Part, changes: Sequence[Change]) -> None:
     """Draw what changed in a component, each with its number in the list."""
     T, aside = part.cell.T_sheet_map, 1.6 * TEXT_PT / canvas.points_per_m
-    colour, key = canvas.theme["against"], "what changed"
+    colour, key = canvas.theme["against"], "what changed, with its number in the list"
     for k, change in enumerate(changes, 1):
         if change.component != part.component.id:
             continue
@@ -341,9 +347,16 @@ def _pen_pt(canvas: Canvas, fused: FusedMap) -> float:
 
 
 def _fused(
-    canvas: Canvas, fused: FusedMap, part: Part, rank: Mapping[str, int], pen_pt: float
+    canvas: Canvas,
+    fused: FusedMap,
+    part: Part,
+    rank: Mapping[str, int],
+    pen_pt: float,
+    *,
+    numbers: bool,
 ) -> None:
-    """Draw a component's corridors as strands of its runs, its junctions and turning points."""
+    """Draw a component's corridors as strands of its runs, its junctions and turning points. With
+    `numbers`, pointing at a junction tells its own."""
     T = part.cell.T_sheet_map
     alone = len(part.component.poses) == 1
     drawn: dict[tuple[str, float], list[FloatArray]] = {}
@@ -364,4 +377,7 @@ def _fused(
         (~shared, "single", 1.4, Order.JUNCTION, "junction seen by one run"),
         (shared, "shared", 2.1, Order.TIE, "junction seen by several runs"),
     ):
-        canvas.dots(xy[which & ~turned], canvas.theme[ink], pens * pen_pt, order=order, key=key)
+        rows = np.flatnonzero(which & ~turned)
+        tips = [f"junction {v}" for v in part.vertices[rows].tolist()] if numbers else []
+        size_pt = pens * pen_pt
+        canvas.dots(xy[rows], canvas.theme[ink], size_pt, order=order, tips=tips, key=key)

@@ -88,6 +88,7 @@ def draw_decision(a: TopoMap, b: TopoMap, decision: Decision, theme: Theme) -> C
         if picture.placement is not None:
             at = (apply(poses[0], a.xy), apply(poses[1], b.xy))
             _evidence(canvas, picture.placement, at, digits_of(decision), apart=picture.tied)
+            _numbers(canvas, picture.placement, (a, b), at, apart=picture.tied)
     for term, cell in zip(views, cells[len(pictures) :], strict=True):
         _seen(canvas, term, cell, turn)
     heading = [headline(decision), because(decision), advice(decision)]
@@ -164,9 +165,8 @@ def _evidence(
     apart: bool,
 ) -> None:
     """Draw what a picture shows besides the two maps: matched junctions with a line between each
-    two and their numbers, of b only where it is drawn apart; links between junctions of a, with b
-    apart also of b; contradictions. at: positions of the junctions on the sheet; digits: decimals
-    of bits."""
+    two; links between junctions of a, with b apart also of b; contradictions. at: positions of the
+    junctions on the sheet; digits: decimals of bits."""
     pairs, theme = placement.alignment.matched, canvas.theme
     ends = [at[k][pairs[:, k]] for k in (0, 1)]
     sides = (0, 1)[: 1 + apart]
@@ -176,10 +176,6 @@ def _evidence(
     for xy in ends:
         key = "matched junctions, tied"
         canvas.dots(xy, theme["ink"], RING_PT, order=Order.RING, ring=True, tips=same, key=key)
-    for k in sides if len(pairs) <= MOST_NUMBERED else ():
-        aside = 7.0 / canvas.points_per_m * np.array([-1.0, 1.0])
-        for xy, number in zip(ends[k], pairs[:, k].tolist(), strict=True):
-            canvas.words(xy + aside, str(number), size_pt=SMALL_PT)
     for term in reversed(itemised(placement, LINKS)):
         good = term.bits >= 0
         ink, key = ("agrees", "link that speaks for it") if good else ("against", CONTRADICTIONS)
@@ -198,6 +194,28 @@ def _evidence(
             tips=[words],
             key=CONTRADICTIONS,
         )
+
+
+def _numbers(
+    canvas: Canvas,
+    placement: Placement,
+    maps: tuple[TopoMap, TopoMap],
+    at: tuple[FloatArray, FloatArray],
+    *,
+    apart: bool,
+) -> None:
+    """Write the numbers of junctions, of a above and of b below them: advice and contradictions
+    name also junctions that are not matched. Matched ones of b have theirs only where b is drawn
+    apart, and large maps only those of matched junctions."""
+    for k, (m, side) in enumerate(zip(maps, (-1.0, 1.0), strict=True)):
+        matched = placement.alignment.matched[:, k].tolist()
+        rows = {*np.flatnonzero(~m.is_turned).tolist()}
+        rows = rows if len(rows) <= MOST_NUMBERED else {*matched}
+        if k == 1 and not apart:
+            rows -= {*matched}
+        aside = 7.0 / canvas.points_per_m * np.array([side, -side])
+        for v in sorted(rows) if len(rows) <= MOST_NUMBERED else ():
+            canvas.words(at[k][v] + aside, str(v), size_pt=SMALL_PT)
 
 
 def _describe_term(term: Term, digits: int) -> str:

@@ -151,14 +151,16 @@ function fill(plot, a, b, placed) {
   const alone = spots.flatMap(spot => spot.map((ends, k) => ends.length === 1 ? [both[k][ends[0]]] : []).flat());
   const crossing = spots.filter(s => s.every(ends => ends.length === 2))
     .flatMap(spot => spot.map((ends, k) => ends.map(v => both[k][v])));
-  const matched = placed?.ties ?? one.dots.map((_, k) => [k]);
-  const numbers = side => ({...dots(matched.map(t => both[side][t[side]]).filter(q => q)),
-    text: matched.filter(t => t[side] !== undefined).map(t => `${t[side]}`)});
+  // Matched junctions first, where there is no room for all; the others are spoken of as well.
+  const numbers = (side, m) => {
+    const ks = [...new Set([...(placed?.ties ?? []).map(t => t[side]), ...Array(m?.junctions ?? 0).keys()])];
+    return {...dots(ks.map(k => both[side][k])), text: ks.map(String)};
+  };
   const filled = {
     a: lines(one.paths), b: lines(two.paths), "a dots": dots(one.dots), "b dots": dots(two.dots),
     ties: lines((placed?.ties ?? []).map(([u, v]) => [one.dots[u], two.dots[v]])),
     links: lines((placed?.links ?? []).map(ends => ends.map(v => one.dots[v]))),
-    against: dots(alone), crossing: lines(crossing), "a numbers": numbers(0), "b numbers": numbers(1),
+    against: dots(alone), crossing: lines(crossing), "a numbers": numbers(0, a.map), "b numbers": numbers(1, b?.map),
   };
   for (const {data_source: source} of plot.renderers) source.data = filled[source.name];
   const points = [...one.dots, ...one.paths.flat(), ...two.dots, ...two.paths.flat()];

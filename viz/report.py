@@ -97,12 +97,13 @@ def report_page(report: Report) -> str:
         digests=[_digest(library), _digest(script)],
         sites=sites,
         drives=[(k, d, shown_bits(d.bits)) for k, d in enumerate(report.drives, 1)],
-        unexplored=report.unexplored,
+        unexplored=[line[:1].upper() + line[1:] for line in report.unexplored],
         changes=_changes(report),
         legend=[(STANDING_COLOURS[s], str(s), n) for s, n in counts.items() if n],
         need=result and result.threshold_bits and shown_bits(result.threshold_bits),
         runs=runs,
         time_rows=0 if time_line is None else round(time_line.y_range.start),
+        timeless=sum(len(m.observation_time_ns) == 0 for m in report.maps.values()),
         health=_health(report, runs),
         locks=report.locks,
         versions=", ".join(f"{name} {version}" for name, version in report.versions),
@@ -166,13 +167,14 @@ def answer(report: Report, runs: Sequence[str]) -> list[str]:
     out = []
     if several:
         names = listed([f"{c.name} ({len(c.poses)})" for c in several], 12)
-        all_ = f"All {every}" if merged == every else f"{merged} of {every}"
+        all_ = "Both" if every == 2 else f"All {every}"
+        all_ = all_ if merged == every else f"{merged} of {every}"
         out.append(f"{all_} runs are of {counted(len(several), 'site')}: {names}.")
     if alone:
-        who = listed([next(iter(c.poses)) for c in alone], 12)
+        who = listed([c.alone for c in alone], 12)
         out.append(f"{counted(len(alone), 'run stands', 'runs stand')} alone: {who}.")
-    if undecided := result.standings()[Standing.AMBIGUOUS]:
-        out.append(f"{counted(undecided, 'pair of runs is', 'pairs of runs are')} undecided.")
+    if open_ := result.standings()[Standing.AMBIGUOUS]:
+        out.append(f"{counted(open_, 'pair of runs is', 'pairs of runs are')} open (ambiguous).")
     if report.drives:
         where, settles = report.drives[0].words
         shows = "" if report.drives[0].onto else "shows "

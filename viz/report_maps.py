@@ -393,13 +393,15 @@ def describe_change(change: Change, site: str) -> str:
 
 
 def own_map(topomap: TopoMap) -> dict[str, Any]:
-    """A run's own map as JSON values: vertices, polylines, and the turn that draws it upright."""
+    """A run's own map as JSON values: vertices, junctions first, polylines, and the turn that draws
+    it upright."""
     m = with_turning_points(topomap)
     x, y = columns(m.xy)
     paths = [columns(simplify(path, STRAIGHT_M)) for path in m.paths]
     return {
         "x": x,
         "y": y,
+        "junctions": len(topomap),
         "paths": paths,
         "turn": round(upright_rad(m.paths), 4),
         "usual": usual_m(m.length),

@@ -7,6 +7,7 @@ kept from the merge.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -36,6 +37,10 @@ from .prepare import Prepared
 from .settings import DEFAULT_ROBUST, MATCH, RobustSettings
 from .verdict import in_steps
 from .view_search import pictured
+
+FIT_SIGMAS = 1.96
+"""Two measurements of one length differ by less in 95 % of cases; a link that fits so well and
+still speaks against the placement has a length that many corridors have."""
 
 BOTH = np.array([(0, 1)])
 """The pair of the two maps of a `_Pair`."""
@@ -233,7 +238,10 @@ def _links(a: Prepared, b: Prepared, c: Candidate) -> Iterator[Term]:
         if along >= 0:
             row_a, row_b = agree.corridors[along].tolist()
             size = (float(a.length[row_a]), float(b.length[row_b]))
-            yield Term("corridor", bits, "corridor" if bits >= 0 else "misfit", va, vb, size)
+            sigma_m = math.sqrt(a.variance[row_a] + b.variance[row_b])
+            fits = abs(size[0] - size[1]) < FIT_SIGMAS * sigma_m
+            against = "common length" if fits else "misfit"
+            yield Term("corridor", bits, "corridor" if bits >= 0 else against, va, vb, size)
         else:
             gap_a, gap_b = a.z[va[1]] - a.z[va[0]], b.z[vb[1]] - b.z[vb[0]]
             size = (float(abs(gap_a)), float(abs(gap_b)))

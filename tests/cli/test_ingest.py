@@ -247,7 +247,7 @@ def test_a_truncated_log_is_salvaged_and_said(topobatch, logs, tmp_path):
     readme, page = (
         " ".join((root / name).read_text().split()) for name in ("README.md", "docs/reliability.md")
     )
-    assert "0 done, possibly with warnings (a damaged log is read as far as possible)" in readme
+    assert "0: done, possibly with warnings; a damaged log is read as far as possible." in readme
     assert "`ingest` warns, and the exit code stays 0" in page
 
 

@@ -162,3 +162,7 @@ def test_what_a_merge_does_not_have_is_said() -> None:
         topobatch.explain(result, [maze], "maze-1", "lab")
     with pytest.raises(UsageError, match="no map is exported as 'dxf': nav2"):
         topobatch.export(maze, "dxf")
+    with pytest.raises(UsageError, match="of a merge that of a site: site_map"):
+        topobatch.export(result, "nav2")
+    with pytest.raises(UsageError, match="no table of 'rooms'"):
+        topobatch.to_dataframe(maze, "rooms")

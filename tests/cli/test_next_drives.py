@@ -83,7 +83,7 @@ def test_where_no_drive_is_worth_it(merged_once, topobatch, tmp_path) -> None:
     plan = tmp_path / "plan.svg"
     shown = topobatch("next", "-o", plan, "-w", merged_once)
     assert json.loads(topobatch("next", "--json", "-w", merged_once).out) == []
-    assert shown.out.startswith("nothing to record would join sites: no pair of runs is open")
+    assert shown.out.startswith("there is one site: nothing is left to join")
     assert "branches that nobody drove" in shown.out
     assert "branch never driven" in plan.read_text()
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import errno
+import os
 import sys
+from pathlib import Path
 
 import pytest
 
-from topobatch.cli.output import painted, plain, progress, say, show, warn
+from topobatch.cli.output import painted, plain, progress, say, show, warn, write_files
+from topobatch.topology.errors import DataError
 
 
 @pytest.mark.parametrize(
@@ -45,9 +49,19 @@ def test_verdicts_are_coloured_on_a_terminal_unless_that_is_unwanted(monkeypatch
     assert painted("a + b: merged: 7 bits, in merged.json") == (
         f"a + b: {green}: 7 bits, in merged.json"
     )
+    assert painted("not merged") == "not merged"
     assert painted("remerged, ws/merged, nothing") == "remerged, ws/merged, nothing"
     monkeypatch.setenv("NO_COLOR", "1")
     assert painted("a + b: merged") == "a + b: merged"
+
+
+def test_where_nothing_can_be_written_another_file_is_asked_for(monkeypatch):
+    def refuse(writes):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(next(iter(writes))))
+
+    monkeypatch.setattr("topobatch.topology.files.write_together", refuse)
+    with pytest.raises(DataError, match="Read-only file system; name another file"):
+        write_files({Path("ro/page.html"): "text"})
 
 
 def test_a_bar_tells_the_speed_of_fresh_work(monkeypatch, capsys):

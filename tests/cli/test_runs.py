@@ -130,12 +130,15 @@ def test_every_merge_that_holds_a_run_is_made_anew(topobatch, merged):
     assert done.code == 0, done
     assert "\nmerged again: 6 runs" in done.out
     assert "\nmerged again, two: 1 run" in done.out
+    assert "\njunctions of sites have other numbers now" in done.out
     assert f'"{gone}"'.encode() not in (merged / "two.json").read_bytes()
     assert (merged / "rest.json").read_bytes() == untouched
     assert not (merged / "alone.json").exists()
     assert f"\n{merged / 'alone.json'}: removed; none of its runs is left" in done.out
     assert (merged / "mine.json").read_text() == "{}"
-    assert topobatch("rename", kept, "new name", "-q", "-w", merged).code == 0
+    renamed = topobatch("rename", kept, f"{kept} new", "-w", merged)  # in the same order
+    assert "other numbers" not in renamed.out
+    assert topobatch("rename", f"{kept} new", "new name", "-q", "-w", merged).code == 0
     for name in ("two", "rest", "merged"):
         text = (merged / f"{name}.json").read_text()
         assert '"new name"' in text
@@ -233,6 +236,23 @@ def test_a_renamed_run_stays_renamed_when_its_log_is_read_again(topobatch, logs,
     assert [p.stem for p in (ws / "maps").glob("*.json")] == ["c"]
 
 
+def test_a_moved_log_is_found_again_by_ingesting_it(topobatch, logs, tmp_path):
+    """The map is kept, its bytes too, and what reads the log again knows where it is."""
+    ws, log = tmp_path / "ws", tmp_path / "here" / "a.mcap"
+    log.parent.mkdir()
+    shutil.copy(logs["mcap"], log)
+    assert topobatch("ingest", log, "-w", ws).code == 0
+    before = (ws / "maps" / "a.json").read_bytes()
+    moved = log.parent.rename(tmp_path / "there") / "a.mcap"
+    assert "log changed, or gone" in topobatch("list", "-w", ws).out
+    told = topobatch("export", "a", "-f", "tum", "-w", ws).error(1)
+    assert "ingest it from where it is now" in told
+    assert "unchanged, kept" in topobatch("ingest", moved, "-w", ws).out
+    assert "stale" not in topobatch("list", "-w", ws).out.splitlines()[-1]
+    assert topobatch("export", "a", "-f", "tum", "-w", ws).code == 0
+    assert (ws / "maps" / "a.json").read_bytes() == before
+
+
 def test_history(topobatch, merged):
     a, b = accepted_pair(merged)
     topobatch("lock", a, b, "--never", "-w", merged)
@@ -282,7 +302,7 @@ def test_verbose(topobatch, merged, logs, tmp_path):
     brief = topobatch("merge", "--all", "-w", merged)
     assert "known already" not in brief.err
     assert " agree, " not in brief.out
-    assert "\nsite site-s0000-00: 6 runs: s0000-00, " in brief.out
+    assert "\nsite s0000: 6 runs: s0000-00, " in brief.out
 
 
 def test_views_go_with_their_run(topobatch, two_buildings, tmp_path):

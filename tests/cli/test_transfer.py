@@ -97,10 +97,19 @@ def test_what_cannot_be_carried_is_said_line_by_line(topobatch, place, table) ->
     assert [row["x"] for row in rows_of(apart.out)] == ["", ""]
 
 
+def test_runs_of_one_site_without_a_common_junction(topobatch, place, table, monkeypatch) -> None:
+    monkeypatch.setattr("topobatch.cli.transfer.junctions_of_runs", lambda *_: [])
+    path = table("name,x,y\ndock,20,1\n")
+    call = ("transfer", path, "--from", "one", "--to", "two", "-w", place.root)
+    told = topobatch(*call).error(1)
+    assert "no junction of one is matched to one of two; --to 'component 1' carries" in told
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
         ("name,x\na,1\n", ":1: has no column 'y'"),
+        ("name;x;y\na;1;2\n", "the first line is 'name;x;y', and must be name,x,y"),
         ("name,x,y\na,1,oops\n", ":2: y is 'oops', not a number"),
         ("name,x,y\na,1,nan\n", "which is nowhere"),
         ("name,x,y\na,1,-1e11\n", "which is nowhere"),

@@ -93,6 +93,12 @@ def test_a_decision_fits_a_terminal_with_the_verdict_first(told):
     assert any("log2(6 pairs / rate 0.001)" in line for line in shown)
 
 
+def test_what_a_narrow_terminal_cuts_is_marked():
+    narrow = lines(MERGED, width=48)
+    assert max(map(len, narrow)) <= 48
+    assert any("…" in line for line in narrow if "corridor" in line)
+
+
 def test_the_document_adds_up_too():
     for told in ALL:
         document = json.loads(json.dumps(to_document(told)))
@@ -110,6 +116,8 @@ def test_an_ambiguous_pair_says_what_it_lacks():
     assert because(replace(AMBIGUOUS, why="")).endswith(" agree, 1 contradicts; so it is.")
     assert advice(AMBIGUOUS).startswith("To settle it: record further")
     assert advice(MERGED) == advice(UNRELATED) == ""
+    through = replace(AMBIGUOUS, pair=replace(AMBIGUOUS.pair, through=("other",)))
+    assert advice(through) == ""  # it is settled, and its own placement may be wrong
     assert any("the next best lays it at" in line for line in lines(AMBIGUOUS))
 
 

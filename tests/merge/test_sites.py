@@ -30,6 +30,13 @@ def test_a_new_site_is_called_after_its_folder() -> None:
     assert named([["a", "b"], ["c", "d"], ["e"]], known=known)[0] == ["north", "south", "e"]
     known = origins("hall-1", "hall-2", folder=("north", "Logs"))
     assert named([["hall-1", "hall-2"]], known=known)[0] == ["hall"]
+    for runs, site in (
+        (["E5_01", "E5_02"], "E5"),
+        (["lab_2024-05-01", "lab_2024-05-17"], "lab"),
+        (["floor1", "floor12"], "floor"),
+        (["2015-04", "2015-09"], "site-2015-04"),
+    ):
+        assert named([runs], known=origins(*runs))[0] == [site]
 
 
 def test_no_two_sites_have_one_name_nor_that_of_something_else() -> None:

@@ -70,6 +70,14 @@ def test_a_site_is_drawn_with_the_numbers_of_its_junctions(merge_of) -> None:
     assert not {"0", "4", "a"} & set(texts)
 
 
+def test_where_numbers_have_no_room_pointing_tells_them(merge_of, monkeypatch) -> None:
+    monkeypatch.setattr("topobatch.viz.draw.MOST_NUMBERED", 4)
+    texts, titles = seen(draw_merged(merge_of([["a"], ["b", "c"]])[0], LIGHT, sites=[1]))
+    assert {f"junction {k}" for k in range(5, 10)} <= set(titles)
+    assert any("point at one" in text for text in texts)
+    assert "5" not in texts
+
+
 def test_walls_lie_under_the_map_where_views_show_them(make_map, merge_of) -> None:
     views = views_at(floor(1), [(20.0, 20.0, 0.2), (26.0, 20.0, 0.0)])
     shown = replace(make_map("run"), views=replace(views, pose=views.pose - (20.0, 20.0, 0.0)))

@@ -61,6 +61,13 @@ def test_an_ambiguous_pair_shows_both_placements(make_map) -> None:
     assert {"placement: 9.0 bits", "next best: 8.0 bits"} <= set(texts)
 
 
+def test_junctions_that_are_not_matched_have_numbers_too(make_map) -> None:
+    """Those of a once, and those of b that a does not stand for; advice names them."""
+    told = decision(Verdict.AMBIGUOUS, [placement(9.0, EVERY[:3]), placement(8.0, EVERY[:3])])
+    texts, _ = seen(draw_decision(make_map("a"), make_map("b", (1.0, 2.0, 0.4)), told, LIGHT))
+    assert [texts.count(str(k)) for k in range(5)] == [2, 2, 2, 4, 4]  # on two pictures
+
+
 def compared(kind: int) -> Compared:
     """Four walls of a and two of b, these of one kind."""
     xy = np.array([(x, 1.0) for x in (0, 1, 2, 3, 0, 1)], float)

@@ -117,8 +117,8 @@ def test_the_page_answers_first(merge_of) -> None:
     told = " ".join(page.text.split())
     for sentence in (
         "2 of 4 runs are of 1 site: site 0 (2).",
-        "2 runs stand alone: c, d.",
-        "1 pair of runs is undecided.",
+        "2 runs stand alone: c (site 1), d (site 2).",
+        "1 pair of runs is open (ambiguous).",
         "To record next: 9 m in north, from junction 0 towards c:12; it joins north and c, if "
         "they are one place: settles 1 open pair.",
         "1 change between runs.",
@@ -227,12 +227,21 @@ def test_a_time_line_of_two_decades_shows_the_runs_of_either(merge_of) -> None:
     assert wide.min() > 0.1 * (max(bars["right"]) - min(bars["left"]))
 
 
+def test_the_time_line_says_which_maps_it_lacks(merge_of) -> None:
+    result, (first, *others) = merge_of([["a", "b"], ["c"]])
+    none = np.zeros(0, np.int64)
+    grid = replace(first, observation_time_ns=none, observation_vertex=none)
+    assert "Without a time: 1 saved map." in Page(page_of(result, [grid, *others])).text
+    assert "Without a time" not in Page(page_of(result, [first, *others])).text
+
+
 def test_where_no_drive_is_worth_it_the_page_says_what_nobody_drove(merge_of) -> None:
     page = Page(
-        page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "a: 1 junction 3"])
+        page_of(*merge_of([["a", "b"]]), unexplored=["nothing to record", "  a: 1 junction: 3"])
     )
     assert "What to record next" in page.text
-    assert "a: 1 junction 3" in page.text
+    assert "Nothing to record" in page.text
+    assert "a: 1 junction: 3" in page.text
 
 
 def test_nothing_is_fetched_and_no_name_is_markup(merge_of) -> None:

@@ -173,6 +173,16 @@ def test_a_square_of_the_matrix_opens_its_pair(opened, html, tmp_path) -> None:
     shows(page, "#pair-title", "b + c")
 
 
+def test_the_evidence_of_a_pair_fits_a_phone(opened, html) -> None:
+    """Also with a column for the next best placement."""
+    page = opened(html, viewport={"width": 390, "height": 800})
+    page.evaluate("chosen(1, 2)")
+    shows(page, "#evidence", "corridor: 10.00 m, 10.10 m")
+    wide = page.evaluate("find('.wide').scrollWidth - find('.wide').clientWidth")
+    assert wide == 0
+    shows(page, "#pair", "Wide green lines are links that speak for a placement")
+
+
 def test_no_name_becomes_code(opened, merge_of) -> None:
     result, maps = merge_of([[f"a{HOSTILE}", "b"], ["c"]], [("b", "c")])
     info = {"warnings": [HOSTILE], "settings": {HOSTILE: HOSTILE}}

@@ -34,7 +34,7 @@ def explained(batch, a, b):
     assert decision.of_merge
     for placement in decision.placements:
         # A length that follows from others tells nothing; it fits all the same.
-        assert all(t.bits < 0 for t in placement.terms if t.text == "misfit")
+        assert all(t.bits < 0 for t in placement.terms if t.text in ("misfit", "common length"))
         assert all(t.bits >= 0 for t in placement.terms if t.text == "corridor")
         assert all(t.bits < 0 for t in placement.terms if t.kind == "few")
         total = sum(term.bits for term in placement.terms)
