@@ -111,7 +111,6 @@ NUMBERS: dict[str, dict[str, float]] = {
     "phantoms: least rate": {"DRIVEN_BY.least_phantom_rate": 1e-6},
     "views: loops": {"VIEW_LOOPS.tests": 0},
     "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
-    "views: lead": {"VIEW_LOOPS.lead": 0.0},
     "views: known": {"VIEW_LOOPS.known_m": 0.0},
 }
 """Mechanisms, and the numbers that disable each: a constant of `CONSTANTS`, and a field of it."""
@@ -148,7 +147,7 @@ def _zeros(of: int):
 
 
 def _one_hop(state, a, b, aligned):
-    with mock.patch.object(growth, "GROWTH", replace(growth.GROWTH, hops=1)):
+    with mock.patch.object(growth, "HOPS", 1):
         return growth.grow(state, a, b, aligned)
 
 
@@ -186,7 +185,7 @@ def _motion_without(*names):
 
 
 REPLACED = {
-    # `hops` says, too, how far candidates are looked for: without them there are none.
+    # `HOPS` says, too, how far candidates are looked for: without them there are none.
     "growth": (candidates, "grow", lambda s, a, *args: growth.Support(*np.zeros((2, len(a))))),
     "growth: one hop": (candidates, "grow", _one_hop),
     "growth: missed junctions": (growth, "_past_missed", _no_missed),

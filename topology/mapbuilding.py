@@ -42,7 +42,7 @@ class MapBuildingSettings:
     """Tolerance of simplified paths."""
     junction_m: float = 0.7
     """Radius around a junction's centre in which robots cut corners: the path is replaced by a
-    straight line there."""
+    straight line there. The track passes a place if it comes as near to its centre."""
     passable_m: float = 0.5
     """Points of tracks closer than this have no wall between them: about the width of a robot on
     either side."""

@@ -38,7 +38,8 @@ class CalibrationSettings:
     prior_lag_s: float = 0.3
     """Priors: 1 sigma of odometry in general, with mean zero."""
     apply_at_z: float = 3.0
-    """A term is applied only if it is at least this many sigmas from zero."""
+    """A term, or a lever (`motion_errors.py`), is applied only if it is at least this many sigmas
+    from zero."""
     floor_bias_rad_per_m: float = 0.0005
     floor_turn_scale: float = 0.001
     floor_lag_s: float = 0.01
@@ -56,6 +57,11 @@ class CalibrationSettings:
     """Corrections of the track, after each of which the passes are fused again."""
     looks_per_pass: float = 2.0
     """Weight of all readings of one branch in one pass, in independent observations."""
+
+    @property
+    def prior_sigma(self) -> Terms:
+        """1 sigma of the prior of each term."""
+        return self.prior_bias_rad_per_m, self.prior_turn_scale, self.prior_lag_s
 
 
 CALIBRATION = CalibrationSettings()
@@ -95,7 +101,7 @@ class Calibration:
 
     applied: Terms = (0.0, 0.0, 0.0)
     estimate: Terms = (0.0, 0.0, 0.0)
-    sigma: Terms = (0.035, 0.03, 0.3)
+    sigma: Terms = CALIBRATION.prior_sigma
     motion: MotionErrors | None = None
 
     @property
@@ -152,10 +158,11 @@ def _floor(odometry: Odometry) -> FloatArray:
 
 def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> Calibration:
     """Calibration from evidence that was already corrected by `already` (3,)."""
-    c = CALIBRATION
-    sigma = np.array([c.prior_bias_rad_per_m, c.prior_turn_scale, c.prior_lag_s])
     model = HeadingLikelihood.of(
-        evidence, prior_sigma=sigma, centre=-already, worth=c.looks_per_pass
+        evidence,
+        prior_sigma=np.array(CALIBRATION.prior_sigma),
+        centre=-already,
+        worth=CALIBRATION.looks_per_pass,
     )
     starts = _scan(model, already)
     every = np.ones(TERMS, bool)

@@ -17,6 +17,7 @@ from ...topology.odometry import Odometry
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ..logs.fields import LENGTHS
+from .calibration import CALIBRATION
 from .stationary import AS_READ, DriveBys, Fit, Reading
 
 
@@ -28,8 +29,6 @@ class ConventionSettings:
     """Largest lag considered: robots are at another junction by then."""
     lag_step_s: float = 0.25
     """Step of the search for a lag: rotations of robots last longer."""
-    least_lag_s: float = 0.9
-    """Smaller lags are left to the calibration: three sigmas of its prior."""
     left: float = 0.67
     """A drive-by votes if one reading leaves at most this share of the other's residual (root mean
     square): as for scans that may be late (`scans/turns.py`)."""
@@ -46,6 +45,9 @@ class ConventionSettings:
 
 
 CONVENTIONS = ConventionSettings()
+
+LEAST_LAG_S = CALIBRATION.apply_at_z * CALIBRATION.prior_lag_s
+"""Smaller lags are left to the calibration, as its prior holds them possible."""
 
 UNITS = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "ft": "feet"}
 """Units of lengths that are told of (`LENGTHS`)."""
@@ -214,13 +216,13 @@ def _differs(fit: Fit) -> bool:
 
 
 def _differs_in_poses(reading: Reading) -> bool:
-    return reading.yaw != 1.0 or abs(reading.lag_s) > CONVENTIONS.least_lag_s
+    return reading.yaw != 1.0 or abs(reading.lag_s) > LEAST_LAG_S
 
 
 def _pose_findings(reading: Reading, odometry_topic: str) -> Iterator[str]:
     if reading.yaw in YAW:
         yield f"the headings of {odometry_topic} {YAW[reading.yaw]}"
-    if abs(reading.lag_s) > CONVENTIONS.least_lag_s:
+    if abs(reading.lag_s) > LEAST_LAG_S:
         late = "late" if reading.lag_s > 0 else "early"
         yield (
             f"they are stamped {abs(reading.lag_s):g} s (± {CONVENTIONS.lag_step_s:g} s) {late} "

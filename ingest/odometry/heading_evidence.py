@@ -19,7 +19,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
-from ...topology.passes import NO_BRANCH, Passes
+from ...topology.passes import NO_BRANCH, ONE_WAY_RAD, Passes
 from ...topology.ragged import numbered
 from ...topology.run import Detections
 from ...topology.se2 import wrap
@@ -33,14 +33,10 @@ TERMS = 3
 class EvidenceSettings:
     """Which detections are compared."""
 
-    match_rad: float = 0.35
-    """Readings farther from every fused branch of their pass are ignored."""
     interpolated_rad: float = 0.03
     """Readings at more than this angle from the nearest row of the odometry are ignored."""
     rate_window_s: float = 0.25
     """Half the time over which the turning rate is measured."""
-    parts: int = 6
-    """Intervals over which the readings of one branch in one pass are averaged."""
     grid_reach: int = 3
     """Branches are compared with those of so many passes before."""
     grid_reach_m: float = 40.0
@@ -48,6 +44,10 @@ class EvidenceSettings:
 
 
 EVIDENCE = EvidenceSettings()
+
+PARTS = 6
+"""Parts of a pass whose means are compared: by fewer, a junction that jumps as it is passed cannot
+be told from one that moves along. Passes with fewer messages do not show how the robot moved."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,9 +107,7 @@ def heading_evidence(
     nominal: the same rows and times uncorrected, for the regressors. O(readings + branches ·
     grid_reach).
     """
-    reading = assign_readings(
-        odometry, detections, passes, EVIDENCE.match_rad, EVIDENCE.interpolated_rad
-    )
+    reading = assign_readings(odometry, detections, passes, EVIDENCE.interpolated_rad)
     time_ns = detections.time_ns[detections.branches.owner[reading.row]]
     regressor = _regressors(nominal, time_ns)
     count = len(passes.branches.values)
@@ -136,14 +134,13 @@ def heading_evidence(
 
 
 def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
-    """Readings relative to the mean of their branch, averaged over a few intervals of time."""
-    parts = EVIDENCE.parts
+    """Readings relative to the mean of their branch, averaged over `PARTS` intervals of time."""
     order = np.argsort(branch, kind="stable")
     n = np.bincount(branch, minlength=len(looks.heading))
     owner = branch[order]
     first = np.concatenate([[0], np.cumsum(n)])[owner]
-    part = (np.arange(len(owner)) - first) * parts // np.maximum(n[owner], parts)
-    group = np.cumsum(np.diff(owner * parts + part, prepend=-1) != 0) - 1
+    part = (np.arange(len(owner)) - first) * PARTS // np.maximum(n[owner], PARTS)
+    group = np.cumsum(np.diff(owner * PARTS + part, prepend=-1) != 0) - 1
     size = np.bincount(group)
     mean = [_mean(group, column[order], size) for column in (y, *a.T)]
     home = owner[np.flatnonzero(np.diff(group, prepend=-1))]
@@ -179,10 +176,9 @@ def assign_readings(
     odometry: Odometry,
     detections: Detections,
     passes: Passes,
-    match_rad: float,
     interpolated_rad: float = np.inf,
 ) -> Readings:
-    """The nearest fused branch (flat index) of every reading, where it is within `match_rad`.
+    """The nearest fused branch (flat index) of every reading, where it is within `ONE_WAY_RAD`.
 
     Readings whose heading would be interpolated over more than `interpolated_rad` are left out.
     Vectorised: each reading is paired with every branch of its pass, and the nearest pair kept.
@@ -207,7 +203,7 @@ def assign_readings(
     hit = np.flatnonzero(off == np.minimum.reduceat(off, np.flatnonzero(local == 0))[of])[::-1]
     nearest = np.empty(len(rows), np.int64)
     nearest[of[hit]] = hit
-    near = off[nearest] <= match_rad
+    near = off[nearest] <= ONE_WAY_RAD
     return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
 
 

@@ -17,6 +17,8 @@ from .heading_evidence import TERMS, HeadingEvidence, Rows
 
 _QUARTER = np.pi / 2
 _DEGREES_OF_FREEDOM = 3.0
+_USUAL_RAD = 0.1
+"""Usual scatter of parallel corridors [rad]; that of the readings of one branch is half of it."""
 _FINEST = 0.025
 """Lower bound of the scatter of parallel corridors [rad]; avoids a singular likelihood."""
 
@@ -35,7 +37,7 @@ class _Mixture:
     rows: Rows
     period: float
     widest: float
-    sigma: float = 0.1
+    sigma: float = _USUAL_RAD
     share: float = 0.5
 
     def residual(self, x: FloatArray) -> FloatArray:
@@ -56,9 +58,9 @@ class _Mixture:
 
     def refit(self, r: FloatArray, holds: FloatArray) -> _Mixture:
         """Maximum-a-posteriori scale and share, with a prior worth one inlier and one outlier of
-        6°."""
-        total, guess = float(holds.sum()), 0.1
-        sigma = float(np.sqrt((float((holds * r**2).sum()) + 2 * guess**2) / (total + 2)))
+        `_USUAL_RAD`."""
+        total = float(holds.sum())
+        sigma = float(np.sqrt((float((holds * r**2).sum()) + 2 * _USUAL_RAD**2) / (total + 2)))
         share = (total + 1) / (self.rows.owners + 2)
         sigma = min(max(sigma, _FINEST), self.widest)
         return _Mixture(self.rows, self.period, self.widest, sigma, share)
@@ -70,7 +72,7 @@ class _Scatter:
 
     rows: Rows
     worth: float
-    sigma: float = 0.05
+    sigma: float = 0.5 * _USUAL_RAD
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Log-likelihood, residuals, and weights of the equivalent least-squares problem."""
@@ -82,7 +84,7 @@ class _Scatter:
 
     def refit(self, r: FloatArray, weight: FloatArray) -> _Scatter:
         total = self.worth * float(self.rows.share.sum())
-        sigma = np.sqrt((float((weight * r**2).sum()) + 2 * 0.05**2) / (total + 2))
+        sigma = np.sqrt((float((weight * r**2).sum()) + 2 * (0.5 * _USUAL_RAD) ** 2) / (total + 2))
         return _Scatter(self.rows, self.worth, float(max(sigma, 0.005)))
 
 

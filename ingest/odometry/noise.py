@@ -19,11 +19,11 @@ from ...topology.arrays import FloatArray, IntArray
 from ...topology.circular import cluster_angles
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
-from ...topology.passes import Passes
+from ...topology.passes import ONE_WAY_RAD, Passes
 from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise
-from .within_passes import WITHIN, WithinPasses
+from .within_passes import PRIOR_MESSAGES, WithinPasses
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +84,11 @@ def refine_noise(
     seen = int(np.sum(vertex >= 0))
     legs = max(seen + drive_bys - 1, 0)
     invented = len(passes) - seen
-    visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad, WITHIN.match_rad)
+    visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad)
     faulty, judged = visits.faults()
     return _stated(
         noise,
-        branch_rad=visits.branch_sigma(noise.branch_rad, WITHIN.prior_messages),
+        branch_rad=visits.branch_sigma(noise.branch_rad, PRIOR_MESSAGES),
         miss_rate=_rate(drive_bys, seen + drive_bys, prior.miss_rate, worth),
         phantom_rate=_rate(invented, legs, prior.phantom_rate, worth),
         branch_fault_rate=_rate(faulty, judged, prior.branch_fault_rate, worth),
@@ -168,20 +168,18 @@ class Repeats:
     passes: IntArray
 
     @classmethod
-    def of(
-        cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray, match_rad: float
-    ) -> Repeats:
+    def of(cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray) -> Repeats:
         """From the passes with a place (`vertex` >= 0) that was passed at least twice.
 
         turn_rad: (p,) rotation from the odometry frame to the map frame; branches nearer than
-        `match_rad` are the same. O(b log b).
+        `ONE_WAY_RAD` are the same. O(b log b).
         """
         count = np.bincount(vertex[vertex >= 0], minlength=1)
         owner = passes.branches.owner
         home = vertex[owner]
         rows = np.flatnonzero((home >= 0) & (count[np.maximum(home, 0)] >= 2))
         heading = np.asarray(wrap(passes.branches.values[rows] + turn_rad[owner[rows]]))
-        clusters = cluster_angles(heading, home[rows], match_rad)
+        clusters = cluster_angles(heading, home[rows], ONE_WAY_RAD)
         # A pass that has two branches in one cluster saw it once.
         pairs, first = np.unique(np.stack([clusters.of, owner[rows]]), axis=1, return_index=True)
         off = np.asarray(wrap(heading - clusters.mean[clusters.of]))[first]

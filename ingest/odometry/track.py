@@ -27,7 +27,7 @@ class TrackSettings:
     teleport_speed_factor times faster than this robot elsewhere. A step onto exactly the origin is
     a reset if it is longer than reset_min_m or turns by more than reset_min_rad, because a robot
     may stand there. A gap is at least gap_periods of the usual period, and gap_min_s; a clock that
-    goes back by more than backward_min_s was set, by less it jitters.
+    goes back by more than gap_min_s was set, by less it jitters.
     """
 
     teleport_min_m: float = 0.5
@@ -39,7 +39,6 @@ class TrackSettings:
     reset_min_rad: float = 0.1
     gap_periods: float = 20.0
     gap_min_s: float = 1.0
-    backward_min_s: float = 1.0
 
 
 TRACK = TrackSettings()
@@ -61,7 +60,7 @@ def backward_jumps(time_ns: IntArray) -> int:
     Single reordered messages do not count. O(n).
     """
     starts, ends = _behind(time_ns)
-    return int((time_ns[ends - 1] - time_ns[starts] >= TRACK.backward_min_s * SECOND_NS).sum())
+    return int((time_ns[ends - 1] - time_ns[starts] >= TRACK.gap_min_s * SECOND_NS).sum())
 
 
 def _behind(time_ns: IntArray) -> tuple[IntArray, IntArray]:
@@ -117,7 +116,7 @@ def _forward(
     then not written in the order of time.
     """
     starts, ends = _behind(time_ns)
-    jumps = time_ns[ends - 1] - time_ns[starts] >= TRACK.backward_min_s * SECOND_NS
+    jumps = time_ns[ends - 1] - time_ns[starts] >= TRACK.gap_min_s * SECOND_NS
     if not jumps.any():
         return time_ns, pose
     starts, ends = starts[jumps], ends[jumps]
@@ -200,7 +199,8 @@ def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
     far = (way > TRACK.teleport_min_m) & (way > speed_limit * duration)
     far |= (turn > TRACK.teleport_min_rad) & (turn > turn_limit * duration)
     # Driving through the exact origin is a step like any other; a reset is far longer.
-    sudden = (way > 5 * np.quantile(way, 0.99)) | (turn > 5 * np.quantile(turn, 0.99))
+    factor = TRACK.teleport_speed_factor
+    sudden = (way > factor * np.quantile(way, 0.99)) | (turn > factor * np.quantile(turn, 0.99))
     return np.asarray(far | (reset & sudden))
 
 

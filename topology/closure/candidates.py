@@ -21,9 +21,9 @@ from .evidence import (
     best_position_odds,
     position_odds,
 )
-from .growth import GROWTH, MapState, grow
+from .growth import MapState, grow
 from .negative_information import DrivenGround, driven_ground
-from .places import Places
+from .places import HOPS, Places
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,7 +166,7 @@ def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Apart
     Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
     """
     reckoning, places = state.reckoning, state.places
-    reach_m = GROWTH.hops * state.common.leg_m
+    reach_m = HOPS * state.common.leg_m
     a, b = pairs_within(estimate.xy, reach_m, CANDIDATES.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
     same = reckoning.piece[i] == reckoning.piece[j]
@@ -255,7 +255,7 @@ def _surroundings(state: MapState, pairs: _Apart) -> _Surroundings:
     aligned = align(state.branches, a, b, turn_sigma=turn_sigma)
     grown = grow(state, a, b, aligned)
     # Adjacent legs are not independent: each hop counts `lead` at most.
-    cap = GROWTH.hops * EVIDENCE.lead
+    cap = HOPS * EVIDENCE.lead
     gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
     return _Surroundings(aligned.odds, gain, loss, aligned.turn)
 

@@ -36,7 +36,8 @@ class EstimateSettings:
     """Absolute tolerance of the solver: a step that lowers χ² by less moves no pose by a third of
     its standard deviation."""
     samples: int = 64
-    """Samples for covariances of many nodes: standard error of a variance √(2 / 64) = 18 %."""
+    """Samples for covariances of many nodes, and for the redundancy of edges
+    (`variance_components.py`): standard error of a variance √(2 / 64) = 18 %."""
 
 
 ESTIMATE = EstimateSettings()
@@ -51,7 +52,7 @@ class Estimate:
     it has several passes, else its pass. sighting: (k,) pass of each observation factor;
     sighting_chi2: (k,) its squared error in sigmas; loop_chi2: the same of each of the loops.
     reduced_chi2: mean squared error in sigmas per degree of freedom, 1 if the noise model is right;
-    freedom: degrees of freedom, without those of loops. samples: for covariances of many nodes.
+    freedom: degrees of freedom, without those of loops.
     """
 
     pose: FloatArray
@@ -64,7 +65,6 @@ class Estimate:
     freedom: int
     graph: PoseGraph
     solution: Solution
-    samples: int
 
     def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) of nodes b relative to nodes a, in the axes of a: exact for few nodes, sampled
@@ -72,7 +72,7 @@ class Estimate:
 
         Sampled covariances are enlarged by the relative standard error of a sampled sigma.
         """
-        samples = self.samples
+        samples = ESTIMATE.samples
         # A node takes three solutions, a sample one.
         if 3 * len(np.unique(np.concatenate([a, b]))) <= samples:
             return Marginals.of(self.graph, self.solution).relative(a, b)
@@ -154,7 +154,6 @@ def optimise(
         freedom=freedom,
         graph=graph,
         solution=solution,
-        samples=ESTIMATE.samples,
     )
 
 

@@ -17,14 +17,13 @@ from ..se2 import turned
 from .branches import Alignment, Branches, align
 from .dead_reckoning import DeadReckoning
 from .evidence import Background, length_odds
-from .places import NOWHERE, Places
+from .places import HOPS, NOWHERE, Places
 
 
 @dataclass(frozen=True, slots=True)
 class GrowthSettings:
-    """How far hypotheses grow and how steps count."""
+    """How the steps of growth count."""
 
-    hops: int = 4
     discount: float = 0.85
     """Weight of each hop relative to the one before: legs are not independent of each other. Tried:
     with 1 a run on tiles is closed wrongly under three times the noise."""
@@ -93,7 +92,7 @@ def grow(
     b: IntArray,
     aligned: Alignment,
 ) -> Support:
-    """Support of the hypotheses "place a[k] is place b[k]", grown over `GROWTH.hops`
+    """Support of the hypotheses "place a[k] is place b[k]", grown over `HOPS`
     corridors."""
     places, common = state.places, state.common
     k = len(a)
@@ -102,7 +101,7 @@ def grow(
     seen = _keys(front.hypothesis, a, b, len(places))
     weight, miss = 1.0, float(np.log(common.miss_rate))
     turn_sigma = float(np.sqrt(state.branches.variance))
-    for _ in range(GROWTH.hops):
+    for _ in range(HOPS):
         pairs = _leave(places, front)
         if len(pairs.row) == 0:
             break

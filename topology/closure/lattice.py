@@ -16,16 +16,13 @@ from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray
 from ..matching.likelihood import LIKELIHOOD
-from .places import NOWHERE, Places
+from .places import HOPS, NOWHERE, Places
 
 
 @dataclass(frozen=True, slots=True)
 class LatticeSettings:
     """How neighbours and lattice vectors are found."""
 
-    hops: int = 4
-    """Places up to so many legs from each other, and less than as many typical legs apart, are
-    neighbours."""
     sample: int = 200
     """Size of the sample of neighbours that represents all."""
     width_m: float = 0.3
@@ -99,12 +96,12 @@ def lattice_of(
     step = csr_array((np.ones(len(source)), (source, target)), shape=(n, n)) + eye_array(n)
     step = ((step + step.T) > 0).astype(np.float64)
     around = step
-    for _ in range(LATTICE.hops - 1):
+    for _ in range(HOPS - 1):
         around = around @ step
     a, b = around.nonzero()
     shift = xy[b] - xy[a]
     way = np.hypot(*shift.T)
-    beyond = (way > core_m) & (way < LATTICE.hops * typical_m)
+    beyond = (way > core_m) & (way < HOPS * typical_m)
     shift, a = shift[beyond], a[beyond]
     _, piece = connected_components(step, directed=False)
     size = np.bincount(piece)

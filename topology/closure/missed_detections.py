@@ -14,10 +14,11 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
+from ..mapbuilding import DRAWING
 from ..odometry import Odometry
 from ..passes import DRIVEN_RAD, ONE_WAY_RAD
 from ..se2 import turned, wrap
-from ..track import seconds_at
+from ..track import BEYOND_M, seconds_at
 from ..visits import DrawnTrack, PassesAtPlaces, Visits, draw_track
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
@@ -28,11 +29,8 @@ from .resolution import blurred, one_drive_by
 
 @dataclass(frozen=True, slots=True)
 class DrivenBySettings:
-    """When the track passes a place, and when a place is a phantom."""
+    """When a place is a phantom."""
 
-    reach_m: float = 0.7
-    """The track passes a place if it comes this near to its centre [m]."""
-    step_m: float = 0.1
     straight_gain: float = 4.5
     """Log odds [nats] of being a phantom added for a place with two opposite branches only."""
     least_odds: float = 2.0
@@ -129,14 +127,14 @@ def driven_by(
     """Undetected places on the track between two visits. visits.vertex: place of each, none
     negative.
 
-    The whole track is sampled and each sample assigned to its nearest place within reach. A run of
-    consecutive such samples is one event, at the sample nearest to a place: if the track passes two
-    places at once, as in overlapping layers of an unclosed loop, it is not known which one was
-    passed. O(way / step · log n).
+    The whole track is sampled and each sample assigned to its nearest place within `junction_m`
+    (`DRAWING`). A run of consecutive such samples is one event, at the sample nearest to a place:
+    if the track passes two places at once, as in overlapping layers of an unclosed loop, it is not
+    known which one was passed. O(way / step · log n).
     """
     first = np.flatnonzero(np.diff(visits.piece) == 0)
-    track = draw_track(odometry, visits, xy, first, DRIVEN_BY.step_m)
-    found = cKDTree(xy).query(track.xy, distance_upper_bound=DRIVEN_BY.reach_m)
+    track = draw_track(odometry, visits, xy, first, DRAWING.path_step_m)
+    found = cKDTree(xy).query(track.xy, distance_upper_bound=DRAWING.junction_m)
     distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
     hit = np.flatnonzero(np.isfinite(distance))
     if len(hit) == 0:
@@ -168,7 +166,7 @@ def _events(track: DrawnTrack, first: IntArray, near: IntArray, row: IntArray) -
 
 def _along_branches(track: DrawnTrack, places: Places, near: IntArray, row: IntArray) -> BoolArray:
     """(k,) whether the place has a branch where the robot came from or where it went."""
-    reach = max(1, round(1.0 / DRIVEN_BY.step_m))
+    reach = round(BEYOND_M / DRAWING.path_step_m)
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
     heading = places.heading[near[row]]
     fits = np.zeros(len(row), np.int64)

@@ -14,6 +14,10 @@ from .dead_reckoning import DeadReckoning
 NOWHERE = NO_BRANCH
 """Index of an unknown place."""
 
+HOPS = 4
+"""Corridors around a place that are its surroundings: hypotheses grow over so many, and the pairs
+of places compared, and the neighbours of a place (`lattice.py`), are no more typical legs apart."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:

@@ -28,6 +28,8 @@ from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
 from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance
 from .estimate import Estimate, optimise
+from .evidence import EVIDENCE
+from .incremental import needed_odds
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +59,12 @@ class ViewLoopSettings:
     pairs: int = 30_000
     """Pairs of views, the nearest to each other, among which those to register are chosen: 50
     MB."""
-    wrong_share: float = 0.1
-    """Share of runs with a wrong loop if all of them just reach the required odds; as of
-    `RoundSettings`."""
     place_m2: float = 50.0
     """Area that one place stands for: another one may be anywhere else."""
     cell_m: float = 8.0
     """Views of places nearer than this to each other are not independent: they count once."""
     beside_m: float = 30.0
     """Way along which loops support each other."""
-    lead: float = 3.0
-    """Log odds [nats] by which a loop leads its rivals; as of `EvidenceSettings`."""
     known_m: float = 0.15
     """Pairs whose relative position is known to this (1 sigma) are not registered: they would be
     known little better."""
@@ -288,8 +285,7 @@ class _Search:
         total[asked] += self._support(t, asked, own)
         expected = self._relative(t.first[asked], t.second[asked])
         total[asked] += self._position(t.transform[asked], *expected)
-        need = float(np.log(len(self._given) / VIEW_LOOPS.wrong_share))
-        likely = asked[total[asked] >= need]
+        likely = asked[total[asked] >= needed_odds(len(self._given))]
         new = likely[self._leads(likely, total)]
         if not len(new):
             return False
@@ -310,7 +306,7 @@ class _Search:
         d2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(s), off)
         vague = 2 * np.pi * np.sqrt(np.linalg.det(s))
         odds = np.log(VIEW_LOOPS.place_m2 / vague) - 0.5 * d2
-        return np.asarray(np.minimum(odds, VIEW_LOOPS.lead))
+        return np.asarray(np.minimum(odds, EVIDENCE.lead))
 
     def _support(self, t: _Tested, asked: IntArray, own: FloatArray) -> FloatArray:
         """(k,) evidence [nats] of the pairs beside each of those asked that agree with it, one
@@ -356,7 +352,7 @@ class _Search:
             step = between(pose[there[other]], pose[there[one]])
             off = compose(placed, step)[:, :2] - claimed[:, :2]
             against = np.hypot(off[:, 0], off[:, 1]) > VIEW_LOOPS.reach_m
-            against &= total[other] > total[one] - VIEW_LOOPS.lead
+            against &= total[other] > total[one] - EVIDENCE.lead
             out[row[against]] = False
         return out
 
