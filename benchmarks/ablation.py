@@ -186,7 +186,7 @@ def _motion_without(*names):
 
 REPLACED = {
     # `HOPS` says, too, how far candidates are looked for: without them there are none.
-    "growth": (candidates, "grow", lambda s, a, *args: growth.Support(*np.zeros((2, len(a))))),
+    "growth": (candidates, "grow", lambda s, a, *args: (*np.zeros((2, len(a))),)),
     "growth: one hop": (candidates, "grow", _one_hop),
     "growth: missed junctions": (growth, "_past_missed", _no_missed),
     "measured rates": (incremental, "measured_rates", lambda places, noise: noise),

@@ -48,17 +48,6 @@ class MapState:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Support:
-    """Evidence [nats] of the surroundings of each hypothesis.
-
-    gain: (k,) from corridors that agree; loss: (k,) positive, from those that disagree.
-    """
-
-    gain: FloatArray
-    loss: FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class _Front:
     """Pairs of places that hypotheses have reached: a and b, with b's branches rotated by `turn`
     [rad]."""
@@ -91,9 +80,12 @@ def grow(
     a: IntArray,
     b: IntArray,
     aligned: Alignment,
-) -> Support:
-    """Support of the hypotheses "place a[k] is place b[k]", grown over `HOPS`
-    corridors."""
+) -> tuple[FloatArray, FloatArray]:
+    """Evidence [nats] for and against the hypotheses "place a[k] is place b[k]", both (k,) and
+    positive, from the corridors around them that agree and that disagree, over `HOPS` corridors.
+
+    aligned: the branches of a and b.
+    """
     places, common = state.places, state.common
     k = len(a)
     gain, loss = np.zeros(k), np.zeros(k)
@@ -141,7 +133,7 @@ def grow(
             ends.partner[np.flatnonzero(good)[at]],
         )
         weight *= GROWTH.discount
-    return Support(gain, loss)
+    return gain, loss
 
 
 def _keys(hypothesis: IntArray, a: IntArray, b: IntArray, n: int) -> IntArray:

@@ -100,7 +100,7 @@ def agreeing(
     start = _Beliefs(*_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common)
     shared, excluded = _sharing(a, b)
     # Candidates that share a place are not independent; each set holds one of them.
-    sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]
+    sets = [_grown(start, found.around.support[rows], seed, shared) for seed in range(len(rows))]
     worth = np.array([value for value, _ in sets])
     best = int(worth.argmax())
     members = np.sort(np.array(sets[best][1]))
@@ -196,7 +196,8 @@ def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, F
 def _grown(
     start: _Beliefs, support: FloatArray, seed: int, shared: BoolArray
 ) -> tuple[float, list[int]]:
-    """Joint log odds of the set that grows greedily from a seed, and its members.
+    """Joint log odds of the set that grows greedily from candidate `seed`, and its members: always
+    by the most likely candidate that shares no place with a member (shared: (k, k), `_sharing`).
 
     support: (k,) part of the odds that comes from the corridors around. It counts once, for the
     seed, because the members have these corridors in common.
