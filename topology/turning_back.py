@@ -178,7 +178,7 @@ def _drives(
     way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
     within = (np.diff(visits.piece) == 0) & (np.diff(way) > DRAWING.standing_m)
     first = np.flatnonzero(within & ((real[:-1] & real[1:] & (u == v)) | (real[:-1] != real[1:])))
-    track = draw_track(odometry, visits, xy, first, DRAWING.path_step_m)
+    track = draw_track(odometry, visits, xy, first)
     for k, visit in enumerate(first.tolist()):
         rows = slice(track.offsets[k], track.offsets[k + 1])
         points, at = track.xy[rows], track.way[rows]

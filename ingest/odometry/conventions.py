@@ -90,8 +90,6 @@ LAGS = tuple(
 )
 POSES = (*AXES[1 : len(YAW) + 1], *LAGS)
 """Readings that differ in the poses of the robot alone."""
-NEAR = LAGS[2:4]
-"""Lags that fit worse if stamps are right: no others need to be tried then."""
 TESTS = 2 * (len(AXES) + len(LAGS) + len(HEADINGS) + len(TURNS_RAD))
 """No log is asked more comparisons."""
 
@@ -157,9 +155,7 @@ def _in_robots_frame(odometry: Odometry, detections: Detections) -> bool:
 def _better_fit(seen: DriveBys, read: Fit) -> Fit | None:
     """The centres by the reading that fits best, if it is another one and far better than as they
     were read, and tells how the robot moved."""
-    plain = seen.fit(AS_READ).squares
-    in_time = all(_wins(plain, seen.fit(reading).squares) for reading in NEAR)
-    fits = [seen.fit(reading) for reading in (*AXES, *(() if in_time else LAGS))]
+    fits = (seen.fit(reading) for reading in (*AXES, *LAGS))
     best = min(fits, key=lambda fit: _size(fit.squares))
     found = _differs(best) and _wins(best.squares, read.squares)
     if found and best.reading in LAGS:  # junctions that are seen off by a step turn with the robot
