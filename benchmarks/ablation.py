@@ -157,7 +157,7 @@ def _no_missed(state, front, pairs):
 
 
 def _evidence_without(part):
-    """`heading_evidence` without one of its three kinds."""
+    """`heading_evidence` without one of its two kinds."""
 
     def evidence(*args):
         found = _heading_evidence(*args)
@@ -243,7 +243,6 @@ WHOLE = {
         "scores",
         lambda likelihood, x: np.zeros((1, 3)),
     ),
-    "calibration: legs": (calibration, "heading_evidence", _evidence_without("legs")),
     "calibration: grid": (calibration, "heading_evidence", _evidence_without("grid")),
     "calibration: passes": (calibration, "heading_evidence", _evidence_without("passes")),
     "lengths": (mapping, "motion_errors", _motion_without("length_scale")),

@@ -4,11 +4,11 @@
 
 Real robots have constant heading biases of degrees per metre; loops close only after these are
 removed. The evidence (`heading_evidence`) needs no place recognition. The likelihood of x = (β, κ,
-δ) models outliers: readings within a pass have heavy tails; a leg is straight, or arbitrary; a
-branch is perpendicular to an earlier one, or arbitrary. The shares of inliers and their scales are
-estimated along with x, so that a building without right angles or straight corridors has no
-influence. The likelihood has many local maxima (a bias that rotates one leg by 90° more fits a grid
-as well): the bias is scanned first, and the best few maxima are climbed.
+δ) models outliers: readings within a pass have heavy tails; a branch is parallel or perpendicular
+to an earlier one, or arbitrary. The share of inliers and the scales are estimated along with x, so
+that a building without right angles has no influence. The likelihood has many local maxima (a bias
+that rotates one leg by 90° more fits a grid as well): the bias is scanned first, and the best few
+maxima are climbed.
 """
 
 from __future__ import annotations

@@ -1,14 +1,13 @@
 """Evidence on the odometry's heading error, before any place is recognised.
 
 The odometry's heading θ is wrong by β·s + κ·θ + δ·ω (distance driven, angle turned, turning rate: a
-bias per metre, a scale of turns, a time lag). Three kinds of evidence need no place recognition:
+bias per metre, a scale of turns, a time lag). Two kinds of evidence need no place recognition:
 
 * *pass*: while the robot passes a junction and turns, a branch keeps its direction;
-* *leg*: corridors are mostly straight, so that the branch by which the robot left one junction is
-  mostly opposite to the one by which it came to the next;
-* *grid*: the branches of neighbouring junctions are mostly parallel or perpendicular.
+* *grid*: the branches of neighbouring junctions are mostly parallel or perpendicular, were it only
+  because most corridors between them are straight.
 
-All are rows y + a·x ≈ 0 with x = (β, κ, δ) and a = (s, θ, ω) or a difference of two such.
+Both are rows y + a·x ≈ 0 with x = (β, κ, δ) and a = (s, θ, ω) or a difference of two such.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
-from ...topology.passes import NO_BRANCH, ONE_WAY_RAD, Passes
+from ...topology.passes import ONE_WAY_RAD, Passes
 from ...topology.ragged import numbered
 from ...topology.run import Detections
 from ...topology.se2 import wrap
@@ -77,15 +76,14 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadingEvidence:
-    """The three kinds of evidence of one run."""
+    """Both kinds of evidence of one run."""
 
     passes: Rows
-    legs: Rows
     grid: Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looks:
+class _Observed:
     """Every branch of every pass: mean heading (b,) [rad], mean regressors (b, 3), pass (b,), and
     whether it has readings (b,)."""
 
@@ -117,26 +115,26 @@ def heading_evidence(
     mean_regressor = np.column_stack(
         [_mean(reading.branch, regressor[:, k], n) for k in range(TERMS)]
     )
-    looks = _Looks(
+    observed = _Observed(
         np.asarray(wrap(passes.branches.values + mean_off)),
         mean_regressor,
         passes.branches.owner,
         n > 0,
     )
     within = _within(
-        looks,
+        observed,
         reading.branch,
         off - mean_off[reading.branch],
         regressor - mean_regressor[reading.branch],
     )
     stretch = stretch_of(odometry, passes.time_ns)
-    return HeadingEvidence(within, _legs(passes, looks, stretch), _grid(looks, stretch))
+    return HeadingEvidence(within, _grid(observed, stretch))
 
 
-def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
+def _within(observed: _Observed, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
     """Readings relative to the mean of their branch, averaged over `PARTS` intervals of time."""
     order = np.argsort(branch, kind="stable")
-    n = np.bincount(branch, minlength=len(looks.heading))
+    n = np.bincount(branch, minlength=len(observed.heading))
     owner = branch[order]
     first = np.concatenate([[0], np.cumsum(n)])[owner]
     part = (np.arange(len(owner)) - first) * PARTS // np.maximum(n[owner], PARTS)
@@ -144,7 +142,7 @@ def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray) -> Ro
     size = np.bincount(group)
     mean = [_mean(group, column[order], size) for column in (y, *a.T)]
     home = owner[np.flatnonzero(np.diff(group, prepend=-1))]
-    return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], looks.owner[home])
+    return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], observed.owner[home])
 
 
 def _regressors(odometry: Odometry, time_ns: IntArray) -> FloatArray:
@@ -218,7 +216,7 @@ def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m,) angle turned [rad] between each time and the nearer one of the rows around it.
 
     Motion between two rows is unknown: a turn within one second is not uniform, and taking it for
-    uniform looks like a wrong scale of turns.
+    uniform observed like a wrong scale of turns.
     """
     after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
     t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
@@ -230,36 +228,22 @@ def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:
     return np.asarray(np.bincount(group, values, len(n)) / np.maximum(n, 1))
 
 
-def _legs(passes: Passes, looks: _Looks, stretch: IntArray) -> Rows:
-    """One row per leg between consecutive passes whose branches at both ends are known."""
-    k = np.arange(max(len(passes) - 1, 0))
-    known = (passes.exit[k] != NO_BRANCH) & (passes.entry[k + 1] != NO_BRANCH)
-    k = k[known & (stretch[k] == stretch[k + 1])]
-    left = passes.branches.offsets[k] + passes.exit[k]
-    came = passes.branches.offsets[k + 1] + passes.entry[k + 1]
-    both = looks.seen[left] & looks.seen[came]
-    left, came = left[both], came[both]
-    y = np.asarray(wrap(looks.heading[came] + np.pi - looks.heading[left]))
-    a = looks.regressor[came] - looks.regressor[left]
-    return Rows(y, a, np.arange(len(y)), np.ones(len(y)), k[both] + 1)
-
-
-def _grid(looks: _Looks, stretch: IntArray) -> Rows:
+def _grid(observed: _Observed, stretch: IntArray) -> Rows:
     """Every branch paired with those of a few passes before: alternatives that may be
     perpendicular."""
-    first = np.searchsorted(looks.owner, np.arange(len(stretch) + 1))
-    begin = first[np.maximum(looks.owner - EVIDENCE.grid_reach, 0)]
-    here, nth = numbered(first[looks.owner] - begin)
+    first = np.searchsorted(observed.owner, np.arange(len(stretch) + 1))
+    begin = first[np.maximum(observed.owner - EVIDENCE.grid_reach, 0)]
+    here, nth = numbered(first[observed.owner] - begin)
     there = begin[here] + nth
-    a = looks.regressor[here] - looks.regressor[there]
+    a = observed.regressor[here] - observed.regressor[there]
     keep = (
-        looks.seen[here]
-        & looks.seen[there]
-        & (stretch[looks.owner[here]] == stretch[looks.owner[there]])
+        observed.seen[here]
+        & observed.seen[there]
+        & (stretch[observed.owner[here]] == stretch[observed.owner[there]])
         & (np.abs(a[:, 0]) <= EVIDENCE.grid_reach_m)
     )
     here, there, a = here[keep], there[keep], a[keep]
     owner = np.cumsum(np.diff(here, prepend=here[:1]) != 0)
     size = np.bincount(owner) if len(owner) else np.zeros(0, np.int64)
-    y = np.asarray(wrap(looks.heading[here] - looks.heading[there]))
-    return Rows(y, a, owner, 1.0 / size[owner], looks.owner[here])
+    y = np.asarray(wrap(observed.heading[here] - observed.heading[there]))
+    return Rows(y, a, owner, 1.0 / size[owner], observed.owner[here])
