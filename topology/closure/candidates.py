@@ -20,7 +20,6 @@ from .evidence import (
     EVIDENCE,
     Background,
     among_neighbours,
-    best_position_odds,
     position_odds,
 )
 from .growth import MapState, grow
@@ -130,9 +129,8 @@ def candidates(
 ) -> Candidates:
     """All pairs of places that position and branches allow, with the terms of their evidence.
 
-    Cheap bounds come first: dead reckoning, and the most that branches and corridors could add at
-    the best position. The remaining pairs get covariances of the solved pose
-    graph if `exact`; otherwise the bounds are used in their place.
+    Dead reckoning bounds the covariances first. The pairs that it does not exclude get those of the
+    solved pose graph if `exact`; otherwise the bounds are used in their place.
     """
     common = state.common
     pairs = _known_apart(state, place, estimate)
@@ -141,8 +139,6 @@ def candidates(
     pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
     pairs = _nearest(pairs, CANDIDATES.most_pairs * len(state.places))
     if exact:
-        best = best_position_odds(common, pairs.shift)
-        pairs = take(pairs, best + _surroundings(state, pairs).odds > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(estimate, pairs.a, pairs.b))
     # Without exact covariances only clear cases are kept: they make the others easier.
     least = -np.inf if exact else 0.0
