@@ -286,13 +286,8 @@ def _information(cov: FloatArray) -> FloatArray:
     """
     variance, axes = np.linalg.eigh(cov)
     least = 1e-12 * variance[:, -1:]
-    poor = variance[:, 0] < least[:, 0]
-    information = np.empty_like(cov)
-    information[~poor] = np.linalg.inv(cov[~poor])
-    axes = axes[poor]
-    scaled = axes / np.maximum(variance, least)[poor, None, :] @ axes.transpose(0, 2, 1)
-    information[poor] = 0.5 * (scaled + scaled.transpose(0, 2, 1))
-    return information
+    scaled = axes / np.maximum(variance, least)[:, None, :] @ axes.transpose(0, 2, 1)
+    return np.asarray(0.5 * (scaled + scaled.transpose(0, 2, 1)))
 
 
 def _sightings(
