@@ -175,9 +175,7 @@ def phantoms(
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
         odds = odds + DRIVEN_BY.straight_gain * straight
-    # A place where the robot turned into a branch is real.
-    turned = (places.driven > 0).sum(axis=1) > 2
-    result: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0) & ~turned
+    result: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0)
     return result
 
 
