@@ -158,6 +158,7 @@ def _slots(
 
 
 def _kind(branches: FloatArray) -> str:
+    """What a vertex with these branches is: one is a dead end, two that are not opposite a bend."""
     if len(branches) == 1:
         return "dead_end"
     if len(branches) == 2:

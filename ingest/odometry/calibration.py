@@ -164,7 +164,7 @@ def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> C
         centre=-already,
         worth=CALIBRATION.looks_per_pass,
     )
-    starts = _scan(model, already)
+    starts = _starting_points(model, already)
     every = np.ones(TERMS, bool)
     fitted, x = _best(model, starts, every)
     plain, shown_spread = fitted.sigma(x)
@@ -202,9 +202,9 @@ def _terms(values: FloatArray) -> Terms:
     return a, b, c
 
 
-def _scan(model: HeadingLikelihood, already: FloatArray) -> list[FloatArray]:
-    """Starting points of the optimisation: the best local maxima over the bias, zero error, and no
-    change."""
+def _starting_points(model: HeadingLikelihood, already: FloatArray) -> list[FloatArray]:
+    """Corrections (3,) that the optimisation starts from: the best local maxima over the bias, the
+    one that takes back all that was corrected already (3,), and none."""
     steps = int(np.ceil(CALIBRATION.scan_bias_rad_per_m / CALIBRATION.scan_step_rad_per_m))
     bias = np.arange(-steps, steps + 1) * CALIBRATION.scan_step_rad_per_m - already[0]
     points = np.zeros((len(bias), TERMS))

@@ -23,7 +23,7 @@ from .stationary import AS_READ, DriveBys, Fit, Reading
 
 @dataclass(frozen=True, slots=True)
 class ConventionSettings:
-    """Which lags are tried, and when a reading is told of."""
+    """Which lags are tried, and when a reading is reported."""
 
     most_lag_s: float = 10.0
     """Largest lag considered: robots are at another junction by then."""
@@ -38,7 +38,7 @@ class ConventionSettings:
     """Bound on the probability that a wrong reading gets such a vote, where either does: none of
     230,000 in 90 simulated logs. Short logs decide by such votes: five suffice."""
     share: float = 0.8
-    """Least share of the votes for a reading that is told of: as for scans that may be mirror
+    """Least share of the votes for a reading that is reported: as for scans that may be mirror
     images (`scans/turns.py`)."""
     false_rate: float = 1e-3
     """Bound on the probability that chance lets any reading of a log win the sign test."""
@@ -50,7 +50,7 @@ LEAST_LAG_S = CALIBRATION.apply_at_z * CALIBRATION.prior_lag_s
 """Smaller lags are left to the calibration, as its prior holds them possible."""
 
 UNITS = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "ft": "feet"}
-"""Units of lengths that are told of (`LENGTHS`)."""
+"""Units of lengths that are reported (`LENGTHS`)."""
 UNIT_TOLERANCE = 0.1
 """Relative error up to which a unit is named: twenty sigmas of odometries in general
 (`RunNoise.scale`)."""
@@ -123,8 +123,11 @@ def disagreements(
         poses, sign = _headings(seen, fit.reading)
     else:
         poses, sign = _headings(seen, AS_READ, () if positions_tell else POSES)
-    told = [*_pose_findings(poses, odometry_topic), *_position_findings(seen, fit, odometry_topic)]
-    sentences = [f"{junctions} {what}; {SEE}" for what in told]
+    findings = [
+        *_pose_findings(poses, odometry_topic),
+        *_position_findings(seen, fit, odometry_topic),
+    ]
+    sentences = [f"{junctions} {what}; {SEE}" for what in findings]
     if sign in HEADINGS:
         sentences.append(f"{branches} their headings {HEADINGS[sign]}; {SEE}")
     if not sentences and positions_tell:

@@ -64,10 +64,11 @@ class _Usual:
         period = float(np.median(duration))
         # Bursts of messages must not count as high speed.
         duration = np.maximum(duration, 0.5 * period)
-        return cls(period, _seldom(way / duration), _seldom(turn / duration))
+        return cls(period, _seldom_exceeded(way / duration), _seldom_exceeded(turn / duration))
 
 
-def _seldom(values: FloatArray) -> float:
+def _seldom_exceeded(values: FloatArray) -> float:
+    """The 99 % quantile of the values in motion; 0 without any."""
     moving = values[values > 0]
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 

@@ -125,7 +125,8 @@ class DriveBys:
         return len(self.first)
 
     def fit(self, reading: Reading, slope: complex | None = None) -> Fit:
-        """The centres by a reading; slope: β, None to fit it, as the median over the drive-bys."""
+        """How well the centres stay in place by a reading. slope: β; None: the one that fits best,
+        as the median over the drive-bys."""
         position, heading = self._poses(reading)
         seen = self.centre.conj() if reading.mirrored else self.centre
         seen = self._centred(seen * np.exp(1j * heading))
@@ -225,6 +226,7 @@ class DriveBys:
         return self._positions(at), np.angle(self._moved(at))
 
     def _moved(self, at: FloatArray) -> ComplexArray:
+        """How far the robot moves in `compared_s` about times (k,)."""
         half = 0.5e9 * DRIVE_BYS.compared_s
         return np.asarray(self._positions(at + half) - self._positions(at - half))
 
@@ -232,6 +234,7 @@ class DriveBys:
         return np.asarray(np.interp(at, self.clock, self.place))
 
     def _sums(self, values: FloatArray) -> FloatArray:
+        """(k,) sum over each drive-by of values (n,) of detections."""
         return np.add.reduceat(values, self.first)
 
     def _means(self, values: ComplexArray) -> ComplexArray:
@@ -239,6 +242,7 @@ class DriveBys:
         return np.asarray(sums / np.diff(self.first, append=len(self.owner)))
 
     def _centred(self, values: ComplexArray) -> ComplexArray:
+        """(n,) values less the mean of their drive-by."""
         return np.asarray(values - self._means(values)[self.owner])
 
 

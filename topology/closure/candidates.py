@@ -102,7 +102,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Apart:
+class _Pairs:
     """Pairs of places a < b: shift (k, 2) from b to a [m], cov (k, 3, 3) of it and of the
     rotation."""
 
@@ -158,7 +158,7 @@ def candidates(
     return take(found, (odds > least) & (around.branches > -np.inf))
 
 
-def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Apart:
+def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Pairs:
     """Pairs of places within reach, in one piece of odometry, with bounds of their covariance.
 
     Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
@@ -172,10 +172,10 @@ def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Apart
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
     cov = _turned(dead_reckoning_covariance(reckoning, i, j), turn)
-    return _Apart(a, b, estimate.xy[a] - estimate.xy[b], cov)
+    return _Pairs(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 
-def _null_pairs(state: MapState, pairs: _Apart) -> FloatArray:
+def _null_pairs(state: MapState, pairs: _Pairs) -> FloatArray:
     """(m,) ascending: log odds by their surroundings of null pairs, i.e. pairs that position
     excludes.
 
@@ -224,7 +224,7 @@ def pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
     return out
 
 
-def _nearest(pairs: _Apart, most: int) -> _Apart:
+def _nearest(pairs: _Pairs, most: int) -> _Pairs:
     """The `most` pairs with the smallest shifts; the others are considered in later rounds."""
     if len(pairs) <= most:
         return pairs
@@ -232,7 +232,7 @@ def _nearest(pairs: _Apart, most: int) -> _Apart:
     return take(pairs, np.sort(near))
 
 
-def _surroundings(state: MapState, pairs: _Apart) -> Surroundings:
+def _surroundings(state: MapState, pairs: _Pairs) -> Surroundings:
     a, b = pairs.a, pairs.b
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(state.branches, a, b, turn_sigma=turn_sigma)

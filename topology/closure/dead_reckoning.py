@@ -146,10 +146,8 @@ def _loops_of_passes(
     cov = sum(covs[1:], covs[0])
     size = cov[:, 0, 0] + cov[:, 1, 1]
     fine = np.flatnonzero((first >= 0) & (first != second))
-    order = fine[np.lexsort((size[fine], second[fine], first[fine]))]
-    new = np.ones(len(order), bool)
-    new[1:] = (np.diff(first[order]) != 0) | (np.diff(second[order]) != 0)
-    kept = order[new]
+    best = fine[np.argsort(size[fine], kind="stable")]
+    kept = best[np.unique([first[best], second[best]], axis=1, return_index=True)[1]]
     first, second = first[kept], second[kept]
     measured = np.zeros((len(kept), 3))
     measured[:, :2] = passes.centre[second] - passes.centre[first]
@@ -291,6 +289,7 @@ def dead_reckoning_covariance(
 
 
 def _between(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    """(k, c) sums over the odometry between two passes each, in either order."""
     low, high = np.minimum(first, second), np.maximum(first, second)
     difference: FloatArray = sums[high] - sums[low]
     return difference

@@ -26,6 +26,9 @@ from .dead_reckoning import (
 )
 from .manhattan import GridCorridors, GridHeadings
 
+GAP_M = 20.0
+"""Space between the pieces of a map, wider than most corridors are long [m]."""
+
 _SWING = 0.5
 """A heading error that accumulates uniformly along a leg rotates its end about its start by half as
 much."""
@@ -149,11 +152,9 @@ def optimise(
     )
 
 
-def set_apart(
-    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, gap_m: float = 20.0
-) -> Estimate:
-    """The estimate with its pieces side by side along x, `gap_m` apart [m]: where the odometry
-    broke, the relative poses of its pieces are unknown.
+def set_apart(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> Estimate:
+    """The estimate with its pieces side by side along x, `GAP_M` apart: where the odometry broke,
+    the relative poses of its pieces are unknown.
 
     place: (p,) of each pass, numbered from 0. A piece are the passes of one unbroken piece of
     odometry. Only `pose` and `xy` of the result are moved.
@@ -168,7 +169,7 @@ def set_apart(
     for piece in pieces.tolist():
         mine = reckoning.piece == piece
         low, high = pose[mine, 0].min(), pose[mine, 0].max()
-        shift = 0.0 if edge is None else edge + gap_m - low
+        shift = 0.0 if edge is None else edge + GAP_M - low
         pose[mine, 0] += shift
         xy[piece_of == piece, 0] += shift
         edge = high + shift

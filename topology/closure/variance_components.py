@@ -278,7 +278,7 @@ def _energy_and_freedom(
     """(c,) each: squared error of each component in units of its variance, and degrees of
     freedom."""
     less = smoothed[estimate.sighting] @ variance[1:_WALKS]
-    legs, sightings, headings = _sorts(estimate, units.shape[1], less)
+    legs, sightings, headings = _edges_by_kind(estimate, units.shape[1], less)
     found = [legs.shares(variance[k] * units[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
         part = np.zeros_like(sightings.information)
@@ -296,7 +296,9 @@ def _energy_and_freedom(
     return energy, freedom
 
 
-def _sorts(estimate: Estimate, legs: int, less: FloatArray) -> tuple[_Edges, _Edges, _Edges]:
+def _edges_by_kind(
+    estimate: Estimate, legs: int, less: FloatArray
+) -> tuple[_Edges, _Edges, _Edges]:
     """The edges of an estimate: `legs` of odometry, observations of places, and headings by the
     grid.
 
