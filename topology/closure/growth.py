@@ -207,7 +207,7 @@ def _past_missed(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reac
     # One continuation per pair: the one nearest in length.
     off = np.abs(tried.la[fine] - tried.lb[fine])
     order = fine[np.lexsort((off, index[fine]))]
-    once = order[np.concatenate([[True], np.diff(index[order]) != 0])] if len(order) else order
+    once = order[np.diff(index[order], prepend=-1) > 0]
     return take(tried, once), index[once]
 
 
