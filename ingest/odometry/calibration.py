@@ -167,33 +167,14 @@ def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> C
     starts = _starting_points(model, already)
     every = np.ones(TERMS, bool)
     fitted, x = _best(model, starts, every)
-    plain, shown_spread = fitted.sigma(x)
-    spread = np.hypot(shown_spread, floor)
-    gain = [
-        fitted.value(x) - _without(model, [*starts, x], np.arange(TERMS) != k, already)[0]
-        for k in range(TERMS)
-    ]
-    # A narrow false maximum far from zero is many of its sigmas away but hardly more likely:
-    # significance is also required of the likelihood ratio against zero.
-    total = x + already
-    likely = np.sqrt(2 * np.maximum(gain, 0.0)) * plain / spread
-    shown = np.minimum(np.abs(total) / spread, likely) >= CALIBRATION.apply_at_z
+    spread, total = np.hypot(fitted.sigma(x), floor), x + already
+    shown = np.abs(total) >= CALIBRATION.apply_at_z * spread
     applied = total
     if not shown.all():
-        applied = _without(model, [*starts, x], shown, already)[1] + already
-    applied = np.where(shown, applied, 0.0)
+        # The most likely ones, with all errors zero that do not show.
+        zero = [np.where(shown, start, -already) for start in (*starts, x)]
+        applied = np.where(shown, _best(model, zero, shown)[1] + already, 0.0)
     return Calibration(_terms(applied), _terms(total), _terms(spread))
-
-
-def _without(
-    model: HeadingLikelihood,
-    starts: list[FloatArray],
-    free: BoolArray,
-    already: FloatArray,
-) -> tuple[float, FloatArray]:
-    """Highest likelihood, and its location, with all errors zero that are not `free`."""
-    fitted, x = _best(model, [np.where(free, start, -already) for start in starts], free)
-    return fitted.value(x), x
 
 
 def _terms(values: FloatArray) -> Terms:

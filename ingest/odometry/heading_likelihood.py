@@ -157,9 +157,9 @@ class HeadingLikelihood:
                 break
         return here, x
 
-    def sigma(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) each: 1 sigma of x from the curvature of ℓ, and the larger robust one from the
-        scores.
+    def sigma(self, x: FloatArray) -> FloatArray:
+        """(3,) 1 sigma of x: from the curvature of ℓ, or the robust one from the scores, the larger
+        of both.
 
         The curvature is taken from differences of the gradient, because the least-squares problem
         of expectation maximisation treats every inlier as certain. Rows of one visit share errors
@@ -179,11 +179,11 @@ class HeadingLikelihood:
             observed[:, k] = (self.slope(x - move) - self.slope(x + move)) / (2 * step[k])
         observed = 0.5 * (observed + observed.T)
         if np.linalg.eigvalsh(observed)[0] <= 0:
-            return self.prior_sigma, self.prior_sigma
+            return self.prior_sigma
         inverse = np.linalg.inv(observed)
         scores = self.scores(x)
         belief = np.diag(1.0 / np.square(self.prior_sigma))
         count = len(scores)
         between = scores.T @ scores * count / max(count - TERMS, 1) + belief
-        plain = np.sqrt(np.diag(inverse))
-        return plain, np.maximum(plain, np.sqrt(np.diag(inverse @ between @ inverse)))
+        variance = np.maximum(np.diag(inverse), np.diag(inverse @ between @ inverse))
+        return np.asarray(np.sqrt(variance))
