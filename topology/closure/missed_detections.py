@@ -144,7 +144,7 @@ def driven_by(
 
 def _along_branches(track: DrawnTrack, places: Places, near: IntArray, row: IntArray) -> BoolArray:
     """(k,) whether the place has a branch where the robot came from or where it went."""
-    reach = round(BEYOND_M / STEP_M)
+    reach = int(np.ceil(BEYOND_M / STEP_M))
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
     heading = places.heading[near[row]]
     fits = np.zeros(len(row), np.int64)
