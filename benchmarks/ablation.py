@@ -111,7 +111,6 @@ NUMBERS: dict[str, dict[str, float]] = {
     "phantoms: least rate": {"DRIVEN_BY.least_phantom_rate": 1e-6},
     "views: loops": {"VIEW_LOOPS.tests": 0},
     "views: doubt": {"VIEW_LOOPS.doubt": 1.0},
-    "views: lead": {"VIEW_LOOPS.lead": 0.0},
     "views: known": {"VIEW_LOOPS.known_m": 0.0},
 }
 """Mechanisms, and the numbers that disable each: a constant of `CONSTANTS`, and a field of it."""
@@ -148,7 +147,7 @@ def _zeros(of: int):
 
 
 def _one_hop(state, a, b, aligned):
-    with mock.patch.object(growth, "GROWTH", replace(growth.GROWTH, hops=1)):
+    with mock.patch.object(growth, "HOPS", 1):
         return growth.grow(state, a, b, aligned)
 
 
@@ -158,7 +157,7 @@ def _no_missed(state, front, pairs):
 
 
 def _evidence_without(part):
-    """`heading_evidence` without one of its three kinds."""
+    """`heading_evidence` without one of its two kinds."""
 
     def evidence(*args):
         found = _heading_evidence(*args)
@@ -186,8 +185,8 @@ def _motion_without(*names):
 
 
 REPLACED = {
-    # `hops` says, too, how far candidates are looked for: without them there are none.
-    "growth": (candidates, "grow", lambda s, a, *args: growth.Support(*np.zeros((2, len(a))))),
+    # `HOPS` says, too, how far candidates are looked for: without them there are none.
+    "growth": (candidates, "grow", lambda s, a, *args: (*np.zeros((2, len(a))),)),
     "growth: one hop": (candidates, "grow", _one_hop),
     "growth: missed junctions": (growth, "_past_missed", _no_missed),
     "measured rates": (incremental, "measured_rates", lambda places, noise: noise),
@@ -244,7 +243,6 @@ WHOLE = {
         "scores",
         lambda likelihood, x: np.zeros((1, 3)),
     ),
-    "calibration: legs": (calibration, "heading_evidence", _evidence_without("legs")),
     "calibration: grid": (calibration, "heading_evidence", _evidence_without("grid")),
     "calibration: passes": (calibration, "heading_evidence", _evidence_without("passes")),
     "lengths": (mapping, "motion_errors", _motion_without("length_scale")),

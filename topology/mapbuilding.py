@@ -37,12 +37,11 @@ class MapBuildingSettings:
 
     least_share: float = 0.5
     """A branch that was never driven is kept if this share of the vertex's passes saw it."""
-    path_step_m: float = 0.1
     path_tolerance_m: float = 0.08
     """Tolerance of simplified paths."""
     junction_m: float = 0.7
     """Radius around a junction's centre in which robots cut corners: the path is replaced by a
-    straight line there."""
+    straight line there. The track passes a place if it comes as near to its centre."""
     passable_m: float = 0.5
     """Points of tracks closer than this have no wall between them: about the width of a robot on
     either side."""
@@ -55,11 +54,9 @@ class MapBuildingSettings:
     """A robot that drove less than this between two visits did not move. Time that it spends within
     this path length of a centre, standing or turning on the spot, is not counted as driving
     time."""
-    same_length_m: float = 1.5
-    """A leg with an unknown branch belongs to a corridor whose median length differs by at most
-    this."""
     sound_m: float = 1.0
-    """A leg within this of its corridor's median length was driven straight through."""
+    """A leg within this of its corridor's median length was driven straight through; one with an
+    unknown branch belongs to a corridor whose median length differs by less."""
     repeated_m: float = 50.0
     """Prior for the variance of wandering: this length driven again without any."""
 
@@ -161,6 +158,7 @@ def _slots(
 
 
 def _kind(branches: FloatArray) -> str:
+    """What a vertex with these branches is: one is a dead end, two that are not opposite a bend."""
     if len(branches) == 1:
         return "dead_end"
     if len(branches) == 2:
@@ -228,7 +226,7 @@ def _between_centres(
     and back, is no part of the corridor's path. In between the track is interpolated between its
     placements at both junctions.
     """
-    track = draw_track(odometry, visits, xy, first, DRAWING.path_step_m)
+    track = draw_track(odometry, visits, xy, first)
     out = []
     for k, visit in enumerate(first.tolist()):
         drawn = track.xy[track.offsets[k] : track.offsets[k + 1]]
@@ -369,7 +367,7 @@ def _fitting(
     k: int,
 ) -> _Ends:
     """The corridor that leg k, with an unknown branch, belongs to; its own ends if none fits."""
-    best, best_off = ends, DRAWING.same_length_m
+    best, best_off = ends, DRAWING.sound_m
     for key, member in corridors.items():
         if any(mine not in (NO_BRANCH, its) for mine, its in zip(ends[2:], key[2:], strict=True)):
             continue

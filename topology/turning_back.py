@@ -120,8 +120,9 @@ def group_by_dead_end(
     are left out, and so are drives by an unknown branch that stay within `near_m` [m] of known
     corridors.
 
-    ranked: drives, the longest first, with numbers that distinguish drives by unknown branches and
-    order their dead ends; corridors: gives those around a vertex.
+    ranked: drives, the longest first, each with a number of its own: every drive by an unknown
+    branch leads to a dead end of its own, and those of a vertex are ordered by number; corridors:
+    gives those around a vertex.
     """
     ends = ((graph.source, graph.source_branch), (graph.target, graph.target_branch))
     known = {pair for v, b in ends for pair in zip(v.tolist(), b.tolist(), strict=True)}
@@ -178,7 +179,7 @@ def _drives(
     way, u, v = way_at(odometry, visits.time_ns), visits.vertex[:-1], visits.vertex[1:]
     within = (np.diff(visits.piece) == 0) & (np.diff(way) > DRAWING.standing_m)
     first = np.flatnonzero(within & ((real[:-1] & real[1:] & (u == v)) | (real[:-1] != real[1:])))
-    track = draw_track(odometry, visits, xy, first, DRAWING.path_step_m)
+    track = draw_track(odometry, visits, xy, first)
     for k, visit in enumerate(first.tolist()):
         rows = slice(track.offsets[k], track.offsets[k + 1])
         points, at = track.xy[rows], track.way[rows]

@@ -12,6 +12,9 @@ from .ragged import numbered
 from .se2 import turned, wrap
 from .track import piece_of, point_at, way_at
 
+STEP_M = 0.1
+"""Distance of the points by which a track is drawn: finer than junctions are seen."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Visits:
@@ -63,17 +66,15 @@ class DrawnTrack:
     turn: FloatArray
 
 
-def draw_track(
-    odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray, step_m: float
-) -> DrawnTrack:
+def draw_track(odometry: Odometry, visits: Visits, xy: FloatArray, first: IntArray) -> DrawnTrack:
     """The track from visit `first[k]` to the next one, in the map frame, for all k at once.
 
-    All pieces are sampled every `step_m` [m] or less in one flat array. Each point is transformed
+    All pieces are sampled every `STEP_M` or less in one flat array. Each point is transformed
     as seen from either visit, and interpolated between the two by the distance driven.
     """
     at = way_at(odometry, visits.time_ns)
     length = at[first + 1] - at[first]
-    points = np.maximum(np.ceil(length / step_m), 2).astype(np.int64) + 1
+    points = np.maximum(np.ceil(length / STEP_M), 2).astype(np.int64) + 1
     owner, nth = numbered(points)
     offsets = np.concatenate([[0], np.cumsum(points)]).astype(np.int64)
     share = nth / (points[owner] - 1)

@@ -4,11 +4,11 @@
 
 Real robots have constant heading biases of degrees per metre; loops close only after these are
 removed. The evidence (`heading_evidence`) needs no place recognition. The likelihood of x = (β, κ,
-δ) models outliers: readings within a pass have heavy tails; a leg is straight, or arbitrary; a
-branch is perpendicular to an earlier one, or arbitrary. The shares of inliers and their scales are
-estimated along with x, so that a building without right angles or straight corridors has no
-influence. The likelihood has many local maxima (a bias that rotates one leg by 90° more fits a grid
-as well): the bias is scanned first, and the best few maxima are climbed.
+δ) models outliers: readings within a pass have heavy tails; a branch is parallel or perpendicular
+to an earlier one, or arbitrary. The share of inliers and the scales are estimated along with x, so
+that a building without right angles has no influence. The likelihood has many local maxima (a bias
+that rotates one leg by 90° more fits a grid as well): the bias is scanned first, and the best few
+maxima are climbed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ class CalibrationSettings:
     prior_lag_s: float = 0.3
     """Priors: 1 sigma of odometry in general, with mean zero."""
     apply_at_z: float = 3.0
-    """A term is applied only if it is at least this many sigmas from zero."""
+    """A term, or a lever (`motion_errors.py`), is applied only if it is at least this many sigmas
+    from zero."""
     floor_bias_rad_per_m: float = 0.0005
     floor_turn_scale: float = 0.001
     floor_lag_s: float = 0.01
@@ -56,6 +57,11 @@ class CalibrationSettings:
     """Corrections of the track, after each of which the passes are fused again."""
     looks_per_pass: float = 2.0
     """Weight of all readings of one branch in one pass, in independent observations."""
+
+    @property
+    def prior_sigma(self) -> Terms:
+        """1 sigma of the prior of each term."""
+        return self.prior_bias_rad_per_m, self.prior_turn_scale, self.prior_lag_s
 
 
 CALIBRATION = CalibrationSettings()
@@ -95,7 +101,7 @@ class Calibration:
 
     applied: Terms = (0.0, 0.0, 0.0)
     estimate: Terms = (0.0, 0.0, 0.0)
-    sigma: Terms = (0.035, 0.03, 0.3)
+    sigma: Terms = CALIBRATION.prior_sigma
     motion: MotionErrors | None = None
 
     @property
@@ -152,41 +158,23 @@ def _floor(odometry: Odometry) -> FloatArray:
 
 def _fit(evidence: HeadingEvidence, already: FloatArray, floor: FloatArray) -> Calibration:
     """Calibration from evidence that was already corrected by `already` (3,)."""
-    c = CALIBRATION
-    sigma = np.array([c.prior_bias_rad_per_m, c.prior_turn_scale, c.prior_lag_s])
     model = HeadingLikelihood.of(
-        evidence, prior_sigma=sigma, centre=-already, worth=c.looks_per_pass
+        evidence,
+        prior_sigma=np.array(CALIBRATION.prior_sigma),
+        centre=-already,
+        worth=CALIBRATION.looks_per_pass,
     )
-    starts = _scan(model, already)
+    starts = _starting_points(model, already)
     every = np.ones(TERMS, bool)
     fitted, x = _best(model, starts, every)
-    plain, shown_spread = fitted.sigma(x)
-    spread = np.hypot(shown_spread, floor)
-    gain = [
-        fitted.value(x) - _without(model, [*starts, x], np.arange(TERMS) != k, already)[0]
-        for k in range(TERMS)
-    ]
-    # A narrow false maximum far from zero is many of its sigmas away but hardly more likely:
-    # significance is also required of the likelihood ratio against zero.
-    total = x + already
-    likely = np.sqrt(2 * np.maximum(gain, 0.0)) * plain / spread
-    shown = np.minimum(np.abs(total) / spread, likely) >= CALIBRATION.apply_at_z
+    spread, total = np.hypot(fitted.sigma(x), floor), x + already
+    shown = np.abs(total) >= CALIBRATION.apply_at_z * spread
     applied = total
     if not shown.all():
-        applied = _without(model, [*starts, x], shown, already)[1] + already
-    applied = np.where(shown, applied, 0.0)
+        # The most likely ones, with all errors zero that do not show.
+        zero = [np.where(shown, start, -already) for start in (*starts, x)]
+        applied = np.where(shown, _best(model, zero, shown)[1] + already, 0.0)
     return Calibration(_terms(applied), _terms(total), _terms(spread))
-
-
-def _without(
-    model: HeadingLikelihood,
-    starts: list[FloatArray],
-    free: BoolArray,
-    already: FloatArray,
-) -> tuple[float, FloatArray]:
-    """Highest likelihood, and its location, with all errors zero that are not `free`."""
-    fitted, x = _best(model, [np.where(free, start, -already) for start in starts], free)
-    return fitted.value(x), x
 
 
 def _terms(values: FloatArray) -> Terms:
@@ -195,9 +183,9 @@ def _terms(values: FloatArray) -> Terms:
     return a, b, c
 
 
-def _scan(model: HeadingLikelihood, already: FloatArray) -> list[FloatArray]:
-    """Starting points of the optimisation: the best local maxima over the bias, zero error, and no
-    change."""
+def _starting_points(model: HeadingLikelihood, already: FloatArray) -> list[FloatArray]:
+    """Corrections (3,) that the optimisation starts from: the best local maxima over the bias, the
+    one that takes back all that was corrected already (3,), and none."""
     steps = int(np.ceil(CALIBRATION.scan_bias_rad_per_m / CALIBRATION.scan_step_rad_per_m))
     bias = np.arange(-steps, steps + 1) * CALIBRATION.scan_step_rad_per_m - already[0]
     points = np.zeros((len(bias), TERMS))

@@ -17,19 +17,18 @@ from ...topology.odometry import Odometry
 from ...topology.run import Detections
 from ...topology.se2 import apply, wrap
 from ..logs.fields import LENGTHS
+from .calibration import CALIBRATION
 from .stationary import AS_READ, DriveBys, Fit, Reading
 
 
 @dataclass(frozen=True, slots=True)
 class ConventionSettings:
-    """Which lags are tried, and when a reading is told of."""
+    """Which lags are tried, and when a reading is reported."""
 
     most_lag_s: float = 10.0
     """Largest lag considered: robots are at another junction by then."""
     lag_step_s: float = 0.25
     """Step of the search for a lag: rotations of robots last longer."""
-    least_lag_s: float = 0.9
-    """Smaller lags are left to the calibration: three sigmas of its prior."""
     left: float = 0.67
     """A drive-by votes if one reading leaves at most this share of the other's residual (root mean
     square): as for scans that may be late (`scans/turns.py`)."""
@@ -39,7 +38,7 @@ class ConventionSettings:
     """Bound on the probability that a wrong reading gets such a vote, where either does: none of
     230,000 in 90 simulated logs. Short logs decide by such votes: five suffice."""
     share: float = 0.8
-    """Least share of the votes for a reading that is told of: as for scans that may be mirror
+    """Least share of the votes for a reading that is reported: as for scans that may be mirror
     images (`scans/turns.py`)."""
     false_rate: float = 1e-3
     """Bound on the probability that chance lets any reading of a log win the sign test."""
@@ -47,8 +46,11 @@ class ConventionSettings:
 
 CONVENTIONS = ConventionSettings()
 
+LEAST_LAG_S = CALIBRATION.apply_at_z * CALIBRATION.prior_lag_s
+"""Smaller lags are left to the calibration, as its prior holds them possible."""
+
 UNITS = {"mm": "millimetres", "cm": "centimetres", "in": "inches", "ft": "feet"}
-"""Units of lengths that are told of (`LENGTHS`)."""
+"""Units of lengths that are reported (`LENGTHS`)."""
 UNIT_TOLERANCE = 0.1
 """Relative error up to which a unit is named: twenty sigmas of odometries in general
 (`RunNoise.scale`)."""
@@ -88,8 +90,6 @@ LAGS = tuple(
 )
 POSES = (*AXES[1 : len(YAW) + 1], *LAGS)
 """Readings that differ in the poses of the robot alone."""
-NEAR = LAGS[2:4]
-"""Lags that fit worse if stamps are right: no others need to be tried then."""
 TESTS = 2 * (len(AXES) + len(LAGS) + len(HEADINGS) + len(TURNS_RAD))
 """No log is asked more comparisons."""
 
@@ -123,8 +123,11 @@ def disagreements(
         poses, sign = _headings(seen, fit.reading)
     else:
         poses, sign = _headings(seen, AS_READ, () if positions_tell else POSES)
-    told = [*_pose_findings(poses, odometry_topic), *_position_findings(seen, fit, odometry_topic)]
-    sentences = [f"{junctions} {what}; {SEE}" for what in told]
+    findings = [
+        *_pose_findings(poses, odometry_topic),
+        *_position_findings(seen, fit, odometry_topic),
+    ]
+    sentences = [f"{junctions} {what}; {SEE}" for what in findings]
     if sign in HEADINGS:
         sentences.append(f"{branches} their headings {HEADINGS[sign]}; {SEE}")
     if not sentences and positions_tell:
@@ -155,9 +158,7 @@ def _in_robots_frame(odometry: Odometry, detections: Detections) -> bool:
 def _better_fit(seen: DriveBys, read: Fit) -> Fit | None:
     """The centres by the reading that fits best, if it is another one and far better than as they
     were read, and tells how the robot moved."""
-    plain = seen.fit(AS_READ).squares
-    in_time = all(_wins(plain, seen.fit(reading).squares) for reading in NEAR)
-    fits = [seen.fit(reading) for reading in (*AXES, *(() if in_time else LAGS))]
+    fits = (seen.fit(reading) for reading in (*AXES, *LAGS))
     best = min(fits, key=lambda fit: _size(fit.squares))
     found = _differs(best) and _wins(best.squares, read.squares)
     if found and best.reading in LAGS:  # junctions that are seen off by a step turn with the robot
@@ -214,13 +215,13 @@ def _differs(fit: Fit) -> bool:
 
 
 def _differs_in_poses(reading: Reading) -> bool:
-    return reading.yaw != 1.0 or abs(reading.lag_s) > CONVENTIONS.least_lag_s
+    return reading.yaw != 1.0 or abs(reading.lag_s) > LEAST_LAG_S
 
 
 def _pose_findings(reading: Reading, odometry_topic: str) -> Iterator[str]:
     if reading.yaw in YAW:
         yield f"the headings of {odometry_topic} {YAW[reading.yaw]}"
-    if abs(reading.lag_s) > CONVENTIONS.least_lag_s:
+    if abs(reading.lag_s) > LEAST_LAG_S:
         late = "late" if reading.lag_s > 0 else "early"
         yield (
             f"they are stamped {abs(reading.lag_s):g} s (± {CONVENTIONS.lag_step_s:g} s) {late} "

@@ -1,14 +1,13 @@
 """Evidence on the odometry's heading error, before any place is recognised.
 
 The odometry's heading θ is wrong by β·s + κ·θ + δ·ω (distance driven, angle turned, turning rate: a
-bias per metre, a scale of turns, a time lag). Three kinds of evidence need no place recognition:
+bias per metre, a scale of turns, a time lag). Two kinds of evidence need no place recognition:
 
 * *pass*: while the robot passes a junction and turns, a branch keeps its direction;
-* *leg*: corridors are mostly straight, so that the branch by which the robot left one junction is
-  mostly opposite to the one by which it came to the next;
-* *grid*: the branches of neighbouring junctions are mostly parallel or perpendicular.
+* *grid*: the branches of neighbouring junctions are mostly parallel or perpendicular, were it only
+  because most corridors between them are straight.
 
-All are rows y + a·x ≈ 0 with x = (β, κ, δ) and a = (s, θ, ω) or a difference of two such.
+Both are rows y + a·x ≈ 0 with x = (β, κ, δ) and a = (s, θ, ω) or a difference of two such.
 """
 
 from __future__ import annotations
@@ -19,7 +18,7 @@ import numpy as np
 
 from ...topology.arrays import BoolArray, FloatArray, IntArray
 from ...topology.odometry import Odometry
-from ...topology.passes import NO_BRANCH, Passes
+from ...topology.passes import ONE_WAY_RAD, Passes
 from ...topology.ragged import numbered
 from ...topology.run import Detections
 from ...topology.se2 import wrap
@@ -33,14 +32,10 @@ TERMS = 3
 class EvidenceSettings:
     """Which detections are compared."""
 
-    match_rad: float = 0.35
-    """Readings farther from every fused branch of their pass are ignored."""
     interpolated_rad: float = 0.03
     """Readings at more than this angle from the nearest row of the odometry are ignored."""
     rate_window_s: float = 0.25
     """Half the time over which the turning rate is measured."""
-    parts: int = 6
-    """Intervals over which the readings of one branch in one pass are averaged."""
     grid_reach: int = 3
     """Branches are compared with those of so many passes before."""
     grid_reach_m: float = 40.0
@@ -48,6 +43,10 @@ class EvidenceSettings:
 
 
 EVIDENCE = EvidenceSettings()
+
+PARTS = 6
+"""Parts of a pass whose means are compared: by fewer, a junction that jumps as it is passed cannot
+be told from one that moves along. Passes with fewer messages do not show how the robot moved."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -77,15 +76,14 @@ class Rows:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadingEvidence:
-    """The three kinds of evidence of one run."""
+    """Both kinds of evidence of one run."""
 
     passes: Rows
-    legs: Rows
     grid: Rows
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Looks:
+class _Observed:
     """Every branch of every pass: mean heading (b,) [rad], mean regressors (b, 3), pass (b,), and
     whether it has readings (b,)."""
 
@@ -107,9 +105,7 @@ def heading_evidence(
     nominal: the same rows and times uncorrected, for the regressors. O(readings + branches ·
     grid_reach).
     """
-    reading = assign_readings(
-        odometry, detections, passes, EVIDENCE.match_rad, EVIDENCE.interpolated_rad
-    )
+    reading = assign_readings(odometry, detections, passes, EVIDENCE.interpolated_rad)
     time_ns = detections.time_ns[detections.branches.owner[reading.row]]
     regressor = _regressors(nominal, time_ns)
     count = len(passes.branches.values)
@@ -119,35 +115,34 @@ def heading_evidence(
     mean_regressor = np.column_stack(
         [_mean(reading.branch, regressor[:, k], n) for k in range(TERMS)]
     )
-    looks = _Looks(
+    observed = _Observed(
         np.asarray(wrap(passes.branches.values + mean_off)),
         mean_regressor,
         passes.branches.owner,
         n > 0,
     )
     within = _within(
-        looks,
+        observed,
         reading.branch,
         off - mean_off[reading.branch],
         regressor - mean_regressor[reading.branch],
     )
     stretch = stretch_of(odometry, passes.time_ns)
-    return HeadingEvidence(within, _legs(passes, looks, stretch), _grid(looks, stretch))
+    return HeadingEvidence(within, _grid(observed, stretch))
 
 
-def _within(looks: _Looks, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
-    """Readings relative to the mean of their branch, averaged over a few intervals of time."""
-    parts = EVIDENCE.parts
+def _within(observed: _Observed, branch: IntArray, y: FloatArray, a: FloatArray) -> Rows:
+    """Readings relative to the mean of their branch, averaged over `PARTS` intervals of time."""
     order = np.argsort(branch, kind="stable")
-    n = np.bincount(branch, minlength=len(looks.heading))
+    n = np.bincount(branch, minlength=len(observed.heading))
     owner = branch[order]
     first = np.concatenate([[0], np.cumsum(n)])[owner]
-    part = (np.arange(len(owner)) - first) * parts // np.maximum(n[owner], parts)
-    group = np.cumsum(np.diff(owner * parts + part, prepend=-1) != 0) - 1
+    part = (np.arange(len(owner)) - first) * PARTS // np.maximum(n[owner], PARTS)
+    group = np.cumsum(np.diff(owner * PARTS + part, prepend=-1) != 0) - 1
     size = np.bincount(group)
     mean = [_mean(group, column[order], size) for column in (y, *a.T)]
     home = owner[np.flatnonzero(np.diff(group, prepend=-1))]
-    return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], looks.owner[home])
+    return Rows(mean[0], np.column_stack(mean[1:]), home, size / n[home], observed.owner[home])
 
 
 def _regressors(odometry: Odometry, time_ns: IntArray) -> FloatArray:
@@ -179,10 +174,9 @@ def assign_readings(
     odometry: Odometry,
     detections: Detections,
     passes: Passes,
-    match_rad: float,
     interpolated_rad: float = np.inf,
 ) -> Readings:
-    """The nearest fused branch (flat index) of every reading, where it is within `match_rad`.
+    """The nearest fused branch (flat index) of every reading, where it is within `ONE_WAY_RAD`.
 
     Readings whose heading would be interpolated over more than `interpolated_rad` are left out.
     Vectorised: each reading is paired with every branch of its pass, and the nearest pair kept.
@@ -207,7 +201,7 @@ def assign_readings(
     hit = np.flatnonzero(off == np.minimum.reduceat(off, np.flatnonzero(local == 0))[of])[::-1]
     nearest = np.empty(len(rows), np.int64)
     nearest[of[hit]] = hit
-    near = off[nearest] <= match_rad
+    near = off[nearest] <= ONE_WAY_RAD
     return Readings(rows[near], candidate[nearest[near]], heading[rows[near]])
 
 
@@ -222,7 +216,7 @@ def _interpolated(odometry: Odometry, time_ns: IntArray) -> FloatArray:
     """(m,) angle turned [rad] between each time and the nearer one of the rows around it.
 
     Motion between two rows is unknown: a turn within one second is not uniform, and taking it for
-    uniform looks like a wrong scale of turns.
+    uniform observed like a wrong scale of turns.
     """
     after = np.clip(np.searchsorted(odometry.time_ns, time_ns), 1, len(odometry) - 1)
     t0, t1 = odometry.time_ns[after - 1], odometry.time_ns[after]
@@ -234,36 +228,22 @@ def _mean(group: IntArray, values: FloatArray, n: IntArray) -> FloatArray:
     return np.asarray(np.bincount(group, values, len(n)) / np.maximum(n, 1))
 
 
-def _legs(passes: Passes, looks: _Looks, stretch: IntArray) -> Rows:
-    """One row per leg between consecutive passes whose branches at both ends are known."""
-    k = np.arange(max(len(passes) - 1, 0))
-    known = (passes.exit[k] != NO_BRANCH) & (passes.entry[k + 1] != NO_BRANCH)
-    k = k[known & (stretch[k] == stretch[k + 1])]
-    left = passes.branches.offsets[k] + passes.exit[k]
-    came = passes.branches.offsets[k + 1] + passes.entry[k + 1]
-    both = looks.seen[left] & looks.seen[came]
-    left, came = left[both], came[both]
-    y = np.asarray(wrap(looks.heading[came] + np.pi - looks.heading[left]))
-    a = looks.regressor[came] - looks.regressor[left]
-    return Rows(y, a, np.arange(len(y)), np.ones(len(y)), k[both] + 1)
-
-
-def _grid(looks: _Looks, stretch: IntArray) -> Rows:
+def _grid(observed: _Observed, stretch: IntArray) -> Rows:
     """Every branch paired with those of a few passes before: alternatives that may be
     perpendicular."""
-    first = np.searchsorted(looks.owner, np.arange(len(stretch) + 1))
-    begin = first[np.maximum(looks.owner - EVIDENCE.grid_reach, 0)]
-    here, nth = numbered(first[looks.owner] - begin)
+    first = np.searchsorted(observed.owner, np.arange(len(stretch) + 1))
+    begin = first[np.maximum(observed.owner - EVIDENCE.grid_reach, 0)]
+    here, nth = numbered(first[observed.owner] - begin)
     there = begin[here] + nth
-    a = looks.regressor[here] - looks.regressor[there]
+    a = observed.regressor[here] - observed.regressor[there]
     keep = (
-        looks.seen[here]
-        & looks.seen[there]
-        & (stretch[looks.owner[here]] == stretch[looks.owner[there]])
+        observed.seen[here]
+        & observed.seen[there]
+        & (stretch[observed.owner[here]] == stretch[observed.owner[there]])
         & (np.abs(a[:, 0]) <= EVIDENCE.grid_reach_m)
     )
     here, there, a = here[keep], there[keep], a[keep]
     owner = np.cumsum(np.diff(here, prepend=here[:1]) != 0)
     size = np.bincount(owner) if len(owner) else np.zeros(0, np.int64)
-    y = np.asarray(wrap(looks.heading[here] - looks.heading[there]))
-    return Rows(y, a, owner, 1.0 / size[owner], looks.owner[here])
+    y = np.asarray(wrap(observed.heading[here] - observed.heading[there]))
+    return Rows(y, a, owner, 1.0 / size[owner], observed.owner[here])

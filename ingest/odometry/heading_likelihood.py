@@ -1,9 +1,10 @@
 """The likelihood of systematic heading errors, with outliers.
 
-    ℓ(x) = Σ_passes w · log t₃(r / σ_p) + Σ_legs, grid log[(1 − g) / period + g Σ_r w_r N(r; σ)]
+    ℓ(x) = Σ_passes w · log t₃(r / σ_p) + Σ_grid log[(1 − g) / (π/2) + g Σ_r w_r N(r; σ)]
 
-with r = wrap(y + a·x). Scales σ and shares g of inliers are estimated along with x by expectation
-maximisation, in which every step is one weighted linear least-squares problem in x.
+with r = y + a·x, in the grid its distance from the next quarter turn. Scales σ and the share g of
+inliers are estimated along with x by expectation maximisation, in which every step is one weighted
+linear least-squares problem in x.
 """
 
 from __future__ import annotations
@@ -17,8 +18,11 @@ from .heading_evidence import TERMS, HeadingEvidence, Rows
 
 _QUARTER = np.pi / 2
 _DEGREES_OF_FREEDOM = 3.0
-_FINEST = 0.025
-"""Lower bound of the scatter of parallel corridors [rad]; avoids a singular likelihood."""
+_USUAL_RAD = 0.1
+"""Usual scatter of parallel corridors [rad]; that of the readings of one branch is half of it."""
+_FINEST, _WIDEST = 0.025, 0.15
+"""Bounds of the scatter of parallel corridors [rad]: at 0 the likelihood is singular, and beyond
+the upper one angles of any kind seem to be right ones."""
 
 
 def _residual(rows: Rows, x: FloatArray) -> FloatArray:
@@ -28,40 +32,35 @@ def _residual(rows: Rows, x: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True)
-class _Mixture:
-    """Rows that are near zero with probability `share` (1 sigma `sigma`), else uniform within the
-    period."""
+class _Grid:
+    """Rows that are near a quarter turn with probability `share` (1 sigma `sigma`), else anywhere
+    between two."""
 
     rows: Rows
-    period: float
-    widest: float
-    sigma: float = 0.1
+    sigma: float = _USUAL_RAD
     share: float = 0.5
-
-    def residual(self, x: FloatArray) -> FloatArray:
-        r = _residual(self.rows, x)
-        return np.asarray(r - self.period * np.round(r / self.period))
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Log-likelihood, residuals, and the probability that each row is the inlier of its
         group."""
-        r = self.residual(x)
+        r = _residual(self.rows, x)
         if len(r) == 0:
             return 0.0, r, r
+        r -= _QUARTER * np.round(r / _QUARTER)
         density = np.exp(-0.5 * (r / self.sigma) ** 2) / (self.sigma * np.sqrt(2 * np.pi))
         inlier = self.share * self.rows.share * density
-        whole = (1 - self.share) / self.period + np.bincount(self.rows.owner, inlier)
-        gain = float(np.log(whole * self.period).sum())
+        whole = (1 - self.share) / _QUARTER + np.bincount(self.rows.owner, inlier)
+        gain = float(np.log(whole * _QUARTER).sum())
         return gain, r, inlier / whole[self.rows.owner]
 
-    def refit(self, r: FloatArray, holds: FloatArray) -> _Mixture:
+    def refit(self, r: FloatArray, holds: FloatArray) -> _Grid:
         """Maximum-a-posteriori scale and share, with a prior worth one inlier and one outlier of
-        6°."""
-        total, guess = float(holds.sum()), 0.1
-        sigma = float(np.sqrt((float((holds * r**2).sum()) + 2 * guess**2) / (total + 2)))
+        `_USUAL_RAD`."""
+        total = float(holds.sum())
+        sigma = float(np.sqrt((float((holds * r**2).sum()) + 2 * _USUAL_RAD**2) / (total + 2)))
         share = (total + 1) / (self.rows.owners + 2)
-        sigma = min(max(sigma, _FINEST), self.widest)
-        return _Mixture(self.rows, self.period, self.widest, sigma, share)
+        sigma = min(max(sigma, _FINEST), _WIDEST)
+        return _Grid(self.rows, sigma, share)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +69,7 @@ class _Scatter:
 
     rows: Rows
     worth: float
-    sigma: float = 0.05
+    sigma: float = 0.5 * _USUAL_RAD
 
     def expect(self, x: FloatArray) -> tuple[float, FloatArray, FloatArray]:
         """Log-likelihood, residuals, and weights of the equivalent least-squares problem."""
@@ -82,7 +81,7 @@ class _Scatter:
 
     def refit(self, r: FloatArray, weight: FloatArray) -> _Scatter:
         total = self.worth * float(self.rows.share.sum())
-        sigma = np.sqrt((float((weight * r**2).sum()) + 2 * 0.05**2) / (total + 2))
+        sigma = np.sqrt((float((weight * r**2).sum()) + 2 * (0.5 * _USUAL_RAD) ** 2) / (total + 2))
         return _Scatter(self.rows, self.worth, float(max(sigma, 0.005)))
 
 
@@ -91,7 +90,7 @@ class HeadingLikelihood:
     """ℓ(x) of one run, with a normal prior on x with the sigmas `prior_sigma` (3,) about `centre`
     (3,)."""
 
-    parts: tuple[_Scatter | _Mixture, ...]
+    parts: tuple[_Scatter | _Grid, ...]
     prior_sigma: FloatArray
     centre: FloatArray
 
@@ -105,9 +104,8 @@ class HeadingLikelihood:
         worth: float,
     ) -> HeadingLikelihood:
         """The likelihood of corrections x, in addition to those already applied to the evidence."""
-        legs = _Mixture(evidence.legs, 2 * np.pi, 0.25)
-        grid = _Mixture(evidence.grid, _QUARTER, 0.15)
-        return cls((_Scatter(evidence.passes, worth), legs, grid), prior_sigma, centre)
+        parts = _Scatter(evidence.passes, worth), _Grid(evidence.grid)
+        return cls(parts, prior_sigma, centre)
 
     def value(self, x: FloatArray) -> float:
         """Log-likelihood plus log-prior, in nats, up to a constant."""
@@ -159,9 +157,9 @@ class HeadingLikelihood:
                 break
         return here, x
 
-    def sigma(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) each: 1 sigma of x from the curvature of ℓ, and the larger robust one from the
-        scores.
+    def sigma(self, x: FloatArray) -> FloatArray:
+        """(3,) 1 sigma of x: from the curvature of ℓ, or the robust one from the scores, the larger
+        of both.
 
         The curvature is taken from differences of the gradient, because the least-squares problem
         of expectation maximisation treats every inlier as certain. Rows of one visit share errors
@@ -181,11 +179,11 @@ class HeadingLikelihood:
             observed[:, k] = (self.slope(x - move) - self.slope(x + move)) / (2 * step[k])
         observed = 0.5 * (observed + observed.T)
         if np.linalg.eigvalsh(observed)[0] <= 0:
-            return self.prior_sigma, self.prior_sigma
+            return self.prior_sigma
         inverse = np.linalg.inv(observed)
         scores = self.scores(x)
         belief = np.diag(1.0 / np.square(self.prior_sigma))
         count = len(scores)
         between = scores.T @ scores * count / max(count - TERMS, 1) + belief
-        plain = np.sqrt(np.diag(inverse))
-        return plain, np.maximum(plain, np.sqrt(np.diag(inverse @ between @ inverse)))
+        variance = np.maximum(np.diag(inverse), np.diag(inverse @ between @ inverse))
+        return np.asarray(np.sqrt(variance))

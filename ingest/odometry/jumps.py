@@ -43,8 +43,6 @@ class JumpSettings:
     """A rotation is fast if it exceeds the 99 % quantile of the turning rate by this factor."""
     few_steps: int = 100
     """Shorter tracks do not show what is normal."""
-    samples: int = 20_000
-    """Size of the sample of steps that the usual speed is estimated from."""
 
 
 JUMPS = JumpSettings()
@@ -61,18 +59,16 @@ class _Usual:
 
     @classmethod
     def of(cls, time_ns: IntArray, pose: FloatArray) -> _Usual:
-        k = np.linspace(0, len(pose) - 2, JUMPS.samples).astype(np.int64)
-        k = k[np.diff(k, prepend=-1) > 0]
-        duration = (time_ns[k + 1] - time_ns[k]) * SECOND_S
-        way = np.hypot(*(pose[k + 1, :2] - pose[k, :2]).T)
-        turn = np.abs(wrap(pose[k + 1, 2] - pose[k, 2]))
+        duration = np.diff(time_ns) * SECOND_S
+        way, turn = np.hypot(*np.diff(pose[:, :2], axis=0).T), np.abs(wrap(np.diff(pose[:, 2])))
         period = float(np.median(duration))
         # Bursts of messages must not count as high speed.
         duration = np.maximum(duration, 0.5 * period)
-        return cls(period, _seldom(way / duration), _seldom(turn / duration))
+        return cls(period, _seldom_exceeded(way / duration), _seldom_exceeded(turn / duration))
 
 
-def _seldom(values: FloatArray) -> float:
+def _seldom_exceeded(values: FloatArray) -> float:
+    """The 99 % quantile of the values in motion; 0 without any."""
     moving = values[values > 0]
     return float(np.quantile(moving, 0.99)) if len(moving) else 0.0
 

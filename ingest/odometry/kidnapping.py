@@ -16,15 +16,19 @@ class CarriedSettings:
 
     Wheels that move by at most standing_m, standing_rad stand: encoders resolve less, and slip
     causes more. At least `sightings` detections on both sides must agree among themselves to
-    agree_m, five times the usual noise of a detector, and differ by apart_m or more from the other
-    side, three times that: a single wrong detection does not count.
+    agree_m, five times the usual noise of a detector, and differ by three times that or more from
+    the other side: a single wrong detection does not count.
     """
 
     standing_m: float = 0.02
     standing_rad: float = 0.02
     sightings: int = 4
     agree_m: float = 0.5
-    apart_m: float = 1.5
+
+    @property
+    def apart_m(self) -> float:
+        """Least distance between what both sides show [m]."""
+        return 3.0 * self.agree_m
 
 
 CARRIED = CarriedSettings()

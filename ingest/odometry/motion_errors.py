@@ -16,7 +16,8 @@ from ...topology.run import Detections
 from ...topology.se2 import apply
 from ...topology.topomap import RunNoise
 from ...topology.track import walked_at
-from .calibration import MotionErrors, Shown
+from .calibration import CALIBRATION, MotionErrors, Shown
+from .heading_evidence import PARTS
 from .noise import NOISE, drift_ratio
 from .within_passes import messages_of, scatter
 
@@ -29,9 +30,6 @@ that odometries err by: less than 0.3 % apart, below the digits stated."""
 class MotionSettings:
     """What odometries and detectors are known to err by."""
 
-    sections: int = 6
-    """Parts of a pass whose means are compared: by fewer, a junction that jumps as it is passed
-    cannot be told from one that moves along."""
     detector_scale: float = 0.01
     """1 sigma of the share by which detectors see things too near or too far, which passes cannot
     tell from an odometry's. Those that report what they measure to be within a distance show 0.02
@@ -44,8 +42,6 @@ class MotionSettings:
     most_scale: float = 0.2
     """No odometry's lengths are off by a larger share: what seems to be is the detector's fault, or
     its unit, and is not corrected."""
-    lever_at_z: float = 3.0
-    """A lever is corrected where it is at least this many sigmas from zero, as headings are."""
     lever_m: float = 1.0
     """1 sigma of each coordinate of the point of the robot that an odometry refers to, in the frame
     of the detector: few robots are longer."""
@@ -64,7 +60,7 @@ def motion_errors(
     move along with the robot that passes them, and where the points differ, they turn with it
     (`_shown_motion`). A detector whose readings are too small by a share shows as a scale, too
     (`detector_scale`). Applied are the mean of the scale's posterior (`_Scale`), and of the lever
-    what is `lever_at_z` sigmas from zero.
+    what is `apply_at_z` sigmas from zero.
     """
     shown = _shown_motion(odometry, detections, passes, noise)
     if shown is None:
@@ -85,7 +81,7 @@ def motion_errors(
 
 
 def _lever(metres: float, sigma: float) -> Shown:
-    applied = metres if abs(metres) >= MOTION.lever_at_z * sigma else 0.0
+    applied = metres if abs(metres) >= CALIBRATION.apply_at_z * sigma else 0.0
     return Shown(rounded(metres, METRES), significant(sigma), rounded(applied, METRES))
 
 
@@ -174,7 +170,7 @@ class _Scale:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sections:
-    """Every pass that is long enough, cut into `MOTION.sections` of as many messages, its means
+    """Every pass that is long enough, cut into `PARTS` of as many messages, its means
     less those of its first section, in the odometry's frame.
 
     centre (q, k, 2) of the junction [m]; design (q, k, 2, 4) its derivatives by the share by which
@@ -195,18 +191,18 @@ class _Sections:
             return None
         home, order = messages_of(detections, passes)
         size = np.bincount(home[home >= 0], minlength=len(passes))
-        number = np.cumsum(size >= MOTION.sections) - 1
-        rows = np.flatnonzero((home >= 0) & (size[home] >= MOTION.sections))
+        number = np.cumsum(size >= PARTS) - 1
+        rows = np.flatnonzero((home >= 0) & (size[home] >= PARTS))
         if len(rows) == 0:
             return None
         home, order = home[rows], order[rows]
-        section = number[home] * MOTION.sections + MOTION.sections * order // size[home]
+        section = number[home] * PARTS + PARTS * order // size[home]
         messages = np.bincount(section)
 
         def means(values: FloatArray) -> FloatArray:
             """(q, sections, d) of values (rows, d)."""
             sums = np.column_stack([np.bincount(section, v) for v in values.T])
-            return np.reshape(sums / messages[:, None], (-1, MOTION.sections, values.shape[1]))
+            return np.reshape(sums / messages[:, None], (-1, PARTS, values.shape[1]))
 
         pose = odometry.at(detections.time_ns[rows])
         centre = apply(pose, detections.centre[rows])
@@ -223,11 +219,11 @@ class _Sections:
         design = np.concatenate([by_scale, lever, by_range], axis=3)
         walked = means(walked_at(odometry, detections.time_ns[rows]))
         covariance = _walk_covariance(walked, means(away), noise)
-        white = sigma**2 / messages.reshape(-1, MOTION.sections)
-        both = white[:, :1, None] + white[:, :, None] * np.eye(MOTION.sections)
+        white = sigma**2 / messages.reshape(-1, PARTS)
+        both = white[:, :1, None] + white[:, :, None] * np.eye(PARTS)
         covariance += both[:, :, None, :, None] * np.eye(2)[:, None, :]
         found = means(centre)
-        left = 2 * (MOTION.sections - 1)
+        left = 2 * (PARTS - 1)
         return cls(
             centre=found[:, 1:] - found[:, :1],
             design=design[:, 1:] - design[:, :1],

@@ -17,13 +17,14 @@ import numpy as np
 
 from ...topology.arrays import FloatArray, IntArray
 from ...topology.circular import cluster_angles
+from ...topology.closure.evidence import PRIOR_PASSES
 from ...topology.digits import significant
 from ...topology.odometry import Odometry
-from ...topology.passes import Passes
+from ...topology.passes import ONE_WAY_RAD, Passes
 from ...topology.run import Detections
 from ...topology.se2 import wrap
 from ...topology.topomap import RunNoise
-from .within_passes import WITHIN, WithinPasses
+from .within_passes import PRIOR_MESSAGES, WithinPasses
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,8 +35,6 @@ class NoiseSettings:
     """Centres of the priors, kept where a run has no data."""
     prior_spread: float = 0.7
     """Standard deviation of the logarithm of a random walk's rate: a factor of two."""
-    prior_passes: float = 15.0
-    """Weight of the prior of a fault rate, in passes."""
 
 
 NOISE = NoiseSettings()
@@ -78,20 +77,19 @@ def refine_noise(
     vertex: (p,) place of each pass, negative for those removed as phantoms; turn_rad: (p,) rotation
     from the odometry's frame to the map's at each pass; noise: the estimate before, prior of
     `branch_rad`; drive_bys: number of times that the robot passed a known place without detecting
-    it. prior: of the rates, with a weight of `prior_passes`. O(b log b) for b branch readings.
+    it. prior: of the rates, with a weight of `PRIOR_PASSES`. O(b log b) for b branch readings.
     """
-    worth = NOISE.prior_passes
     seen = int(np.sum(vertex >= 0))
     legs = max(seen + drive_bys - 1, 0)
     invented = len(passes) - seen
-    visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad, WITHIN.match_rad)
+    visits = Repeats.of(passes, np.asarray(vertex, np.int64), turn_rad)
     faulty, judged = visits.faults()
     return _stated(
         noise,
-        branch_rad=visits.branch_sigma(noise.branch_rad, WITHIN.prior_messages),
-        miss_rate=_rate(drive_bys, seen + drive_bys, prior.miss_rate, worth),
-        phantom_rate=_rate(invented, legs, prior.phantom_rate, worth),
-        branch_fault_rate=_rate(faulty, judged, prior.branch_fault_rate, worth),
+        branch_rad=visits.branch_sigma(noise.branch_rad, PRIOR_MESSAGES),
+        miss_rate=_rate(drive_bys, seen + drive_bys, prior.miss_rate),
+        phantom_rate=_rate(invented, legs, prior.phantom_rate),
+        branch_fault_rate=_rate(faulty, judged, prior.branch_fault_rate),
     )
 
 
@@ -101,9 +99,9 @@ def _stated(before: RunNoise, **measured: float) -> RunNoise:
     return replace(before, **{name: significant(value) for name, value in measured.items()})
 
 
-def _rate(events: float, trials: float, prior: float, worth: float) -> float:
+def _rate(events: float, trials: float, prior: float) -> float:
     """Mean of the Beta posterior of a rate."""
-    return (events + worth * prior) / (trials + worth)
+    return (events + PRIOR_PASSES * prior) / (trials + PRIOR_PASSES)
 
 
 def _heading_walk(thirds: WithinPasses) -> tuple[float, float]:
@@ -168,20 +166,18 @@ class Repeats:
     passes: IntArray
 
     @classmethod
-    def of(
-        cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray, match_rad: float
-    ) -> Repeats:
+    def of(cls, passes: Passes, vertex: IntArray, turn_rad: FloatArray) -> Repeats:
         """From the passes with a place (`vertex` >= 0) that was passed at least twice.
 
         turn_rad: (p,) rotation from the odometry frame to the map frame; branches nearer than
-        `match_rad` are the same. O(b log b).
+        `ONE_WAY_RAD` are the same. O(b log b).
         """
         count = np.bincount(vertex[vertex >= 0], minlength=1)
         owner = passes.branches.owner
         home = vertex[owner]
         rows = np.flatnonzero((home >= 0) & (count[np.maximum(home, 0)] >= 2))
         heading = np.asarray(wrap(passes.branches.values[rows] + turn_rad[owner[rows]]))
-        clusters = cluster_angles(heading, home[rows], match_rad)
+        clusters = cluster_angles(heading, home[rows], ONE_WAY_RAD)
         # A pass that has two branches in one cluster saw it once.
         pairs, first = np.unique(np.stack([clusters.of, owner[rows]]), axis=1, return_index=True)
         off = np.asarray(wrap(heading - clusters.mean[clusters.of]))[first]

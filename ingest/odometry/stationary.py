@@ -23,23 +23,22 @@ from typing import NamedTuple
 import numpy as np
 
 from ...topology.arrays import ComplexArray, FloatArray, IntArray
+from ...topology.matching.likelihood import LIKELIHOOD
 from ...topology.odometry import Odometry
 from ...topology.ragged import Ragged, numbered
 from ...topology.run import Detections
 from ...topology.se2 import wrap
+from ..passes import PASSES
+from .heading_evidence import PARTS
 
 
 @dataclass(frozen=True, slots=True)
 class DriveBySettings:
     """Which detections make a drive-by, and which of its branches are compared."""
 
-    gap_s: float = 1.2
-    """A longer silence ends a drive-by, as in `PassSettings`."""
     jump_factor: float = 3.0
     """A centre that changes by this times the 0.9 quantile of all changes is another junction's, in
     whatever unit: in simulated runs 99 % of the changes are within 1.6 times."""
-    least_detections: int = 6
-    """Drive-bys with fewer detections are not used, as for drift (`WithinSettings`)."""
     most: int = 100
     """Further drive-bys are thinned out evenly, for speed: a fifth of them is enough to decide."""
     most_detections: int = 40
@@ -47,8 +46,6 @@ class DriveBySettings:
     compared_s: float = 0.4
     """Headings are compared, and directions of motion taken, over this time: robots turn by more
     than the noise of headings, and by less than half of the angle between branches."""
-    clipped_rad: float = 0.45
-    """Headings that differ by more are of different branches (`LIKELIHOOD.branch_gate_rad`)."""
     within_m: float = 1.0
     """A robot that comes as near to a junction drives through it: half the width of corridors."""
     beyond_m: float = 1.5
@@ -128,7 +125,8 @@ class DriveBys:
         return len(self.first)
 
     def fit(self, reading: Reading, slope: complex | None = None) -> Fit:
-        """The centres by a reading; slope: β, None to fit it, as the median over the drive-bys."""
+        """How well the centres stay in place by a reading. slope: β; None: the one that fits best,
+        as the median over the drive-bys."""
         position, heading = self._poses(reading)
         seen = self.centre.conj() if reading.mirrored else self.centre
         seen = self._centred(seen * np.exp(1j * heading))
@@ -196,7 +194,7 @@ class DriveBys:
             return np.zeros((len(turns_rad), len(self)))
         away = np.abs(wrap(off + turns_rad[:, None]))
         nearest = np.minimum.reduceat(away, np.flatnonzero(local == 0), axis=1)
-        squares = np.minimum(nearest, DRIVE_BYS.clipped_rad) ** 2
+        squares = np.minimum(nearest, LIKELIHOOD.branch_gate_rad) ** 2
         return np.array([np.bincount(drive_by[entry], s, len(self)) for s in squares])
 
     def _ways(self) -> tuple[IntArray, FloatArray]:
@@ -228,6 +226,7 @@ class DriveBys:
         return self._positions(at), np.angle(self._moved(at))
 
     def _moved(self, at: FloatArray) -> ComplexArray:
+        """How far the robot moves in `compared_s` about times (k,)."""
         half = 0.5e9 * DRIVE_BYS.compared_s
         return np.asarray(self._positions(at + half) - self._positions(at - half))
 
@@ -235,6 +234,7 @@ class DriveBys:
         return np.asarray(np.interp(at, self.clock, self.place))
 
     def _sums(self, values: FloatArray) -> FloatArray:
+        """(k,) sum over each drive-by of values (n,) of detections."""
         return np.add.reduceat(values, self.first)
 
     def _means(self, values: ComplexArray) -> ComplexArray:
@@ -242,17 +242,19 @@ class DriveBys:
         return np.asarray(sums / np.diff(self.first, append=len(self.owner)))
 
     def _centred(self, values: ComplexArray) -> ComplexArray:
+        """(n,) values less the mean of their drive-by."""
         return np.asarray(values - self._means(values)[self.owner])
 
 
 def _grouped(detections: Detections) -> tuple[IntArray, IntArray]:
-    """Rows of the detections in drive-bys, and the number of the drive-by of each."""
+    """Rows of the detections in drive-bys, and the number of the drive-by of each. A silence ends a
+    drive-by as it ends a pass; short ones are left out, as where drift is measured."""
     step = np.hypot(*np.diff(detections.centre, axis=0).T)
-    ends = np.diff(detections.time_ns) > DRIVE_BYS.gap_s * 1e9
+    ends = np.diff(detections.time_ns) > PASSES.gap_s * 1e9
     if not ends.all():
         ends |= step > DRIVE_BYS.jump_factor * np.quantile(step[~ends], 0.9)
     count = np.diff(np.flatnonzero(ends), prepend=-1, append=len(detections) - 1)
-    large = count >= DRIVE_BYS.least_detections
+    large = count >= PARTS
     number = np.cumsum(large) - 1
     stride = max(1, -(-int(large.sum()) // DRIVE_BYS.most))
     owner, nth = numbered(count)
@@ -312,4 +314,4 @@ class _Pairs:
             return np.zeros(0)
         turned = (heading[self.later] - heading[self.row])[self.of]
         change = np.abs(wrap(self.turn + turned))
-        return np.minimum(np.minimum.reduceat(change, self.first), DRIVE_BYS.clipped_rad)
+        return np.minimum(np.minimum.reduceat(change, self.first), LIKELIHOOD.branch_gate_rad)

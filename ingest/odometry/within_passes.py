@@ -15,22 +15,10 @@ from ...topology.se2 import apply, wrap
 from ...topology.topomap import RunNoise
 from ...topology.track import walked_at
 from ...topology.walk_means import WalkMeans
-from .heading_evidence import assign_readings, pass_at
+from .heading_evidence import PARTS, assign_readings, pass_at
 
-
-@dataclass(frozen=True, slots=True)
-class WithinSettings:
-    """Which readings are compared."""
-
-    prior_messages: float = 20.0
-    """Weight of the prior of the detector's scatter, in messages."""
-    match_rad: float = 0.35
-    """Readings within this angle of a branch belong to it."""
-    least_messages: int = 6
-    """Passes with fewer messages are not used."""
-
-
-WITHIN = WithinSettings()
+PRIOR_MESSAGES = 20.0
+"""Weight of the prior of the detector's scatter, in messages."""
 
 SAME = 0.001
 """Readings that scatter by less, in metres or radians, are taken to repeat one another: no detector
@@ -71,13 +59,13 @@ class WithinPasses:
         p = len(passes)
         n = np.bincount(home, minlength=p)
         centre_sigma = scatter(centre, home, prior.centre_m)
-        readings = assign_readings(odometry, detections, passes, WITHIN.match_rad)
+        readings = assign_readings(odometry, detections, passes)
         reading_message = detections.branches.owner[readings.row]
         sequence = np.lexsort((reading_message, readings.branch))
         heading = np.asarray(wrap(readings.heading - passes.branches.values[readings.branch]))
         branch_sigma = scatter(heading[sequence, None], readings.branch[sequence], prior.branch_rad)
         third = np.minimum(3 * order // np.maximum(n[message_pass], 1), 2)
-        usable = np.flatnonzero(n >= WITHIN.least_messages)
+        usable = np.flatnonzero(n >= PARTS)
         track = walked_at(odometry, time_ns)
         thirds = WalkMeans.of(track, 3 * home + third[rows], 3 * p)
         turn, variance = _branch_turn(readings.branch, heading, third[reading_message], passes)
@@ -112,8 +100,8 @@ def scatter(values: FloatArray, group: IntArray, prior: float) -> float:
     if found < SAME:
         return float(prior / np.sqrt(2))
     weight, expected = float(len(step)), prior**2 / 2
-    total = weight + WITHIN.prior_messages
-    variance = (weight * found**2 + WITHIN.prior_messages * expected) / total
+    total = weight + PRIOR_MESSAGES
+    variance = (weight * found**2 + PRIOR_MESSAGES * expected) / total
     return float(np.sqrt(variance))
 
 

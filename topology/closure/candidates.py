@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
@@ -18,12 +20,11 @@ from .evidence import (
     EVIDENCE,
     Background,
     among_neighbours,
-    best_position_odds,
     position_odds,
 )
-from .growth import GROWTH, MapState, grow
+from .growth import MapState, grow
 from .negative_information import DrivenGround, driven_ground
-from .places import Places
+from .places import HOPS, Places
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,30 @@ CANDIDATES = CandidateSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """Evidence [nats] that k pairs of places are one each, by what is around them.
+
+    branches: (k,) log odds of their branches; support, conflict: (k,) by the corridors around that
+    agree and that disagree, both positive; turn: (k,) to be added to the branches of the second
+    place to meet those of the first [rad].
+    """
+
+    branches: FloatArray
+    support: FloatArray
+    conflict: FloatArray
+    turn: FloatArray
+
+    def __getitem__(self, rows: NDArray[Any]) -> Surroundings:
+        return take(self, rows)
+
+    @property
+    def odds(self) -> FloatArray:
+        """(k,) all of it [nats]."""
+        out: FloatArray = self.branches + self.support - self.conflict
+        return out
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Candidates:
     """Pairs of places a < b that may be one place, with the terms of their log odds [nats], (k,)
     each."""
@@ -51,13 +76,9 @@ class Candidates:
     a: IntArray
     b: IntArray
     position: FloatArray
-    branches: FloatArray
-    support: FloatArray
-    conflict: FloatArray
+    around: Surroundings
     aliasing_penalty: FloatArray
     """Deducted because null pairs look as much alike."""
-    turn: FloatArray
-    """To be added to the branches of b to meet those of a [rad]."""
     ground: DrivenGround
     fits: BoolArray
     """Whether their distance passes the gate. The others are nearer to each other than two
@@ -70,7 +91,7 @@ class Candidates:
     @property
     def alike(self) -> FloatArray:
         """(k,) all evidence but that of position [nats]."""
-        out: FloatArray = self.branches + self.support - self.conflict - self.aliasing_penalty
+        out: FloatArray = self.around.odds - self.aliasing_penalty
         return out
 
     @property
@@ -81,7 +102,7 @@ class Candidates:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Apart:
+class _Pairs:
     """Pairs of places a < b: shift (k, 2) from b to a [m], cov (k, 3, 3) of it and of the
     rotation."""
 
@@ -93,12 +114,7 @@ class _Apart:
     def __len__(self) -> int:
         return len(self.a)
 
-    def odds(self, common: Background) -> tuple[FloatArray, FloatArray]:
-        """(k,) each: `position_odds` and squared Mahalanobis distance, including the noise of both
-        centres."""
-        return position_odds(common, self.shift, self.noisy(common))
-
-    def noisy(self, common: Background) -> FloatArray:
+    def shift_covariance(self, common: Background) -> FloatArray:
         """(k, 2, 2) covariance of the shift, including the noise of both centres."""
         out: FloatArray = self.cov[:, :2, :2] + 2 * common.centre_sigma**2 * np.eye(2)
         return out
@@ -113,9 +129,8 @@ def candidates(
 ) -> Candidates:
     """All pairs of places that position and branches allow, with the terms of their evidence.
 
-    Cheap bounds come first: dead reckoning, and the most that branches and corridors could add at
-    the best position. The remaining pairs get covariances of the solved pose
-    graph if `exact`; otherwise the bounds are used in their place.
+    Dead reckoning bounds the covariances first. The pairs that it does not exclude get those of the
+    solved pose graph if `exact`; otherwise the bounds are used in their place.
     """
     common = state.common
     pairs = _known_apart(state, place, estimate)
@@ -124,49 +139,32 @@ def candidates(
     pairs = take(pairs, (pairs.shift**2).sum(axis=1) < LIKELIHOOD.gate_chi2(2) * spread)
     pairs = _nearest(pairs, CANDIDATES.most_pairs * len(state.places))
     if exact:
-        best = best_position_odds(common, pairs.shift)
-        pairs = take(pairs, best + _surroundings(state, pairs).sum() > 0.0)
         pairs = replace(pairs, cov=_exact_covariance(estimate, pairs.a, pairs.b))
-    odds, d2 = pairs.odds(common)
     # Without exact covariances only clear cases are kept: they make the others easier.
     least = -np.inf if exact else 0.0
+    odds, d2 = position_odds(common, pairs.shift, pairs.shift_covariance(common))
     fits = d2 < LIKELIHOOD.gate_chi2(2)
     fine = odds > np.where(fits, least, 0.0)
     pairs, fits = take(pairs, fine), fits[fine]
+    cov = pairs.shift_covariance(common)
     ground = driven_ground(state.places, state.xy, pairs.a, pairs.b, common.reach_m)
-    odds, _ = position_odds(common, pairs.shift, pairs.noisy(common), ground)
-    odds = among_neighbours(common, odds, pairs.shift, pairs.noisy(common))
-    sure = odds > least
-    pairs, odds, ground, fits = take(pairs, sure), odds[sure], ground[sure], fits[sure]
-    found = _surroundings(state, pairs)
-    # Branches that no rotation within reach aligns are those of two places.
-    known = found.branches > -np.inf
-    pairs, odds, ground, fits = take(pairs, known), odds[known], ground[known], fits[known]
-    found = take(found, known)
-    alike = found.sum()
+    odds, _ = position_odds(common, pairs.shift, cov, ground)
+    odds = among_neighbours(common, odds, pairs.shift, cov)
+    around = _surroundings(state, pairs)
     slack = EVIDENCE.lead if common.lattice.repeats else 0.0
-    aliasing_penalty = np.maximum(alike - calibrated_odds(alike, null_pairs, slack), 0.0)
-    return Candidates(
-        pairs.a,
-        pairs.b,
-        odds,
-        found.branches,
-        found.support,
-        found.conflict,
-        aliasing_penalty,
-        found.turn,
-        ground,
-        fits,
-    )
+    penalty = np.maximum(around.odds - calibrated_odds(around.odds, null_pairs, slack), 0.0)
+    found = Candidates(pairs.a, pairs.b, odds, around, penalty, ground, fits)
+    # Branches that no rotation within reach aligns are those of two places.
+    return take(found, (odds > least) & (around.branches > -np.inf))
 
 
-def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Apart:
+def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Pairs:
     """Pairs of places within reach, in one piece of odometry, with bounds of their covariance.
 
     Pairs excluded by dead reckoning alone stay excluded: closures only reduce the uncertainty.
     """
     reckoning, places = state.reckoning, state.places
-    reach_m = GROWTH.hops * state.common.leg_m
+    reach_m = HOPS * state.common.leg_m
     a, b = pairs_within(estimate.xy, reach_m, CANDIDATES.most_tabled).T
     i, j = _nearest_in_time(places, place, a, b)
     same = reckoning.piece[i] == reckoning.piece[j]
@@ -174,17 +172,17 @@ def _known_apart(state: MapState, place: IntArray, estimate: Estimate) -> _Apart
     i, j = i[same], j[same]
     turn = 0.5 * (estimate.pose[i, 2] + estimate.pose[j, 2])
     cov = _turned(dead_reckoning_covariance(reckoning, i, j), turn)
-    return _Apart(a, b, estimate.xy[a] - estimate.xy[b], cov)
+    return _Pairs(a, b, estimate.xy[a] - estimate.xy[b], cov)
 
 
-def _null_pairs(state: MapState, pairs: _Apart) -> FloatArray:
-    """(m,) ascending: likeness (log odds of branches and corridors) of null pairs, i.e. pairs that
-    position excludes.
+def _null_pairs(state: MapState, pairs: _Pairs) -> FloatArray:
+    """(m,) ascending: log odds by their surroundings of null pairs, i.e. pairs that position
+    excludes.
 
     In rows of corridors of equal length, different places look alike more often than independent
     lengths would make them: this measures how often in this run.
     """
-    _, d2 = pairs.odds(state.common)
+    _, d2 = position_odds(state.common, pairs.shift, pairs.shift_covariance(state.common))
     apart = np.hypot(*pairs.shift.T) > state.common.core_m
     rows = np.flatnonzero((d2 > LIKELIHOOD.gate_chi2(2)) & apart)
     aside = state.common.lattice.is_step(pairs.shift[rows])
@@ -193,7 +191,7 @@ def _null_pairs(state: MapState, pairs: _Apart) -> FloatArray:
         # suffice for odds of `lead`.
         rows = rows[aside]
     rows = rows[:: -(-len(rows) // CANDIDATES.most_strangers) or 1]
-    return np.sort(_surroundings(state, take(pairs, rows)).sum())
+    return np.sort(_surroundings(state, take(pairs, rows)).odds)
 
 
 def calibrated_odds(alike: FloatArray, null_pairs: FloatArray, slack: float = 0.0) -> FloatArray:
@@ -226,7 +224,7 @@ def pairs_within(xy: FloatArray, reach_m: float, most: int) -> IntArray:
     return out
 
 
-def _nearest(pairs: _Apart, most: int) -> _Apart:
+def _nearest(pairs: _Pairs, most: int) -> _Pairs:
     """The `most` pairs with the smallest shifts; the others are considered in later rounds."""
     if len(pairs) <= most:
         return pairs
@@ -234,30 +232,13 @@ def _nearest(pairs: _Apart, most: int) -> _Apart:
     return take(pairs, np.sort(near))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Surroundings:
-    """Evidence [nats] from branches and corridors, and the rotation that aligns the branches
-    [rad]."""
-
-    branches: FloatArray
-    support: FloatArray
-    conflict: FloatArray
-    turn: FloatArray
-
-    def sum(self) -> FloatArray:
-        out: FloatArray = self.branches + self.support - self.conflict
-        return out
-
-
-def _surroundings(state: MapState, pairs: _Apart) -> _Surroundings:
+def _surroundings(state: MapState, pairs: _Pairs) -> Surroundings:
     a, b = pairs.a, pairs.b
     turn_sigma = np.sqrt(np.maximum(pairs.cov[:, 2, 2], 0.0))
     aligned = align(state.branches, a, b, turn_sigma=turn_sigma)
-    grown = grow(state, a, b, aligned)
     # Adjacent legs are not independent: each hop counts `lead` at most.
-    cap = GROWTH.hops * EVIDENCE.lead
-    gain, loss = np.minimum(grown.gain, cap), np.minimum(grown.loss, cap)
-    return _Surroundings(aligned.odds, gain, loss, aligned.turn)
+    gain, loss = (np.minimum(x, HOPS * EVIDENCE.lead) for x in grow(state, a, b, aligned))
+    return Surroundings(aligned.odds, gain, loss, aligned.turn)
 
 
 def _nearest_in_time(

@@ -54,6 +54,7 @@ def place_errors(
     rng = np.random.default_rng(20052)
 
     def drawn(*shape: int) -> FloatArray:
+        """(*shape, count) independent normal errors of unit variance."""
         return of_unit_variance(rng.standard_normal((*shape, count)))
 
     alone = node < len(reckoning)

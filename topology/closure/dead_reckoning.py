@@ -32,12 +32,11 @@ class SystematicErrors:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Loops:
-    """Relative poses that were measured between passes apart in time, by what a laser saw there.
+class Factors:
+    """Measured relative poses of nodes of a `PoseGraph`. Its first nodes are the passes of a run,
+    at their centres and rotated like the odometry frame.
 
-    first, second: (k,) passes; measurement: (k, 3) T_first_second, information: (k, 3, 3), both as
-    of a `PoseGraph` whose nodes are the passes, at their centres and rotated like the odometry
-    frame.
+    first, second: (k,) nodes; measurement: (k, 3) T_first_second; information: (k, 3, 3) of it.
     """
 
     first: IntArray
@@ -54,7 +53,7 @@ class Loops:
         return len(self.first)
 
 
-NO_LOOPS = Loops(
+NO_FACTORS = Factors(
     np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3, 3))
 )
 
@@ -68,8 +67,8 @@ class DeadReckoning:
     the place to where the robot came from and went to, NaN where unknown. aside: (p,) distance at
     which the robot passed the place [m]. sums: (p, 13) prefix sums over the odometry up to each
     pass (see `_prefix_sums`), about `origin` (p, 2), the centroid of the pass's piece; jumps: (p,
-    7) what the odometry's jumps add to the variances among them; loops: relative poses known
-    beside the odometry.
+    7) what the odometry's jumps add to the variances among them; loops: between passes apart
+    in time, measured by what a laser saw there.
     """
 
     passes: Passes
@@ -83,7 +82,7 @@ class DeadReckoning:
     origin: FloatArray
     sums: FloatArray
     jumps: FloatArray
-    loops: Loops = field(default=NO_LOOPS)
+    loops: Factors = field(default=NO_FACTORS)
 
     def __len__(self) -> int:
         return len(self.passes)
@@ -128,11 +127,11 @@ corridors."""
 
 def _loops_of_passes(
     odometry: Odometry, passes: Passes, noise: RunNoise, again: SeenAgain
-) -> Loops:
+) -> Factors:
     """Each time that the robot came by a place again, as a loop between the two passes next to it,
     of which the one known best is kept for every pair."""
     if not len(again) or not len(passes):
-        return NO_LOOPS
+        return NO_FACTORS
     way, piece = way_at(odometry, passes.time_ns), stretch_of(odometry, passes.time_ns)
     rows, covs = [], [np.linalg.inv(again.information)]
     for times in (again.first_ns, again.second_ns):
@@ -147,15 +146,13 @@ def _loops_of_passes(
     cov = sum(covs[1:], covs[0])
     size = cov[:, 0, 0] + cov[:, 1, 1]
     fine = np.flatnonzero((first >= 0) & (first != second))
-    order = fine[np.lexsort((size[fine], second[fine], first[fine]))]
-    new = np.ones(len(order), bool)
-    new[1:] = (np.diff(first[order]) != 0) | (np.diff(second[order]) != 0)
-    kept = order[new]
+    best = fine[np.argsort(size[fine], kind="stable")]
+    kept = best[np.unique([first[best], second[best]], axis=1, return_index=True)[1]]
     first, second = first[kept], second[kept]
     measured = np.zeros((len(kept), 3))
     measured[:, :2] = passes.centre[second] - passes.centre[first]
     information = np.linalg.inv(cov[kept])
-    return Loops(first, second, measured, 0.5 * (information + information.transpose(0, 2, 1)))
+    return Factors(first, second, measured, 0.5 * (information + information.transpose(0, 2, 1)))
 
 
 def _straight_covariance(noise: RunNoise, way: FloatArray) -> FloatArray:
@@ -292,6 +289,7 @@ def dead_reckoning_covariance(
 
 
 def _between(sums: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    """(k, c) sums over the odometry between two passes each, in either order."""
     low, high = np.minimum(first, second), np.maximum(first, second)
     difference: FloatArray = sums[high] - sums[low]
     return difference

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..arrays import FloatArray, IntArray
 from ..circular import cluster_angles
+from ..columns import joined
 from ..matching.likelihood import LIKELIHOOD
 from ..passes import ONE_WAY_RAD
 from ..posegraph.graph import PoseGraph, Priors, SharedErrors
@@ -16,8 +17,17 @@ from ..posegraph.marginals import Marginals
 from ..posegraph.samples import SampledMarginals
 from ..posegraph.solve import Solution, SolverSettings, solve
 from ..se2 import turned, wrap
-from .dead_reckoning import DeadReckoning, relative_covariance, systematic_modes
+from .dead_reckoning import (
+    NO_FACTORS,
+    DeadReckoning,
+    Factors,
+    relative_covariance,
+    systematic_modes,
+)
 from .manhattan import GridCorridors, GridHeadings
+
+GAP_M = 20.0
+"""Space between the pieces of a map, wider than most corridors are long [m]."""
 
 _SWING = 0.5
 """A heading error that accumulates uniformly along a leg rotates its end about its start by half as
@@ -36,7 +46,8 @@ class EstimateSettings:
     """Absolute tolerance of the solver: a step that lowers χ² by less moves no pose by a third of
     its standard deviation."""
     samples: int = 64
-    """Samples for covariances of many nodes: standard error of a variance √(2 / 64) = 18 %."""
+    """Samples for covariances of many nodes, and for the redundancy of edges
+    (`variance_components.py`): standard error of a variance √(2 / 64) = 18 %."""
 
 
 ESTIMATE = EstimateSettings()
@@ -51,7 +62,7 @@ class Estimate:
     it has several passes, else its pass. sighting: (k,) pass of each observation factor;
     sighting_chi2: (k,) its squared error in sigmas; loop_chi2: the same of each of the loops.
     reduced_chi2: mean squared error in sigmas per degree of freedom, 1 if the noise model is right;
-    freedom: degrees of freedom, without those of loops. samples: for covariances of many nodes.
+    freedom: degrees of freedom, without those of loops.
     """
 
     pose: FloatArray
@@ -64,7 +75,6 @@ class Estimate:
     freedom: int
     graph: PoseGraph
     solution: Solution
-    samples: int
 
     def relative_covariance(self, a: IntArray, b: IntArray) -> FloatArray:
         """(k, 3, 3) of nodes b relative to nodes a, in the axes of a: exact for few nodes, sampled
@@ -72,7 +82,7 @@ class Estimate:
 
         Sampled covariances are enlarged by the relative standard error of a sampled sigma.
         """
-        samples = self.samples
+        samples = ESTIMATE.samples
         # A node takes three solutions, a sample one.
         if 3 * len(np.unique(np.concatenate([a, b]))) <= samples:
             return Marginals.of(self.graph, self.solution).relative(a, b)
@@ -104,65 +114,47 @@ def optimise(
     count = len(reckoning)
     if start is None:
         start = _dead_reckoned(reckoning, grid)
-    places = int(place.max(initial=-1)) + 1
-    visits = np.bincount(place[place >= 0], minlength=places)
-    several = np.flatnonzero(visits > 1)
-    node = np.full(places, -1, np.int64)
-    alone = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] == 1))
-    node[place[alone]] = alone
-    node[several] = count + np.arange(len(several))
-    legs, shared = (
-        _legs(reckoning),
-        _sightings(reckoning, place, visits, start[:, 2] if turn is None else turn),
-    )
-    guess = np.zeros((len(several), 3))
-    for k in (0, 1):
-        total = np.bincount(place[shared.row], start[shared.row, k], minlength=places)
-        guess[:, k] = total[several] / visits[several]
-    lines, line, pose = _lines(start, corridors)
-    loops = reckoning.loops
-    parts = (legs, shared, loops, lines)
-    row, sighting = len(legs.row), slice(len(legs.row), len(legs.row) + len(shared.row))
-    observed = slice(row, sighting.stop + len(loops))
-    edges = observed.stop + len(lines.row)
-    sensitivity = np.zeros((edges, 3, 2))
-    sensitivity[:row] = systematic_modes(reckoning, legs.row, legs.row + 1)
-    kernel = np.full(edges, np.inf)
-    kernel[observed.stop :] = ESTIMATE.grid_kernel
+    node, centres = _nodes(place, start)
+    nodes = count + len(centres)
+    legs, loops = _legs(reckoning), reckoning.loops
+    sightings = _sightings(reckoning, place, node, start[:, 2] if turn is None else turn)
+    lines, pose = _lines(start, corridors, nodes)
+    factors = joined([legs, sightings, loops, lines])
+    seen, gated, edges = np.cumsum([len(x) for x in (legs, sightings, loops, lines)])[1:].tolist()
+    sensitivity, kernel = np.zeros((edges, 3, 2)), np.full(edges, np.inf)
+    sensitivity[: len(legs)] = systematic_modes(reckoning, legs.first, legs.second)
+    kernel[gated:] = ESTIMATE.grid_kernel
     s = reckoning.systematic
     graph = PoseGraph(
-        pose=np.vstack([start, guess, pose]),
-        source=np.concatenate([legs.row, shared.row, loops.first, count + len(several) + line]),
-        target=np.concatenate([legs.row + 1, node[place[shared.row]], loops.second, lines.row]),
-        measurement=np.vstack([part.measurement for part in parts]),
-        information=np.concatenate([part.information for part in parts]),
+        pose=np.vstack([start, centres, pose]),
+        source=factors.first,
+        target=factors.second,
+        measurement=factors.measurement,
+        information=factors.information,
         kernel=kernel,
-        priors=_priors(grid, corridors, count + len(several)),
+        priors=_priors(grid, corridors, nodes),
         shared=SharedErrors(sensitivity, np.array([s.turn_rad_per_m, s.turn_rad_per_rad])),
-        swing=np.where(np.arange(edges) < row, _SWING, 0.0),
+        swing=np.where(np.arange(edges) < len(legs), _SWING, 0.0),
     )
-    graph, solution, chi2 = _solved(graph, observed)
-    freedom = 3 * (len(shared.row) - len(several)) + len(lines.row) - len(pose)
+    graph, solution, chi2 = _solved(graph, slice(len(legs), gated))
+    freedom = 3 * (len(sightings) - len(centres)) + len(lines) - len(pose)
     return Estimate(
         pose=solution.pose[:count],
         xy=solution.pose[node, :2],
         node=node,
-        sighting=shared.row,
-        sighting_chi2=solution.edge_chi2[sighting],
-        loop_chi2=solution.edge_chi2[sighting.stop : observed.stop],
+        sighting=sightings.first,
+        sighting_chi2=solution.edge_chi2[len(legs) : seen],
+        loop_chi2=solution.edge_chi2[seen:gated],
         reduced_chi2=_reduced_chi2(chi2, freedom, LIKELIHOOD.gate_chi2(3)),
         freedom=freedom,
         graph=graph,
         solution=solution,
-        samples=ESTIMATE.samples,
     )
 
 
-def set_apart(
-    reckoning: DeadReckoning, place: IntArray, estimate: Estimate, gap_m: float = 20.0
-) -> Estimate:
-    """The estimate with its pieces side by side along x, `gap_m` apart [m]: where the odometry
-    broke, the relative poses of its pieces are unknown.
+def set_apart(reckoning: DeadReckoning, place: IntArray, estimate: Estimate) -> Estimate:
+    """The estimate with its pieces side by side along x, `GAP_M` apart: where the odometry broke,
+    the relative poses of its pieces are unknown.
 
     place: (p,) of each pass, numbered from 0. A piece are the passes of one unbroken piece of
     odometry. Only `pose` and `xy` of the result are moved.
@@ -177,7 +169,7 @@ def set_apart(
     for piece in pieces.tolist():
         mine = reckoning.piece == piece
         low, high = pose[mine, 0].min(), pose[mine, 0].max()
-        shift = 0.0 if edge is None else edge + gap_m - low
+        shift = 0.0 if edge is None else edge + GAP_M - low
         pose[mine, 0] += shift
         xy[piece_of == piece, 0] += shift
         edge = high + shift
@@ -201,6 +193,23 @@ def _dead_reckoned(reckoning: DeadReckoning, grid: GridHeadings | None) -> Float
     steps = turned(np.diff(centre, axis=0), half)
     xy = centre[0] + np.vstack([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
     return np.column_stack([xy, wrap(turn)])
+
+
+def _nodes(place: IntArray, start: FloatArray) -> tuple[IntArray, FloatArray]:
+    """(n,) node of every place: its pass, or, if it has several, one of its own after those of all
+    passes; and (s, 3) initial poses of the latter, the mean position of their passes."""
+    places = int(place.max(initial=-1)) + 1
+    row = np.flatnonzero(place >= 0)
+    visits = np.bincount(place[row], minlength=places)
+    several = np.flatnonzero(visits > 1)
+    node = np.zeros(places, np.int64)
+    node[place[row]] = row
+    node[several] = len(place) + np.arange(len(several))
+    centres = np.zeros((len(several), 3))
+    for k in (0, 1):
+        total = np.bincount(place[row], start[row, k], minlength=places)
+        centres[:, k] = total[several] / visits[several]
+    return node, centres
 
 
 def _solved(graph: PoseGraph, observed: slice) -> tuple[PoseGraph, Solution, FloatArray]:
@@ -250,20 +259,13 @@ def _priors(
     return Priors.headings(row, turn, sigma, kernel)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Factors:
-    """Relative pose measurements, as of `PoseGraph`. row: (k,) pass that each factor begins at."""
-
-    row: IntArray
-    measurement: FloatArray
-    information: FloatArray
-
-
-def _legs(reckoning: DeadReckoning) -> _Factors:
+def _legs(reckoning: DeadReckoning) -> Factors:
+    """The odometry from each pass to the next one, unless it broke in between."""
     row = np.flatnonzero(np.diff(reckoning.piece) == 0)
     cov = leg_covariance(reckoning, row) + np.diag([1e-6, 1e-6, 1e-8])
     shift = np.diff(reckoning.passes.centre, axis=0)[row]
-    return _Factors(row, np.column_stack([shift, np.zeros(len(row))]), _information(cov))
+    measurement = np.column_stack([shift, np.zeros(len(row))])
+    return Factors(row, row + 1, measurement, _information(cov))
 
 
 def leg_covariance(reckoning: DeadReckoning, row: IntArray) -> FloatArray:
@@ -285,24 +287,20 @@ def _information(cov: FloatArray) -> FloatArray:
     """
     variance, axes = np.linalg.eigh(cov)
     least = 1e-12 * variance[:, -1:]
-    poor = variance[:, 0] < least[:, 0]
-    information = np.empty_like(cov)
-    information[~poor] = np.linalg.inv(cov[~poor])
-    axes = axes[poor]
-    scaled = axes / np.maximum(variance, least)[poor, None, :] @ axes.transpose(0, 2, 1)
-    information[poor] = 0.5 * (scaled + scaled.transpose(0, 2, 1))
-    return information
+    scaled = axes / np.maximum(variance, least)[:, None, :] @ axes.transpose(0, 2, 1)
+    return np.asarray(0.5 * (scaled + scaled.transpose(0, 2, 1)))
 
 
 def _sightings(
     reckoning: DeadReckoning,
     place: IntArray,
-    visits: IntArray,
+    node: IntArray,
     turn: FloatArray,
-) -> _Factors:
-    """Observation factors of places with several passes: the centres coincide, the branches fix the
-    rotation."""
-    row = np.flatnonzero((place >= 0) & (visits[np.maximum(place, 0)] > 1))
+) -> Factors:
+    """Observations of places with several passes, which have nodes of their own: the centres
+    coincide, the branches fix the rotation."""
+    row = np.flatnonzero(place >= 0)
+    row = row[node[place[row]] >= len(place)]
     branches = reckoning.passes.branches
     home = np.where(place < 0, place.max(initial=0) + 1 + np.arange(len(reckoning)), place)
     slots = cluster_angles(
@@ -316,17 +314,16 @@ def _sightings(
     information = np.zeros((len(row), 3, 3))
     information[:, 0, 0] = information[:, 1, 1] = reckoning.noise.centre_m**-2
     information[:, 2, 2] = counts[row] * reckoning.noise.branch_rad**-2
-    return _Factors(row, measurement, information)
+    return Factors(row, node[place[row]], measurement, information)
 
 
 def _lines(
-    start: FloatArray, corridors: GridCorridors | None
-) -> tuple[_Factors, IntArray, FloatArray]:
-    """Factors of passes that lie on grid corridors, the line of each (k,), and the initial poses of
-    the lines (c, 3), which start at their first passes."""
+    start: FloatArray, corridors: GridCorridors | None, nodes: int
+) -> tuple[Factors, FloatArray]:
+    """From the lines of grid corridors, which are nodes after the first `nodes`, to the passes on
+    them; and the initial poses of the lines (c, 3), which start at their first passes."""
     if corridors is None:
-        none, poses = np.zeros(0, np.int64), np.zeros((0, 3))
-        return _Factors(none, poses, np.zeros((0, 3, 3))), none, poses
+        return NO_FACTORS, np.zeros((0, 3))
     row, begin = corridors.row, np.diff(corridors.corridor, prepend=-1) > 0
     information = np.zeros((len(row), 3, 3))
     information[:, 1, 1] = corridors.sigma_m**-2
@@ -334,4 +331,4 @@ def _lines(
     pose = np.column_stack([start[row[begin], :2], corridors.direction])
     measurement = np.zeros((len(row), 3))
     measurement[:, 1] = corridors.aside
-    return _Factors(row, measurement, information), corridors.corridor, pose
+    return Factors(nodes + corridors.corridor, row, measurement, information), pose

@@ -7,7 +7,7 @@ run contributes little. Lengths are compared by `matching/likelihood.py`; for br
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chndtr
@@ -16,7 +16,7 @@ from ..arrays import FloatArray
 from ..matching.likelihood import LIKELIHOOD, Lengths, length_log_density
 from ..topomap import RunNoise
 from .dead_reckoning import DeadReckoning
-from .lattice import Lattice, lattice_of, no_lattice, squared_mahalanobis
+from .lattice import NO_LATTICE, Lattice, lattice_of, squared_mahalanobis
 from .negative_information import DrivenGround
 from .places import Places
 
@@ -48,7 +48,7 @@ class EvidenceSettings:
 EVIDENCE = EvidenceSettings()
 
 
-PRIOR_PASSES = 25.0
+PRIOR_PASSES = 15.0
 """Weight of the prior of a detector's error rates, in passes."""
 
 
@@ -71,7 +71,7 @@ class Background:
     centre_sigma: float
     fault_rate: float
     miss_rate: float
-    lattice: Lattice = field(default_factory=no_lattice)
+    lattice: Lattice = NO_LATTICE
 
     @property
     def density(self) -> float:
@@ -179,18 +179,6 @@ def among_neighbours(
     against = -0.5 * d2 - np.log(2 * np.pi * np.sqrt(det)) - np.log(density)
     out[vague] = np.minimum(odds[vague], against)
     return out
-
-
-def best_position_odds(common: Background, shift: FloatArray) -> FloatArray:
-    """(k,) `position_odds` with the isotropic covariance that maximises them for each shift (k, 2)
-    [m].
-
-    A cheap approximate upper bound: an elongated covariance along the shift, or one that places the
-    other certainly within the core, can exceed it by a few nats.
-    """
-    s2 = np.maximum(0.5 * (shift**2).sum(axis=1), 2 * common.centre_sigma**2)
-    odds, _ = position_odds(common, shift, s2[:, None, None] * np.eye(2))
-    return odds
 
 
 def length_odds(common: Background, a: FloatArray, b: FloatArray, var: FloatArray) -> FloatArray:

@@ -17,14 +17,13 @@ from ..se2 import turned
 from .branches import Alignment, Branches, align
 from .dead_reckoning import DeadReckoning
 from .evidence import Background, length_odds
-from .places import NOWHERE, Places
+from .places import HOPS, NOWHERE, Places
 
 
 @dataclass(frozen=True, slots=True)
 class GrowthSettings:
-    """How far hypotheses grow and how steps count."""
+    """How the steps of growth count."""
 
-    hops: int = 4
     discount: float = 0.85
     """Weight of each hop relative to the one before: legs are not independent of each other. Tried:
     with 1 a run on tiles is closed wrongly under three times the noise."""
@@ -46,17 +45,6 @@ class MapState:
     xy: FloatArray
     common: Background
     branches: Branches
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Support:
-    """Evidence [nats] of the surroundings of each hypothesis.
-
-    gain: (k,) from corridors that agree; loss: (k,) positive, from those that disagree.
-    """
-
-    gain: FloatArray
-    loss: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,9 +80,12 @@ def grow(
     a: IntArray,
     b: IntArray,
     aligned: Alignment,
-) -> Support:
-    """Support of the hypotheses "place a[k] is place b[k]", grown over `GROWTH.hops`
-    corridors."""
+) -> tuple[FloatArray, FloatArray]:
+    """Evidence [nats] for and against the hypotheses "place a[k] is place b[k]", both (k,) and
+    positive, from the corridors around them that agree and that disagree, over `HOPS` corridors.
+
+    aligned: the branches of a and b.
+    """
     places, common = state.places, state.common
     k = len(a)
     gain, loss = np.zeros(k), np.zeros(k)
@@ -102,7 +93,7 @@ def grow(
     seen = _keys(front.hypothesis, a, b, len(places))
     weight, miss = 1.0, float(np.log(common.miss_rate))
     turn_sigma = float(np.sqrt(state.branches.variance))
-    for _ in range(GROWTH.hops):
+    for _ in range(HOPS):
         pairs = _leave(places, front)
         if len(pairs.row) == 0:
             break
@@ -142,7 +133,7 @@ def grow(
             ends.partner[np.flatnonzero(good)[at]],
         )
         weight *= GROWTH.discount
-    return Support(gain, loss)
+    return gain, loss
 
 
 def _keys(hypothesis: IntArray, a: IntArray, b: IntArray, n: int) -> IntArray:
@@ -216,7 +207,7 @@ def _past_missed(state: MapState, front: _Front, pairs: _Reached) -> tuple[_Reac
     # One continuation per pair: the one nearest in length.
     off = np.abs(tried.la[fine] - tried.lb[fine])
     order = fine[np.lexsort((off, index[fine]))]
-    once = order[np.concatenate([[True], np.diff(index[order]) != 0])] if len(order) else order
+    once = order[np.diff(index[order], prepend=-1) > 0]
     return take(tried, once), index[once]
 
 

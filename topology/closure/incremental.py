@@ -249,7 +249,7 @@ def _fitting_scale(now: float, estimate: Estimate) -> float:
 
 
 def _blocked(found: Candidates, blocked: set[tuple[int, int]], place: IntArray) -> BoolArray:
-    """(k,) candidates that would rejoin two passes whose identification was taken back."""
+    """(k,) whether a candidate would rejoin two passes whose identification was taken back."""
     pairs = {frozenset((int(place[i]), int(place[j]))) for i, j in blocked}
     ends = zip(found.a.tolist(), found.b.tolist(), strict=True)
     return np.array([frozenset(pair) in pairs for pair in ends], bool)
@@ -386,7 +386,7 @@ def _answer(
 ) -> Identification:
     """The answer for a candidate."""
     i, j = int(places.first[found.a[row]]), int(places.first[found.b[row]])
-    turn = float(found.turn[row])
+    turn = float(found.around.turn[row])
     if i > j:
         i, j, turn = j, i, -turn
     return Identification(i, j, accepted, odds / BIT, reason, turn)
@@ -438,9 +438,9 @@ def _doubted(
         for pair, q in before.items()
     }
     total = found.total
-    for k in np.flatnonzero(found.position + found.branches > 0).tolist():
+    for k in np.flatnonzero(found.position + found.around.branches > 0).tolist():
         reason = UNSURE
-        if found.conflict[k] > 2:
+        if found.around.conflict[k] > 2:
             reason = DISAGREE
         elif total[k] + found.aliasing_penalty[k] >= least > total[k]:
             reason = COMMON

@@ -11,8 +11,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.cluster.hierarchy import linkage
-from scipy.spatial.distance import squareform
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..passes import ONE_WAY_RAD
@@ -100,7 +98,7 @@ def agreeing(
     start = _Beliefs(*_shifts(estimate, a, b), found.alike[rows], found.ground[rows], common)
     shared, excluded = _sharing(a, b)
     # Candidates that share a place are not independent; each set holds one of them.
-    sets = [_grown(start, found.support[rows], seed, shared) for seed in range(len(rows))]
+    sets = [_grown(start, found.around.support[rows], seed, shared) for seed in range(len(rows))]
     worth = np.array([value for value, _ in sets])
     best = int(worth.argmax())
     members = np.sort(np.array(sets[best][1]))
@@ -116,17 +114,14 @@ def agreeing(
 
 
 def _one_step_off(start: _Beliefs, members: IntArray) -> float:
-    """Log odds [nats] of the most likely alternative in a map that repeats itself: a group of
-    members, all shifted by one lattice step. Groups are members with correlated errors."""
+    """Log odds [nats] of the most likely alternative in a map that repeats itself: a single member,
+    or all of them, shifted by one lattice step."""
     lattice = start.common.lattice
     if not lattice.repeats:
         return -np.inf
     rows = (2 * members[:, None] + np.arange(2)).ravel()
     cov = start.cov[np.ix_(rows, rows)] + 2 * start.common.centre_sigma**2 * np.eye(len(rows))
-    own = cov.reshape(len(members), 2, len(members), 2).trace(axis1=1, axis2=3)
-    apart = own.diagonal()[:, None] + own.diagonal() - 2 * own
     step_m = np.hypot(*lattice.steps.T)
-    groups = _tied(apart)
     # A map that is not optimised yet may be bent: steps in all directions as well.
     ways = int(np.ceil(2 * np.pi / ONE_WAY_RAD))
     angle = np.arange(ways) * (2 * np.pi / ways)
@@ -136,7 +131,7 @@ def _one_step_off(start: _Beliefs, members: IntArray) -> float:
     information = np.linalg.inv(cov)
     push = information @ start.shift[rows]
     worst = -np.inf
-    for group in groups:
+    for group in (*np.eye(len(members), dtype=bool), np.ones(len(members), bool)):
         mine = group.repeat(2)
         # Conditional distribution of the mean shift of the group, given the others.
         mean = np.tile(np.eye(2), int(group.sum())) / group.sum()
@@ -145,22 +140,6 @@ def _one_step_off(start: _Beliefs, members: IntArray) -> float:
         further = np.einsum("ri,ij,rj->r", step - 2 * at, known, step)
         worst = max(worst, float((odds - 0.5 * further).max()))
     return worst
-
-
-def _tied(apart: FloatArray) -> BoolArray:
-    """(g, k) groups of members by single linkage: each member, all of them, and the clusters
-    between.
-
-    apart: (k, k) variances of the differences of their errors.
-    """
-    count = len(apart)
-    group = np.eye(count, dtype=bool)
-    if count < 2:
-        return group
-    distance = squareform(np.maximum(apart, 0.0), checks=False)
-    for a, b, _, _ in linkage(distance, "single"):
-        group = np.concatenate([group, [group[int(a)] | group[int(b)]]])
-    return group
 
 
 def _sharing(a: IntArray, b: IntArray) -> tuple[BoolArray, BoolArray]:
@@ -196,7 +175,8 @@ def _shifts(estimate: Estimate, a: IntArray, b: IntArray) -> tuple[FloatArray, F
 def _grown(
     start: _Beliefs, support: FloatArray, seed: int, shared: BoolArray
 ) -> tuple[float, list[int]]:
-    """Joint log odds of the set that grows greedily from a seed, and its members.
+    """Joint log odds of the set that grows greedily from candidate `seed`, and its members: always
+    by the most likely candidate that shares no place with a member (shared: (k, k), `_sharing`).
 
     support: (k,) part of the odds that comes from the corridors around. It counts once, for the
     seed, because the members have these corridors in common.

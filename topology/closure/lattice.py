@@ -1,5 +1,4 @@
-"""The arrangement of junctions around a junction, and the lattice vectors by which a map repeats
-itself (perceptual aliasing).
+"""The lattice vectors by which a map repeats itself (perceptual aliasing).
 
 Rows of crops, shelves or pillars put junctions on a lattice. One lattice vector away, another
 junction is far more likely than the mean density of junctions says, and looks the same. All of it
@@ -16,20 +15,15 @@ from scipy.sparse.csgraph import connected_components
 
 from ..arrays import BoolArray, FloatArray
 from ..matching.likelihood import LIKELIHOOD
-from .places import NOWHERE, Places
+from .places import HOPS, NOWHERE, Places
 
 
 @dataclass(frozen=True, slots=True)
 class LatticeSettings:
-    """How neighbours and lattice vectors are found."""
+    """How lattice vectors are found."""
 
-    hops: int = 4
-    """Places up to so many legs from each other, and less than as many typical legs apart, are
-    neighbours."""
-    sample: int = 200
-    """Size of the sample of neighbours that represents all."""
     width_m: float = 0.3
-    """1 sigma of the position of a neighbour that is predicted from other places [m]."""
+    """1 sigma of the step from a place to the next one by a lattice vector [m]."""
     least_places: int = 20
     """Pieces with fewer places have no lattice of their own, unless there is no larger one."""
     regular: float = 0.4
@@ -42,18 +36,14 @@ LATTICE = LatticeSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Neighbouring junctions, in the axes of the map.
+    """By what a map repeats itself, in its axes.
 
-    beside: (m, 2) [m] sample of shifts from a place to another one; each represents `crowd`
-    neighbours of every place. steps: (r, 2) [m] lattice vectors by which the map repeats itself;
-    share: (r,) of the places that have another place at that step; width_m: see `LatticeSettings`.
+    steps: (r, 2) [m] lattice vectors; share: (r,) of the places that have another place at that
+    step.
     """
 
-    beside: FloatArray
-    crowd: float
     steps: FloatArray
     share: FloatArray
-    width_m: float
 
     @property
     def repeats(self) -> bool:
@@ -63,21 +53,18 @@ class Lattice:
     def density(self, shift: FloatArray, cov: FloatArray) -> FloatArray:
         """(k,) other junctions per m² at `shift` (k, 2) [m], known with covariance `cov` (k, 2, 2)
         [m²]."""
-        around = _gaussians(shift, self.beside, cov + self.width_m**2 * np.eye(2)).sum(axis=1)
-        on_steps = _gaussians(shift, self.steps, cov) @ self.share
-        out: FloatArray = np.maximum(self.crowd * around, on_steps)
+        out: FloatArray = _gaussians(shift, self.steps, cov) @ self.share
         return out
 
     def is_step(self, shift: FloatArray) -> BoolArray:
         """(k,) whether `shift` (k, 2) [m] is a lattice vector."""
         off = np.abs(shift[:, None, :] - self.steps).max(axis=2)
-        found: BoolArray = (off < 2 * self.width_m).any(axis=1)
+        found: BoolArray = (off < 2 * LATTICE.width_m).any(axis=1)
         return found
 
 
-def no_lattice() -> Lattice:
-    """The lattice of a map that does not repeat itself."""
-    return Lattice(np.zeros((0, 2)), 0.0, np.zeros((0, 2)), np.zeros(0), 1.0)
+NO_LATTICE = Lattice(np.zeros((0, 2)), np.zeros(0))
+"""Of a map that does not repeat itself."""
 
 
 def lattice_of(
@@ -87,7 +74,8 @@ def lattice_of(
     core_m: float,
     typical_m: float,
 ) -> Lattice:
-    """The arrangement of neighbours in a map with places at `xy` (n, 2) [m].
+    """By what a map with places at `xy` (n, 2) [m] repeats itself: steps between places with few
+    corridors between them that most places have.
 
     core_m: places nearer than this may be the same junction [m]; typical_m: typical distance
     between junctions [m]. Lattice vectors are searched separately in each piece of a broken
@@ -99,12 +87,12 @@ def lattice_of(
     step = csr_array((np.ones(len(source)), (source, target)), shape=(n, n)) + eye_array(n)
     step = ((step + step.T) > 0).astype(np.float64)
     around = step
-    for _ in range(LATTICE.hops - 1):
+    for _ in range(HOPS - 1):
         around = around @ step
     a, b = around.nonzero()
     shift = xy[b] - xy[a]
     way = np.hypot(*shift.T)
-    beyond = (way > core_m) & (way < LATTICE.hops * typical_m)
+    beyond = (way > core_m) & (way < HOPS * typical_m)
     shift, a = shift[beyond], a[beyond]
     _, piece = connected_components(step, directed=False)
     size = np.bincount(piece)
@@ -112,10 +100,7 @@ def lattice_of(
     found = [_steps(shift[piece[a] == k], int(size[k])) for k in large.tolist()]
     steps = np.concatenate([np.zeros((0, 2)), *(steps for steps, _ in found)])
     share = np.concatenate([np.zeros(0), *(share for _, share in found)])
-    if len(steps) == 0:
-        return no_lattice()
-    sample = shift[:: -(-len(shift) // LATTICE.sample)]
-    return Lattice(sample, len(shift) / n / len(sample), steps, share, LATTICE.width_m)
+    return Lattice(steps, share)
 
 
 def _steps(shift: FloatArray, places: int) -> tuple[FloatArray, FloatArray]:

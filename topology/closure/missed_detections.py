@@ -14,11 +14,12 @@ from scipy.spatial import cKDTree
 
 from ..arrays import BoolArray, FloatArray, IntArray
 from ..columns import joined, take
+from ..mapbuilding import DRAWING
 from ..odometry import Odometry
 from ..passes import DRIVEN_RAD, ONE_WAY_RAD
 from ..se2 import turned, wrap
-from ..track import seconds_at
-from ..visits import DrawnTrack, PassesAtPlaces, Visits, draw_track
+from ..track import BEYOND_M, seconds_at
+from ..visits import STEP_M, DrawnTrack, PassesAtPlaces, Visits, draw_track
 from .answers import Identification
 from .dead_reckoning import DeadReckoning
 from .estimate import Estimate
@@ -28,11 +29,8 @@ from .resolution import blurred, one_drive_by
 
 @dataclass(frozen=True, slots=True)
 class DrivenBySettings:
-    """When the track passes a place, and when a place is a phantom."""
+    """When a place is a phantom."""
 
-    reach_m: float = 0.7
-    """The track passes a place if it comes this near to its centre [m]."""
-    step_m: float = 0.1
     straight_gain: float = 4.5
     """Log odds [nats] of being a phantom added for a place with two opposite branches only."""
     least_odds: float = 2.0
@@ -79,21 +77,20 @@ def correct_detections(
     again[1:] = ~fair[1:] & (place[1:] == place[:-1]) & one_drive_by(reckoning, resolution_m)
     place, turn = np.where(again, NOWHERE, place), estimate.pose[:, 2]
 
-    def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, DrivenBy]:
+    def driven(place: IntArray, xy: FloatArray) -> tuple[Places, Visits, Visits]:
+        """The places, and the visits to them, detected and undetected."""
         places = tabulate(reckoning, np.where(fair, place, NOWHERE), turn)
-        visits = visits_of(reckoning, place, fair, estimate, xy)
-        return places, visits, driven_by(odometry, visits, xy, places)
+        seen = visits_of(reckoning, place, fair, estimate, xy)
+        return places, seen, driven_by(odometry, seen, xy, places)
 
-    places, _, found = driven(place, xy)
-    unseen = np.bincount(found.place, minlength=len(places))
+    places, _, passed = driven(place, xy)
+    unseen = np.bincount(passed.vertex, minlength=len(places))
     doubtful = phantoms(reckoning, places, unseen)
     # A map needs a place: where a run shows no other, doubtful ones stay.
     real, number = _renumbered(~doubtful | doubtful.all())
     place, xy = np.where(place >= 0, number[place], NOWHERE), xy[real]
-    _, visits, found = driven(place, xy)
-    first_s, _ = seconds_at(odometry, found.way)
-    time_ns = odometry.time_ns[0] + np.rint(1e9 * first_s).astype(np.int64)
-    visits = with_driven_by(visits, found, time_ns, xy)
+    visits = joined(driven(place, xy)[1:])
+    visits = take(visits, np.argsort(visits.time_ns, kind="stable"))
     return CorrectedPlaces(place, fair, turn, xy, visits, kept[real], one.identifications)
 
 
@@ -103,72 +100,51 @@ def _renumbered(keep: BoolArray) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(keep), number
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DrivenBy:
-    """Times when the robot passed a known place without detecting it.
-
-    leg: (k,) pass before; place: (k,); way: (k,) distance driven [m]; odom: (k, 2) point of the
-    track in the odometry frame; xy: (k, 2) the same in the map; turn: (k,) rotation between the two
-    [rad].
-    """
-
-    leg: IntArray
-    place: IntArray
-    way: FloatArray
-    odom: FloatArray
-    xy: FloatArray
-    turn: FloatArray
-
-
 def driven_by(
     odometry: Odometry,
     visits: Visits,
     xy: FloatArray,
     places: Places,
-) -> DrivenBy:
-    """Undetected places on the track between two visits. visits.vertex: place of each, none
-    negative.
+) -> Visits:
+    """Undetected visits of places at `xy` (n, 2) [m], on the track between two detected ones. None
+    of `visits.vertex` is negative.
 
-    The whole track is sampled and each sample assigned to its nearest place within reach. A run of
-    consecutive such samples is one event, at the sample nearest to a place: if the track passes two
-    places at once, as in overlapping layers of an unclosed loop, it is not known which one was
-    passed. O(way / step · log n).
+    The whole track is sampled and each sample assigned to its nearest place within `junction_m`
+    (`DRAWING`). A run of consecutive such samples is one event, at the sample nearest to a place:
+    if the track passes two places at once, as in overlapping layers of an unclosed loop, it is not
+    known which one was passed. O(way / step · log n).
     """
     first = np.flatnonzero(np.diff(visits.piece) == 0)
-    track = draw_track(odometry, visits, xy, first, DRIVEN_BY.step_m)
-    found = cKDTree(xy).query(track.xy, distance_upper_bound=DRIVEN_BY.reach_m)
+    track = draw_track(odometry, visits, xy, first)
+    found = cKDTree(xy).query(track.xy, distance_upper_bound=DRAWING.junction_m)
     distance, near = np.asarray(found[0], np.float64), np.asarray(found[1], np.int64)
     hit = np.flatnonzero(np.isfinite(distance))
-    if len(hit) == 0:
-        return _events(track, first, near, hit)
     fresh = np.ones(len(hit), bool)
     fresh[1:] = (np.diff(hit) != 1) | (np.diff(track.owner[hit]) != 0)
-    run = np.cumsum(fresh) - 1
-    best = hit[np.lexsort((distance[hit], run))[np.flatnonzero(fresh)]]
-    begin = hit[np.flatnonzero(fresh)]
-    end = hit[np.concatenate([np.flatnonzero(fresh)[1:], [len(hit)]]) - 1]
+    head = np.flatnonzero(fresh)
+    best = hit[np.lexsort((distance[hit], np.cumsum(fresh)))[head]]
+    begin, end = hit[head], hit[np.append(head[1:], len(hit))[: len(head)] - 1]
     # The visits at the two ends are known already.
     at_start = begin == track.offsets[track.owner[begin]]
     at_end = end == track.offsets[track.owner[end] + 1] - 1
     best = best[~(at_start | at_end)]
-    best = best[_along_branches(track, places, near, best)]
-    return _events(track, first, near, best)
-
-
-def _events(track: DrawnTrack, first: IntArray, near: IntArray, row: IntArray) -> DrivenBy:
-    return DrivenBy(
-        first[track.owner[row]],
-        near[row],
-        track.way[row],
-        track.odom[row],
-        track.xy[row],
-        track.turn[row],
+    row = best[_along_branches(track, places, near, best)]
+    place, turn = near[row], track.turn[row]
+    seconds, _ = seconds_at(odometry, track.way[row])
+    return Visits(
+        time_ns=odometry.time_ns[0] + np.rint(1e9 * seconds).astype(np.int64),
+        vertex=place,
+        seen=np.zeros(len(row), bool),
+        pose=np.column_stack([xy[place], turn]),
+        # The place in the odometry's frame at that time: the turn taken back.
+        centre=track.odom[row] + turned(xy[place] - track.xy[row], -turn),
+        piece=visits.piece[first[track.owner[row]]],
     )
 
 
 def _along_branches(track: DrawnTrack, places: Places, near: IntArray, row: IntArray) -> BoolArray:
     """(k,) whether the place has a branch where the robot came from or where it went."""
-    reach = max(1, round(1.0 / DRIVEN_BY.step_m))
+    reach = int(np.ceil(BEYOND_M / STEP_M))
     low, high = track.offsets[track.owner[row]], track.offsets[track.owner[row] + 1] - 1
     heading = places.heading[near[row]]
     fits = np.zeros(len(row), np.int64)
@@ -199,25 +175,8 @@ def phantoms(
         opposite = np.abs(np.abs(wrap(first_two[:, 1] - first_two[:, 0])) - np.pi)
         straight = (count == 2) & (opposite < ONE_WAY_RAD)
         odds = odds + DRIVEN_BY.straight_gain * straight
-    # A place where the robot turned into a branch is real.
-    turned = (places.driven > 0).sum(axis=1) > 2
-    result: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0) & ~turned
+    result: BoolArray = (odds > DRIVEN_BY.least_odds) & (unseen > 0)
     return result
-
-
-def with_driven_by(visits: Visits, found: DrivenBy, time_ns: IntArray, xy: FloatArray) -> Visits:
-    """The visits with the undetected ones inserted at their times `time_ns` (k,)."""
-    unseen = Visits(
-        time_ns=time_ns,
-        vertex=found.place,
-        seen=np.zeros(len(time_ns), bool),
-        pose=np.column_stack([xy[found.place], found.turn]),
-        # The place in the odometry's frame at that time: the turn taken back.
-        centre=found.odom + turned(xy[found.place] - found.xy, -found.turn),
-        piece=visits.piece[found.leg],
-    )
-    both = joined([visits, unseen])
-    return take(both, np.argsort(both.time_ns, kind="stable"))
 
 
 def visits_of(

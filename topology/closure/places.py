@@ -14,6 +14,10 @@ from .dead_reckoning import DeadReckoning
 NOWHERE = NO_BRANCH
 """Index of an unknown place."""
 
+HOPS = 4
+"""Corridors around a place that are its surroundings: hypotheses grow over so many, and the pairs
+of places compared, and the neighbours of a place (`lattice.py`), are no more typical legs apart."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Places:
@@ -47,22 +51,17 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Pla
     """The places of a partition of the passes.
 
     place: (p,) numbered from 0, every number in use; negative: none. turn: (p,) from the odometry
-    frame to the map frame [rad]. All places at once: one clustering
-    of all readings, then tables by fancy indexing.
+    frame to the map frame [rad]. All places at once: one clustering of all readings, then tables by
+    fancy indexing.
     """
-    branches = reckoning.passes.branches
-    owner = branches.owner
-    passes = reckoning.passes
-    rows = np.arange(len(reckoning))
+    passes, branches = reckoning.passes, reckoning.passes.branches
     # Branches that the track shows and the detector did not report.
     came = np.flatnonzero((passes.entry == NO_BRANCH) & np.isfinite(reckoning.arriving))
     went = np.flatnonzero((passes.exit == NO_BRANCH) & np.isfinite(reckoning.leaving))
-    by = np.concatenate([owner, came, went])
-    angle = (
-        np.concatenate([branches.values, reckoning.arriving[came], reckoning.leaving[went]])
-        + turn[by]
-    )
-    reported = np.arange(len(by)) < len(owner)
+    by = np.concatenate([branches.owner, came, went])
+    headings = branches.values, reckoning.arriving[came], reckoning.leaving[went]
+    angle = np.concatenate(headings) + turn[by]
+    reported = np.arange(len(by)) < len(branches.owner)
     home = place[by]
     inside = home >= 0
     clusters = cluster_angles(angle[inside], home[inside], ONE_WAY_RAD)
@@ -71,24 +70,23 @@ def tabulate(reckoning: DeadReckoning, place: IntArray, turn: FloatArray) -> Pla
     width = int(np.diff(start).max(initial=1))
     slot = np.full(len(by), NO_BRANCH, np.int64)
     slot[inside] = clusters.of - start[home[inside]]
+    at = clusters.owner, np.arange(len(clusters)) - start[clusters.owner]
+    member = np.flatnonzero(place >= 0)
+    visits = np.bincount(place[member], minlength=n)
     heading, share = np.full((n, width), np.nan), np.zeros((n, width))
-    local = np.arange(len(clusters)) - start[clusters.owner]
-    heading[clusters.owner, local] = clusters.mean
-    visits = np.bincount(place[place >= 0], minlength=n)
-    share[clusters.owner, local] = clusters.votes(by[inside], reported[inside])
+    heading[at] = clusters.mean
+    share[at] = clusters.votes(by[inside], reported[inside])
     share /= np.maximum(visits, 1)[:, None]
-    entry, exit_ = np.full(len(reckoning), NO_BRANCH), np.full(len(reckoning), NO_BRANCH)
-    for ends, local_branch, extra in ((entry, passes.entry, 0), (exit_, passes.exit, len(came))):
-        has = np.flatnonzero(local_branch != NO_BRANCH)
-        ends[has] = slot[branches.offsets[has] + local_branch[has]]
-        missing = came if extra == 0 else went
-        ends[missing] = slot[len(owner) + extra + np.arange(len(missing))]
+    confidence = np.bincount(place[member], passes.confidence[member], n) / np.maximum(visits, 1)
     first = np.full(n, len(reckoning), np.int64)
-    member = rows[place >= 0]
     np.minimum.at(first, place[member], member)
+    entry, exit_ = np.full((2, len(reckoning)), NO_BRANCH)
+    for ends, local in ((entry, passes.entry), (exit_, passes.exit)):
+        known = np.flatnonzero(local != NO_BRANCH)
+        ends[known] = slot[branches.offsets[known] + local[known]]
+    entry[came], exit_[went] = np.split(slot[len(branches.owner) :], [len(came)])
     ways = _ways(reckoning, place, entry, exit_, (n, width))
-    sure = np.bincount(place[member], passes.confidence[member], n) / np.maximum(visits, 1)
-    return Places(heading, share, visits, sure, first, *ways, entry)
+    return Places(heading, share, visits, confidence, first, *ways, entry)
 
 
 def _ways(
@@ -100,7 +98,7 @@ def _ways(
 ) -> tuple[IntArray, IntArray, FloatArray, IntArray, IntArray]:
     """Where each slot leads: of several ends the one reached most often, then the nearest. Five (n,
     s) columns of `Places`, from next_place to tried."""
-    n, width = shape
+    size, width = shape[0] * shape[1], shape[1]
     legs = np.flatnonzero(np.isfinite(reckoning.leg))
     p, q = place[legs], place[legs + 1]
     a, b = exit_[legs], entry[legs + 1]
@@ -109,22 +107,19 @@ def _ways(
     here = np.concatenate([p * width + a, q * width + b])
     there = np.concatenate([q * width + b, p * width + a])
     far = np.concatenate([leg, leg])
-    next_place, next_slot = np.full(n * width, NOWHERE), np.full(n * width, NOWHERE)
-    length, driven = np.full(n * width, np.nan), np.zeros(n * width, np.int64)
-    tried = np.bincount(here, minlength=n * width)
-    if len(here):
-        order = np.lexsort((far, there, here))
-        here, there, far = here[order], there[order], far[order]
-        new = np.concatenate([[True], (np.diff(here) != 0) | (np.diff(there) != 0)])
-        group = np.cumsum(new) - 1
-        count = np.bincount(group)
-        mean = np.bincount(group, far) / count
-        head, tail = here[new], there[new]
-        best = np.lexsort((mean, -count, head))
-        chosen = best[np.concatenate([[True], np.diff(head[best]) != 0])]
-        at = head[chosen]
-        next_place[at], next_slot[at] = tail[chosen] // width, tail[chosen] % width
-        length[at], driven[at] = mean[chosen], count[chosen]
+    order = np.argsort(far, kind="stable")
+    pairs = here[order] * size + there[order]
+    pair, group, count = np.unique(pairs, return_inverse=True, return_counts=True)
+    head, tail = np.divmod(pair, size)
+    mean = np.bincount(group, far[order]) / count
+    best = np.lexsort((mean, -count, head))
+    chosen = best[np.diff(head[best], prepend=-1) > 0]
+    at = head[chosen]
+    next_place, next_slot = np.full((2, size), NOWHERE)
+    length, driven = np.full(size, np.nan), np.zeros(size, np.int64)
+    next_place[at], next_slot[at] = np.divmod(tail[chosen], width)
+    length[at], driven[at] = mean[chosen], count[chosen]
+    tried = np.bincount(here, minlength=size)
     return (
         next_place.reshape(shape),
         next_slot.reshape(shape),

@@ -26,7 +26,7 @@ from ..topomap import RunNoise
 from ..track import walked_at
 from ..walk_means import WalkMeans
 from .dead_reckoning import RANDOM, DeadReckoning, dead_reckoning
-from .estimate import Estimate, leg_covariance, optimise
+from .estimate import ESTIMATE, Estimate, leg_covariance, optimise
 from .manhattan import GridCorridors, GridHeadings, with_spread
 
 COMPONENTS = (
@@ -55,8 +55,6 @@ class ComponentSettings:
     """Each round estimates the components with the weights of the round before. All but the last
     take double steps in the level of the odometry, which otherwise converges slowly where the data
     hardly determine it. In 45 walks the eighth changes sigmas by 2 % or less."""
-    samples: int = 64
-    """Standard error of a variance √(2 / 64) = 18 %, less than the prior's."""
     most_spread_rad: float = 0.06
     """Largest deviation of corridors from their grid [rad]; beyond it there is taken to be none:
     streets bend together, while the model assumes independent deviations. In 60 walks of mazes,
@@ -101,9 +99,7 @@ def fitted_noise(
     variance = prior
     estimate = optimise(reckoning, place, estimate.pose, grid=grid)
     for left in reversed(range(PRIOR.rounds)):
-        energy, freedom = _energy_and_freedom(
-            estimate, legs, smoothed, variance, grid, samples=PRIOR.samples
-        )
+        energy, freedom = _energy_and_freedom(estimate, legs, smoothed, variance, grid)
         step = _step(energy, freedom, variance / prior, PRIOR.freedom, 2 if left else 1)
         if len(reckoning.loops):
             # The odometry was laid out by its loops: what is left does not show how it errs.
@@ -134,7 +130,7 @@ def with_shown_spread(
     lines, side = slice(len(graph.priors) - len(corridors.side), None), corridors.side
     off = prior_errors(graph, solution.pose)[lines, 2]
     # A subset represents all, for speed in long runs. Samples would depend on the frame.
-    some = slice(None, None, -(-len(off) // PRIOR.samples) or 1)
+    some = slice(None, None, -(-len(off) // ESTIMATE.samples) or 1)
     node = graph.priors.node[lines][some]
     left = Marginals.of(graph, solution).joint(node, node)[0][:, 2, 2]
     stood = np.bincount(side, minlength=2) / np.maximum(np.bincount(side[some], minlength=2), 1)
@@ -278,13 +274,11 @@ def _energy_and_freedom(
     smoothed: FloatArray,
     variance: FloatArray,
     grid: GridHeadings | None,
-    *,
-    samples: int,
 ) -> tuple[FloatArray, FloatArray]:
     """(c,) each: squared error of each component in units of its variance, and degrees of
     freedom."""
     less = smoothed[estimate.sighting] @ variance[1:_WALKS]
-    legs, sightings, headings = _sorts(estimate, units.shape[1], less, samples)
+    legs, sightings, headings = _edges_by_kind(estimate, units.shape[1], less)
     found = [legs.shares(variance[k] * units[k]) for k in range(_WALKS)]
     for axes in ((0, 1), (2,)):
         part = np.zeros_like(sightings.information)
@@ -302,8 +296,8 @@ def _energy_and_freedom(
     return energy, freedom
 
 
-def _sorts(
-    estimate: Estimate, legs: int, less: FloatArray, samples: int
+def _edges_by_kind(
+    estimate: Estimate, legs: int, less: FloatArray
 ) -> tuple[_Edges, _Edges, _Edges]:
     """The edges of an estimate: `legs` of odometry, observations of places, and headings by the
     grid.
@@ -321,7 +315,7 @@ def _sorts(
         give[part] = _stiffness(solution.edge_chi2[part], graph.kernel[part], 3)
     give_known = np.full(len(known), _stiffness(squared(off, known.information), known.kernel, 1))
     pulled = replace(solution, edge_weight=give, prior_weight=give_known)
-    sampled = SampledMarginals.of(graph, pulled, samples, outliers=False)
+    sampled = SampledMarginals.of(graph, pulled, ESTIMATE.samples, outliers=False)
     errors = np.zeros((len(error), 3))
     errors[row[1], 2] = np.sqrt(less)
     lost = sampled.by_edges(errors)

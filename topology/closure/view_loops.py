@@ -8,7 +8,7 @@ one that its places offer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,8 +26,10 @@ from ..matching.views import (
 from ..ragged import numbered
 from ..se2 import between, compose, inverse, turned_axes, wrap
 from .candidates import pairs_within
-from .dead_reckoning import DeadReckoning, Loops, dead_reckoning_covariance
+from .dead_reckoning import DeadReckoning, Factors, dead_reckoning_covariance
 from .estimate import Estimate, optimise
+from .evidence import EVIDENCE
+from .incremental import needed_odds
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,17 +59,12 @@ class ViewLoopSettings:
     pairs: int = 30_000
     """Pairs of views, the nearest to each other, among which those to register are chosen: 50
     MB."""
-    wrong_share: float = 0.1
-    """Share of runs with a wrong loop if all of them just reach the required odds; as of
-    `RoundSettings`."""
     place_m2: float = 50.0
     """Area that one place stands for: another one may be anywhere else."""
     cell_m: float = 8.0
     """Views of places nearer than this to each other are not independent: they count once."""
     beside_m: float = 30.0
     """Way along which loops support each other."""
-    lead: float = 3.0
-    """Log odds [nats] by which a loop leads its rivals; as of `EvidenceSettings`."""
     known_m: float = 0.15
     """Pairs whose relative position is known to this (1 sigma) are not registered: they would be
     known little better."""
@@ -81,31 +78,36 @@ VIEW_LOOPS = ViewLoopSettings()
 
 
 LEAST_TURN_RAD = 0.1
-"""Turns are searched by this much beyond three sigmas: the noise may be believed too small."""
+"""Turns are searched by this much beyond three sigmas, as the noise may be believed too small; a
+registration along a bare corridor is known no better, and turns that agree differ by no more."""
+DRIFT_PER_M = 0.02
+"""Metres per metre of way by which two registrations may disagree, beside `gate_m`: a little less
+than odometry in general drifts within `beside_m` (.03, by headings that err by .009 rad per √m)."""
 TURNS = np.array([2, 4, 8, 18, 36])
 """Steps of the raster of turns to either side that are searched."""
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class _Tested:
-    """Pairs of views that were registered: rows first < second, transform of the second in the
-    first, z, information."""
+    """Pairs of views that were registered: their rows (k,) each, and columns of `Registered`."""
 
-    first: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    second: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
-    transform: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    z: FloatArray = field(default_factory=lambda: np.zeros(0))
-    information: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
+    first: IntArray
+    second: IntArray
+    transform: FloatArray
+    z: FloatArray
+    information: FloatArray
 
     def __len__(self) -> int:
         return len(self.first)
 
-    def add(self, first: IntArray, second: IntArray, found: Registered) -> None:
-        self.first = np.concatenate([self.first, first])
-        self.second = np.concatenate([self.second, second])
-        self.transform = np.concatenate([self.transform, found.transform])
-        self.z = np.concatenate([self.z, found.z])
-        self.information = np.concatenate([self.information, found.information])
+    def and_(self, first: IntArray, second: IntArray, found: Registered) -> _Tested:
+        """These pairs and more."""
+        more = _Tested(first, second, found.transform, found.z, found.information)
+        return joined([self, more])
+
+
+_NO_ROWS = np.zeros(0, np.int64)
+_NONE_TESTED = _Tested(_NO_ROWS, _NO_ROWS, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3, 3)))
 
 
 def view_loops(
@@ -132,15 +134,15 @@ class _Search:
         self._views, self._way = views, way
         self._given = reckoning
         self._place = np.arange(len(reckoning), dtype=np.int64)
-        self._tested = _Tested()
-        self._kept = np.zeros(0, np.int64)
+        self._tested = self._elsewhere = _NONE_TESTED
+        self._kept = self._looked = _NO_ROWS
         self._blocked: set[int] = set()
         self._estimate = optimise(reckoning, self._place)
         self._different = np.zeros(0)
-        self._elsewhere = _Tested()
-        self._looked = np.zeros(0, np.int64)
 
     def run(self) -> tuple[DeadReckoning, Estimate]:
+        """Register the pairs most likely to be of one place, and close the loops that are certain
+        by then, until nothing more is found or as many as `tests` allows were registered."""
         left = VIEW_LOOPS.tests * len(self._given)
         if left:
             self._learn()
@@ -151,7 +153,7 @@ class _Search:
                 break
         return self._with_loops(), self._estimate
 
-    def _open(self) -> tuple[IntArray, IntArray]:
+    def _untested(self) -> tuple[IntArray, IntArray]:
         """Pairs of views that may be of one place and were not registered yet, the nearest."""
         xy, way, piece = self._estimate.pose[:, :2], self._way, self._given.piece
         i, j = pairs_within(xy, float(np.ptp(xy, axis=0).sum()), VIEW_LOOPS.pairs).T
@@ -170,7 +172,8 @@ class _Search:
         return shift, self._estimate.relative_covariance(i, j)
 
     def _learn(self) -> None:
-        """Register pairs of places that position keeps apart, drawn from the whole run."""
+        """Register pairs of places that position keeps apart, drawn from the whole run: what they
+        reach is the null model."""
         drawn = np.random.default_rng(0).integers(0, len(self._given), (20 * VIEW_LOOPS.nulls, 2))
         i, j = np.unique(np.sort(drawn, axis=1), axis=0).T
         fine = self._way[j] - self._way[i] >= VIEW_LOOPS.apart_m
@@ -203,7 +206,7 @@ class _Search:
         best = order[nth < VIEW_LOOPS.copies]
         i, j = i[best], j[best]
         found = register(self._views, self._views, i, j, turns[best], reach_m=reach_m)
-        self._elsewhere.add(i, j, found)
+        self._elsewhere = self._elsewhere.and_(i, j, found)
 
     def _copied(self, null: ViewNull) -> FloatArray:
         """(k,) what the views of each tested pair reach with copies of their places, which lie
@@ -231,7 +234,7 @@ class _Search:
 
     def _test(self, most: int) -> int:
         """Register the pairs most likely to be of one place; their number."""
-        i, j = self._open()
+        i, j = self._untested()
         shift, cov = self._relative(i, j)
         reach2 = VIEW_LOOPS.reach_m**2
         open_ = 0.5 * (cov[:, 0, 0] + cov[:, 1, 1])
@@ -245,7 +248,8 @@ class _Search:
             i, j, expected = i[rows], j[rows], shift[rows].copy()
             # If they are of one place, they are near to each other, wherever they are expected.
             expected[:, :2] *= (reach2 / (reach2 + open_[rows]))[:, None]
-            self._tested.add(i, j, self._registered(i, j, expected, cov[rows, 2, 2]))
+            found = self._registered(i, j, expected, cov[rows, 2, 2])
+            self._tested = self._tested.and_(i, j, found)
         return len(rows)
 
     def _registered(
@@ -270,27 +274,10 @@ class _Search:
             )
         return take(joined(parts), np.argsort(np.concatenate(rows)))
 
-    def _null(self) -> ViewNull:
-        same = self._tested.z[self._kept]
-        return ViewNull.of(self._different, same)
-
     def _close(self) -> bool:
-        """Accept the loops that are certain by now, and lay the track out again."""
-        t = self._tested
-        null = self._null()
-        own = null.odds(t.z)
-        self._look_elsewhere(np.unique([t.first[own > 0], t.second[own > 0]]))
-        own = null.odds(t.z, self._copied(null))
-        asked = np.setdiff1d(np.flatnonzero(own > 0), [*self._kept, *self._blocked])
-        if not len(asked):
-            return False
-        total = own.copy()
-        total[asked] += self._support(t, asked, own)
-        expected = self._relative(t.first[asked], t.second[asked])
-        total[asked] += self._position(t.transform[asked], *expected)
-        need = float(np.log(len(self._given) / VIEW_LOOPS.wrong_share))
-        likely = asked[total[asked] >= need]
-        new = likely[self._leads(likely, total)]
+        """Accept the loops that are certain by now, lay the track out again, and take those back
+        that do not fit it; whether there were any."""
+        new = self._certain()
         if not len(new):
             return False
         self._kept = np.union1d(self._kept, new)
@@ -302,6 +289,26 @@ class _Search:
             self._optimise()
         return True
 
+    def _certain(self) -> IntArray:
+        """Rows of the tested pairs that are certainly of one place and lead all their rivals: by
+        their walls, against other places and copies of their own, by the pairs beside them, and by
+        position."""
+        t = self._tested
+        null = ViewNull.of(self._different, t.z[self._kept])
+        own = null.odds(t.z)
+        self._look_elsewhere(np.unique([t.first[own > 0], t.second[own > 0]]))
+        own = null.odds(t.z, self._copied(null))
+        open_ = np.setdiff1d(np.flatnonzero(own > 0), [*self._kept, *self._blocked])
+        if not len(open_):
+            return open_
+        total = own.copy()
+        total[open_] += self._support(t, open_, own)
+        expected = self._relative(t.first[open_], t.second[open_])
+        total[open_] += self._position(t.transform[open_], *expected)
+        likely = open_[total[open_] >= needed_odds(len(self._given))]
+        leading: IntArray = likely[self._leads(likely, total)]
+        return leading
+
     def _position(self, transform: FloatArray, shift: FloatArray, cov: FloatArray) -> FloatArray:
         """(k,) log odds [nats] of transforms by position: density where they are expected, against
         anywhere."""
@@ -310,35 +317,35 @@ class _Search:
         d2 = np.einsum("ki,kij,kj->k", off, np.linalg.inv(s), off)
         vague = 2 * np.pi * np.sqrt(np.linalg.det(s))
         odds = np.log(VIEW_LOOPS.place_m2 / vague) - 0.5 * d2
-        return np.asarray(np.minimum(odds, VIEW_LOOPS.lead))
+        return np.asarray(np.minimum(odds, EVIDENCE.lead))
 
-    def _support(self, t: _Tested, asked: IntArray, own: FloatArray) -> FloatArray:
-        """(k,) evidence [nats] of the pairs beside each of those asked that agree with it, one
-        value per cell of the way."""
+    def _support(self, t: _Tested, rows: IntArray, own: FloatArray) -> FloatArray:
+        """(k,) evidence [nats] of the pairs beside each of those in `rows` that agree with it, one
+        value per cell of the way. own: of each pair by its walls."""
         way = self._way
         good = np.flatnonzero(own > 0)
-        row, column = _within(way[t.first[asked]], way[t.first[good]], VIEW_LOOPS.beside_m)
-        gone_i = way[t.first[good[column]]] - way[t.first[asked[row]]]
-        gone_j = way[t.second[good[column]]] - way[t.second[asked[row]]]
+        row, column = _within(way[t.first[rows]], way[t.first[good]], VIEW_LOOPS.beside_m)
+        gone_i = way[t.first[good[column]]] - way[t.first[rows[row]]]
+        gone_j = way[t.second[good[column]]] - way[t.second[rows[row]]]
         # Both sides have to be other places.
         least = np.minimum(np.abs(gone_i), np.abs(gone_j))
         beside = (least > 0.5 * VIEW_LOOPS.cell_m) & (np.abs(gone_j) < VIEW_LOOPS.beside_m)
         row, column, gone_i, gone_j = row[beside], column[beside], gone_i[beside], gone_j[beside]
         if not len(row):
-            return np.zeros(len(asked))
-        one, other, pose = asked[row], good[column], self._estimate.pose
+            return np.zeros(len(rows))
+        one, other, pose = rows[row], good[column], self._estimate.pose
         to_a = between(pose[t.first[one]], pose[t.first[other]])
         to_b = between(pose[t.second[one]], pose[t.second[other]])
         expected = compose(inverse(to_a), compose(t.transform[one], to_b))
         off = t.transform[other] - expected
         far = np.abs(gone_i) + np.abs(gone_j)
-        fits = np.hypot(off[:, 0], off[:, 1]) < LIKELIHOOD.gate_m + 0.02 * far
-        fits &= np.abs(wrap(off[:, 2])) < 0.1
+        fits = np.hypot(off[:, 0], off[:, 1]) < LIKELIHOOD.gate_m + DRIFT_PER_M * far
+        fits &= np.abs(wrap(off[:, 2])) < LEAST_TURN_RAD
         row, other = row[fits], other[fits]
         cell = np.rint(gone_i[fits] / VIEW_LOOPS.cell_m).astype(np.int64)
         keys, which = np.unique(row * 64 + cell + 32, return_inverse=True)
         mean = np.bincount(which, own[other]) / np.bincount(which)
-        return np.asarray(np.bincount(keys // 64, mean, len(asked)), np.float64)
+        return np.asarray(np.bincount(keys // 64, mean, len(rows)), np.float64)
 
     def _leads(self, likely: IntArray, total: FloatArray) -> BoolArray:
         """Whether each of these pairs leads all others of its places that say something else."""
@@ -356,7 +363,7 @@ class _Search:
             step = between(pose[there[other]], pose[there[one]])
             off = compose(placed, step)[:, :2] - claimed[:, :2]
             against = np.hypot(off[:, 0], off[:, 1]) > VIEW_LOOPS.reach_m
-            against &= total[other] > total[one] - VIEW_LOOPS.lead
+            against &= total[other] > total[one] - EVIDENCE.lead
             out[row[against]] = False
         return out
 
@@ -366,7 +373,7 @@ class _Search:
 
     def _with_loops(self) -> DeadReckoning:
         t, kept = self._tested, self._kept
-        loops = Loops(
+        loops = Factors(
             t.first[kept],
             t.second[kept],
             t.transform[kept],
@@ -377,7 +384,7 @@ class _Search:
     def _information(self, walls: FloatArray, turn: FloatArray) -> FloatArray:
         """(k, 3, 3) of the loops, in the axes of their second views."""
         # Along bare corridors a registration stays within reach, and tells no more.
-        open_ = np.diag([1 / VIEW_LOOPS.reach_m**2] * 2 + [1 / 0.1**2])
+        open_ = np.diag([1 / VIEW_LOOPS.reach_m**2] * 2 + [1 / LEAST_TURN_RAD**2])
         cov = np.linalg.inv(walls + open_)
         cov = cov + np.diag([VIEW_LOOPS.sigma_m**2] * 2 + [VIEW_LOOPS.sigma_rad**2])
         R = turned_axes(-turn)

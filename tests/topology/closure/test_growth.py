@@ -30,7 +30,8 @@ def test_corridors_tell_the_same_place_from_the_next_one():
         grow(state, a, b, align(branches, a, b, turn_sigma=np.full(len(a), 0.05)))
         for a, b in (np.nonzero(np.triu(apart == step, 1)) for step in (0, 1))
     )
-    assert not same.loss.any()
-    assert np.mean(same.gain > 0) > 0.85  # the others have no driven corridor in common
-    assert np.mean(next_.loss > 0) > 0.6
-    assert same.gain.mean() > 3 * next_.gain.mean()
+    (gain, loss), (next_gain, next_loss) = same, next_
+    assert not loss.any()
+    assert np.mean(gain > 0) > 0.85  # the others have no driven corridor in common
+    assert np.mean(next_loss > 0) > 0.6
+    assert gain.mean() > 3 * next_gain.mean()

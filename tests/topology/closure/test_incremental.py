@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.candidates import Candidates
+from topobatch.topology.closure.candidates import Candidates, Surroundings
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.incremental import _certain, full_closure
 from topobatch.topology.closure.places import NOWHERE
@@ -92,12 +92,12 @@ def test_a_candidate_is_certain_only_against_all_that_it_excludes(third, fits, a
     zero = np.zeros(len(pairs))
     alike = np.array([12.0, 11.0, 0.5 if fits else 99.0])[: len(pairs)]
     within = np.array([True, True, fits])[: len(pairs)]
-    found = Candidates(
-        a, b, zero, alike, zero, zero, zero, zero, no_ground(len(pairs)), within
-    )  # fmt: skip
+    around = Surroundings(alike, zero, zero, zero)
+    found = Candidates(a, b, zero, around, zero, no_ground(len(pairs)), within)
     places = SimpleNamespace(first=np.arange(3), next_place=np.full((3, 1), NOWHERE))
     certain = _certain(places, found, least=9.0)
     assert [(q.first, q.second) for q in certain] == accepted
     # A rival as unlikely as not takes little away.
-    found = replace(found, branches=alike - [0.0, 10.5, 0.0][: len(pairs)])
+    around = replace(around, branches=alike - [0.0, 10.5, 0.0][: len(pairs)])
+    found = replace(found, around=around)
     assert [(q.first, q.second) for q in _certain(places, found, least=9.0)] == [(0, 1)]

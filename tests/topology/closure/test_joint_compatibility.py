@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from topobatch.topology.closure.candidates import Candidates
+from topobatch.topology.closure.candidates import Candidates, Surroundings
 from topobatch.topology.closure.dead_reckoning import dead_reckoning
 from topobatch.topology.closure.estimate import optimise
 from topobatch.topology.closure.evidence import background
@@ -43,7 +43,7 @@ def _asked(a, b, position, alike):
     zero = np.zeros(len(a))
     likeness = np.asarray(alike, float)
     return Candidates(
-        np.array(a), np.array(b), position, likeness, zero, zero, zero, zero,
+        np.array(a), np.array(b), position, Surroundings(likeness, zero, zero, zero), zero,
         no_ground(len(a)), np.ones(len(a), bool),
     )  # fmt: skip
 
