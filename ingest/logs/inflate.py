@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import bz2
 import functools
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -23,7 +22,7 @@ WHOLE_BYTES = 1 << 24
 """Chunks up to this size are decompressed at once, larger ones in pieces. Writers use 1 to 16
 MiB."""
 
-PIECE_BYTES = 1 << 20
+PIECE_BYTES = 1 << 22
 """Bytes decompressed at once."""
 
 INPUT_BYTES = 1 << 12
@@ -47,8 +46,6 @@ _ZSTD_WORD = int.from_bytes(ZSTD_MAGIC, "little")
 
 SLOW = frozenset({"zstd", "bz2"})
 """Compressions worth another thread: lz4 decompresses faster than a chunk moves between cores."""
-
-_local = threading.local()
 
 
 @functools.cache
@@ -76,7 +73,7 @@ def excess(compression: str, packed: int, size: int) -> int:
 
 
 @contextmanager
-def _translated(compression: str) -> Iterator[None]:
+def _translated(what: str) -> Iterator[None]:
     """Errors of the libraries as DamageErrors."""
     import zstandard
 
@@ -84,22 +81,25 @@ def _translated(compression: str) -> Iterator[None]:
     try:
         yield
     except broken as error:
-        article = "an" if compression == "lz4" else "a"
-        raise DamageError(f"{article} {compression} chunk does not decompress") from error
+        raise DamageError(f"{what} does not decompress") from error
+
+
+def _chunk(compression: str) -> str:
+    return f"{'an' if compression == 'lz4' else 'a'} {compression} chunk"
 
 
 def inflate(compression: str, data: bytes, size: int) -> bytes:
     """Exactly `size` bytes out of `data`, or DamageError. Never allocates more than `size`.
 
-    compression: "zstd", "lz4" or "bz2"; size: at most WHOLE_BYTES.
+    compression: "zstd", "lz4" or "bz2".
     """
-    if size > WHOLE_BYTES:
-        raise DamageError(WRONG_SIZE)
-    with _translated(compression):
+    import lz4.frame
+
+    with _translated(_chunk(compression)):
         if compression == "zstd":
-            out = _zstd(data, size)
+            out: bytes = _zstd_reader(data).read(size + 1)
         elif compression == "lz4":
-            out = _lz4(data, size)
+            out = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
         elif compression == "bz2":
             out = bz2.BZ2Decompressor().decompress(data, size + 1)
         else:
@@ -113,31 +113,11 @@ def _unknown(compression: str) -> DamageError:
     return DamageError(f"compression {compression[:40]!r} is not known")
 
 
-def _zstd(data: bytes, size: int) -> bytes:
+def _zstd_reader(source: Any) -> Any:
     import zstandard
 
-    context = getattr(_local, "zstd", None)
-    if context is None:
-        context = _local.zstd = zstandard.ZstdDecompressor()
-    if zstandard.frame_content_size(data) not in (-1, size):
-        raise DamageError(WRONG_SIZE)
-    # No size would mean any size to the library.
-    out: bytes = context.decompress(data, max_output_size=max(size, 1))
-    return out
-
-
-def _lz4(data: bytes, size: int) -> bytes:
-    import lz4.frame
-
-    declared = lz4.frame.get_frame_info(data)["content_size"]
-    if declared not in (0, size):
-        raise DamageError(WRONG_SIZE)
-    out: bytes = (
-        lz4.frame.decompress(data)
-        if declared
-        else lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
-    )
-    return out
+    decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
+    return decompressor.stream_reader(source, read_size=INPUT_BYTES)
 
 
 def pieces(compression: str, source: Any) -> Iterator[bytes]:
@@ -148,13 +128,11 @@ def pieces(compression: str, source: Any) -> Iterator[bytes]:
     returned before an error is raised.
     """
     import lz4.frame
-    import zstandard
 
-    with _translated(compression):
+    with _translated(_chunk(compression)):
         reader = source
         if compression == "zstd":
-            decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
-            reader = decompressor.stream_reader(source, read_size=INPUT_BYTES)
+            reader = _zstd_reader(source)
         elif compression == "bz2":
             reader = bz2.BZ2File(reader)
         elif compression == "lz4":
@@ -168,22 +146,22 @@ def pieces(compression: str, source: Any) -> Iterator[bytes]:
 # Messages that are compressed one by one
 
 
+@functools.cache
+def _messages() -> Any:
+    """The decompressor of messages: they are read by one thread, and making it takes 70 µs."""
+    import zstandard
+
+    return zstandard.ZstdDecompressor()
+
+
 def inflate_message(data: bytes, limit: int = OBJECT_BYTES) -> bytes:
     """One zstd payload of unknown size, at most `limit` bytes; else DamageError."""
     import zstandard
 
-    try:
-        size = zstandard.frame_content_size(data)
-        if size > limit:
+    with _translated("a compressed message"):
+        if zstandard.frame_content_size(data) > limit:
             raise DamageError(f"a message declares more than {limit >> 20} MiB")
-        if size >= 0:
-            return inflate("zstd", data, size)
-        reader = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES).stream_reader(data)
-        out: bytes = reader.read(limit + 1)
-    except (zstandard.ZstdError, MemoryError) as error:
-        raise DamageError("a compressed message does not decode") from error
-    if len(out) > limit:
-        raise DamageError(f"a message inflates to more than {limit >> 20} MiB")
+        out: bytes = _messages().decompress(data, max_output_size=limit)
     return out
 
 
