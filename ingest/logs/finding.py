@@ -33,8 +33,6 @@ def find_logs(paths: Sequence[LogPath], *, separate: bool = False) -> list[LogPa
             recording_at(path)
             found[path] = None
             continue
-        if isinstance(path, RemotePath):
-            path.read_all_named(METADATA)
         below = list(_below(path, separate))
         if not below:
             raise LogError(

@@ -10,7 +10,6 @@ import io
 import re
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +26,6 @@ from .store import (
     listed,
     requested,
     require_obstore,
-    side_by_side,
 )
 
 _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
@@ -188,16 +186,6 @@ class RemotePath:
         """A small file's content as text."""
         return self.open().read().decode(encoding, errors)
 
-    def read_all_named(self, name: str) -> None:
-        """Read all small files of a name below concurrently, so that opening them is immediate."""
-        found, waiting = [], [self]
-        while waiting:
-            for each in waiting.pop().iterdir():
-                waiting += [each] if each.is_dir() else []
-                found += [each] if each.name == name and each.is_file() else []
-        for _ in side_by_side(_read_if_there, found):
-            pass
-
     # An object
 
     @property
@@ -303,11 +291,6 @@ class RemotePath:
         except MissingObjectError:
             return None
         return node
-
-
-def _read_if_there(file: RemotePath) -> None:
-    with suppress(LogError):  # what fails does so again when it is wanted
-        file.open()
 
 
 def _public(address: str) -> str:
