@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bz2
 import functools
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -46,6 +47,9 @@ _ZSTD_WORD = int.from_bytes(ZSTD_MAGIC, "little")
 
 SLOW = frozenset({"zstd", "bz2"})
 """Compressions worth another thread: lz4 decompresses faster than a chunk moves between cores."""
+
+
+_local = threading.local()
 
 
 @functools.cache
@@ -97,7 +101,7 @@ def inflate(compression: str, data: bytes, size: int) -> bytes:
 
     with _translated(_chunk(compression)):
         if compression == "zstd":
-            out: bytes = _zstd_reader(data).read(size + 1)
+            out: bytes = _decompressor().stream_reader(data).read(size + 1)
         elif compression == "lz4":
             out = lz4.frame.LZ4FrameDecompressor().decompress(data, size + 1)
         elif compression == "bz2":
@@ -113,11 +117,13 @@ def _unknown(compression: str) -> DamageError:
     return DamageError(f"compression {compression[:40]!r} is not known")
 
 
-def _zstd_reader(source: Any) -> Any:
+def _decompressor() -> Any:
+    """That of this thread: making one takes 70 µs."""
     import zstandard
 
-    decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
-    return decompressor.stream_reader(source, read_size=INPUT_BYTES)
+    if not hasattr(_local, "zstd"):
+        _local.zstd = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
+    return _local.zstd
 
 
 def pieces(compression: str, source: Any) -> Iterator[bytes]:
@@ -128,11 +134,13 @@ def pieces(compression: str, source: Any) -> Iterator[bytes]:
     returned before an error is raised.
     """
     import lz4.frame
+    import zstandard
 
     with _translated(_chunk(compression)):
         reader = source
         if compression == "zstd":
-            reader = _zstd_reader(source)
+            decompressor = zstandard.ZstdDecompressor(max_window_size=WINDOW_BYTES)
+            reader = decompressor.stream_reader(source, read_size=INPUT_BYTES)
         elif compression == "bz2":
             reader = bz2.BZ2File(reader)
         elif compression == "lz4":
@@ -146,14 +154,6 @@ def pieces(compression: str, source: Any) -> Iterator[bytes]:
 # Messages that are compressed one by one
 
 
-@functools.cache
-def _messages() -> Any:
-    """The decompressor of messages: they are read by one thread, and making it takes 70 µs."""
-    import zstandard
-
-    return zstandard.ZstdDecompressor()
-
-
 def inflate_message(data: bytes, limit: int = OBJECT_BYTES) -> bytes:
     """One zstd payload of unknown size, at most `limit` bytes; else DamageError."""
     import zstandard
@@ -161,7 +161,7 @@ def inflate_message(data: bytes, limit: int = OBJECT_BYTES) -> bytes:
     with _translated("a compressed message"):
         if zstandard.frame_content_size(data) > limit:
             raise DamageError(f"a message declares more than {limit >> 20} MiB")
-        out: bytes = _messages().decompress(data, max_output_size=limit)
+        out: bytes = _decompressor().decompress(data, max_output_size=limit)
     return out
 
 
