@@ -10,6 +10,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager, suppress
+from itertools import compress
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -47,8 +48,8 @@ MAGIC = b"SQLite format 3\x00"
 _ERRORS = (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError)
 """Exceptions of the library on a damaged database: its own, and those of converting values."""
 
-ROWS, HELD_BYTES = 512, 1 << 22
-"""Rows, and bytes of payloads, of a block."""
+ROWS, LARGE_BYTES = 2048, 1 << 14
+"""Rows that are fetched at a time; larger payloads are asked for by themselves."""
 
 LEAST_STEPS = 1 << 25
 STEPS_PER_BYTE = 4
@@ -71,7 +72,7 @@ so large is made."""
 _BROKEN_ROW = ("row", "of the database without a message")
 
 _Row = tuple[int, Any, Any, Any]
-"""Number, topic, time, and the payload if it is wanted and not too large, else its length."""
+"""Number, topic, time, and the payload if it is wanted and not large, else its length."""
 
 
 class SqliteFile:
@@ -122,7 +123,7 @@ class _Reader:
         self._channels = _channels(base)
         self._sink = {key: want(channel) for key, channel in self._channels.items()}
         wanted = ",".join(str(key) for key, sink in self._sink.items() if sink >= 0)
-        chosen = f"topic_id IN ({wanted}) AND length(data) <= {MESSAGE_BYTES}"
+        chosen = f"topic_id IN ({wanted}) AND length(data) <= {LARGE_BYTES}"
         data = f"CASE WHEN {chosen} THEN data ELSE length(data) END"
         # The number of a row is its id, but in tables of other writers.
         columns = base.execute("PRAGMA table_info(messages)").fetchall()
@@ -131,6 +132,7 @@ class _Reader:
             f"SELECT {number}, topic_id, timestamp, {data} FROM messages "
             f"WHERE {number} >= ? ORDER BY {number}"
         )
+        self._one = f"SELECT data FROM messages WHERE {number} = ?"
         self._read_bytes = self._last = self._missing = 0
 
     def blocks(self) -> Iterator[Block]:
@@ -144,26 +146,23 @@ class _Reader:
             )
 
     def _batches(self) -> Iterator[list[_Row]]:
-        """All rows by ascending number; what cannot be read is stepped over, in ever longer steps:
-        rows next to each other share their page."""
-        first, step, patience, ended = -(1 << 63), 1, PATIENCE, False
-        while not ended and patience and step < MOST_MISSING:
-            rows: list[_Row] = []
-            held = 0
+        """All rows by ascending number; damaged places are stepped over, in ever longer steps: rows
+        next to each other share their page."""
+        first, count, step, patience = -(1 << 63), ROWS, 1, PATIENCE
+        while patience and step < MOST_MISSING:
             try:
-                for row in self._base.execute(self._query, (first,)):
-                    rows.append(row)
-                    first, step = row[0] + 1, 1
-                    held += len(row[3]) if type(row[3]) is bytes else 0
-                    if len(rows) == ROWS or held > HELD_BYTES:
-                        yield rows
-                        rows, held = [], 0
-                ended = True
+                cursor = self._base.execute(self._query, (first,))
+                while rows := cursor.fetchmany(count):
+                    yield rows
+                    first, step = rows[-1][0] + 1, 1
+                return
             except _ERRORS as error:
                 self._findings.note(f"the database is damaged ({one_line(error)})")
-            if rows:
-                yield rows
-            first, step, patience = max(first, 0) + step, 2 * step, patience - 1
+            if count > 1:
+                count = 1  # up to the damage
+            else:
+                first, count = max(first, 0) + step, ROWS
+                step, patience = 2 * step, patience - 1
         if not patience:
             self._findings.note("the database is damaged in too many places: the rest is left out")
 
@@ -178,27 +177,42 @@ class _Reader:
         self._count_missing(np.array(numbers))
         self._findings.span(int(time.min()), int(time.max()))
         for key in sorted(set(topics)):
-            mine = (topic == key).nonzero()[0]
-            channel = self._channels.get(key)
+            mine = topic == key
+            channel, count = self._channels.get(key), int(mine.sum())
             if channel is None:
-                self._findings.faults[UNKNOWN] += len(mine)
+                self._findings.faults[UNKNOWN] += count
             elif self._sink[key] < 0:
-                self._findings.seen(channel, len(mine))
+                self._findings.seen(channel, count)
             else:
-                which = [k for k in mine.tolist() if self._is_payload(payloads[k])]
-                self._findings.seen(channel, len(which))
-                if which:
-                    block = Block.of(self._sink[key], time[which], [payloads[k] for k in which])
-                    self._read_bytes += len(block.data)
-                    yield block
+                found = list(compress(payloads, mine.tolist()))
+                if set(map(type, found)) == {bytes}:
+                    yield self._block_of(channel, self._sink[key], found, time[mine])
+                    continue
+                for k, data in zip(mine.nonzero()[0].tolist(), found, strict=True):
+                    if payload := data if type(data) is bytes else self._large(numbers[k], data):
+                        yield self._block_of(channel, self._sink[key], [payload], time[k : k + 1])
 
-    def _is_payload(self, found: Any) -> bool:
-        """Whether this is one; else it is counted, by its length where that is too long."""
-        if type(found) is bytes:
-            return True
-        large = isinstance(found, int) and found > MESSAGE_BYTES
+    def _large(self, number: int, size: Any) -> bytes | None:
+        """A payload that is asked for by itself; None, and counted, if it is none or too long.
+
+        size: its length, or what stands in its place.
+        """
+        large = isinstance(size, int) and size > MESSAGE_BYTES
+        with suppress(*_ERRORS):
+            if not large:
+                (data,) = self._base.execute(self._one, (number,)).fetchone()
+                if isinstance(data, bytes):
+                    return data
         self._findings.faults[TOO_LARGE if large else _BROKEN_ROW] += 1
-        return False
+        return None
+
+    def _block_of(
+        self, channel: Channel, sink: int, payloads: list[bytes], time_ns: IntArray
+    ) -> Block:
+        block = Block.of(sink, time_ns, payloads)
+        self._findings.seen(channel, len(payloads))
+        self._read_bytes += len(block.data)
+        return block
 
     def _count_missing(self, number: IntArray) -> None:
         """Count the gaps in ascending numbers: a recorder counts from 1 on."""
