@@ -11,7 +11,7 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, TOO_MANY
-from .chunks import HEAD_BYTES, Chunk, Found, Index, Read, Scan
+from .chunks import HEAD_BYTES, INDEX_BYTES, Chunk, Found, Index, Read, Scan
 from .columns import Shape, column, gather, words
 from .inflate import WHOLE_BYTES
 from .messages import (
@@ -36,9 +36,6 @@ MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 
 HEADER_BYTES = 2 * NAME_BYTES + 128
 """Largest record header accepted: it holds one or two names and a few numbers."""
-
-INDEX_BYTES = 1 << 26
-"""Largest index section read: a chunk with a dozen topics takes 200 bytes in it."""
 
 DESCRIBED = 1 << 18
 """Records of one file that are parsed one by one, 3 µs each: four for every connection."""

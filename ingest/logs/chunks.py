@@ -61,14 +61,14 @@ SMALL_BYTES = 1 << 15
 AHEAD_BYTES, AHEAD = 1 << 25, 64
 """Bytes, and chunks, read and decompressed ahead of the decoding."""
 
-RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
-"""Longest record: a longer one holds a longer message than is read."""
-
 TRIES = 1 << 16
 """Places of one file that are looked at in search of a record, 10 µs each."""
 
 HEAD_BYTES = 256
 """Bytes of a record that are looked at first: they show what most records are."""
+
+INDEX_BYTES = 1 << 26
+"""Largest index that is read; a chunk takes 100 to 200 bytes in it."""
 
 NO_RECORDS = "its records do not fill it"
 
@@ -235,7 +235,7 @@ class Scan(ABC):
                 if found.chunk is not None:
                     yield found.chunk
                 position = found.end
-            elif found.end - position > RECORD_BYTES:
+            elif found.end - position > MESSAGE_BYTES:
                 self._fault(*TOO_LARGE)
                 position = found.end
             else:
@@ -357,7 +357,7 @@ class Scan(ABC):
                 where, stop = self._records(data)
                 yield from self._blocks(data[:stop], where)
                 held = held[stop:]
-                if size > chunk.size or len(held) > RECORD_BYTES:
+                if size > chunk.size or len(held) > MESSAGE_BYTES:
                     raise DamageError(WRONG_SIZE if size > chunk.size else NO_RECORDS)
         except DamageError:
             if not chunk.cut:

@@ -24,7 +24,7 @@ WHOLE_BYTES = 1 << 24
 MiB."""
 
 PIECE_BYTES = 1 << 22
-"""Bytes decompressed at once."""
+"""Bytes of a stream, or of messages, that are decompressed at once."""
 
 INPUT_BYTES = 1 << 12
 """Bytes read to be decompressed: of a stream that breaks off, all but so many are used."""
@@ -165,10 +165,6 @@ def inflate_message(data: bytes, limit: int = OBJECT_BYTES) -> bytes:
     return out
 
 
-SLICE_BYTES = 1 << 22
-"""Bytes of messages decompressed at once."""
-
-
 def unpacked(block: Block, encoding: str) -> Iterator[tuple[Block, int]]:
     """A block as blocks of plain payloads with plausible times, each with the number of messages
     left out that do not decompress: ROS 2 can compress single messages, in CDR, by zstd."""
@@ -189,6 +185,6 @@ def unpacked(block: Block, encoding: str) -> Iterator[tuple[Block, int]]:
             held_bytes += len(held[-1])
         except DamageError:
             failed += 1
-        if held_bytes > SLICE_BYTES or k + 1 == len(packed):
+        if held_bytes > PIECE_BYTES or k + 1 == len(packed):
             yield Block.of(block.sink, block.log_time_ns[rows], held), failed
             held, rows, failed, held_bytes = [], [], 0, 0

@@ -14,7 +14,7 @@ from ...topology.se2 import yaw_from_quaternion
 from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import UNWANTED, Block, Channel, DamageError
-from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
+from .poses import FARTHEST_M, PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
 from .schema import EXPECTED, as_expected
 from .topics import POSE_KINDS
 
@@ -24,9 +24,6 @@ sorted they take some 400 bytes, a message with four of them and its odometry fa
 
 MOST_SINKS = 1 << 12
 """Most channels of one log that are kept: with few messages, one takes some 25 kB."""
-
-FARTHEST = 1e9
-"""Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
 
 def decoder_for(channel: Channel) -> PoseDecoder:
@@ -45,7 +42,7 @@ def states_sigma(channel: Channel) -> bool:
 
 def usable_poses(value: FloatArray) -> tuple[BoolArray, BoolArray]:
     """(k,) which poses (k, 7) have finite, plausible numbers, and which of these an orientation."""
-    finite = np.asarray((np.abs(value) <= FARTHEST).all(axis=1))  # NaN compares as false
+    finite = np.asarray((np.abs(value) <= FARTHEST_M).all(axis=1))  # NaN compares as false
     turn = value[:, 3:] if finite.all() else np.where(finite[:, None], value[:, 3:], 0.0)
     # Far below any unit quaternion, far above what rounding leaves of a zero one.
     return finite, np.asarray(np.einsum("ki,ki->k", turn, turn) > 1e-12)

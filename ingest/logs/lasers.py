@@ -18,7 +18,7 @@ from ...topology.se2 import yaw_from_quaternion
 from .clouds import Cloud, foxglove_cloud, wire_cloud
 from .columns import Shape, numbers
 from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit_quaternion
-from .inflate import SLICE_BYTES, unpacked
+from .inflate import PIECE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
 from .schema import as_expected
 from .topics import JUNCTIONS
@@ -319,7 +319,7 @@ class ScanIntake:
         """The scans of a block, in order."""
         self.messages += len(block.start)
         # Cut where the bytes so far fill another slice.
-        filled = (np.cumsum(block.size) - block.size) // SLICE_BYTES
+        filled = (np.cumsum(block.size) - block.size) // PIECE_BYTES
         for rows in np.split(np.arange(len(filled)), np.flatnonzero(np.diff(filled)) + 1):
             part = block.rows(rows)
             for plain, failed in unpacked(part, self._encoding):

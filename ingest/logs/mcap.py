@@ -12,7 +12,7 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, Channels
-from .chunks import Chunk, Found, Index, Scan
+from .chunks import HEAD_BYTES, INDEX_BYTES, Chunk, Found, Index, Scan
 from .columns import column, gather, words
 from .inflate import checksum
 from .messages import (
@@ -42,13 +42,7 @@ _NOT_IN_CHUNKS = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 RECORD_HEAD, MESSAGE_HEAD = 9, 22
 """Bytes of a record's opcode and length, and of a message before its payload."""
 
-CHUNK_HEAD = 64
-"""Bytes that hold all lengths of a chunk."""
-
 FOOTER_BYTES = RECORD_HEAD + 20 + len(MAGIC)
-
-SUMMARY_BYTES = 1 << 26
-"""Largest summary that is read; a chunk takes about 100 bytes in it."""
 
 LARGEST_RECORD = 1 << 40
 """Larger ones are damage: no file is as large."""
@@ -71,7 +65,7 @@ class McapScan(Scan):
         self._definitions = Definitions(self._channels)
 
     def _record_at(self, position: int) -> Found | None:
-        head = self._source.read(position, CHUNK_HEAD)
+        head = self._source.read(position, HEAD_BYTES)
         if head == MAGIC:  # the end of the file
             return Found(position + len(MAGIC))
         if len(head) < RECORD_HEAD:
@@ -204,7 +198,7 @@ def read_summary(source: Source) -> Index | None:
     op, length, start, _, crc = struct.unpack_from("<BQQQI", tail)
     if (op, length, start) == (FOOTER, 20, 0):
         return None
-    if op != FOOTER or length != 20 or not footer - SUMMARY_BYTES < start <= footer:
+    if op != FOOTER or length != 20 or not footer - INDEX_BYTES < start <= footer:
         raise DamageError(SUMMARY_DAMAGED)
     raw = source.read(start, footer - start + RECORD_HEAD + 16)
     data = np.frombuffer(raw, np.uint8)[: footer - start]

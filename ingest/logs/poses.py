@@ -35,7 +35,8 @@ COVARIANCE = 36
 """Numbers of a covariance of x, y, z and rotations about them, row by row."""
 
 FARTHEST_M = 1e9
-"""Bound of stated sigmas [m], to keep them within single precision."""
+"""Larger coordinates [m] are invalid: no robot's odometry goes farther. Larger sigmas are stated as
+this."""
 
 
 Row = tuple[int, int, list[tuple[float, ...]]]

@@ -11,11 +11,11 @@ from typing import Any
 
 from ...topology.errors import LogError
 from ...topology.wording import legible, listed
-from ..remote.path import LogPath, RemotePath, log_path
+from ..remote.path import SMALL_FILE_BYTES, LogPath, RemotePath, log_path
 from .inflate import keep_freed_memory
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
 from .messages import NOT_TOLD, Block, Findings, Passed, Progress, Want
-from .metadata import METADATA_BYTES, Metadata, parse_metadata
+from .metadata import Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
 from .split_recordings import is_path_of_parts, name_of_parts, parts_at
 
@@ -213,7 +213,7 @@ def _metadata(path: LogPath, notes: list[str]) -> Metadata:
     """The content of metadata.yaml; if it is unreadable, a note is added and the folder's files are
     used."""
     try:
-        if path.stat().st_size > METADATA_BYTES:
+        if path.stat().st_size > SMALL_FILE_BYTES:
             raise ValueError("it is implausibly long")
         return parse_metadata(path.read_text("utf-8", "replace"))
     except (ValueError, OSError) as error:

@@ -20,7 +20,7 @@ import numpy as np
 from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ...topology.wording import legible
-from .channels import DEFINITION_BYTES
+from .channels import DEFINITION_BYTES, NUMBERS
 from .messages import (
     CUT,
     MESSAGE_BYTES,
@@ -58,12 +58,6 @@ STEPS_PER_BYTE of the file, since a row takes about ten steps and at least ten b
 
 STEPS_AT_ONCE = 10_000
 """Virtual machine steps between two checks of the limit."""
-
-PATIENCE = 1000
-"""Attempts to step over damaged places; a file with more is an attack. Each takes about 1 ms."""
-
-TOPICS = 1 << 15
-"""Most topics that are read."""
 
 MOST_MISSING = 1 << 20
 """A larger step between the numbers of two rows counts as a wrong number; over a damaged place none
@@ -148,8 +142,8 @@ class _Reader:
     def _batches(self) -> Iterator[list[_Row]]:
         """All rows by ascending number; damaged places are stepped over, in ever longer steps: rows
         next to each other share their page."""
-        first, count, step, patience = -(1 << 63), ROWS, 1, PATIENCE
-        while patience and step < MOST_MISSING:
+        first, count, step = -(1 << 63), ROWS, 1
+        while step < MOST_MISSING:
             try:
                 cursor = self._base.execute(self._query, (first,))
                 while rows := cursor.fetchmany(count):
@@ -161,10 +155,7 @@ class _Reader:
             if count > 1:
                 count = 1  # up to the damage
             else:
-                first, count = max(first, 0) + step, ROWS
-                step, patience = 2 * step, patience - 1
-        if not patience:
-            self._findings.note("the database is damaged in too many places: the rest is left out")
+                first, count, step = max(first, 0) + step, ROWS, 2 * step
 
     def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted ones of some rows; columns may hold any type in SQLite."""
@@ -303,7 +294,7 @@ def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
     short = ", ".join(f"substr({column}, 1, {NAME_BYTES})" for column in ("name", "type", encoding))
     out: dict[int, Channel] = {}
     for key, name, type_name, form in base.execute(
-        f"SELECT id, {short} FROM topics LIMIT {TOPICS}"
+        f"SELECT id, {short} FROM topics LIMIT {NUMBERS}"
     ):
         kind, body = definitions.get(str(type_name), ("", b""))
         names = normal_topic(legible(str(name))), normal_type(legible(str(type_name)))

@@ -42,7 +42,7 @@ TAIL_SHARE = 2048
 1 to 3 kB per topic and 200 bytes per chunk of 1 MB. The rest is read when needed."""
 
 SMALL_FILE_BYTES = 1 << 22
-"""Largest metadata.yaml that is read."""
+"""Largest metadata.yaml that is read: a thousand topics and files take 1 MiB."""
 
 
 def is_remote(text: str) -> bool:
