@@ -25,9 +25,6 @@ if TYPE_CHECKING:
 
 R = TypeVar("R")
 
-TAIL_MOST = 1 << 19
-"""Limit on the end of an object that is requested first."""
-
 MOST_KEYS = 1 << 22
 """Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
 
