@@ -61,8 +61,8 @@ SMALL_BYTES = 1 << 15
 AHEAD_BYTES, AHEAD = 1 << 25, 64
 """Bytes, and chunks, read and decompressed ahead of the decoding."""
 
-TRIES = 1 << 16
-"""Places of one file that are looked at in search of a record, 10 µs each."""
+TRIES = 1 << 18
+"""Places of one file that are looked at in search of a record, 3 µs each."""
 
 HEAD_BYTES = 256
 """Bytes of a record that are looked at first: they show what most records are."""
