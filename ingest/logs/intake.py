@@ -35,11 +35,6 @@ def decoder_for(channel: Channel) -> PoseDecoder:
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
 
 
-def states_sigma(channel: Channel) -> bool:
-    """Whether messages of this type can state how uncertain their pose is, and are heeded."""
-    return POSE_KINDS.get(channel.type_name) == "pose_covariance"
-
-
 def usable_poses(value: FloatArray) -> tuple[BoolArray, BoolArray]:
     """(k,) which poses (k, 7) have finite, plausible numbers, and which of these an orientation."""
     finite = np.asarray((np.abs(value) <= FARTHEST_M).all(axis=1))  # NaN compares as false
@@ -113,7 +108,8 @@ class Sink:
         told = int(changes) + (len(decoded) > 0)
         self.empty += len(block.start) - (self.decoder.failed - failed) - told
         poses = self._usable(decoded)
-        if states_sigma(self.channel) and poses.sigma_m is None:
+        kind = POSE_KINDS.get(self.channel.type_name)
+        if kind == "pose_covariance" and poses.sigma_m is None:  # others state none
             poses.sigma_m = np.full(len(poses), np.nan)
         poses.message = poses.message + self.messages
         if not self.whole:

@@ -170,7 +170,9 @@ def _folder(path: LogPath) -> Recording:
         entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
     except OSError as error:
         raise LogError(f"{path}: cannot be listed ({error.strerror})") from error
-    files = [LogFile(entry) for entry in entries if _is_part(entry)]
+    # Logs are known by their content, remote ones by name.
+    is_part = is_named_like_log if isinstance(path, RemotePath) else sniff
+    files = [LogFile(entry) for entry in entries if is_part(entry)]
     # A file beside its compressed copy has the same messages.
     names = {file.path.name for file in files}
     files = [file for file in files if _bare(file) == file.path.name or _bare(file) not in names]
@@ -196,11 +198,6 @@ def _folder(path: LogPath) -> Recording:
 def _bare(file: LogFile) -> str:
     """Its name before it was compressed as a whole."""
     return _PACKED.sub("", file.path.name)
-
-
-def _is_part(path: LogPath) -> bool:
-    """Whether a file of a bag folder is a log: local ones by content, remote ones by name."""
-    return is_named_like_log(path) if isinstance(path, RemotePath) else sniff(path) is not None
 
 
 def _natural(path: LogPath) -> tuple[list[tuple[int, str]], str]:
