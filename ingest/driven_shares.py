@@ -14,8 +14,8 @@ from ..topology.visits import Visits, in_map_frame
 NEAR_M = 1.0
 """A robot within this of a corridor's line drives along it: half the width of a wide corridor."""
 
-STEP_M = 0.25
-"""The track is looked at this often: a quarter of `NEAR_M`."""
+STEP_M = NEAR_M / 4
+"""The track is looked at this often."""
 
 
 def driven_shares(topomap: TopoMap, odometry: Odometry, visits: Visits) -> dict[str, float]:

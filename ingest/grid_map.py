@@ -23,6 +23,8 @@ from .logs.grids import GridLog
 from .logs.messages import several_that
 from .logs.saved_map import coarser
 from .scans.floorplan import (
+    CELL_M,
+    MOST_CELLS,
     Corridor,
     Floorplan,
     FloorplanSettings,
@@ -42,13 +44,6 @@ such maps 40 have enough evidence to be merged with these values, 37 with .15, .
 with those of one recording (.05, .03, .1, .1 m); of 113 other pairs the most is 5.6, 5.1, 5.4 bits.
 Three maps of one office, of three dates, merge from .25 m on.
 The accuracy of the grid itself is unknown: the defaults of odometry are used."""
-
-CELL_M = 0.05
-"""Cells that finer grids are joined to: most are saved in these. A robot's radius has five; finer
-ones show more of the walls' roughness, which is no part of the plan."""
-
-MOST_CELLS = 1 << 22
-"""Largest number of cells whose distance from walls is measured, 100 by 100 m at 5 cm."""
 
 FLOORPLAN = FloorplanSettings()
 

@@ -15,12 +15,10 @@ from .logs.lasers import RawScans
 from .logs.poses import Poses
 from .logs.topics import JUNCTIONS, Choice
 from .mounting import KnownMounting, known_mounting
+from .scans.detection import SECTORS
 from .scans.stream import Mounting, ScanStream
 from .survey import LogRead
 from .topic_poses import TopicPoses
-
-SECTORS = 36
-"""Number of directions, 10 degrees each: wider than the spacing of any scanner's beams."""
 
 FURTHER = 3
 """Directions that a laser must add to what another one in its frame sees: filters of scans cut off

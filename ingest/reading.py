@@ -183,13 +183,9 @@ def _saved_map(recording: Recording, path: Path, on_bytes: OnBytes | None) -> Gr
 
 def _recorded_grid(read: LogRead, source: JunctionSource) -> GridLog:
     """The last grid of a topic."""
-    grid, failed = last_grid(read.recording, source.choice.topic)
-    warnings = list(read.warnings)
-    if failed:
-        last = "last grid" if failed == 1 else f"last {failed} grids"
-        warnings.append(f"{source.choice.topic}: the {last} cannot be read; left out")
+    grid = last_grid(read.recording, source.choice.topic)
     about = {"from": "grid", "topic": source.choice.topic, "type": source.choice.type_name}
-    return GridLog(read.run, grid, {"junctions": about}, tuple(warnings))
+    return GridLog(read.run, grid, {"junctions": about}, read.warnings)
 
 
 def _damage(recording: Recording, findings: Findings, settings: ReadSettings) -> list[str]:

@@ -16,6 +16,7 @@ from .frames import NO_TRANSFORMS, FixedTransforms, seen_from
 from .logs.intake import in_plane
 from .logs.messages import several, several_that
 from .logs.poses import Poses
+from .scans.slicing import FARTHEST_M
 
 MAX_BRANCHES = 32
 """More are implausible, and would take memory."""
@@ -25,9 +26,6 @@ CENTRE_M = 0.5
 """Distance between the poses of one message above which there is a warning."""
 STEEPEST = 0.71
 """Sine of the largest elevation of a branch after applying a sensor's mount, 45 degrees."""
-FARTHEST_M = 1000.0
-"""Largest distance from the robot, beyond the range of any sensor, as for points of lasers
-(`scans/slicing.py`)."""
 
 
 def robot_frame_sightings(

@@ -221,12 +221,9 @@ class Progress:
 
 def further_damage(recording: Recording) -> list[str]:
     """The faults of a log that only passes after the first one found."""
-    known, sentences = recording.passes[:1], list[str]()
-    for found in recording.passes[1:]:
-        if further := found.beyond(known).damage:
-            known.append(found)
-            sentences += further
-    return sentences
+    first, *others = recording.passes or [Findings()]
+    told = dict.fromkeys(sentence for found in others for sentence in found.losses)
+    return [sentence for sentence in told if sentence not in first.losses]
 
 
 def checked_damage(log: str, damage: list[str], settings: ReadSettings) -> list[str]:

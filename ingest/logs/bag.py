@@ -11,7 +11,7 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, TOO_MANY
-from .chunks import RECORD_BYTES, Chunk, Index, Read, Scan, reader_of
+from .chunks import HEAD_BYTES, INDEX_BYTES, Chunk, Found, Index, Read, Scan
 from .columns import Shape, column, gather, words
 from .inflate import WHOLE_BYTES
 from .messages import (
@@ -27,24 +27,20 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import SLAB_BYTES, Source
+from .source import Source
 from .walk import bag_records
 
 MAGIC = b"#ROSBAG V2.0\n"
 MESSAGE, BAG_HEADER, INDEX, CHUNK, CHUNK_INFO, CONNECTION = 2, 3, 4, 5, 6, 7
 """Kinds of records."""
 
-HEAD_BYTES = 256
-"""Bytes of a record that are looked at first: the headers of most."""
-
 HEADER_BYTES = 2 * NAME_BYTES + 128
 """Largest record header accepted: it holds one or two names and a few numbers."""
 
-INDEX_BYTES = 1 << 26
-"""Largest index section read: a chunk with a dozen topics takes 200 bytes in it."""
-
 DESCRIBED = 1 << 18
 """Records of one file that are parsed one by one, 3 µs each: four for every connection."""
+
+INDEX_DAMAGED = "the index is damaged"
 
 COMPRESSIONS = {b"none": "", b"bz2": "bz2", b"lz4": "lz4"}
 
@@ -60,10 +56,6 @@ _FIELDS: Mapping[int, Mapping[bytes, int]] = {
 
 _ITEMS = {INDEX: 12, CHUNK_INFO: 8}
 """Bytes of the data per item that the field `count` counts."""
-
-_NAMES = {b"op", b"compression", b"topic"}.union(*_FIELDS.values())
-_START = re.compile(rb"(?=..\0\0..\0\0(?:" + b"|".join(sorted(_NAMES)) + b")=)", re.DOTALL)
-"""The front of a header: its length, and a field's length and name."""
 
 _U32 = struct.Struct("<I").unpack_from
 
@@ -110,6 +102,10 @@ def _fields(header: bytes) -> Fields:
     return fields
 
 
+def _reader_of(data: Bytes) -> Read:
+    return lambda at, count: data[at : at + count].tobytes()
+
+
 def record_at(read: Read, position: int) -> Record | None:
     """The record at `position`, None if its fields are not those of its kind.
 
@@ -130,17 +126,13 @@ def record_at(read: Read, position: int) -> Record | None:
     op = fields.get(b"op", b"")
     data_at, data_size = position + 8 + size, _U32(head, 4 + size)[0]
     record = Record(fields, op[0] if len(op) == 1 else 0, data_at, data_size)
-    return record if _is_sound(record) else None
-
-
-def _is_sound(record: Record) -> bool:
-    """Whether a record has the fields of its kind."""
     wanted = _FIELDS.get(record.op, {b"op": 1})
-    if any(len(record.fields.get(name, b"")) != width for name, width in wanted.items()):
-        return False
-    if record.op in _ITEMS and record.number(b"count") * _ITEMS[record.op] != record.data_size:
-        return False
-    return record.op != CHUNK or record.fields.get(b"compression") in COMPRESSIONS
+    if any(len(fields.get(name, b"")) != width for name, width in wanted.items()):
+        return None
+    if record.op in _ITEMS and record.number(b"count") * _ITEMS[record.op] != data_size:
+        return None
+    unknown = record.op == CHUNK and fields.get(b"compression") not in COMPRESSIONS
+    return None if unknown else record
 
 
 def _channel(record: Record, data: bytes) -> Channel:
@@ -159,120 +151,55 @@ def _channel(record: Record, data: bytes) -> Channel:
 class BagScan(Scan):
     """One scan of a bag, uncompressed, bz2 or lz4."""
 
+    FIRST = len(MAGIC)
+    FRONT = re.compile(rb"(?=..\0\0..\0\0(?:op=\x05|compression=|size=))", re.DOTALL)
+
     def __init__(self, *parts: Any) -> None:
         super().__init__(*parts)
         self._template: HeadTemplate | None = None
         self._headers: set[bytes] = set()
         self._described = DESCRIBED
 
-    def all(self) -> Iterator[Chunk]:
-        """All chunks up to the index, and runs of records outside of them."""
-        position = len(MAGIC)
-        stop = self._source.size if self._index is None else self._index.start
-        while position < stop:
-            record = record_at(self._source.read, position)
-            chunk = _chunk(record) if record is not None else None
-            if chunk is not None and (chunk.cut or chunk.at + chunk.packed > stop):
-                if chunk.compression:
-                    # Cut, or the recorder died before it could complete the header.
-                    size = max(chunk.size, WHOLE_BYTES)
-                    yield chunk._replace(packed=stop - chunk.at, size=size, cut=True)
-                    return
-                self.findings.faults[CUT] = 1
-                position = chunk.at
-            elif record is None or record.end > stop:
-                position = self._around_damage(position, stop)
-            elif chunk is not None:
-                yield chunk
-                position = record.end
-            elif record.op in (MESSAGE, CONNECTION):
-                size = self._loose(position, record.end - position)
-                yield Chunk("", position, size, size)
-                position += size
-            else:
-                if record.op == BAG_HEADER and self._index is None:
-                    self._unclosed(record)
-                position = record.end
-
-    def _unclosed(self, record: Record) -> None:
-        """Report that the index is missing that the bag's header claims."""
-        at = record.number(b"index_pos")
-        if at >= self._source.size:
-            self.findings.faults[CUT] = 1
-        else:
-            self.findings.note(f"the index {'is damaged' if at else 'was never written'}")
-
-    def _loose(self, position: int, need: int) -> int:
-        """Bytes of the messages and connections outside chunks from a position on, of which the
-        first takes `need`."""
-        if need > RECORD_BYTES:
-            return need
-        data = np.frombuffer(self._source.read(position, max(SLAB_BYTES, need)), np.uint8)
-        where, size = bag_records(data)
-        for place in self._columns(data, where)[3].tolist():
-            other = record_at(reader_of(data), place)
-            if other is None or other.op not in (MESSAGE, CONNECTION):
-                return max(int(place), need)
-        return size
-
-    front = 33
-
-    def _starts(self, raw: bytes, most: int) -> Iterator[int]:
-        return (match.start() for match in _START.finditer(raw, 0, len(raw) - 8))
-
-    def _leads_on(self, read: Read, position: int, stop: int) -> bool:
-        record = record_at(read, position)
-        if record is None:
-            return False
-        cut = record.end > stop and record.op == CHUNK
-        return cut or record.end == stop or record_at(read, record.end) is not None
-
-    def _chunk_at(self, position: int) -> Chunk | None:
+    def _record_at(self, position: int) -> Found | None:
         record = record_at(self._source.read, position)
-        return None if record is None else _chunk(record)
+        if record is None or record.op != CHUNK:
+            return None if record is None else Found(record.end)
+        compression = COMPRESSIONS[record.fields[b"compression"]]
+        size, packed = record.number(b"size"), record.data_size
+        if size == packed == 0:  # the recorder died before it could complete the header
+            size, packed = WHOLE_BYTES, self._stop
+        chunk = Chunk(compression, record.data_at, packed, size)
+        return Found(record.data_at + packed, chunk)
 
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return bag_records(data)
 
-    def _record_size(self, data: Bytes) -> int:
-        record = record_at(reader_of(data), 0)
-        return record.end if record is not None and record.op in (MESSAGE, CONNECTION) else 0
-
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
-        conn, time, size_at, others = self._columns(data, where)
-        self._describe(data, others)
-        if len(conn) == 0:
+        """All headers are gathered at once and compared with the template, in the bytes that every
+        message shares."""
+        template = self._template = self._template or self._learned(data, where)
+        if template is None:
+            self._describe(data, where)
             return
+        alike = where + (template.size + 8) <= len(data)
+        heads = gather(data, where[alike], template.size + 4)
+        other = template.shape.misfits(heads) if len(heads) else None
+        if other is not None:
+            alike[alike] = ~other
+            heads = heads[~other]
+        self._describe(data, where[~alike])
+        if len(heads) == 0:
+            return
+        conn, time = template.read(heads)
+        size_at = where[alike] + (4 + template.size)
         size = words(data, "<u4", size_at).astype(np.int64)
         for sink, rows in self._channels.met(np.minimum(conn, NUMBERS - 1), time):
             yield Block(data, sink, time[rows], size_at[rows] + 4, size[rows])
 
-    def _columns(
-        self, data: Bytes, where: IntArray
-    ) -> tuple[IntArray, IntArray, IntArray, IntArray]:
-        """Connection, time and position of the payload's size of messages like the template.
-
-        Also the positions of the other records. All headers are gathered at once and compared with
-        the template in the bytes that every message shares.
-        """
-        template = self._template = self._template or self._learned(data, where)
-        if template is None:
-            none = np.zeros(0, np.int64)
-            return none, none, none, where
-        inside = where + (template.size + 8) <= len(data)
-        heads = gather(data, where[inside], template.size + 4)
-        other = template.shape.misfits(heads) if len(heads) else None
-        alike = inside.copy()
-        if other is not None:
-            alike[inside] = ~other
-            heads = heads[~other]
-        conn, time = template.read(heads)
-        return conn, time, where[alike] + (4 + template.size), where[~alike]
-
     def _learned(self, data: Bytes, where: IntArray) -> HeadTemplate | None:
         """The header of the first message as the template of all."""
         for place in where.tolist():
-            record = record_at(reader_of(data), place)
+            record = record_at(_reader_of(data), place)
             if record is not None and record.op == MESSAGE:
                 return HeadTemplate.of(data[place : record.data_at - 4].tobytes())
         return None
@@ -288,7 +215,7 @@ class BagScan(Scan):
             if self._described < 0:
                 self.findings.note(TOO_MANY)
                 break
-            record = record_at(reader_of(data), place)
+            record = record_at(_reader_of(data), place)
             try:
                 if record is None or record.op != CONNECTION:
                     raise DamageError("no record of a chunk, or unlike the others")
@@ -297,16 +224,6 @@ class BagScan(Scan):
                 self._headers.add(head)
             except DamageError:
                 self._fault(*UNREADABLE, size)
-
-
-def _chunk(record: Record) -> Chunk | None:
-    """The chunk of a record; one that says that it is empty is still open, so that it is cut."""
-    if record.op != CHUNK:
-        return None
-    compression = COMPRESSIONS[record.fields[b"compression"]]
-    size = record.number(b"size")
-    open_ = size == record.data_size == 0
-    return Chunk(compression, record.data_at, record.data_size, size, cut=open_)
 
 
 class HeadTemplate(NamedTuple):
@@ -339,26 +256,29 @@ class HeadTemplate(NamedTuple):
         return column(heads, "<u4", self.conn_at), time
 
 
-def read_index(source: Source) -> Index | None:
-    """The index of a bag, None if it is missing or inconsistent with the bag's header; raises
-    DamageError."""
+def read_index(source: Source) -> Index:
+    """The index of a bag; raises DamageError if it is missing or damaged."""
     header = record_at(source.read, len(MAGIC))
     if header is None or header.op != BAG_HEADER:
-        return None
+        raise DamageError(INDEX_DAMAGED)
     start, count = header.number(b"index_pos"), header.number(b"conn_count")
+    if start == 0:
+        raise DamageError("the index was never written")
+    if start >= source.size:
+        raise DamageError(CUT[1])
     if not header.end <= start <= source.size <= start + INDEX_BYTES:
-        return None
-    raw = source.read(start, source.size - start)
+        raise DamageError(INDEX_DAMAGED)
+    raw = np.frombuffer(source.read(start, source.size - start), np.uint8)
     channels: dict[int, Channel] = {}
     counts: dict[int, int] = {}
     infos: list[tuple[int, frozenset[int]]] = []
     times: list[int] = []
     position = 0
     while position < len(raw):
-        record = record_at(lambda at, n: raw[at : at + n], position)
+        record = record_at(_reader_of(raw), position)
         if record is None or record.end > len(raw):
-            raise DamageError("the index is cut")
-        data = raw[record.data_at : record.end]
+            raise DamageError(INDEX_DAMAGED)
+        data = raw[record.data_at : record.end].tobytes()
         if record.op == CONNECTION and len(channels) < min(count, NUMBERS):
             channels[record.number(b"conn")] = _channel(record, data)
         elif record.op == CHUNK_INFO and len(data) <= 8 * count:
@@ -368,15 +288,14 @@ def read_index(source: Source) -> Index | None:
             infos.append((record.number(b"chunk_pos"), frozenset(held)))
             times += [record.time_ns(b"start_time"), record.time_ns(b"end_time")] if held else []
         else:
-            raise DamageError("the index holds other records")
+            raise DamageError(INDEX_DAMAGED)
         position = record.end
-    if len(channels) != count or len(infos) != header.number(b"chunk_count"):
-        return None
     infos.sort(key=lambda info: info[0])
     begins = [begin for begin, _ in infos]
-    if not counts.keys() <= channels.keys() or max(begins, default=0) >= start:
-        return None
+    sound = counts.keys() <= channels.keys() and max(begins, default=0) < start
+    if not sound or (len(channels), len(infos)) != (count, header.number(b"chunk_count")):
+        raise DamageError(INDEX_DAMAGED)
     ends = [*begins[1:], start]
     chunks = [(begin, end, held) for (begin, held), end in zip(infos, ends, strict=False)]
     span = (min(times), max(times)) if times else (0, 0)
-    return Index(channels, counts, span, chunks, "", checked=False, start=start)
+    return Index(channels, counts, span, chunks, checked=False, start=start)

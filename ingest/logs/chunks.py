@@ -1,15 +1,17 @@
 """Logs that hold their messages in chunks, MCAP files and bags: what both have in common.
 
-A format lists the pieces of a file (`Chunk`): its chunks and the runs of records outside of them.
-They are read and decompressed ahead of the decoding, checked, and skipped if they are damaged.
+A format tells what record begins at a place. The walk lists a file's chunks and the runs of records
+outside of them (`Chunk`), which are read and decompressed ahead of the decoding, checked, and
+skipped if they are damaged.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property, partial
 from typing import ClassVar, NamedTuple
@@ -59,19 +61,19 @@ SMALL_BYTES = 1 << 15
 AHEAD_BYTES, AHEAD = 1 << 25, 64
 """Bytes, and chunks, read and decompressed ahead of the decoding."""
 
-RECORD_BYTES = MESSAGE_BYTES + (1 << 12)
-"""Longest record: a longer one holds a longer message than is read."""
+TRIES = 1 << 18
+"""Places of one file that are looked at in search of a record, 3 µs each."""
 
-TRIES = 1 << 16
-"""Places of one file that are looked at in search of a record, 10 µs each."""
+HEAD_BYTES = 256
+"""Bytes of a record that are looked at first: they show what most records are."""
+
+INDEX_BYTES = 1 << 26
+"""Largest index that is read; a chunk takes 100 to 200 bytes in it."""
+
+NO_RECORDS = "its records do not fill it"
 
 Read = Callable[[int, int], bytes]
 """Gives bytes by their position and number, fewer at the end."""
-
-
-def reader_of(data: Bytes) -> Read:
-    """Reads from a buffer."""
-    return lambda at, count: data[at : at + count].tobytes()
 
 
 class Chunk(NamedTuple):
@@ -90,27 +92,34 @@ class Chunk(NamedTuple):
     cut: bool = False
 
 
+class Found(NamedTuple):
+    """A record of a file. end: where the next one begins; chunk: if it is one; loose: whether it
+    describes a channel or is a message, outside of any chunk."""
+
+    end: int
+    chunk: Chunk | None = None
+    loose: bool = False
+
+
 class Index(NamedTuple):
     """The index of a log.
 
     channels: by number; counts: messages of each; span_ns: first and last log time; chunks: bytes
-    of each chunk and the channels in it, in the order of the file; distrusted: why they are not
-    used to choose chunks, empty if they are; checked: whether a checksum covers it all; start:
-    where the index begins.
+    of each chunk and the channels in it, in the order of the file, none if they contradict each
+    other; checked: whether a checksum covers it all; start: where the index begins.
     """
 
     channels: Mapping[int, Channel]
     counts: Mapping[int, int]
     span_ns: tuple[int, int]
     chunks: list[tuple[int, int, frozenset[int]]]
-    distrusted: str
     checked: bool
     start: int
 
 
 class ChunkedLog:
-    """One log in chunks. read_index: gives the index of a format, None if there is none; scan: the
-    scan of that format."""
+    """One log in chunks. read_index: gives the index of a format, None if it needs none; raises
+    DamageError if it is missing or damaged; scan: the scan of that format."""
 
     def __init__(
         self, path: LogPath, read_index: Callable[[Source], Index | None], scan: type[Scan]
@@ -120,17 +129,19 @@ class ChunkedLog:
         self._scan = scan
 
     @cached_property
-    def index(self) -> Index | None:
-        """The file's index, None if it has none or a damaged one."""
+    def _found(self) -> tuple[Index | None, str]:
+        """The file's index, and what is wrong with it."""
         with open_source(self.path) as source:
             try:
-                return self._read_index(source)
-            except (DamageError, struct.error):
-                return None
+                return self._read_index(source), ""
+            except DamageError as damage:
+                return None, str(damage)
+            except struct.error:
+                return None, "the index is damaged"
 
     def survey(self, exact: bool = False) -> Survey | None:
         """Message counts by the index."""
-        found = self.index
+        found, _ = self._found
         if found is None or not found.counts or not found.counts.keys() <= found.channels.keys():
             return None
         counts: Counter[Channel] = Counter()
@@ -138,53 +149,47 @@ class ChunkedLog:
             counts[channel] += found.counts.get(number, 0)
         return Survey(counts, *found.span_ns, found.checked)
 
-    def _channels(self, want: Want, findings: Findings) -> tuple[Channels, Ranges | str]:
-        """The channels as the index describes them, and the chunks that hold wanted ones, or why
-        all are to be read."""
-        channels, found = Channels(want, findings), self.index
-        if found is None:
-            return channels, "it has no index, or a damaged one"
-        for number, channel in found.channels.items():
-            channels.describe(number, channel)
-        if found.distrusted:
-            return channels, found.distrusted
-        if not (found.checked or isinstance(self.path, RemotePath)):
-            return channels, "its index has no checksum"  # reading all is quick here
-        wanted = {number for number in found.channels if channels.wanted(number)}
-        return channels, [(begin, end) for begin, end, held in found.chunks if held & wanted]
-
     def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
-        """Scan the file once. O(bytes); memory: some chunks, compressed and decompressed."""
+        """Scan the file once: the chunks that hold wanted channels by the index, or all of it.
+
+        O(bytes); memory: some chunks, compressed and decompressed.
+        """
+        channels, (index, flaw) = Channels(want, findings), self._found
+        if flaw:
+            findings.note(flaw)
+        for number, channel in (index.channels if index is not None else {}).items():
+            channels.describe(number, channel)
+        remote = self.path if isinstance(self.path, RemotePath) else None
+        # Here reading all is quick, and an index without a checksum may be wrong.
+        by_index = index is not None and bool(index.chunks) and (index.checked or remote)
         with open_source(self.path) as source:
-            channels, needed = self._channels(want, findings)
-            whole = isinstance(needed, str)
-            if isinstance(needed, str):
-                if isinstance(self.path, RemotePath) and not self.path.allow_scan:
-                    raise LogError(
-                        f"{self.path}: {needed}, so that all of its {source.size:,} bytes would "
-                        f"have to be read; {ALLOW_SCAN} does that"
-                    )
+            if index is not None and by_index:
+                wanted = {number for number in index.channels if channels.wanted(number)}
+                needed = [(begin, end) for begin, end, held in index.chunks if held & wanted]
+            elif remote is not None and not remote.allow_scan:
+                raise LogError(
+                    f"{self.path}: it has no index, or a damaged one, so that all of its "
+                    f"{source.size:,} bytes would have to be read; {ALLOW_SCAN} does that"
+                )
+            else:
                 needed = [(0, source.size)]
-            scan = self._scan(source, channels, findings, passed, self.index)
+            stop = index.start if index is not None else source.size
+            scan = self._scan(source, channels, findings, passed, stop)
             with source.ahead(needed):
-                yield from scan.blocks(scan.all() if whole else scan.some(needed))
-            channels.finish(self.index.counts if self.index is not None else {}, by_index=not whole)
+                yield from scan.blocks(scan.some(needed) if by_index else scan.all())
+            counts = index.counts if index is not None else {}
+            channels.finish(counts, by_index=bool(by_index))
 
 
 class Scan(ABC):
-    """One scan over the records of a chunked log."""
+    """One scan over the records of a chunked log. stop: where its data end."""
 
     def __init__(
-        self,
-        source: Source,
-        channels: Channels,
-        findings: Findings,
-        passed: Passed,
-        index: Index | None,
+        self, source: Source, channels: Channels, findings: Findings, passed: Passed, stop: int
     ) -> None:
         self.findings = findings
         self._passed = passed
-        self._index = index
+        self._stop = stop
         self._source = source
         self._channels = channels
         self._excess_left = INFLATED_BYTES
@@ -194,13 +199,15 @@ class Scan(ABC):
 
     # What a format tells
 
-    @abstractmethod
-    def all(self) -> Iterator[Chunk]:
-        """All chunks of the file."""
+    FIRST: ClassVar[int]
+    """Where the first record begins."""
+
+    FRONT: ClassVar[re.Pattern[bytes]]
+    """How chunks, and records outside of them, may begin: in less than HEAD_BYTES."""
 
     @abstractmethod
-    def _chunk_at(self, position: int) -> Chunk | None:
-        """The chunk whose record begins at a position."""
+    def _record_at(self, position: int) -> Found | None:
+        """The record at a position, None if there is none that could be one."""
 
     @abstractmethod
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
@@ -210,32 +217,72 @@ class Scan(ABC):
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         """The wanted messages among records."""
 
-    @abstractmethod
-    def _record_size(self, data: Bytes) -> int:
-        """Length of the record that begins with `data`, 0 if it cannot be one."""
-
-    front: ClassVar[int]
-    """Bytes that show whether a record may begin."""
-
-    @abstractmethod
-    def _starts(self, raw: bytes, most: int) -> Iterable[int]:
-        """Positions where records may begin, by their first bytes; most: the longest record that
-        fits, from the first byte on."""
-
-    @abstractmethod
-    def _leads_on(self, read: Read, position: int, stop: int) -> bool:
-        """Whether believable records follow each other from a position on."""
-
     # What is the same
+
+    def all(self) -> Iterator[Chunk]:
+        """All chunks of the file, and runs of records outside of them."""
+        position, window = self.FIRST, LEAST_BYTES
+        while position < self._stop:
+            found = self._record_at(position)
+            if found is None or found.end > self._stop:
+                following = self._next_record(position + 1)
+                if following is None:
+                    yield from self._cut(position, found)
+                    return
+                self._fault(*UNREADABLE, following - position)
+                position = following
+            elif not found.loose:
+                if found.chunk is not None:
+                    yield found.chunk
+                position = found.end
+            elif found.end - position > MESSAGE_BYTES:
+                self._fault(*TOO_LARGE)
+                position = found.end
+            else:
+                raw = self._source.read(position, max(window, found.end - position))
+                _, size = self._records(np.frombuffer(raw, np.uint8))
+                yield Chunk("", position, size, size)
+                window = min(max(4 * size, LEAST_BYTES), SLAB_BYTES)
+                position += size
+
+    def _cut(self, position: int, found: Found | None) -> Iterator[Chunk]:
+        """What remains of the last record that the data hold, which is not whole."""
+        if self._stop == self._source.size:
+            self.findings.faults[CUT] = 1
+        if found is not None and found.chunk is not None:
+            yield found.chunk._replace(packed=self._stop - found.chunk.at, cut=True)
+        else:
+            self._fault(*UNREADABLE, self._stop - position)
+
+    def _next_record(self, position: int) -> int | None:
+        """Where the next chunk, or record outside of chunks, begins that another record or the end
+        follows; None if there is none."""
+        while position < self._stop:
+            raw = self._source.read(position, min(SLAB_BYTES, self._stop - position))
+            for match in self.FRONT.finditer(raw):
+                self._tries -= 1
+                if self._tries < 0:
+                    return None
+                at = position + match.start()
+                found = self._record_at(at)
+                if found is not None and self._is_followed(found):
+                    return at
+            position += SLAB_BYTES - HEAD_BYTES
+        return None
+
+    def _is_followed(self, found: Found) -> bool:
+        if found.end >= self._stop:
+            return found.end == self._stop or found.chunk is not None
+        return self._record_at(found.end) is not None
 
     def some(self, ranges: Ranges) -> Iterator[Chunk]:
         """The chunks at some places of the index."""
         for begin, end in ranges:
-            chunk = self._chunk_at(begin)
-            if chunk is None or chunk.at + chunk.packed > end:
+            found = self._record_at(begin)
+            if found is None or found.chunk is None or found.end > end:
                 self._fault("damaged chunk", "skipped: it is not where the index says")
             else:
-                yield chunk
+                yield found.chunk
 
     def blocks(self, chunks: Iterator[Chunk]) -> Iterator[Block]:
         """The messages of chunks, which are decompressed ahead; damaged ones are skipped."""
@@ -292,79 +339,33 @@ class Scan(ABC):
             yield from self._blocks(data, where)
             return
         for raw in held:
-            yield from self._used(np.frombuffer(raw, np.uint8))
-
-    def _used(self, data: Bytes) -> Iterator[Block]:
-        """The messages in the data of a chunk; records that are damaged are skipped."""
-        while True:
+            data = np.frombuffer(raw, np.uint8)
             where, stop = self._records(data)
             yield from self._blocks(data[:stop], where)
-            if stop == len(data):
-                return
-            found = self._next_record(reader_of(data), stop + 1, len(data))
-            following = len(data) if found is None else found
-            self._fault(*UNREADABLE, following - stop)
-            data = data[following:]
+            if stop < len(data):
+                self._fault(*UNREADABLE, len(data) - stop)
 
     def _streamed(self, chunk: Chunk) -> Iterator[Block]:
-        """The messages of a chunk too large for memory, or cut: what comes before its end is used.
-
-        A record too large for memory is skipped.
-        """
-        held, need, skip, found, crc = bytearray(), 0, 0, 0, 0
+        """The messages of a chunk too large for memory, or cut: what comes before its end is
+        used."""
+        held, size, crc = b"", 0, 0
         try:
             for piece in pieces(chunk.compression, _ChunkData(self._source, chunk)):
-                found, crc = found + len(piece), checksum(piece, crc)
-                if found > chunk.size:
-                    raise DamageError(WRONG_SIZE)
-                held += piece[skip:]
-                skip = max(skip - len(piece), 0)
-                if len(held) < need:
-                    continue
+                size, crc = size + len(piece), checksum(piece, crc)
+                held += piece
                 data = np.frombuffer(held, np.uint8)
                 where, stop = self._records(data)
                 yield from self._blocks(data[:stop], where)
-                rest = data[stop:]
-                need = self._record_size(rest)
-                if need == 0 and len(rest) > SLAB_BYTES:
-                    raise DamageError("the records of a chunk do not fill it")
-                if need > RECORD_BYTES:
-                    self._fault(*TOO_LARGE)
-                    need, skip, rest = 0, need - len(rest), rest[:0]
-                held = bytearray(rest)
+                held = held[stop:]
+                if size > chunk.size or len(held) > MESSAGE_BYTES:
+                    raise DamageError(WRONG_SIZE if size > chunk.size else NO_RECORDS)
         except DamageError:
             if not chunk.cut:
                 raise
-        if chunk.cut:
-            self.findings.faults[CUT] = 1
-        elif held or skip:
-            raise DamageError("the records of a chunk do not fill it")
-        elif chunk.crc and crc != chunk.crc:
+        if not chunk.cut and held:
+            raise DamageError(NO_RECORDS)
+        if not chunk.cut and chunk.crc and crc != chunk.crc:
             self._fault("large chunk", "with a wrong checksum (CRC), used all the same")
-
-    def _next_record(self, read: Read, position: int, stop: int) -> int | None:
-        """The next position from which on records follow each other, None if there is none."""
-        window = LEAST_BYTES
-        while position < stop:
-            raw = read(position, window + self.front - 1)
-            for start in self._starts(raw, stop - position):
-                self._tries -= 1
-                if self._tries < 0:
-                    return None
-                if self._leads_on(read, position + start, stop):
-                    return position + start
-            position += window
-            window = min(4 * window, SLAB_BYTES)
-        return None
-
-    def _around_damage(self, position: int, stop: int) -> int:
-        """Where reading goes on behind a record that cannot be read; what is between is counted."""
-        found = self._next_record(self._source.read, position + 1, stop)
-        if found is None and stop == self._source.size:
-            self.findings.faults[CUT] = 1
-        found = stop if found is None else found
-        self._fault(*UNREADABLE, found - position)
-        return found
 
 
 class _ChunkData:

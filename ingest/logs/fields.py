@@ -23,7 +23,7 @@ import numpy as np
 
 from ...topology.errors import UsageError
 from .foxglove import (
-    POSES,
+    LONGEST_LIST,
     as_text,
     get,
     load_json,
@@ -217,7 +217,7 @@ def _values(message: Any, path: FieldPath) -> list[Any]:
         values = [_member(value, name) for value in values]
         if listed:
             values = [item for value in values for item in sequence(value)]
-        if len(values) > POSES:
+        if len(values) > LONGEST_LIST:
             raise DamageError("implausibly many values")
     # A path that ends at a list means its items.
     last = [sequence(v) if isinstance(v, list | tuple | np.ndarray) else [v] for v in values]

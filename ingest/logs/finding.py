@@ -7,10 +7,10 @@ from contextlib import suppress
 from pathlib import Path
 
 from ...topology.errors import LogError
-from ..remote.path import LogPath, RemotePath, log_path
+from ..remote.path import SMALL_FILE_BYTES, LogPath, RemotePath, log_path
 from .log_file import LogFile, is_log, is_named_like_log
 from .messages import UNWANTED, Findings
-from .metadata import BAG_INFORMATION, METADATA_BYTES
+from .metadata import BAG_INFORMATION
 from .recording import METADATA, is_folder, recording_at
 from .split_recordings import entries, path_of_parts, split_recordings
 
@@ -33,8 +33,6 @@ def find_logs(paths: Sequence[LogPath], *, separate: bool = False) -> list[LogPa
             recording_at(path)
             found[path] = None
             continue
-        if isinstance(path, RemotePath):
-            path.read_all_named(METADATA)
         below = list(_below(path, separate))
         if not below:
             raise LogError(
@@ -96,7 +94,7 @@ def _is_bag_folder(folder: LogPath) -> bool:
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return BAG_INFORMATION.encode() in file.read(METADATA_BYTES)
+        return BAG_INFORMATION.encode() in file.read(SMALL_FILE_BYTES)
 
 
 def _with_parts_as_one(folder: LogPath, files: Sequence[LogPath]) -> list[LogPath]:

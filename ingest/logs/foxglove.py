@@ -19,8 +19,9 @@ from .messages import LATEST_NS, Channel, DamageError, text
 from .poses import Frames, Row
 from .schema import object_decoder
 
-POSES = 1 << 16
-"""Longest list in one message that is decoded as objects."""
+LONGEST_LIST = 1 << 16
+"""Longest list in one message that is decoded as objects, and most beams of a scan: laser scanners
+have hundreds or thousands."""
 
 # Protobuf
 
@@ -84,7 +85,7 @@ def protobuf_object(fields: Fields, raw: bytes) -> dict[str, Any]:
         elif isinstance(kind, str) and kind in _KINDS and wire == _KINDS[kind][0]:
             out[name] = _KINDS[kind][1](value)
         elif isinstance(kind, list) and wire == 2:
-            if len(out[name]) == POSES:
+            if len(out[name]) == LONGEST_LIST:
                 raise DamageError("a list is implausibly long")
             out[name].append(protobuf_object(kind[0], value))
         elif isinstance(kind, dict) and wire == 2:
@@ -219,7 +220,7 @@ def sequence(value: Any) -> list[Any]:
     """A list of bounded length; raises DamageError."""
     if isinstance(value, np.ndarray):
         value = value.tolist()
-    if not isinstance(value, list | tuple) or len(value) > POSES:
+    if not isinstance(value, list | tuple) or len(value) > LONGEST_LIST:
         raise DamageError("not a list of plausible length")
     return list(value)
 

@@ -13,12 +13,9 @@ from ...topology.run import Grid
 from ...topology.se2 import yaw_from_quaternion
 from .foxglove import as_text, get, integer, object_reader, pose_of, real, unit_quaternion
 from .inflate import ZSTD_MAGIC, inflate_message
-from .messages import Channel, DamageError
+from .messages import UNWANTED, Channel, DamageError
 from .recording import Recording
-from .saved_map import checked_grid
-
-FREE = 20
-"""Occupancy below which a cell is free: map_server's threshold of 0.196, in percent."""
+from .saved_map import USUAL_FREE_THRESH, checked_grid
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,30 +28,29 @@ class GridLog:
     warnings: tuple[str, ...] = ()
 
 
-def last_grid(recording: Recording, topic: str) -> tuple[Grid, int]:
-    """The last readable grid of a topic, and the number of unreadable ones after it.
+def last_grid(recording: Recording, topic: str) -> Grid:
+    """The last grid of a topic; raises LogError if there is none, or it cannot be read.
 
-    Raises LogError if there is none. Memory follows the largest message.
+    Memory follows the largest message.
     """
-    failed, reason = 0, "there is none"
     channels: list[Channel] = []
 
     def want(channel: Channel) -> int:
         if channel.topic != topic:
-            return -1
+            return UNWANTED
         channels.append(channel)
         return len(channels) - 1
 
-    payloads: list[tuple[Channel, bytes]] = []
+    last: tuple[Channel, bytes] | None = None
     for block in recording.blocks(want):
-        payloads += [(channels[block.sink], payload) for payload in block.payloads()]
-        del payloads[:-3]  # some are kept in case that the last ones are broken
-    for channel, payload in reversed(payloads):
-        try:
-            return grid_of_message(channel, payload), failed
-        except (DamageError, ValueError) as error:
-            failed, reason = failed + 1, str(error)
-    raise LogError(f"{recording.path}: no grid can be read from {topic}: {reason}")
+        (payload,) = block.rows(slice(-1, None)).payloads()
+        last = channels[block.sink], payload
+    try:
+        if last is None:
+            raise DamageError("there is none")
+        return grid_of_message(*last)
+    except (DamageError, ValueError) as error:
+        raise LogError(f"{recording.path}: no grid can be read from {topic}: {error}") from error
 
 
 def grid_of_message(channel: Channel, payload: bytes) -> Grid:
@@ -78,7 +74,7 @@ def _of_object(message: object) -> Grid:
         raise DamageError(f"a grid of {width} x {height} cells holds {cells.size} numbers")
     yaw = float(yaw_from_quaternion(*unit_quaternion(tuple(turn))))
     cells = cells.reshape(height, width)
-    free, unknown = (cells >= 0) & (cells < FREE), cells < 0
+    free, unknown = (cells >= 0) & (cells < 100 * USUAL_FREE_THRESH), cells < 0
     place = x, y, yaw
     frame = as_text(get(get(message, "header"), "frame_id")).lstrip("/") or "map"
     return checked_grid(Grid(free, unknown, real(get(about, "resolution")), place, frame))

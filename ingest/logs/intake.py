@@ -14,16 +14,9 @@ from ...topology.se2 import yaw_from_quaternion
 from .foxglove import object_reader, object_rows
 from .inflate import unpacked
 from .messages import UNWANTED, Block, Channel, DamageError
-from .poses import PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
+from .poses import FARTHEST_M, PoseDecoder, Poses, RowDecoder, WireDecoder, no_poses
 from .schema import EXPECTED, as_expected
 from .topics import POSE_KINDS
-
-DENSE = 64
-"""From so many messages in a block on, they are decoded in place; fewer are collected first. With 8
-in place of 64, reading takes up to 1.3 times as long (benchmarks/reading_numbers.py)."""
-
-PENDING_BYTES = 1 << 20
-"""Small messages are collected up to this size before they are decoded."""
 
 MOST_KEPT, BYTES_PER_POSE = 1 << 19, 40
 """Most poses of a topic that are kept in space, and bytes of a log for each further one: kept and
@@ -31,9 +24,6 @@ sorted they take some 400 bytes, a message with four of them and its odometry fa
 
 MOST_SINKS = 1 << 12
 """Most channels of one log that are kept: with few messages, one takes some 25 kB."""
-
-FARTHEST = 1e9
-"""Larger coordinates [m] are invalid: no robot's odometry goes farther."""
 
 
 def decoder_for(channel: Channel) -> PoseDecoder:
@@ -45,14 +35,9 @@ def decoder_for(channel: Channel) -> PoseDecoder:
     return RowDecoder(lambda raw, frames: object_rows(read(raw), frames))
 
 
-def states_sigma(channel: Channel) -> bool:
-    """Whether messages of this type can state how uncertain their pose is, and are heeded."""
-    return POSE_KINDS.get(channel.type_name) == "pose_covariance"
-
-
 def usable_poses(value: FloatArray) -> tuple[BoolArray, BoolArray]:
     """(k,) which poses (k, 7) have finite, plausible numbers, and which of these an orientation."""
-    finite = np.asarray((np.abs(value) <= FARTHEST).all(axis=1))  # NaN compares as false
+    finite = np.asarray((np.abs(value) <= FARTHEST_M).all(axis=1))  # NaN compares as false
     turn = value[:, 3:] if finite.all() else np.where(finite[:, None], value[:, 3:], 0.0)
     # Far below any unit quaternion, far above what rounding leaves of a zero one.
     return finite, np.asarray(np.einsum("ki,ki->k", turn, turn) > 1e-12)
@@ -86,9 +71,6 @@ class Sink:
     empty: int = 0
     _kept: int = 0
     _parts: list[Poses] = field(default_factory=list)
-    _pending: list[bytes] = field(default_factory=list)
-    _pending_ns: list[int] = field(default_factory=list)
-    _pending_bytes: int = 0
 
     @property
     def failed(self) -> int:
@@ -102,7 +84,7 @@ class Sink:
         return self.decoder.reason or full
 
     def add(self, block: Block) -> None:
-        """Process the messages of a block: many in place, few when enough are collected."""
+        """Process the messages of a block."""
         if self.whole and self._kept >= self.most:
             self.messages += len(block.start)
             self.undecoded += len(block.start)
@@ -110,28 +92,12 @@ class Sink:
         for part, failed in unpacked(block, self.channel.encoding):
             self.messages += failed
             self.undecoded += failed
-            if len(part.start) >= DENSE:
-                self.flush()
-                self._decode(part)
-                continue
-            self._pending += part.payloads()
-            self._pending_ns += part.log_time_ns.tolist()
-            self._pending_bytes += int(part.size.sum())
-            if self._pending_bytes >= PENDING_BYTES:
-                self.flush()
+            self._decode(part)
 
     def columns(self) -> Poses:
         """All poses; the sink is empty afterwards, so that they are held once."""
-        self.flush()
         parts, self._parts = self._parts, []
         return joined(parts) if parts else no_poses()
-
-    def flush(self) -> None:
-        """Decode what was collected."""
-        if self._pending:
-            block = Block.of(0, np.array(self._pending_ns, np.int64), self._pending)
-            self._pending, self._pending_ns, self._pending_bytes = [], [], 0
-            self._decode(block)
 
     def _decode(self, block: Block) -> None:
         """Append the poses of further messages."""
@@ -142,7 +108,8 @@ class Sink:
         told = int(changes) + (len(decoded) > 0)
         self.empty += len(block.start) - (self.decoder.failed - failed) - told
         poses = self._usable(decoded)
-        if states_sigma(self.channel) and poses.sigma_m is None:
+        kind = POSE_KINDS.get(self.channel.type_name)
+        if kind == "pose_covariance" and poses.sigma_m is None:  # others state none
             poses.sigma_m = np.full(len(poses), np.nan)
         poses.message = poses.message + self.messages
         if not self.whole:
@@ -204,10 +171,7 @@ class Intake:
 
     def of_topic(self, topic: str) -> list[Sink]:
         """The sinks that hold messages of a topic."""
-        found = [sink for sink in self.sinks if sink.channel.topic == topic]
-        for sink in found:
-            sink.flush()
-        return [sink for sink in found if sink.messages]
+        return [sink for sink in self.sinks if sink.channel.topic == topic and sink.messages]
 
     def check(self, topic: str, log: str) -> None:
         """Raise LogError if the topic's messages could not be decoded at all."""

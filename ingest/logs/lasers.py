@@ -17,15 +17,21 @@ from ...topology.arrays import Float32Array, IntArray
 from ...topology.se2 import yaw_from_quaternion
 from .clouds import Cloud, foxglove_cloud, wire_cloud
 from .columns import Shape, numbers
-from .foxglove import as_text, get, object_reader, pose_of, real, stamp_of, unit_quaternion
-from .inflate import SLICE_BYTES, unpacked
+from .foxglove import (
+    LONGEST_LIST,
+    as_text,
+    get,
+    object_reader,
+    pose_of,
+    real,
+    stamp_of,
+    unit_quaternion,
+)
+from .inflate import PIECE_BYTES, unpacked
 from .messages import MESSAGE_BYTES, OBJECT_BYTES, Block, Bytes, Channel, DamageError
 from .schema import as_expected
 from .topics import JUNCTIONS
 from .wire import Decoder, OneByOne, TemplateDecoder, WireParser, stamps_ns
-
-MOST_BEAMS = 1 << 16
-"""Largest number of beams; laser scanners have hundreds or thousands."""
 
 ECHOES_BYTES = 1 << 20
 """Longest scan of several echoes: each beam becomes an object; those of scanners have 40 kB."""
@@ -88,7 +94,7 @@ def one_scan(stamp_ns: int, ranges_m: Float32Array, geometry: Geometry) -> RawSc
 
 def _checked_beams(count: int) -> int:
     """The number of beams; raises DamageError if it is not plausible."""
-    if count > MOST_BEAMS:
+    if count > LONGEST_LIST:
         raise DamageError(f"a scan of {count} beams is implausible")
     return count
 
@@ -319,7 +325,7 @@ class ScanIntake:
         """The scans of a block, in order."""
         self.messages += len(block.start)
         # Cut where the bytes so far fill another slice.
-        filled = (np.cumsum(block.size) - block.size) // SLICE_BYTES
+        filled = (np.cumsum(block.size) - block.size) // PIECE_BYTES
         for rows in np.split(np.arange(len(filled)), np.flatnonzero(np.diff(filled)) + 1):
             part = block.rows(rows)
             for plain, failed in unpacked(part, self._encoding):

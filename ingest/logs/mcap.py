@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Iterator
 from itertools import pairwise
@@ -11,7 +12,7 @@ import numpy as np
 
 from ...topology.arrays import IntArray
 from .channels import NUMBERS, Channels
-from .chunks import RECORD_BYTES, Chunk, Index, Read, Scan
+from .chunks import HEAD_BYTES, INDEX_BYTES, Chunk, Found, Index, Scan
 from .columns import column, gather, words
 from .inflate import checksum
 from .messages import (
@@ -27,117 +28,61 @@ from .messages import (
     normal_type,
     text,
 )
-from .source import LEAST_BYTES, SLAB_BYTES, Source
+from .source import Source
 from .walk import mcap_records
 
 MAGIC = b"\x89MCAP0\r\n"
 FOOTER, SCHEMA, CHANNEL, MESSAGE, CHUNK = 0x02, 0x03, 0x04, 0x05, 0x06
-MESSAGE_INDEX, CHUNK_INDEX, STATISTICS, DATA_END = 0x07, 0x08, 0x0B, 0x0F
+CHUNK_INDEX, STATISTICS, DATA_END = 0x08, 0x0B, 0x0F
 PRIVATE = 0x80
 """Opcodes; from PRIVATE on they are anybody's."""
 
 _NOT_IN_CHUNKS = frozenset(range(256)) - {SCHEMA, CHANNEL, MESSAGE}
 
-_FIXED = {FOOTER: 20, DATA_END: 4, 0x0E: 17}
-"""Records of fixed length."""
-
 RECORD_HEAD, MESSAGE_HEAD = 9, 22
 """Bytes of a record's opcode and length, and of a message before its payload."""
 
-HEAD_BYTES = 64
-"""Bytes of a record that are looked at first: they hold all lengths of chunks and messages."""
-
 FOOTER_BYTES = RECORD_HEAD + 20 + len(MAGIC)
 
-SUMMARY_BYTES = 1 << 26
-"""Largest summary that is read; a chunk takes about 100 bytes in it."""
+LARGEST_RECORD = 1 << 40
+"""Larger ones are damage: no file is as large."""
 
-LARGEST_MESSAGE, LARGEST_RECORD = 1 << 32, 1 << 40
-"""Larger ones are damage: lengths in ROS messages have 32 bits."""
-
-CHAIN = 3
-"""Records in a row that have to be plausible where reading goes on after damage."""
+SUMMARY_DAMAGED = "the summary is damaged"
 
 _RECORD = struct.Struct("<BQ").unpack_from
 _CHUNK = struct.Struct("<QQQII").unpack_from
 _U32, _U64 = (struct.Struct(f).unpack_from for f in ("<I", "<Q"))
 
-_KNOWN = np.array([0 < op <= DATA_END or op >= PRIVATE for op in range(256)])
-"""Which opcodes a record may have."""
-
 
 class McapScan(Scan):
     """One scan of an MCAP file of any profile."""
+
+    FIRST = len(MAGIC)
+    FRONT = re.compile(rb"(?=[\x03-\x06].{5}\0\0\0)", re.DOTALL)
 
     def __init__(self, *parts: Any) -> None:
         super().__init__(*parts)
         self._definitions = Definitions(self._channels)
 
-    def all(self) -> Iterator[Chunk]:
-        """All chunks, and runs of records outside of them."""
-        read, position, stop = self._source.read, len(MAGIC), self._source.size
-        window = LEAST_BYTES
-        if read(0, position) != MAGIC:
-            self.findings.note("the file does not begin with the MCAP magic")
-        while position + RECORD_HEAD <= stop:
-            head = read(position, HEAD_BYTES)
-            op, length = _RECORD(head)
-            end = position + RECORD_HEAD + length
-            chunk = _chunk(head, position) if op == CHUNK else None
-            if chunk is not None and end > stop:
-                yield chunk._replace(packed=stop - chunk.at, cut=True)
-                return
-            if end > stop or not _plausible(head):
-                position = self._around_damage(position, stop)
-                continue
-            if op not in _NOT_IN_CHUNKS:
-                if length < RECORD_BYTES:
-                    data = np.frombuffer(read(position, max(window, end - position)), np.uint8)
-                    end = position + mcap_records(data, _NOT_IN_CHUNKS)[1]
-                    window = min(max(4 * (end - position), LEAST_BYTES), SLAB_BYTES)
-                chunk = Chunk("", position, end - position, end - position)
-            if chunk is not None:
-                yield chunk
-            elif op == FOOTER and end + len(MAGIC) == stop:
-                if self._index is None and _U64(head, RECORD_HEAD)[0]:
-                    self.findings.note("the summary is damaged")
-                return
-            position = end
-        self.findings.faults[CUT] = 1
-
-    front = RECORD_HEAD
-
-    def _starts(self, raw: bytes, most: int) -> list[int]:
-        data = np.frombuffer(raw, np.uint8)
-        count = max(min(len(raw) - RECORD_HEAD + 1, most), 0)
-        at = _KNOWN[data[:count]].nonzero()[0]
-        length = words(data, "<u8", at + 1).clip(max=LARGEST_RECORD).astype(int)
-        behind = at + RECORD_HEAD + length
-        follows = (behind >= len(raw)) | _KNOWN[data[np.minimum(behind, len(raw) - 1)]]
-        found: list[int] = at[follows & (behind <= most)].tolist()
-        return found
-
-    def _leads_on(self, read: Read, position: int, stop: int) -> bool:
-        for _ in range(CHAIN):
-            head = read(position, HEAD_BYTES)
-            if not _plausible(head):
-                return False
-            position += RECORD_HEAD + int(_RECORD(head)[1])
-            if position >= stop:
-                return position == stop
-        return True
-
-    def _chunk_at(self, position: int) -> Chunk | None:
+    def _record_at(self, position: int) -> Found | None:
         head = self._source.read(position, HEAD_BYTES)
-        return _chunk(head, position) if head[:1] == bytes([CHUNK]) else None
+        if head == MAGIC:  # the end of the file
+            return Found(position + len(MAGIC))
+        if len(head) < RECORD_HEAD:
+            return None
+        op, length = _RECORD(head)
+        end = position + RECORD_HEAD + length
+        if op == CHUNK:
+            chunk = _chunk(head, position)
+            return None if chunk is None else Found(end, chunk)
+        known = 0 < op <= DATA_END or op >= PRIVATE
+        least = MESSAGE_HEAD if op == MESSAGE else 0
+        if not known or not least <= length < LARGEST_RECORD:
+            return None
+        return Found(end, loose=op not in _NOT_IN_CHUNKS)
 
     def _records(self, data: Bytes) -> tuple[IntArray, int]:
         return mcap_records(data, _NOT_IN_CHUNKS)
-
-    def _record_size(self, data: Bytes) -> int:
-        if len(data) < RECORD_HEAD or int(data[0]) in _NOT_IN_CHUNKS:
-            return 0
-        return RECORD_HEAD + int(_RECORD(data.data)[1])
 
     def _blocks(self, data: Bytes, where: IntArray) -> Iterator[Block]:
         is_message = data[where] == MESSAGE
@@ -157,22 +102,6 @@ class McapScan(Scan):
         start = where + (RECORD_HEAD + MESSAGE_HEAD)
         for sink, rows in self._channels.met(number, log_time):
             yield Block(data, sink, log_time[rows], start[rows], size[rows])
-
-
-def _plausible(head: bytes) -> bool:
-    """Whether a record may begin with these bytes, up to HEAD_BYTES of them."""
-    if len(head) < RECORD_HEAD:
-        return False
-    op, length = _RECORD(head)
-    if op == CHUNK:
-        return _chunk(head, 0) is not None
-    if op in _FIXED:
-        return bool(length == _FIXED[op])
-    if op == MESSAGE:
-        return bool(MESSAGE_HEAD <= length < LARGEST_MESSAGE)
-    if op == MESSAGE_INDEX:
-        return len(head) >= RECORD_HEAD + 6 and bool(_U32(head, RECORD_HEAD + 2)[0] + 6 == length)
-    return bool(_KNOWN[op] and length < LARGEST_RECORD)
 
 
 def _chunk(head: bytes, position: int) -> Chunk | None:
@@ -260,21 +189,22 @@ def _strings(body: bytes, at: int, count: int) -> list[bytes]:
 
 
 def read_summary(source: Source) -> Index | None:
-    """The summary of a file, None if there is none; raises DamageError and struct.error."""
+    """The summary of a file, None if it was written without one; raises DamageError and
+    struct.error."""
     footer = source.size - FOOTER_BYTES
     tail = source.read(footer, FOOTER_BYTES) if footer >= len(MAGIC) else b""
     if not tail.endswith(MAGIC):
-        return None
+        raise DamageError(CUT[1])
     op, length, start, _, crc = struct.unpack_from("<BQQQI", tail)
-    if op != FOOTER or length != 20 or not 0 < start <= footer or footer - start > SUMMARY_BYTES:
+    if (op, length, start) == (FOOTER, 20, 0):
         return None
+    if op != FOOTER or length != 20 or not footer - INDEX_BYTES < start <= footer:
+        raise DamageError(SUMMARY_DAMAGED)
     raw = source.read(start, footer - start + RECORD_HEAD + 16)
-    if crc and checksum(raw) != crc:
-        return None
     data = np.frombuffer(raw, np.uint8)[: footer - start]
     where, stop = mcap_records(data)
-    if stop != len(data):
-        return None
+    if (crc and checksum(raw) != crc) or stop != len(data):
+        raise DamageError(SUMMARY_DAMAGED)
     op = data[where]
     channels = Channels(lambda _: 0, Findings())
     Definitions(channels).read(data, where[(op == SCHEMA) | (op == CHANNEL)])
@@ -297,6 +227,6 @@ def read_summary(source: Source) -> Index | None:
     filled = {number for number, count in counts.items() if count}
     apart = all(end <= begin for (_, end, _), (begin, _, _) in pairwise(chunks))
     apart &= all(begin < end <= start for begin, end, _ in chunks)
-    sound = chunks and counts and apart and filled <= named <= channels.described.keys()
-    distrusted = "" if sound else "its index is incomplete or contradicts itself"
-    return Index(channels.described, counts, (first, last), chunks, distrusted, bool(crc), start)
+    if not (counts and apart and filled <= named <= channels.described.keys()):
+        chunks = []
+    return Index(channels.described, counts, (first, last), chunks, bool(crc), start)

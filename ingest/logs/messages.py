@@ -179,22 +179,14 @@ class Findings:
         """Keep a sentence, once."""
         self.faults["", sentence] = 1
 
-    def beyond(self, known: Sequence[Findings]) -> Findings:
-        """The faults that no other scan of the same log found, as far as their numbers tell."""
-        faults, lost = self.faults.copy(), self.lost.copy()
-        for other in known:
-            faults -= Counter({fault: other.faults[fault] for fault in self.faults})
-            lost -= Counter({topic: other.lost[topic] for topic in self.lost})
-        return Findings(faults=faults, lost=lost)
-
     @property
     def messages(self) -> int:
         """All messages met."""
         return self.counts.total() + self.faults[UNKNOWN]
 
     @property
-    def damage(self) -> list[str]:
-        """Sentences about what is broken, empty for a whole log."""
+    def losses(self) -> list[str]:
+        """Sentences about what is broken or lost, empty for a whole log."""
         out = [
             f"{several(count, noun)} {rest}" if noun else rest
             for (noun, rest), count in self.faults.items()
@@ -203,6 +195,12 @@ class Findings:
         for topic, count in sorted(self.lost.items()):
             told = f"{several(count, 'message')} of {topic}"
             out.append(f"{told} {'is' if count == 1 else 'are'} lost in damaged places")
+        return out
+
+    @property
+    def damage(self) -> list[str]:
+        """The same, and what could be read."""
+        out = self.losses
         if out and self.first_ns is not None and self.last_ns is not None:
             seconds = (self.last_ns - self.first_ns) / 1e9
             out.append(

@@ -14,9 +14,6 @@ from ...topology.wording import legible
 from .messages import NAME_BYTES
 
 BAG_INFORMATION = "rosbag2_bagfile_information"
-METADATA_BYTES = 1 << 22
-"""Largest file that is read; a thousand topics and files take 1 MiB."""
-
 _LINE = re.compile(
     r"^(?P<indent> *)(?:(?P<dash>- +)|[\"']?(?P<key>[A-Za-z0-9_]+)[\"']?\s*:(?=\s|$))"
 )

@@ -35,7 +35,8 @@ COVARIANCE = 36
 """Numbers of a covariance of x, y, z and rotations about them, row by row."""
 
 FARTHEST_M = 1e9
-"""Bound of stated sigmas [m], to keep them within single precision."""
+"""Larger coordinates [m] are invalid: no robot's odometry goes farther. Larger sigmas are stated as
+this."""
 
 
 Row = tuple[int, int, list[tuple[float, ...]]]
@@ -196,19 +197,15 @@ class RowDecoder(OneByOne[list[Row], Poses]):
 
 
 def _poses_of_rows(found: list[tuple[int, int, list[Row]]]) -> Poses:
-    return join(
-        [
-            _poses(number, part, log_ns, row)
-            for number, log_ns, rows in found
-            for part, row in enumerate(rows)
-            if row[2]
-        ]
-    )
-
-
-def _poses(number: int, part: int, log_ns: int, row: Row) -> Poses:
-    stamp, frame, values = row
-    numbers = number, part, log_ns, stamp, frame
-    message, parts, log, stamps, frames = (np.full(len(values), value) for value in numbers)
-    pose = np.array(values, np.float64).reshape(-1, 7)
-    return Poses(message, parts, log, stamps, frames, pose)
+    """One row per pose, in the order of the messages."""
+    rows = [
+        (number, part, log_ns, stamp_ns, frame, pose)
+        for number, log_ns, junctions in found
+        for part, (stamp_ns, frame, poses) in enumerate(junctions)
+        for pose in poses
+    ]
+    if not rows:
+        return no_poses()
+    *about, pose = zip(*rows, strict=True)
+    message, part, log_ns, stamp_ns, frame = (np.array(column, np.int64) for column in about)
+    return Poses(message, part, log_ns, stamp_ns, frame, np.array(pose, np.float64))

@@ -11,11 +11,11 @@ from typing import Any
 
 from ...topology.errors import LogError
 from ...topology.wording import legible, listed
-from ..remote.path import LogPath, RemotePath, log_path
+from ..remote.path import SMALL_FILE_BYTES, LogPath, RemotePath, log_path
 from .inflate import keep_freed_memory
 from .log_file import SUFFIX, LogFile, is_named_like_log, sniff
 from .messages import NOT_TOLD, Block, Findings, Passed, Progress, Want
-from .metadata import METADATA_BYTES, Metadata, parse_metadata
+from .metadata import Metadata, parse_metadata
 from .saved_map import is_saved_map, saved_map_files
 from .split_recordings import is_path_of_parts, name_of_parts, parts_at
 
@@ -170,7 +170,9 @@ def _folder(path: LogPath) -> Recording:
         entries = sorted((e for e in path.iterdir() if e.is_file()), key=_natural)
     except OSError as error:
         raise LogError(f"{path}: cannot be listed ({error.strerror})") from error
-    files = [LogFile(entry) for entry in entries if _is_part(entry)]
+    # Logs are known by their content, remote ones by name.
+    is_part = is_named_like_log if isinstance(path, RemotePath) else sniff
+    files = [LogFile(entry) for entry in entries if is_part(entry)]
     # A file beside its compressed copy has the same messages.
     names = {file.path.name for file in files}
     files = [file for file in files if _bare(file) == file.path.name or _bare(file) not in names]
@@ -198,11 +200,6 @@ def _bare(file: LogFile) -> str:
     return _PACKED.sub("", file.path.name)
 
 
-def _is_part(path: LogPath) -> bool:
-    """Whether a file of a bag folder is a log: local ones by content, remote ones by name."""
-    return is_named_like_log(path) if isinstance(path, RemotePath) else sniff(path) is not None
-
-
 def _natural(path: LogPath) -> tuple[list[tuple[int, str]], str]:
     """Sort key by which part 10 comes after part 9."""
     pieces = re.split(r"(\d+)", path.name)
@@ -213,7 +210,7 @@ def _metadata(path: LogPath, notes: list[str]) -> Metadata:
     """The content of metadata.yaml; if it is unreadable, a note is added and the folder's files are
     used."""
     try:
-        if path.stat().st_size > METADATA_BYTES:
+        if path.stat().st_size > SMALL_FILE_BYTES:
             raise ValueError("it is implausibly long")
         return parse_metadata(path.read_text("utf-8", "replace"))
     except (ValueError, OSError) as error:

@@ -20,7 +20,7 @@ import numpy as np
 from ...topology.arrays import IntArray
 from ...topology.errors import LogError
 from ...topology.wording import legible
-from .channels import DEFINITION_BYTES
+from .channels import DEFINITION_BYTES, NUMBERS
 from .messages import (
     CUT,
     MESSAGE_BYTES,
@@ -48,7 +48,7 @@ MAGIC = b"SQLite format 3\x00"
 _ERRORS = (sqlite3.Error, ValueError, TypeError, OverflowError, MemoryError)
 """Exceptions of the library on a damaged database: its own, and those of converting values."""
 
-ROWS, LARGE_BYTES = 512, 1 << 14
+ROWS, LARGE_BYTES = 2048, 1 << 14
 """Rows that are fetched at a time; larger payloads are asked for by themselves."""
 
 LEAST_STEPS = 1 << 25
@@ -59,17 +59,9 @@ STEPS_PER_BYTE of the file, since a row takes about ten steps and at least ten b
 STEPS_AT_ONCE = 10_000
 """Virtual machine steps between two checks of the limit."""
 
-PATIENCE = 1000
-"""Damaged places that are stepped over; a file with more is an attack. Each takes about 1 ms."""
-
-TOPICS = 1 << 15
-"""Most topics that are read."""
-
-FARTHEST = 1 << 40
-"""Longest step over a damaged place, in numbers of rows."""
-
 MOST_MISSING = 1 << 20
-"""A larger step between the numbers of two rows counts as a wrong number."""
+"""A larger step between the numbers of two rows counts as a wrong number; over a damaged place none
+so large is made."""
 
 _BROKEN_ROW = ("row", "of the database without a message")
 
@@ -106,13 +98,11 @@ class SqliteFile:
     def blocks(self, want: Want, findings: Findings, passed: Passed = NOT_TOLD) -> Iterator[Block]:
         """All messages by the numbers of their rows. O(bytes of the pages that hold any)."""
         with _sound(self.path, findings) as path:
-            for salvage in (False, True):
-                try:
-                    with _connected(path, salvage) as base:
-                        yield from _Reader(base, want, findings, passed).blocks()
-                    break
-                except (*_ERRORS, DamageError) as error:
-                    findings.note(f"the database is damaged ({one_line(error)})")
+            try:
+                with _connected(path) as base:
+                    yield from _Reader(base, want, findings, passed).blocks()
+            except (*_ERRORS, DamageError) as error:
+                findings.note(f"the database is damaged ({one_line(error)})")
 
 
 class _Reader:
@@ -131,8 +121,12 @@ class _Reader:
         data = f"CASE WHEN {chosen} THEN data ELSE length(data) END"
         # The number of a row is its id, but in tables of other writers.
         columns = base.execute("PRAGMA table_info(messages)").fetchall()
-        self._id = "id" if any(row[1] == "id" and row[5] for row in columns) else "rowid"
-        self._query = f"SELECT {self._id}, topic_id, timestamp, {data} FROM messages "
+        number = "id" if any(row[1] == "id" and row[5] for row in columns) else "rowid"
+        self._query = (
+            f"SELECT {number}, topic_id, timestamp, {data} FROM messages "
+            f"WHERE {number} >= ? ORDER BY {number}"
+        )
+        self._one = f"SELECT data FROM messages WHERE {number} = ?"
         self._read_bytes = self._last = self._missing = 0
 
     def blocks(self) -> Iterator[Block]:
@@ -146,63 +140,27 @@ class _Reader:
             )
 
     def _batches(self) -> Iterator[list[_Row]]:
-        """All rows by ascending number; what cannot be read is stepped over.
-
-        Where a batch cannot be read, it is halved down to the single row.
-        """
-        first, count, patience = -(1 << 63), ROWS, PATIENCE
-        while patience:
+        """All rows by ascending number; damaged places are stepped over, in ever longer steps: rows
+        next to each other share their page."""
+        first, count, step = -(1 << 63), ROWS, 1
+        while step < MOST_MISSING:
             try:
-                rows = self._rows_from(first, count)
-                if not rows:
-                    return
-                yield rows
-                first = rows[-1][0] + 1
-                continue
+                cursor = self._base.execute(self._query, (first,))
+                while rows := cursor.fetchmany(count):
+                    yield rows
+                    first, step = rows[-1][0] + 1, 1
+                return
             except _ERRORS as error:
                 self._findings.note(f"the database is damaged ({one_line(error)})")
             if count > 1:
-                count //= 2
-                continue
-            behind = self._first_readable(first)
-            if behind is None:
-                return
-            first, count, patience = behind, ROWS, patience - 1
-        self._findings.note("the database is damaged in too many places: the rest is left out")
-
-    def _rows_from(self, number: int, count: int) -> list[_Row]:
-        query = f"{self._query}WHERE {self._id} >= ? ORDER BY {self._id} LIMIT ?"
-        return self._base.execute(query, (number, count)).fetchall()
-
-    def _first_readable(self, bad: int) -> int | None:
-        """The number behind the damage that begins at a number, None if it has no end.
-
-        Doubles the step until a row can be read, then bisects: rows next to each other share their
-        page.
-        """
-        bad, step = max(bad, 0), 1
-        while not self._is_readable(bad + step):
-            bad, step = bad + step, 2 * step
-            if step > FARTHEST:
-                return None
-        while step > 1:
-            step //= 2
-            if not self._is_readable(bad + step):
-                bad += step
-        return bad + 1
-
-    def _is_readable(self, number: int) -> bool:
-        """Whether the first row from a number on can be read, if there is any."""
-        with suppress(*_ERRORS):
-            self._rows_from(number, 1)
-            return True
-        return False
+                count = 1  # up to the damage
+            else:
+                first, count, step = max(first, 0) + step, ROWS, 2 * step
 
     def _block(self, rows: list[_Row]) -> Iterator[Block]:
         """The wanted ones of some rows; columns may hold any type in SQLite."""
         good = [row for row in rows if type(row[1]) is type(row[2]) is int]
-        if len(good) < len(rows):
-            self._findings.faults[_BROKEN_ROW] += len(rows) - len(good)
+        self._findings.faults[_BROKEN_ROW] += len(rows) - len(good)
         if not good:
             return
         numbers, topics, times, payloads = zip(*good, strict=True)
@@ -221,10 +179,23 @@ class _Reader:
                 if set(map(type, found)) == {bytes}:
                     yield self._block_of(channel, self._sink[key], found, time[mine])
                     continue
-                for k, data in zip(mine.nonzero()[0], found, strict=True):
-                    whole = data if type(data) is bytes else self._large(channel, numbers[k], data)
-                    if whole is not None:
-                        yield self._block_of(channel, self._sink[key], [whole], time[k : k + 1])
+                for k, data in zip(mine.nonzero()[0].tolist(), found, strict=True):
+                    if payload := data if type(data) is bytes else self._large(numbers[k], data):
+                        yield self._block_of(channel, self._sink[key], [payload], time[k : k + 1])
+
+    def _large(self, number: int, size: Any) -> bytes | None:
+        """A payload that is asked for by itself; None, and counted, if it is none or too long.
+
+        size: its length, or what stands in its place.
+        """
+        large = isinstance(size, int) and size > MESSAGE_BYTES
+        with suppress(*_ERRORS):
+            if not large:
+                (data,) = self._base.execute(self._one, (number,)).fetchone()
+                if isinstance(data, bytes):
+                    return data
+        self._findings.faults[TOO_LARGE if large else _BROKEN_ROW] += 1
+        return None
 
     def _block_of(
         self, channel: Channel, sink: int, payloads: list[bytes], time_ns: IntArray
@@ -233,24 +204,6 @@ class _Reader:
         self._findings.seen(channel, len(payloads))
         self._read_bytes += len(block.data)
         return block
-
-    def _large(self, channel: Channel, number: int, size: Any) -> bytes | None:
-        """A payload that is asked for by itself; None if it is too long or damaged.
-
-        size: its length, or what stands in its place.
-        """
-        if isinstance(size, int) and size > MESSAGE_BYTES:
-            self._findings.faults[TOO_LARGE] += 1
-            return None
-        with suppress(*_ERRORS):
-            query = f"SELECT data FROM messages WHERE {self._id} = ?"
-            (payload,) = self._base.execute(query, (number,)).fetchone()
-            if isinstance(payload, bytes):
-                return payload
-            self._findings.faults[_BROKEN_ROW] += 1
-            return None
-        self._findings.lost[channel.topic] += 1
-        return None
 
     def _count_missing(self, number: IntArray) -> None:
         """Count the gaps in ascending numbers: a recorder counts from 1 on."""
@@ -297,9 +250,9 @@ def _beside(path: Path, suffix: str) -> Path | None:
 
 
 @contextmanager
-def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection]:
+def _connected(path: Path) -> Iterator[sqlite3.Connection]:
     """A connection that only reads the database itself (`immutable`) and runs no code of it, with
-    work limited by the file's size. salvage: open one that is shorter than its header says, too."""
+    work limited by the file's size."""
     left = LEAST_STEPS + STEPS_PER_BYTE * path.stat().st_size
 
     def spent() -> bool:
@@ -313,8 +266,7 @@ def _connected(path: Path, salvage: bool = False) -> Iterator[sqlite3.Connection
         base.set_progress_handler(spent, STEPS_AT_ONCE)
         with suppress(*_ERRORS):  # what is wrong with the file shows when something is asked
             base.execute("PRAGMA trusted_schema = OFF")
-            if salvage:
-                base.execute("PRAGMA writable_schema = ON")
+            base.execute("PRAGMA writable_schema = ON")  # opens one that is shorter than it says
         yield base
 
 
@@ -342,7 +294,7 @@ def _channels(base: sqlite3.Connection) -> dict[int, Channel]:
     short = ", ".join(f"substr({column}, 1, {NAME_BYTES})" for column in ("name", "type", encoding))
     out: dict[int, Channel] = {}
     for key, name, type_name, form in base.execute(
-        f"SELECT id, {short} FROM topics LIMIT {TOPICS}"
+        f"SELECT id, {short} FROM topics LIMIT {NUMBERS}"
     ):
         kind, body = definitions.get(str(type_name), ("", b""))
         names = normal_topic(legible(str(name))), normal_type(legible(str(type_name)))

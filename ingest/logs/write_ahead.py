@@ -35,22 +35,21 @@ def merge_write_ahead(log: Path, copy: Path, findings: Findings) -> None:
         head = np.frombuffer(source.read(HEAD_BYTES).ljust(HEAD_BYTES, b"\0"), np.uint8)
         magic, _, page, *_ = words = head.view(">u4").tolist()
         own_sums = _sums(head[None, :24], magic, (0, 0))[0].tolist()
-        head_holds = magic in (LITTLE, BIG) and words[6:] == own_sums
-        page = _page(page) if head_holds else page_bytes(copy)
-        frames = _frames(source, head, page, head_holds)
+        if magic not in (LITTLE, BIG) or words[6:] != own_sums:
+            findings.note("the header of the database's write-ahead log is damaged; it is left out")
+            return
+        page = _page(page)
+        frames, frame = _frames(source, head, page), FRAME_HEAD + page
         count = int(frames.own.nonzero()[0].max(initial=-1)) + 1
         committed = frames.holds & (frames.pages > 0)
         used = int(committed.nonzero()[0].max(initial=-1)) + 1
-        frame = FRAME_HEAD + page
-        # Behind frames of another salt nothing is of this log.
-        rest = max(size - HEAD_BYTES, 0) % frame if count == len(frames.own) else 0
-        if not head_holds and count + rest:
-            findings.note("the header of the database's write-ahead log is damaged")
         if wrong := int((~frames.holds[:used]).sum()):
             findings.note(
                 f"{several(wrong, 'page')} ({wrong * frame} bytes) of the database's write-ahead "
                 "log damaged; what follows is used"
             )
+        # Behind frames of another salt nothing is of this log.
+        rest = (size - HEAD_BYTES) % frame if count == len(frames.own) else 0
         if left := (count - used) * frame + rest:
             findings.note(f"the last {left} bytes of the database's write-ahead log are no whole")
             findings.faults[CUT] = 1
@@ -83,7 +82,7 @@ class _Frames(NamedTuple):
     own: BoolArray
 
 
-def _frames(file: BinaryIO, head: Bytes, size: int, head_holds: bool) -> _Frames:
+def _frames(file: BinaryIO, head: Bytes, size: int) -> _Frames:
     """All whole frames of a log, whose header was read already."""
     magic, frame = int(head.view(">u4")[0]), FRAME_HEAD + size
     salt, before = head[16:24], head[24:32]
@@ -92,8 +91,6 @@ def _frames(file: BinaryIO, head: Bytes, size: int, head_holds: bool) -> _Frames
         rows = np.frombuffer(raw, np.uint8)[: len(raw) // frame * frame].reshape(-1, frame)
         if len(rows) == 0:
             break
-        if len(parts) == 1 and not head_holds:
-            salt = rows[0, 8:16]
         stored = rows[:, 16:24]
         start = np.vstack([before, stored[:-1]]).view(">u4")
         data = np.hstack([rows[:, :8], rows[:, FRAME_HEAD:]])

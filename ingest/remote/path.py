@@ -10,7 +10,6 @@ import io
 import re
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -20,14 +19,12 @@ from urllib.parse import unquote, urlsplit, urlunsplit
 from ...topology.errors import LogError, UsageError
 from .source import BLOCK_BYTES, RemoteFile
 from .store import (
-    TAIL_MOST,
     Got,
     MissingObjectError,
     Stat,
     listed,
     requested,
     require_obstore,
-    side_by_side,
 )
 
 _REMOTE = re.compile(r"^(s3|gs|az|https?)://", re.IGNORECASE)
@@ -38,13 +35,12 @@ HEAD_BYTES = 2 * BLOCK_BYTES
 """Front of a bag that is read: magic and first record, which holds the index position. Writers pad
 it to 4096 bytes."""
 
-TAIL_BYTES = 1 << 13
-TAIL_SHARE = 2048
-"""Bytes first read at the end of an MCAP file: 8 KiB plus a share of its size, since a summary has
-1 to 3 kB per topic and 200 bytes per chunk of 1 MB. The rest is read when needed."""
+TAIL_BYTES = 1 << 15
+"""Bytes first read at the end of an object. A summary has 1 to 3 kB per topic and 200 bytes per
+chunk of 1 MB; the rest of a longer one is read when needed."""
 
 SMALL_FILE_BYTES = 1 << 22
-"""Largest metadata.yaml that is read."""
+"""Largest metadata.yaml that is read: a thousand topics and files take 1 MiB."""
 
 
 def is_remote(text: str) -> bool:
@@ -188,16 +184,6 @@ class RemotePath:
         """A small file's content as text."""
         return self.open().read().decode(encoding, errors)
 
-    def read_all_named(self, name: str) -> None:
-        """Read all small files of a name below concurrently, so that opening them is immediate."""
-        found, waiting = [], [self]
-        while waiting:
-            for each in waiting.pop().iterdir():
-                waiting += [each] if each.is_dir() else []
-                found += [each] if each.name == name and each.is_file() else []
-        for _ in side_by_side(_read_if_there, found):
-            pass
-
     # An object
 
     @property
@@ -247,15 +233,12 @@ class RemotePath:
 
     def _first_look(self, node: _Node) -> None:
         """Request the end of the object that holds its index: the first of a bag, the last of
-        others, all of a description."""
-        size = node.stat.size if node.stat is not None else TAIL_SHARE * TAIL_BYTES
-        wanted: tuple[int, int] | int = min(TAIL_BYTES + size // TAIL_SHARE, TAIL_MOST)
+        others."""
+        wanted: tuple[int, int] | int = TAIL_BYTES
+        known, key = node.stat, self.key.rstrip("/")
         if _HEAD_FIRST.search(self.name):
-            wanted = 0, min(size, HEAD_BYTES)
-        elif self.name.endswith(".yaml"):
-            wanted = TAIL_MOST
-        if size > 0:
-            known, key = node.stat, self.key.rstrip("/")
+            wanted = 0, HEAD_BYTES if known is None else min(known.size, HEAD_BYTES)
+        if known is None or known.size > 0:
             node.end = requested(self.root, key, wanted, known, named=str(self)).result()
             node.stat = node.stat or node.end.stat
 
@@ -303,11 +286,6 @@ class RemotePath:
         except MissingObjectError:
             return None
         return node
-
-
-def _read_if_there(file: RemotePath) -> None:
-    with suppress(LogError):  # what fails does so again when it is wanted
-        file.open()
 
 
 def _public(address: str) -> str:

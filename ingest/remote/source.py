@@ -49,7 +49,6 @@ class RemoteFile:
         self._held: OrderedDict[int, bytes] = OrderedDict()
         self._parts: Ranges = []
         self._begun: dict[int, Future[Got]] = {}
-        self._fresh = 0
         if known is not None:
             self._keep(known)
 
@@ -62,7 +61,7 @@ class RemoteFile:
             for first, stop in _joined(ranges)
             for at in range(first, stop, PART_BYTES // BLOCK_BYTES)
         ]
-        self._begun, self._fresh = {}, 0
+        self._begun = {}
         yield
         self._parts = []
 
@@ -97,11 +96,8 @@ class RemoteFile:
             left -= (stop - first) * BLOCK_BYTES
             if m > n and left < 0:
                 break
-            # Threads may read out of order: parts read after this one are not requested twice.
-            fresh = m == n or m >= self._fresh
-            if fresh and m not in self._begun and first not in self._held:
+            if m not in self._begun and first not in self._held:
                 self._begun[m] = self._requested(first, stop)
-                self._fresh = max(self._fresh, m + 1)
 
     def _requested(self, first: int, stop: int) -> Future[Got]:
         """A request for blocks that are not held, up to the first that is."""

@@ -9,11 +9,9 @@ at once.
 from __future__ import annotations
 
 import re
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from contextlib import contextmanager
-from dataclasses import dataclass
 from datetime import timedelta
 from functools import lru_cache, partial
 from threading import Thread
@@ -23,34 +21,30 @@ from ...topology.errors import LogError, UsageError
 
 if TYPE_CHECKING:
     from obstore import GetOptions
-    from obstore.store import ObjectStore
+    from obstore.store import ClientConfig, ObjectStore, RetryConfig
 
-T = TypeVar("T")
 R = TypeVar("R")
-
-TAIL_MOST = 1 << 19
-"""Limit on the end of an object that is requested first."""
 
 MOST_KEYS = 1 << 22
 """Limit on a listing: it takes 2.4 GB (570 bytes a key, measured with 100,000)."""
 
 
-@dataclass(frozen=True, slots=True)
-class Patience:
-    """Timeouts and retries of requests.
-
-    read_s: without any byte (botocore's default is 60 s); request_s: for one response, enough for 4
-    MiB at 14 kB/s; retries, retry_s: attempts after the first one, and the time after which none
-    is started.
-    """
-
-    connect_s: float = 10.0
-    read_s: float = 30.0
-    request_s: float = 300.0
-    retries: int = 6
-    retry_s: float = 120.0
-    first_pause_s: float = 0.2
-    longest_pause_s: float = 10.0
+CLIENT: ClientConfig = {
+    "connect_timeout": timedelta(seconds=10),
+    "read_timeout": timedelta(seconds=30),  # without any byte; botocore's default is 60 s
+    "timeout": timedelta(minutes=5),  # for one response: enough for 4 MiB at 14 kB/s
+    "allow_http": True,  # for who names an address or endpoint that begins so
+}
+RETRIES: RetryConfig = {
+    "max_retries": 6,
+    "retry_timeout": timedelta(minutes=2),  # after which no further attempt is begun
+    "backoff": {
+        "init_backoff": timedelta(milliseconds=200),
+        "max_backoff": timedelta(seconds=10),
+        "base": 2,
+    },
+}
+"""obstore's options."""
 
 
 class Stat(NamedTuple):
@@ -168,28 +162,7 @@ def store(root: str) -> ObjectStore:
     """The store of a bucket or server, configured by the environment."""
     from obstore.store import from_url
 
-    patience = PATIENCE
-    return from_url(
-        root,
-        client_options={
-            "connect_timeout": timedelta(seconds=patience.connect_s),
-            "read_timeout": timedelta(seconds=patience.read_s),
-            "timeout": timedelta(seconds=patience.request_s),
-            "allow_http": True,  # for who names an address or endpoint that begins so
-        },
-        retry_config={
-            "max_retries": patience.retries,
-            "retry_timeout": timedelta(seconds=patience.retry_s),
-            "backoff": {
-                "init_backoff": timedelta(seconds=patience.first_pause_s),
-                "max_backoff": timedelta(seconds=patience.longest_pause_s),
-                "base": 2,
-            },
-        },
-    )
-
-
-PATIENCE = Patience()
+    return from_url(root, client_options=CLIENT, retry_config=RETRIES)
 
 
 @contextmanager
@@ -258,10 +231,6 @@ def _first_line(text: str) -> str:
     return re.sub(r"https?://\S+", "the server", line)[:200]
 
 
-AT_ONCE = 16
-"""Small requests at a time: each takes about 30 ms, nearly all of it waiting."""
-
-
 def begun(call: Callable[[], R]) -> Future[R]:
     """Start a call on a thread of its own."""
     future: Future[R] = Future()
@@ -274,14 +243,3 @@ def begun(call: Callable[[], R]) -> Future[R]:
 
     Thread(target=run, daemon=True).start()
     return future
-
-
-def side_by_side(function: Callable[[T], R], items: Iterable[T]) -> Iterator[R]:
-    """The results of a function computed concurrently, in the order of the items."""
-    waiting: deque[Future[R]] = deque()
-    for item in items:
-        if len(waiting) == AT_ONCE:
-            yield waiting.popleft().result()
-        waiting.append(begun(partial(function, item)))
-    while waiting:
-        yield waiting.popleft().result()

@@ -174,13 +174,15 @@ def skeleton_graph(
 
 
 CELL_M = 0.05
-"""Cells of the lattice that skeletons are traced in, whatever those of the grid."""
+"""Cells that finer grids are joined to, and those of the lattice that skeletons are traced in,
+whatever those of the grid: most maps are saved in these. A robot's radius has five; finer ones show
+more of the walls' roughness, which is no part of the plan."""
 
 FINER = 3
 """The lattice's cells are at most so many times smaller than the grid's: there is no more in it."""
 
 MOST_CELLS = 1 << 22
-"""Most cells of the lattice, about as many as of the grid (`ingest/grid_map.py`)."""
+"""Most cells of a grid, and of the lattice, whose distance from walls is measured: 100 by 100 m."""
 
 MOST_PEELED = 1 << 27
 """Thinning visits all cells for every layer of the widest open space. This many visits take half a

@@ -7,6 +7,7 @@ import sys
 import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from datetime import timedelta
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -55,13 +56,12 @@ def s3_port(servers: ModuleType) -> Iterator[int]:
         yield port
 
 
-IMPATIENT = store.Patience(retries=3, retry_s=10.0, first_pause_s=0.01, longest_pause_s=0.05)
-
-
 @pytest.fixture
 def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Retries follow each other quickly."""
-    monkeypatch.setattr(store, "PATIENCE", IMPATIENT)
+    pauses = {"init_backoff": timedelta(seconds=0.01), "max_backoff": timedelta(seconds=0.05)}
+    quick = {"max_retries": 3, "retry_timeout": timedelta(seconds=10), "backoff": pauses}
+    monkeypatch.setattr(store, "RETRIES", quick)
     store.store.cache_clear()
     yield
     store.store.cache_clear()

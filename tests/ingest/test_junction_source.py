@@ -247,14 +247,16 @@ def test_a_log_with_a_grid_alone(sensors: ModuleType, tmp_path: Path) -> None:
     rows = [
         ("/map", sensors.GRID, sensors.START_NS, sensors.grid(np.full((3, 3), -1))),
         ("/map", sensors.GRID, sensors.START_NS + 1, sensors.grid(cells, 0.2, (1.0, 2.0, 0.5))),
-        ("/map", sensors.GRID, sensors.START_NS + 2, b"broken"),
     ]
+    broken = ("/map", sensors.GRID, sensors.START_NS + 2, b"broken")
+    with pytest.raises(LogError, match="no grid can be read from /map"):
+        read_log(sensors.mcap(tmp_path / "broken.mcap", [*rows, broken]))
     found = read_log(sensors.mcap(tmp_path / "grid.mcap", rows))
     assert isinstance(found, GridLog)
     np.testing.assert_array_equal(found.grid.free, cells == 0)
     assert found.grid.resolution_m == pytest.approx(0.2)
     np.testing.assert_allclose(found.grid.origin, (1.0, 2.0, 0.5))
-    assert found.warnings == ("/map: the last grid cannot be read; left out",)
+    assert found.warnings == ()
     with pytest.raises(LogError, match="no run"):
         read_run(tmp_path / "grid.mcap")
 

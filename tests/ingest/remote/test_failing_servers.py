@@ -6,6 +6,7 @@ import json
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import timedelta
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -121,7 +122,7 @@ def test_what_cannot_be_read_is_an_error_that_names_bucket_and_key(
     bucket.proxy.fault = lambda request, before: fault if before >= first else None
     with pytest.MonkeyPatch.context() as patched:
         if kind == "stalls":  # elsewhere a loaded machine would pass for a server that stalls
-            patched.setattr(store, "PATIENCE", replace(store.PATIENCE, read_s=0.5))
+            patched.setitem(store.CLIENT, "read_timeout", timedelta(seconds=0.5))
             store.store.cache_clear()
         with pytest.raises(LogError) as caught:
             read_run(remote)
