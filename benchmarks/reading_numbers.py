@@ -30,6 +30,8 @@ NUMBERS = {
     "SMALL_BYTES": "chunks",
     "INPUT_BYTES": "inflate",
     "PIECE_BYTES": "inflate",
+    "DENSE": "intake",
+    "PENDING_BYTES": "intake",
     "ROWS": "sqlite",
     "REACH": "walk",
     "SLAB_BYTES": "source",

@@ -67,6 +67,8 @@ def read_of(path: Path) -> tuple[int, int, Findings]:
     recording = recording_at(path)
     for block in recording.blocks(intake.want):
         intake.take(block)
+    for sink in intake.sinks:
+        sink.flush()
     failed = sum(sink.failed for sink in intake.sinks)
     return sum(sink.messages for sink in intake.sinks) - failed, failed, recording.passes[-1]
 
