@@ -24,9 +24,10 @@ class TrackSettings:
 
     A step is a teleport if it is long (teleport_min_m; as a rotation, teleport_min_rad), faster
     than robots drive indoors (teleport_min_speed_m_per_s, teleport_min_turn_rad_per_s) and
-    teleport_speed_factor times faster than this robot elsewhere. A gap is at least gap_periods of
-    the usual period, and gap_min_s; a clock that goes back by more than gap_min_s was set, by less
-    it jitters.
+    teleport_speed_factor times faster than this robot elsewhere. A step onto exactly the origin is
+    a reset if it is longer than reset_min_m or turns by more than reset_min_rad, because a robot
+    may stand there. A gap is at least gap_periods of the usual period, and gap_min_s; a clock that
+    goes back by more than gap_min_s was set, by less it jitters.
     """
 
     teleport_min_m: float = 0.5
@@ -34,6 +35,8 @@ class TrackSettings:
     teleport_speed_factor: float = 5.0
     teleport_min_speed_m_per_s: float = 3.0
     teleport_min_turn_rad_per_s: float = 6.0
+    reset_min_m: float = 0.1
+    reset_min_rad: float = 0.1
     gap_periods: float = 20.0
     gap_min_s: float = 1.0
 
@@ -181,18 +184,24 @@ def _glitches(pose: FloatArray, leaps: BoolArray) -> IntArray:
 
 
 def _teleports(time_ns: IntArray, pose: FloatArray) -> BoolArray:
-    """(n - 1,) whether a step cannot have been driven."""
+    """(n - 1,) whether a step cannot have been driven, or leads back to the origin exactly."""
     way = np.hypot(np.diff(pose[:, 0]), np.diff(pose[:, 1]))
     turn: FloatArray = np.abs(wrap(np.diff(pose[:, 2])))
     duration = np.diff(time_ns) / SECOND_NS
+    zero = ~pose[1:].any(axis=1)
+    away = (way > TRACK.reset_min_m) | (turn > TRACK.reset_min_rad)
+    reset = zero & away
     long_step = (way > TRACK.teleport_min_m) | (turn > TRACK.teleport_min_rad)
-    if not long_step.any():
-        return long_step
+    if not (long_step | reset).any():
+        return reset
     speed_limit = _limit(way, duration, TRACK.teleport_min_speed_m_per_s)
     turn_limit = _limit(turn, duration, TRACK.teleport_min_turn_rad_per_s)
     far = (way > TRACK.teleport_min_m) & (way > speed_limit * duration)
     far |= (turn > TRACK.teleport_min_rad) & (turn > turn_limit * duration)
-    return np.asarray(far)
+    # Driving through the exact origin is a step like any other; a reset is far longer.
+    factor = TRACK.teleport_speed_factor
+    sudden = (way > factor * np.quantile(way, 0.99)) | (turn > factor * np.quantile(turn, 0.99))
+    return np.asarray(far | (reset & sudden))
 
 
 def _limit(size: FloatArray, duration: FloatArray, least: float) -> float:

@@ -50,6 +50,15 @@ def test_repeated_times_keep_the_first():
     assert result.warnings == ("3 odometry messages repeat the time of another and were dropped",)
 
 
+def test_odometry_that_begins_again_at_the_origin_after_a_pause_is_reset():
+    time, pose = straight()
+    time[200:] += 10 * SECOND  # time enough to have driven there
+    pose[200:] = pose[:300] - pose[0]
+    result = track(time, pose)
+    assert result.odometry.breaks.tolist() == [200]
+    assert "reset once" in result.warnings[0]
+
+
 def test_a_teleport_farther_than_the_robot_drives_breaks_the_chain():
     time, pose = straight()
     pose[200:] += [7.0, -3.0, 0.0]
