@@ -17,7 +17,6 @@ ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 GRID = "nav_msgs/msg/OccupancyGrid"
 TF = "tf2_msgs/msg/TFMessage"
-ODOMETRY = "nav_msgs/msg/Odometry"
 
 Row = tuple[str, str, int, bytes]
 """Topic, type, log time and payload of a message."""
