@@ -9,26 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from .log_writers import TF, field, store_of, varint
 
 START_NS = 1_700_000_000_000_000_000
 SCAN = "sensor_msgs/msg/LaserScan"
 ECHOES = "sensor_msgs/msg/MultiEchoLaserScan"
 CLOUD = "sensor_msgs/msg/PointCloud2"
 GRID = "nav_msgs/msg/OccupancyGrid"
-TF = "tf2_msgs/msg/TFMessage"
 
 Row = tuple[str, str, int, bytes]
 """Topic, type, log time and payload of a message."""
-
-
-def store_of(ros1: bool) -> Any:
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    if TF not in store.types:
-        store.register(
-            get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/TFMessage")
-        )
-    return store
 
 
 ROS2, ROS1 = store_of(False), store_of(True)
@@ -122,12 +113,13 @@ def cloud(
         for k in range(size):
             at = lead + axis * size + k
             data[:, at : width * step : step] = raw[..., k]
-    field = types["sensor_msgs/msg/PointField"]
+    of_points = types["sensor_msgs/msg/PointField"]
     code = {"f4": 7, "f8": 8, "i2": 3}[kind[1:]]
     fields = [
-        field(name=n, offset=lead + i * size, datatype=code, count=1) for i, n in enumerate("xyz")
+        of_points(name=n, offset=lead + i * size, datatype=code, count=1)
+        for i, n in enumerate("xyz")
     ]
-    fields.insert(0, field(name="intensity", offset=0, datatype=2, count=1))
+    fields.insert(0, of_points(name="intensity", offset=0, datatype=2, count=1))
     message = types[CLOUD](
         header=header(stamp_ns, frame, encoding),
         height=height,
@@ -195,31 +187,17 @@ def foxglove_json(ranges: Any, stamp_ns: int = START_NS, frame: str = "laser") -
     ).encode()
 
 
-def _field(number: int, wire: int, raw: bytes) -> bytes:
-    size = b"" if wire == 1 else _varint(len(raw))
-    return _varint(number << 3 | wire) + size + raw
-
-
-def _varint(value: int) -> bytes:
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    return bytes([*out, value])
-
-
 def foxglove_protobuf(
     ranges: Any, stamp_ns: int = START_NS, frame: str = "laser", whole: bool = True
 ) -> bytes:
     """whole: ranges in one packed field, as every writer does; else one by one."""
-    stamp = b"\x08" + _varint(stamp_ns // 10**9) + b"\x10" + _varint(stamp_ns % 10**9)
-    position = _field(1, 2, _field(1, 1, struct.pack("<d", 0.5)))
-    out = _field(1, 2, stamp) + _field(2, 2, frame.encode()) + _field(3, 2, position)
-    out += _field(4, 1, struct.pack("<d", -1.0)) + _field(5, 1, struct.pack("<d", 1.0))
-    numbers = [struct.pack("<d", r) for r in ranges]
+    stamp = b"\x08" + varint(stamp_ns // 10**9) + b"\x10" + varint(stamp_ns % 10**9)
+    position = field(1, _double(1, 0.5))
+    out = field(1, stamp) + field(2, frame.encode()) + field(3, position)
+    out += _double(4, -1.0) + _double(5, 1.0)
     if whole:
-        return out + _field(6, 2, b"".join(numbers))
-    return out + b"".join(_field(6, 1, raw) for raw in numbers)
+        return out + field(6, b"".join(struct.pack("<d", r) for r in ranges))
+    return out + b"".join(_double(6, r) for r in ranges)
 
 
 def foxglove_cloud(
@@ -242,22 +220,25 @@ def foxglove_cloud(
                 "data": base64.b64encode(points.tobytes()).decode(),
             }
         ).encode()
-    stamp = b"\x08" + _varint(START_NS // 10**9) + b"\x10" + _varint(START_NS % 10**9)
+    stamp = b"\x08" + varint(START_NS // 10**9) + b"\x10" + varint(START_NS % 10**9)
     parts = (
-        b"".join(_field(k + 1, 1, struct.pack("<d", v)) for k, v in enumerate(part))
-        for part in (pose[:3], pose[3:])
+        b"".join(_double(k + 1, v) for k, v in enumerate(part)) for part in (pose[:3], pose[3:])
     )
-    out = _field(1, 2, stamp) + _field(2, 2, frame.encode())
-    out += _field(3, 2, b"".join(_field(k, 2, part) for k, part in enumerate(parts, 1)))
+    out = field(1, stamp) + field(2, frame.encode())
+    out += field(3, b"".join(field(k, part) for k, part in enumerate(parts, 1)))
     out += _fixed32(4, points.itemsize)
     for name, at, kind in fields:
-        told = _field(1, 2, name.encode()) + _fixed32(2, at) + _varint(3 << 3) + _varint(kind)
-        out += _field(5, 2, told)
-    return out + _field(6, 2, points.tobytes())
+        told = field(1, name.encode()) + _fixed32(2, at) + varint(3 << 3) + varint(kind)
+        out += field(5, told)
+    return out + field(6, points.tobytes())
+
+
+def _double(number: int, value: float) -> bytes:
+    return varint(number << 3 | 1) + struct.pack("<d", value)
 
 
 def _fixed32(number: int, value: int) -> bytes:
-    return _varint(number << 3 | 5) + struct.pack("<I", value)
+    return varint(number << 3 | 5) + struct.pack("<I", value)
 
 
 def room(x: float, y: float, yaw: float, beams: int) -> Any:
