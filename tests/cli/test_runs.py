@@ -17,6 +17,8 @@ from topobatch.topology.files import read_json
 from topobatch.topology.view_file import views_path
 from topobatch.topology.views import FREE, SIDE, WALL, Views
 
+from .conftest import nameless
+
 
 @pytest.fixture
 def merged(buildings):
@@ -25,14 +27,6 @@ def merged(buildings):
 
 def document(workspace):
     return json.loads((workspace / "merged.json").read_bytes())
-
-
-def nameless(workspace):
-    """The merge without the names of its sites, which hang on earlier merges."""
-    found = document(workspace)
-    for component in found["graph"]["components"]:
-        assert component.pop("site")
-    return found
 
 
 def entries(workspace):
