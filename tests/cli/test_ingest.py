@@ -279,16 +279,6 @@ def test_quiet_says_nothing_but_errors(topobatch, logs, tmp_path):
     assert topobatch("merge", "--all", "-w", tmp_path / "ws", "-q").out == ""
 
 
-def test_info(topobatch, logs, tmp_path):
-    for kind in ("mcap", "bag", "db3", "ros2-mcap"):
-        done = topobatch("info", logs[kind])
-        assert done.code == 0, done
-        assert "nav_msgs/msg/Odometry" in done.out
-        assert "odometry: " in done.out
-        assert "junctions: " in done.out
-    assert "gone.mcap" in topobatch("info", tmp_path / "gone.mcap").error(1)
-
-
 def test_info_takes_what_ingest_takes_of_reading(topobatch, logs):
     options = ("--time", "log", "--laser-pose", "0,0,0", "--scan-stamp", "end")
     assert topobatch("info", logs["mcap"], *options, "--cloud-band", "0,1").code == 0

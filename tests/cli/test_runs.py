@@ -277,6 +277,8 @@ def test_info_of_several_logs(topobatch, logs, tmp_path):
     assert {t["topic"] for t in one["topics"]} >= {"/odom", "/junctions"}
     shown = topobatch("info", *both)
     assert sum(": run " in line for line in shown.out.splitlines()) == 2
+    for words in ("nav_msgs/msg/Odometry", "odometry: ", "junctions: "):
+        assert shown.out.count(words) == 2
     bad = topobatch("info", logs["mcap"], tmp_path / "gone.mcap", "--json")
     assert bad.code == 1
     assert len(json.loads(bad.out)) == 1

@@ -209,16 +209,10 @@ def _cloud_fields(rng: random.Random) -> list[Message]:
 # Grids
 
 
-def _grid(
-    data: bytes,
-    size: tuple[int, int],
-    resolution: float = 0.05,
-    pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1),
-    count: int | None = None,
-) -> bytes:
+def _grid(data: bytes, size: tuple[int, int], resolution: float = 0.05) -> bytes:
     body = Cdr().header(START_NS, "map").put("I", 0, 0).put("f", resolution)
-    body.put("I", *size).put("d", *pose)
-    return body.put("I", len(data) if count is None else count).done(data)
+    body.put("I", *size).put("d", 0, 0, 0, 0, 0, 0, 1)
+    return body.put("I", len(data)).done(data)
 
 
 def _cells(rng: random.Random, width: int, height: int) -> bytes:

@@ -172,12 +172,12 @@ def mount(child: str, pose: tuple[float, ...], parent: str = "base_link") -> byt
     return packed(t[TF](transforms=[stamped]), TF)
 
 
-def foxglove_json(ranges: Any, stamp_ns: int = START_NS, frame: str = "laser") -> bytes:
+def foxglove_json(ranges: Any) -> bytes:
     zero = {"x": 0, "y": 0, "z": 0}
     return json.dumps(
         {
-            "timestamp": {"sec": stamp_ns // 10**9, "nsec": stamp_ns % 10**9},
-            "frame_id": frame,
+            "timestamp": {"sec": START_NS // 10**9, "nsec": START_NS % 10**9},
+            "frame_id": "laser",
             "pose": {"position": {**zero, "x": 0.5}, "orientation": {**zero, "w": 1}},
             "start_angle": -1.0,
             "end_angle": 1.0,
@@ -187,13 +187,11 @@ def foxglove_json(ranges: Any, stamp_ns: int = START_NS, frame: str = "laser") -
     ).encode()
 
 
-def foxglove_protobuf(
-    ranges: Any, stamp_ns: int = START_NS, frame: str = "laser", whole: bool = True
-) -> bytes:
+def foxglove_protobuf(ranges: Any, whole: bool = True) -> bytes:
     """whole: ranges in one packed field, as every writer does; else one by one."""
-    stamp = b"\x08" + varint(stamp_ns // 10**9) + b"\x10" + varint(stamp_ns % 10**9)
+    stamp = b"\x08" + varint(START_NS // 10**9) + b"\x10" + varint(START_NS % 10**9)
     position = field(1, _double(1, 0.5))
-    out = field(1, stamp) + field(2, frame.encode()) + field(3, position)
+    out = field(1, stamp) + field(2, b"laser") + field(3, position)
     out += _double(4, -1.0) + _double(5, 1.0)
     if whole:
         return out + field(6, b"".join(struct.pack("<d", r) for r in ranges))
@@ -201,7 +199,7 @@ def foxglove_protobuf(
 
 
 def foxglove_cloud(
-    xyz: Any, encoding: str, frame: str = "laser", pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1)
+    xyz: Any, encoding: str, pose: tuple[float, ...] = (0, 0, 0, 0, 0, 0, 1)
 ) -> bytes:
     """A foxglove.PointCloud of a byte of intensity, then x, y as float32, z as float64."""
     points = np.zeros(len(xyz), np.dtype("u1, <f4, <f4, <f8"))
@@ -213,7 +211,7 @@ def foxglove_cloud(
         return json.dumps(
             {
                 "timestamp": {"sec": START_NS // 10**9, "nsec": START_NS % 10**9},
-                "frame_id": frame,
+                "frame_id": "laser",
                 "pose": dict(zip(names, parts, strict=True)),
                 "point_stride": points.itemsize,
                 "fields": [{"name": n, "offset": at, "type": t} for n, at, t in fields],
@@ -224,7 +222,7 @@ def foxglove_cloud(
     parts = (
         b"".join(_double(k + 1, v) for k, v in enumerate(part)) for part in (pose[:3], pose[3:])
     )
-    out = field(1, stamp) + field(2, frame.encode())
+    out = field(1, stamp) + field(2, b"laser")
     out += field(3, b"".join(field(k, part) for k, part in enumerate(parts, 1)))
     out += _fixed32(4, points.itemsize)
     for name, at, kind in fields:
@@ -250,9 +248,7 @@ def room(x: float, y: float, yaw: float, beams: int) -> Any:
         return np.minimum(np.abs(sides[0] / c), np.abs(sides[1] / s))
 
 
-def around(
-    pose: tuple[float, ...], stamp_ns: int, frame: str = "base_link", encoding: str = "cdr"
-) -> bytes:
+def around(pose: tuple[float, ...], stamp_ns: int) -> bytes:
     """A scan of that room by a laser at the robot's middle; pose: as of `log_writers`."""
     x, y, *_, z, w = pose
     beams = 720
@@ -260,8 +256,7 @@ def around(
     return scan(
         room(x, y, 2 * np.arctan2(z, w), beams),
         stamp_ns,
-        frame,
-        encoding,
+        "base_link",
         angle_min=-np.pi,
         angle_max=np.pi - step,
         angle_increment=step,
