@@ -17,7 +17,6 @@ from case import Case, Generator, writers
 
 SECOND = 10**9
 START_NS = 1_700_000_000 * SECOND
-MIB = 1 << 20
 
 ABSURD = (0.0, -0.0, 1e-45, -1e-30, 1e-9, -1.0, 1e9, 1e30, math.nan, math.inf, -math.inf)
 """Numbers that fit into a float32 and into nothing that was measured."""
